@@ -55,7 +55,10 @@ def _panel(figure: Figure, panel: str, rows: list[str], *, named: bool) -> alt.L
             ),
         ]
     else:
-        layers = [base.mark_bar(height=13).encode(x=alt.X("value:Q", **x), color=colour)]
+        layers = [
+            base.mark_bar(height=13).encode(x=alt.X("value:Q", **x), color=colour),
+            base.mark_rule(strokeWidth=1.5, color=_INK).encode(x=alt.X("low:Q", **x), x2="high:Q"),
+        ]
     layers += [
         base.mark_tick(color=_INK, thickness=2, height=15).encode(x=alt.X("beside:Q", **x)),
         base.mark_text(align="left", dx=5, fontSize=11, color=_INK).encode(

@@ -318,20 +318,29 @@ def skills() -> Result:
 
 
 def sizing() -> Result:
-    """Return the mains water that each cistern saves, from the site file's start, and from full."""
+    """Return the mains water that each cistern saves, beginning as empty as allowed, and full."""
     saved = {
-        (row["initial"], float(row["cistern_m3"]), float(row["green_roof_m2"])):
-            float(row["saved_m3"])
+        (row["initial"], float(row["cistern_m3"]), float(row["green_roof_m2"])): row
         for row in read("sizing")
     }
     figure = Figure(
         "By size", "mains water saved (m³)", tuple(
-            Mark(f"{roof:g} m²", f"{cistern:g} m³", "", value,
-                 saved["full", cistern, roof])
-            for (initial, cistern, roof), value in saved.items() if initial == "site"
+            Mark(f"{roof:g} m²", f"{cistern:g} m³", "",
+                 *(float(row[name]) for row, name in (
+                     (row, "saved_m3"), (saved["full", cistern, roof], "saved_m3"),
+                     (row, "low"), (row, "high"),
+                 )))
+            for (initial, cistern, roof), row in saved.items() if initial == "site"
         ), 3, form=".1f",
     )
-    return _plain("cistern", figure)
+
+    def cells(mark: Mark) -> tuple[str]:
+        return (f"{mark.value:.1f} ({mark.low:.1f} to {mark.high:.1f}), {mark.beside:.1f}",)
+
+    return Result(
+        ("cistern", *dict.fromkeys(mark.panel for mark in figure.marks)), _by_row(figure, cells),
+        figure,
+    )
 
 
 # --- from marks to cells and drawings -------------------------------------------------------------

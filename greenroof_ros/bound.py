@@ -93,7 +93,7 @@ def _table(result: dict[str, Any]) -> Table:
         ),
         (
             "bound", f"{result['bound_m3']:.2f}",
-            "m3, total deviation that no controller betters "
+            "m3, total deviation that no controller can beat "
             f"({result['evapotranspiration_method']})",
         ),
         (
@@ -102,12 +102,12 @@ def _table(result: dict[str, Any]) -> Table:
         ),
         (
             "lookahead's plan", f"{result['recursion_m3']:.2f}",
-            "m3, of its recursion that knows all weather, likewise",
+            "m3, of its recursion with all weather known, likewise",
         ),
         (
             "gap", "-" if gap is None else f"{100 * gap:.4f} %",
-            "between the bound and the better plan, with the optimum in it; on a measured roof it "
-            "is mostly the bound's, whose program has straight lines in place of the soil",
+            "between the bound and the better plan, which contains the optimum; on a measured "
+            "roof mostly due to the bound, whose program replaces the soil by straight lines",
         ),
         (
             "pumped", f"{result['pumped_m3']:.4f} / {result['recursion_pumped_m3']:.4f}",
@@ -124,10 +124,10 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="greenroof bound",
         usage="%(prog)s [options]",
-        description="Compute a lower bound of the total deviation that any controller can reach,\n"
-        "had it known all weather, and beside it the results of two plans in the exact\n"
+        description="Compute a lower bound of the total deviation that any controller could\n"
+        "reach if it knew all weather, and the results of two plans in the exact\n"
         "plant: the bound's linear program, and lookahead's recursion.\n"
-        "The optimum lies between. It is the same for every controller.",
+        "The optimum lies in between. It is the same for every controller.",
         epilog="examples:\n"
         "  greenroof bound --start 2021-07-08T05:00\n"
         "  greenroof bound --block 1 --hours 2 --max-command 0.1\n\n"
@@ -138,7 +138,7 @@ def make_parser() -> argparse.ArgumentParser:
     group = parser.add_argument_group("the bound")
     group.add_argument(
         "--block", type=within(1e-9, 1e9), metavar="S",
-        help="seconds that share one variable: shorter is closer and slower, one tick is exact "
+        help="seconds that share one variable: shorter is tighter and slower, one tick is exact "
         f"and takes a minute for 12 h (default: {_BLOCK_S:g}, or one tick if that is longer)",
     )
     group.add_argument(

@@ -22,7 +22,7 @@ _DESCRIPTION = """\
 Publish on MQTT what the page of greenroof watch shows: levels, pump, rain, frost, what the
 controller plans, and alarms by code. Home Assistant discovers it by itself. It works beside any
 graph that runs in this ROS domain, simulated, with a drive in the loop or live. It may start late
-and stop: nothing waits for it.
+and stop early: nothing waits for it.
 
 Whoever may write to the topic greenroof/SITE/stop can stop the pump. Nothing can be released or
 started over MQTT.
@@ -34,7 +34,7 @@ examples:
   greenroof bridge --broker mqtt://127.0.0.1 --namespace north     topics: greenroof/north/...
 
 A login file has two lines, username: NAME and password: WORD. Keep others out of it (chmod 600).
-If the broker is not there, it says so and keeps trying. Ctrl-C ends it.
+If it cannot reach the broker, it says so and keeps trying. Ctrl-C ends it.
 
 exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
 """
@@ -68,8 +68,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="of the graph, as bringup was given it, and the site's name on MQTT, which is roof "
-        "if there is none. Two sites on one broker need two (default: none)",
+        help="namespace of the graph, as passed to bringup; also the site's name on MQTT (roof "
+        "without a namespace). Two sites on one broker need different ones (default: none)",
     )
     return parser
 

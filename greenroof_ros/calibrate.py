@@ -45,12 +45,12 @@ from greenroof_ros.model.site import Site, read_site
 _DESCRIPTION = """\
 Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
 drainage time and crop coefficient, as far as the record can tell them. The first half of its rain
-is fitted, the second judges the fit. Where the record has the pumps' state and the cistern's level,
+is fitted, the second judges the fit. If the record has the pumps' state and the cistern's level,
 the pump curve is fitted first, to how fast the cistern falls.
 """
 _EPILOG = """\
-MEASURED is a bag of this project, or CSV: a row a step, at most a day apart, and columns named
-like these, in which empty cells and missing rows are gaps:
+MEASURED is a bag of this project, or CSV: a row per step, at most a day apart, and columns named
+like these; empty cells and missing rows are gaps:
 
   time, rain [mm], runoff [mm], level [m], temperature [degC]
 
@@ -61,13 +61,13 @@ like these, in which empty cells and missing rows are gaps:
   reference evapotranspiration mm, mm/h, mm/day; or instead of it
   temperature                  degC; or least temperature and greatest temperature of the day
 
-The model knows no snow: where winters were recorded, say which months count, as in --months 4-10.
+The model has no snow: if winters were recorded, say which months count, as in --months 4-10.
 
-What cannot be true is refused, with its code and its figures; --accept CODE has it fitted all the
-same, with a warning: a dead sensor (sensor-dead), a wrong unit (unit-error) and so on.
+Data that cannot be true are refused, with a code and figures; --accept CODE fits them anyway, with
+a warning: a dead sensor (sensor-dead), a wrong unit (unit-error) and so on.
 
-Written are the site file, and a page beside it with its name and .html. With --pump-data and no
-MEASURED the site file alone, with the pumps of the data sheet.
+It writes the site file, and a page next to it with its name and .html. With --pump-data and no
+MEASURED it writes only the site file, with the pumps of the data sheet.
 
 examples:
   greenroof calibrate roof_2025.csv --site my_site.yaml -o fitted_site.yaml
@@ -109,7 +109,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--accept", nargs="+", default=[], choices=FINDINGS.refusals, metavar="CODE",
-        help="fit what is refused with these codes, with a warning: "
+        help="fit data refused with these codes anyway, with a warning: "
         + ", ".join(FINDINGS.refusals),
     )
     return parser

@@ -29,9 +29,9 @@ def make_parser() -> argparse.ArgumentParser:
     """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof check-controller",
-        description="Hold a controller to what the node graph, simulate, studies and reports rely "
-        "on: commands finite and not negative, the same for the same inputs, ticks that are "
-        "skipped, missing forecasts, parameters. What fails is named with what would be right.",
+        description="Check that a controller does what the node graph, simulate, studies and "
+        "reports rely on: commands finite and not negative, the same for the same inputs, skipped "
+        "ticks, missing forecasts, parameters. Each failure is listed with the correct behaviour.",
         epilog="example:\n  greenroof check-controller examples.proportional:Proportional\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 it cannot be imported",
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -11,17 +11,17 @@ from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.model.site import read_site
 
 _INVENTED = (
-    "The levels and the weather that it tells are invented: it would have an empty cistern pumped "
-    "dry, and water pumped into a frozen pipe. With a real pump see yourself that there is water "
-    "in the cistern, room on the roof and no frost, and give the --period of the site's tau (1): "
-    "at 0.1 the least times on and off pass ten times as fast for the motor, which is started nine "
-    "times. At less than tau this package's pump node refuses any drive but the drive simulator; "
-    "it ends with the check, as with the plant of a run."
+    "The levels and weather that it sends are invented: it would let the pump run a cistern dry, "
+    "or pump into a frozen pipe. With a real pump, make sure yourself that there is water in the "
+    "cistern, room on the roof and no frost, and set --period to the site's tau (1): at 0.1 the "
+    "least times on and off pass ten times as fast for the motor, which is started nine times. At "
+    "less than tau this package's pump node refuses any drive but the drive simulator; the pump "
+    "node ends with the check, as it does with the plant of a run."
 )
 _LIMIT = (
-    "The flows that it answers are the only witness: whether the pump's shaft really stands is not "
-    "seen over topics, so look at the pump. Lockstep is played, one flow for each command; not a "
-    "live graph, in which a driver must also stop for an input that falls silent."
+    "The flows in the answers are the only evidence: topics do not show whether the pump's shaft "
+    "is really at rest, so watch the pump. The check plays lockstep, one flow for each command, "
+    "not a live graph, in which a driver must also stop for an input that falls silent."
 )
 # Options in seconds: option, field of `Limits`, least value, default and meaning.
 _TIMES = (
@@ -33,11 +33,11 @@ _TIMES = (
     ("--start-within", "start", 0.001, 60.0, "how long the flow may take to become steady"),
     (
         "--stop-within", "stop", 0.001, 30.0, "how long the flow may take to become 0, whatever "
-        "the pump is to stop for; it may ramp down",
+        "the reason to stop; it may ramp down",
     ),
     (
-        "--silence", "silence", 0.001, 5.0, "how long no command comes; the pump must have stopped "
-        "then",
+        "--silence", "silence", 0.001, 5.0, "length of a silence without commands, by whose end "
+        "the pump must have stopped",
     ),
     ("--wait", "arrival", 0.0, 10.0, "how long the driver may take to join the graph"),
 )
@@ -47,15 +47,15 @@ def make_parser() -> argparse.ArgumentParser:
     """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof check-pump",
-        description="Hold a pump driver that runs, be it this package's or your own in any "
-        "language, to the interface over topics alone: off at start, one flow for each command, "
-        "refused values, watchdog, a second publisher, frost, levels and frost that are unknown, a "
-        "cistern at the suction level, and that it runs again after each. It plays plant, weather "
-        f"and controller itself, so start no bringup; THE PUMP WILL RUN. {_INVENTED} {_LIMIT}",
+        description="Check a running pump driver, this package's or your own in any language, "
+        "against the interface, using topics only: off at start, one flow for each command, "
+        "refused values, watchdog, a second publisher, frost, unknown levels and frost, a cistern "
+        "at the suction level, and that it runs again after each. It plays plant, weather and "
+        f"controller itself, so start no bringup; THE PUMP WILL RUN. {_INVENTED} {_LIMIT}",
         epilog="example:\n  python examples/pump_driver.py &\n"
         "  greenroof check-pump --node pump\n\n"
-        "exit codes: 0 all is right, 1 a check failed, 2 there is no such driver, 3 a graph is at "
-        "work",
+        "exit codes: 0 all is right, 1 a check failed, 2 there is no such driver, 3 a graph is "
+        "running",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(

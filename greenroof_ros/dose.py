@@ -31,10 +31,10 @@ def make_parser() -> argparse.ArgumentParser:
     """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof dose",
-        description="Have the pump deliver a volume once, now, whatever the controller commands: "
-        "where the site file allows it (greatest_dose) and nothing keeps the pump off, and never "
-        "above the roof's target. A dose that an interlock ends is over, and so is one that could "
-        "not begin within a minute. Ctrl-C ends this command and not the dose: stop the pump then.",
+        description="Deliver a volume once, now, regardless of the controller's command, if the "
+        "site file allows it (greatest_dose) and no interlock is active, but never above the "
+        "roof's target. An interlock ends a dose for good; a dose that cannot begin within a "
+        "minute ends, too. Ctrl-C ends this command but not the dose: to end that, stop the pump.",
         epilog="example:\n  greenroof dose --volume 0.2\n\n"
         "exit codes: 0 delivered, 1 refused or ended early, 2 bad usage",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -45,7 +45,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="of the graph, as given to bringup (default: none)",
+        help="namespace of the graph, as passed to bringup (default: none)",
     )
     return parser
 
@@ -102,7 +102,7 @@ def main() -> int:
                     print(f"{pump} was started again: the dose ended with it", flush=True)
                     return EXIT_FAILED
                 if time.monotonic() - progress.heard > _SILENT_S:
-                    print(f"{pump} is not heard any more: whether the dose goes on is not known")
+                    print(f"{pump} is no longer heard: it is not known whether the dose continues")
                     return EXIT_FAILED
                 if progress.dose is not None and progress.dose["said"] != shown:
                     shown = progress.dose["said"]

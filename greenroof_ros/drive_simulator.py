@@ -30,15 +30,14 @@ def make_parser() -> argparse.ArgumentParser:
         prog="greenroof simulators drive",
         usage="%(prog)s --drive NAME [options]",
         description="Simulate a variable-speed drive with a motor on Modbus: registers, control "
-        "word, ramp, faults and\ncommunication timeout as of the make that a drive file "
-        "describes, and whatever can go wrong\non request. With --at it is a relay on MQTT, "
-        "with its timer.",
+        "word, ramp, fault codes and\ncommunication timeout of the make that a drive file "
+        "describes, with faults on request.\nWith --at it is a relay on MQTT, with its timer.",
         epilog="The workbench is a Modbus TCP port beside the drive's, device 247, holding "
         "registers:\n"
         "  0 true speed in 0.01 %   1 fault, by its number   2 its parameter, 65535 for the "
         "default;\n  to be written before 1   3 power cycle: write 1   4 local control at the "
         "panel: 1, 0\n  5 cistern level in 0.1 mm, for drives that report their flow\n\n"
-        "Of a relay register 0 is 10000 while its contact is closed, and register 4 is its "
+        "For a relay, register 0 is 10000 while its contact is closed, and register 4 is its "
         "button.\n\n"
         f"faults:\n{faults.list_faults(DRIVE_FAULTS)}\n\n"
         f"faults of a relay:\n{faults.list_faults(RELAY_FAULTS)}\n\n"
@@ -53,18 +52,18 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--drive", required=True, metavar="NAME",
-        help="make of drive: a name in config/drives/, or a file of your own",
+        help="make of drive: a name in config/drives/, or your own file",
     )
-    place = parser.add_argument_group("where it is")
+    place = parser.add_argument_group("its address")
     place.add_argument(
         "--host", default="127.0.0.1",
-        help="address of this machine that it listens on; there is no protection whatever: whoever "
+        help="address of this machine on which it listens; there is no protection: anybody who "
         "reaches it can run it (default: %(default)s)",
     )
     place.add_argument(
         "--port", type=within(0, _LAST_PORT - 1, int), default=_PORT,
-        help="TCP port of the drive, 0 for a free one; of a gateway to its serial port where the "
-        "make has none of its own (default: %(default)s)",
+        help="TCP port of the drive, 0 for a free one; or of a gateway to its serial port if the "
+        "make has no Ethernet port (default: %(default)s)",
     )
     place.add_argument(
         "--serial", metavar="DEVICE",
@@ -79,7 +78,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--workbench", type=within(0, _LAST_PORT, int), metavar="PORT",
         help="TCP port of the workbench, 0 for a free one (default: the next after --port)",
     )
-    model = parser.add_argument_group("how it is made and set")
+    model = parser.add_argument_group("its properties and settings")
     model.add_argument(
         "--ramp", type=within(0, 3600), default=5.0, metavar="S",
         help="time from rest to rated speed, and back (s, default: %(default)g)",
@@ -90,13 +89,13 @@ def make_parser() -> argparse.ArgumentParser:
     )
     model.add_argument(
         "--timeout", type=within(0.1, 3600), default=5.0, metavar="S",
-        help="its communication timeout (s, default: %(default)g), upon which it stops; rounded to "
-        "what its register holds",
+        help="its communication timeout (s, default: %(default)g), after which it stops; rounded "
+        "to what its register holds",
     )
     model.add_argument(
         "--as-delivered", action="store_true",
-        help="the timeout as the maker delivers it, which may be none. A relay then has none, "
-        "and is on after power-up",
+        help="the factory setting of the timeout, which may be none. A relay then has none, and "
+        "is on after power-up",
     )
     model.add_argument(
         "--speed", type=within(1e-3, 1e6), default=1.0, metavar="FACTOR",
@@ -121,8 +120,8 @@ def main() -> int:
     is_relay = "protocol" in read_yaml(path)
     if is_relay != bool(arguments.at):
         raise ConfigurationError(
-            "must say where a relay is: mqtt://HOST[:PORT]/DEVICE" if is_relay
-            else "is of a relay; a drive on Modbus has --port or --serial",
+            "must give the address of a relay: mqtt://HOST[:PORT]/DEVICE" if is_relay
+            else "is for a relay; a drive on Modbus has --port or --serial",
             key="--at", value=arguments.at,
         )
     faults = RELAY_FAULTS if is_relay else DRIVE_FAULTS

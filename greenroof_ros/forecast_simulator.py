@@ -23,9 +23,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="greenroof simulators forecast",
         usage="%(prog)s [options]",
-        description="Answer as Open-Meteo's forecast and ensemble interfaces do: what a weather "
-        "file has from --start on is\nforecast from now on.",
-        epilog="faults; while it runs by 'curl -X POST "
+        description="Answer as Open-Meteo's forecast and ensemble interfaces do: the contents of "
+        "a weather file from --start on become\nthe forecast from now on.",
+        epilog="faults; at run time, set one with 'curl -X POST "
         f"http://127.0.0.1:{_PORT}/fault/NAME':\n{faults}\n\n"
         "examples:\n"
         "  greenroof simulators forecast\n"
@@ -33,7 +33,7 @@ def make_parser() -> argparse.ArgumentParser:
         "Its first line says when it is ready, and where. Ctrl-C ends it.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--site", type=Path, metavar="FILE", help="site file: where it is")
+    parser.add_argument("--site", type=Path, metavar="FILE", help="site file, for its place")
     parser.add_argument(
         "--weather", action="append", metavar="FILE",
         help="hourly records with temperature, dew point, wind and pressure (default: the paper's)",
@@ -43,12 +43,12 @@ def make_parser() -> argparse.ArgumentParser:
         help="time in the records that counts as now (default: %(default)s)",
     )
     parser.add_argument(
-        "--port", type=within(0, 65535, int), default=_PORT, help="on 127.0.0.1, 0 for a free one "
-        "(default: %(default)s)",
+        "--port", type=within(0, 65535, int), default=_PORT, help="TCP port on 127.0.0.1, 0 for a "
+        "free one (default: %(default)s)",
     )
     parser.add_argument(
         "--fault", choices=list(FAULTS), default=NONE, metavar="NAME",
-        help="from the start on; see below",
+        help="fault from the start on; see below",
     )
     return parser
 

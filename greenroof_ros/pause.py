@@ -19,9 +19,9 @@ def make_parser() -> argparse.ArgumentParser:
     """Return the command's parser."""
     parser = argparse.ArgumentParser(
         prog="greenroof pause",
-        description="Have the pump node keep the pump off until a date, after a restart too. The "
-        "pause ends by itself then; what else keeps the pump off stays. A pump that must not run "
-        "until somebody has looked is stopped instead (~/stop).",
+        description="Keep the pump off until a date, even after a restart. The pause then ends by "
+        "itself; any other reason to keep the pump off remains. If the pump must not run until "
+        "somebody has checked it, stop it instead (~/stop).",
         epilog="examples:\n  greenroof pause --until 2026-12-24T08:00\n  greenroof pause --end\n\n"
         "exit codes: 0 done, 1 the pump node did not do so, 2 bad usage",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -35,7 +35,7 @@ def make_parser() -> argparse.ArgumentParser:
     choice.add_argument("--end", action="store_true", help="end the pause now")
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="of the graph, as bringup was given it (default: none)",
+        help="namespace of the graph, as passed to bringup (default: none)",
     )
     return parser
 

@@ -47,7 +47,7 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, str]:
         )
     target = output or recovered_bag(bag)
     if target.exists():
-        raise ConfigurationError("exists already; nothing was written", file=target)
+        raise ConfigurationError("already exists; nothing was written", file=target)
     try:
         return target, restore(bag.resolve(), target)
     except OSError as error:
@@ -95,7 +95,7 @@ def restore(bag: Path, target: Path) -> str:
             copy.unlink()
     if not restored:
         target.rmdir()
-        raise ConfigurationError("holds not one whole tick or message", file=bag)
+        raise ConfigurationError("does not hold a single whole tick or message", file=bag)
     write_metadata(target, restored.values())
     count = sum(index.statistics.message_count for index in restored.values())
     per_tick = _per_tick(next(iter(restored.values())).channels)
@@ -159,12 +159,12 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="greenroof recover",
         description="Repair the bag of a run whose recorder was killed or ran out of disk: every "
-        "whole tick, or every message of a live site, goes into a new bag beside the old one, "
-        "which is left as it is. A report of the run then uses the new one.",
+        "whole tick, or every message of a live site, goes into a new bag next to the old one, "
+        "which stays unchanged. A report of the run then uses the new one.",
     )
     parser.add_argument("directory", type=Path, metavar="DIR", help="a run directory, or its bag")
     parser.add_argument(
-        "--output", type=Path, metavar="BAG", help="the new bag (default: beside the old one)"
+        "--output", type=Path, metavar="BAG", help="the new bag (default: next to the old one)"
     )
     return parser
 

@@ -66,8 +66,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     group.add_argument(
         "--trajectory-every", type=within(0, 1e9), default=0.0, metavar="S",
-        help="write a tick every S seconds, and the last, instead of all: the hundred bytes a tick "
-        "of a year are gigabytes",
+        help="write a tick every S seconds, and the last, instead of all: at a hundred bytes per "
+        "tick a year takes gigabytes",
     )
     return parser
 

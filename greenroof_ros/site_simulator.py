@@ -25,8 +25,8 @@ def make_parser() -> argparse.ArgumentParser:
         prog="greenroof simulators site",
         usage="%(prog)s [options]",
         description="Simulate cistern and roof in real time and answer as their sensors, over "
-        "Modbus, or publish on\nMQTT. The pump is a drive simulator's: its true speed makes the "
-        "flow. It is 15 degC.",
+        "Modbus, or publish on\nMQTT. The flow follows from a drive simulator's true speed. The "
+        "air is at 15 degC.",
         epilog="The workbench is a Modbus TCP port, device 247, holding registers: 1 fault, by its "
         "number;\n  2 its parameter, 65535 for the default, to be written before 1\n\n"
         f"faults:\n{faults.list_faults(SITE_FAULTS)}\n\n"
@@ -54,7 +54,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add_site_arguments(parser.add_argument_group(
         "the site",
-        "After --hours the weather stays as it was last; the simulator goes on.",
+        "After --hours the weather keeps its last values; the simulator continues.",
     ))
     weather = parser.add_argument_group("constants instead of the weather file")
     weather.add_argument(
@@ -66,12 +66,12 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--factor", type=within(1e-3, 1e4), default=1.0,
-        help="simulated per real time; a sensor's readings are then that much further apart "
+        help="simulated time per real time; a sensor's readings are then that much further apart "
         "(default: %(default)g)",
     )
     parser.add_argument(
         "--output", type=Path, metavar="CSV",
-        help="file for a line a tick: time, levels, speed, flow, pumped volume, weather, fault",
+        help="file with a line per tick: time, levels, speed, flow, pumped volume, weather, fault",
     )
     faults.add_option(parser, SITE_FAULTS)
     return parser

@@ -38,17 +38,17 @@ from greenroof_ros.weather.reading import find_files, read_weather
 from greenroof_ros.weather.series import Weather
 
 _DESCRIPTION = """\
-Score forecasts of rain by records: by lead, and by sums over hours, with what counts as an
-event among them. FORECASTS are an archive, a file or a directory of files as --forecast of simulate
-takes them, or a model of this package, whose forecasts of the records are made and scored.
+Score rain forecasts against records: by lead time, and by sums over hours, with the events among
+them. FORECASTS are an archive, a file or a directory of files as --forecast of simulate takes
+them, or a model of this package, whose forecasts of the records are made and scored.
 
-With --dress, make of an archive and a record the file by which --dressed of simulate and run gives
-a controller, instead of each forecast, the rain that was observed after ten similar ones.
+With --dress, make from an archive and a record the file with which --dressed of simulate and run
+gives a controller, instead of each forecast, the rain observed after ten similar ones.
 """
 _EPILOG = f"""\
 A model is one of {', '.join(MODELS)}.
 
-bias   water that was forecast over what fell
+bias   forecast rain over observed rain
 r      correlation
 POD    probability of detection: events that were forecast over events
 FAR    false alarm ratio: forecast events that did not come over forecast events
@@ -57,9 +57,9 @@ Brier  mean squared error of the event's probability
 CRPS   error of the whole distribution (mm), the fair one, alike for any number of members; of a
        single forecast the mean error
 
-Of an ensemble the first five are of member 0, the last two of all members.
+For an ensemble the first five use member 0, the last two all members.
 --dress scores sums from each issue on: as issued, dressed without past issues within the length of
-a member and five days of it, and by climate, all that fell in the record.
+a member and five days of it, and by climate, which is all rain of the record.
 
 examples:
   greenroof verify gem_previous_runs.csv --weather gauge.csv
@@ -93,12 +93,12 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
-        help="site file, which says the place (default: the paper's, config/site.yaml)",
+        help="site file, for its place (default: the paper's, config/site.yaml)",
     )
     whole_hours = within(1, _MOST_HOURS, int)
     parser.add_argument(
         "--sums", type=whole_hours, nargs="+", metavar="H",
-        help="hours of a sum; several may be given (default: 1, 6, 12 and 24, where they divide "
+        help="hours of a sum; several may be given (default: 1, 6, 12 and 24, if they divide "
              "--lead)",
     )
     parser.add_argument(
@@ -124,12 +124,12 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--dress", action="store_true",
         help="write the rain of the records after each issue of an archive to -o FILE.csv, and "
-        "score what that is worth; --horizon says how many hours. Use half a year or more. To "
-        "judge it on some months, leave them out of --weather",
+        "score the result; --horizon sets the number of hours. Use half a year or more. To judge "
+        "it on some months, leave them out of --weather",
     )
     parser.add_argument(
         "--fit", type=Path, metavar="FILE.yaml",
-        help="write a skill by which --forecast errors is as good as these forecasts, for "
+        help="write a skill with which --forecast errors is as good as these forecasts, for "
         "--forecast-skill; takes half a minute for two years",
     )
     add_forecast_options(parser.add_argument_group("options of forecasts"))
@@ -158,16 +158,16 @@ def _verify(arguments: argparse.Namespace) -> int:
     forecasts = issued_forecasts(choice, weather, site, arguments.horizon or _HORIZON)
     if arguments.lead % forecasts.finest_lead:
         raise ConfigurationError(
-            f"must be a multiple of {forecasts.finest_lead} h, which is all that {forecasts.name} "
-            "says of leads", key="--lead", value=arguments.lead,
+            f"must be a multiple of {forecasts.finest_lead} h, the finest lead time of "
+            f"{forecasts.name}", key="--lead", value=arguments.lead,
         )
     with _bar("verifying", forecasts.count, "issues") as done:
         tallies = tally(forecasts, weather.precipitation, arguments.lead, sums, done)
     span = f"{to_people(weather.first)} to {to_people(weather.end)}"
     if not any(of_class.scores().n for of_class in tallies.values()):
         raise ConfigurationError(
-            f"have no whole sum in common with the records: these are of {forecasts.span}, the "
-            f"records of {span}",
+            f"have no whole sum in common with the records: these cover {forecasts.span}, the "
+            f"records {span}",
             file=choice.file, key="FORECASTS", value=arguments.forecasts,
         )
     records = f"{weather.source}, {span}"
@@ -221,7 +221,7 @@ def _dress(arguments: argparse.Namespace) -> int:
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
     if choice.file is None:
         raise ConfigurationError(
-            "must be an archive with --dress: a model's forecasts are made of the records",
+            "must be an archive with --dress: a model's forecasts are made from the records",
             key="FORECASTS", value=arguments.forecasts,
         )
     site, weather = _site_and_weather(arguments)

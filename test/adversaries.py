@@ -1,4 +1,4 @@
-"""Forecasts of rain that were made to do harm."""
+"""Rain forecasts that are made to mislead a controller."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from greenroof_ros.weather.series import Weather
 Array = NDArray[np.float64]
 
 TOGETHER = "all of them, a member each"
-"""an ensemble for a controller that takes one"""
+"""one ensemble with each kind as a member, for a controller that takes ensembles"""
 
 
 class Adversary:
-    """Hourly forecasts of a kind; the first hour is not forecast but observed."""
+    """Hourly forecasts of one kind; the forecast replaces the first hour by the observed one."""
 
     def __init__(self, kind: str, weather: Weather) -> None:
         self._kind = kind
@@ -45,11 +45,11 @@ class Adversary:
         return np.stack([*members]), self._weather.evapotranspiration[now]
 
     def repeats_from(self, hour: int, hours: int) -> None:
-        """It is no record."""
+        """Return None: this is not a record that repeats."""
 
 
 def with_forecasts(run: Run, kind: str, horizon: float) -> Run:
-    """Return a run whose controller, which looks ahead so far (h), gets false forecasts."""
+    """Return a run whose controller, with this horizon (h), gets false forecasts."""
     return replace(run, forecast=SteppedForecast(
         Adversary(kind, run.weather), run.weather, run.site, run.start, growing_steps(horizon),
         run.steps, run.controller.ensemble,

@@ -1,4 +1,4 @@
-"""Archived forecasts, made up, in the form of a service."""
+"""Made-up forecast archives in the format of a forecast service."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def write_runs(directory: Path, first: str = "2021-07-06T18:00", count: int = 8) -> Path:
-    """Write runs of Open-Meteo six hours apart; run n forecasts n.LL mm/h at lead LL."""
+    """Write Open-Meteo runs six hours apart; run n forecasts n.LL mm/h at lead time LL."""
     directory.mkdir()
     start = datetime.fromisoformat(first)
     for number in range(count):

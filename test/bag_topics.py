@@ -1,4 +1,4 @@
-"""The topics of a bag by msg_defs/topics.yaml, without the package's own reader."""
+"""The topics of a bag according to msg_defs/topics.yaml, without the package's own reader."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from places import CHECKOUT
 
 
 def bag_topics(*outputs: str) -> set[str]:
-    """Return the topics of each tick, with these of the optional ones."""
+    """Return the topics recorded at each tick, including these optional topics."""
     topics = yaml.safe_load((CHECKOUT / "msg_defs" / "topics.yaml").read_text())["topics"]
     return {
         name

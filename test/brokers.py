@@ -1,4 +1,4 @@
-"""A real MQTT broker, Mosquitto, on a port of its own."""
+"""A real MQTT broker (Mosquitto) on its own port."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ needs_mosquitto = pytest.mark.skipif(_FOUND is None, reason="there is no mosquit
 
 
 class Mosquitto:
-    """A broker that may be killed, stopped, and started again at the same port.
+    """A broker that can be killed, stopped, and started again at the same port.
 
     Attributes:
-        port: of loopback.
-        address: as an option takes it.
-        login: file that an option takes, too; empty for none.
-        authority: likewise.
+        port: on loopback.
+        address: in the form that an option takes.
+        login: login file for an option; empty for none.
+        authority: CA file for an option; empty for none.
     """
 
     def __init__(self, directory: Path, *lines: str) -> None:
-        """Start it.
+        """Start the broker.
 
         Args:
             directory: for its configuration and log.
-            lines: of the configuration, in place of letting everybody in.
+            lines: more lines of its configuration, instead of the line that lets anybody in.
         """
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port: int = free.getsockname()[1]
@@ -47,7 +47,7 @@ class Mosquitto:
         self.start()
 
     def start(self) -> None:
-        """Start it, and wait until it listens."""
+        """Start the broker, and wait until it listens."""
         with self._log.open("a") as log:
             self.process = subprocess.Popen(
                 [str(_FOUND), "-c", str(self._file)], stdout=log, stderr=log
@@ -63,22 +63,22 @@ class Mosquitto:
                 time.sleep(0.05)
 
     def kill(self) -> None:
-        """End it without a word."""
+        """Kill the broker without a clean shutdown."""
         self.process.send_signal(signal.SIGCONT)
         self.process.kill()
         self.process.wait()
 
     def end(self) -> None:
-        """End it in good order: with a place for that, it keeps what is retained."""
+        """Shut the broker down cleanly: if persistence is set up, it keeps retained messages."""
         self.process.terminate()
         self.process.wait()
 
     def pause(self) -> None:
-        """Have it answer nothing, its connections open."""
+        """Suspend the broker: it answers nothing, but its connections stay open."""
         self.process.send_signal(signal.SIGSTOP)
 
     def go_on(self) -> None:
-        """Have it go on."""
+        """Resume the broker."""
         self.process.send_signal(signal.SIGCONT)
 
 
@@ -93,7 +93,7 @@ def mosquitto(directory: Path, *lines: str) -> Iterator[Mosquitto]:
 
 
 class Talker:
-    """Says things on a broker, each heard by it before the next; ``with`` connects it."""
+    """A client that publishes, each message confirmed by the broker; ``with`` connects it."""
 
     def __init__(self, broker: Mosquitto) -> None:
         self._connected = threading.Event()
@@ -112,5 +112,5 @@ class Talker:
         self._client.loop_stop()
 
     def say(self, topic: str, message: str, *, retain: bool = False) -> None:
-        """Say something, and wait until the broker has it."""
+        """Publish a message, and wait until the broker has it."""
         self._client.publish(topic, message, qos=1, retain=retain).wait_for_publish(20)

@@ -17,7 +17,7 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", 
 
 @contextmanager
 def started_browser() -> Iterator[Any]:
-    """Start it; the test is skipped where there is none."""
+    """Start Chromium; skip the test if it is not installed."""
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine")
     with playwright.sync_playwright() as driver:
@@ -32,7 +32,7 @@ def started_browser() -> Iterator[Any]:
 
 @contextmanager
 def drawn_page(file: Path, charts: int) -> Iterator[Any]:
-    """Open a page of that many charts, which must draw them all and ask for nothing else."""
+    """Open a page of this many charts, which must draw them all and request nothing else."""
     with started_browser() as browser:
         page = browser.new_page(viewport={"width": 1200, "height": 900})
         urls: list[str] = []

@@ -1,8 +1,8 @@
-"""Commands in processes that need not import anything first, most of them to be refused.
+"""Commands in forked processes that import nothing first; most of them are expected to be refused.
 
-A process of Python's own takes a second to import what the commands need, and three hundred tests
-of wrong options and files need nothing else of it. Here one process has imported it, and forks
-itself for each command: its own directory, environment, output and exit code, as with
+A new Python process takes a second to import what the commands need, and three hundred tests
+of wrong options and files need nothing else from it. Here one process imports it once, and forks
+for each command: with its own directory, environment, output and exit code, as with
 ``python -m``.
 """
 
@@ -23,7 +23,7 @@ import traceback
 from functools import cache
 from pathlib import Path
 
-# Not the nodes: each has to be the main module of its process.
+# Without the nodes: each must be the main module of its process.
 _ROOMS = (
     "common", "controllers", "experiment", "pumping", "drives", "recording", "simulators", "watch",
     "report", "study", "calibration", "verification", "graph", "bringup",
@@ -35,7 +35,7 @@ _LIMIT_S = 900
 def run_command(
     module: str, *arguments: str, cwd: Path, env: dict[str, str]
 ) -> subprocess.CompletedProcess[str]:
-    """Run ``python -m greenroof_ros.module`` to its end; a node's module is nodes.plant, say."""
+    """Run ``python -m greenroof_ros.module`` until it ends; a node's module is e.g. nodes.plant."""
     server = _server()
     assert server.stdin is not None and server.stdout is not None
     with tempfile.TemporaryDirectory() as scratch:
@@ -49,7 +49,7 @@ def run_command(
 
 @cache
 def _server() -> subprocess.Popen[str]:
-    """Start the process that imports everything; it ends with this one, whose end it reads."""
+    """Start the process that imports everything; it ends when this process closes its stdin."""
     return subprocess.Popen(
         [sys.executable, __file__], text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
@@ -65,9 +65,9 @@ def _serve() -> None:
         for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
             if not module.name.endswith(".__main__"):
                 importlib.import_module(module.name)
-    for solver in ("osqp", "scipy.optimize"):  # which modules import once they solve something
+    for solver in ("osqp", "scipy.optimize"):  # they import modules when they first solve something
         importlib.import_module(solver)
-    gc.freeze()  # what no child collects, none copies
+    gc.freeze()  # keeps children from copying pages in garbage collection
     for line in sys.stdin:
         child = os.fork()
         if child == 0:
@@ -79,7 +79,7 @@ def _serve() -> None:
 def _become(
     module: str, arguments: list[str], cwd: str, env: dict[str, str], out: str, err: str
 ) -> None:
-    """Be the command, and end at the latest after the limit."""
+    """Run as the command in this process; an alarm ends it after the limit."""
     signal.alarm(_LIMIT_S)
     null = os.open(os.devnull, os.O_RDONLY)
     outputs = [os.open(file, os.O_WRONLY | os.O_CREAT) for file in (out, err)]
@@ -90,7 +90,7 @@ def _become(
     os.environ.update(env)
     sys.argv = [module, *arguments]
     code = 0
-    sys.modules.pop(module, None)  # imported as a room's own
+    sys.modules.pop(module, None)  # imported above as a part of its package
     try:
         runpy.run_module(module, run_name="__main__", alter_sys=True)
     except SystemExit as end:

@@ -1,4 +1,4 @@
-"""What all tests share; the paper's equations and runs are in ``paper.py``."""
+"""Fixtures and hooks for all tests; the paper's equations and runs are in ``paper.py``."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from studies import study
 
 __all__ = ["no_state_of_the_user", "pytest_configure"]
 
-# The same examples on every machine, and no limit on their time.
+# The same examples on every machine, without a time limit.
 settings.register_profile("greenroof_ros", deadline=None, derandomize=True)
 settings.load_profile("greenroof_ros")
 
-# What takes longest starts first, so that the workers end together: names of tests and files.
+# Names of the longest tests and files: they start first, so the workers end together.
 LONGEST = (
     "test_fidelity.py", "test_dask", "test_packaging.py", "test_faults.py", "test_live_bringup.py",
     "test_pump_drivers.py", "test_calibrate.py", "test_fit.py", "test_error_model.py",
@@ -29,12 +29,12 @@ LONGEST = (
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Say what may run side by side: graphs and studies one by one, the rest by file.
+    """Set which tests may run in parallel: graphs and studies individually, the rest by file.
 
-    The tests of a file share what was made for the first of them. Graphs and studies, which take
-    longest, share nothing within a process: what several need, ``once`` makes. Graphs mostly wait,
-    and files mostly compute: both come evenly mixed, so that the cores are neither idle nor
-    crowded.
+    The tests of a file share what was made for the first of them. Graphs and studies take longest
+    and share nothing within a process; what several of them need is made by ``once``. Graphs mostly
+    wait, and files mostly compute, so both are mixed evenly to keep the cores neither idle nor
+    overloaded.
     """
     alone: dict[str, int] = {}
     files: dict[str, int] = {}
@@ -43,7 +43,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if graph:
             item.add_marker(pytest.mark.graph)
         if "papers" in getattr(item, "fixturenames", ()):
-            # What waits for the paper's study waits in one worker.
+            # All tests that need the paper's study run in one worker.
             item.add_marker(pytest.mark.xdist_group("test_fidelity.py"))
             files.setdefault(item.path.name, len(files))
         elif graph or item.path.parent.name == "study":
@@ -53,7 +53,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             files.setdefault(item.path.name, len(files))
 
     def place(item: pytest.Item) -> tuple[int, float]:
-        """Return how far along a test comes: the longest first, then each kind from 0 to 1."""
+        """Return a test's place in the order: the longest first, then each kind from 0 to 1."""
         for number, name in enumerate(LONGEST):
             if name in (item.name, item.path.name):
                 return number, 0.0
@@ -66,29 +66,29 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def unused_domain() -> Iterator[int]:
-    """A ROS domain of this worker's own, for what is refused before it starts a node."""
+    """A ROS domain of this worker, for commands that are refused before they start a node."""
     with own_domain() as number:
         yield number
 
 
 @pytest.fixture(scope="session")
 def domain(unused_domain: int) -> int:
-    """The same, for graphs."""
+    """The same domain, for graphs."""
     return unused_domain
 
 
 @pytest.fixture(autouse=True)
 def nothing_left() -> Iterator[None]:
-    """A run that a failed test leaves behind must not meet the next test's."""
+    """End runs that a failed test left behind, so that they cannot meet the next test's runs."""
     yield
     Process.end_all()
 
 
 @pytest.fixture(scope="session")
 def once(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Once:
-    """Fill a directory once for all workers: whoever needs it first does, the others wait."""
+    """Fill a directory once for all workers: the first that needs it fills it, the others wait."""
     root = tmp_path_factory.getbasetemp()
-    if worker_id != "master":  # a worker's own directory is in the session's
+    if worker_id != "master":  # a worker's own directory is inside the session's
         root = root.parent
 
     def directory_of(name: str, fill: Callable[[Path], object]) -> Path:
@@ -106,13 +106,13 @@ def once(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Once:
 
 @pytest.fixture(scope="session")
 def recorded(domain: int, once: Once) -> Path:
-    """The directory of a good run of a graph: mpc, the paper's site, 360 ticks."""
+    """The directory of a successful graph run: mpc, the paper's site, 360 ticks."""
     return once("recorded", lambda cwd: bring_up(domain, cwd, "--hours", "0.1")) / "run"
 
 
 @pytest.fixture(scope="session")
 def papers(once: Once) -> Path:
-    """The paper's study, as the command without options makes it."""
+    """The paper's study, as the command makes it without options."""
 
     def fill(directory: Path) -> None:
         result = study(directory)

@@ -1,4 +1,4 @@
-"""Disks of the tests: small ones, which fill up, and one that hangs; and a pipe that is full."""
+"""Disks for the tests: small ones that fill up, and one that hangs; and a pipe that is full."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 
 @contextmanager
 def disk_if_allowed(place: Path, size: str) -> Iterator[bool]:
-    """Mount a disk of a size such as ``64k`` where that is allowed; say whether it was."""
+    """Mount a disk of a size such as ``64k`` if that is permitted; return whether it was."""
     place.mkdir(parents=True, exist_ok=True)
     mounted = shutil.which("mount") is not None and not subprocess.run(
         ["mount", "-t", "tmpfs", "-o", f"size={size}", "greenroof_ros", str(place)],
@@ -39,9 +39,9 @@ def small_disk(place: Path, size: str) -> Iterator[None]:
 
 @contextmanager
 def disk_that_hangs(place: Path) -> Iterator[Callable[[bool], None]]:
-    """Mount a disk, and yield what lets it hang, as a broken one does, and go on; or skip the test.
+    """Mount a disk, and yield a function that makes it hang or go on; or skip the test.
 
-    While it hangs nothing can be written, and not even kill -9 ends a process that tries to.
+    While it hangs, nothing can be written, and even kill -9 cannot end a process that tries to.
     """
     image = place.with_suffix(".image")
     with image.open("wb") as stream:
@@ -69,7 +69,7 @@ def disk_that_hangs(place: Path) -> Iterator[Callable[[bool], None]]:
 
 
 def fill(file: Path) -> None:
-    """Let a file grow until its disk is full, to the last byte."""
+    """Let a file grow until its disk is full to the last byte."""
     with file.open("wb", buffering=0) as stream:
         for size in (1 << 16, 1):
             with suppress(OSError):
@@ -90,7 +90,7 @@ def no_file_beyond(size: int) -> Iterator[None]:
 
 @contextmanager
 def full_pipe() -> Iterator[tuple[int, int]]:
-    """Yield both ends of a pipe, to read and to write, that takes nothing more: it has zeros."""
+    """Yield the read and the write end of a pipe that is full of zeros and takes nothing more."""
     reading, writing = os.pipe()
     try:
         os.set_blocking(writing, False)

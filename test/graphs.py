@@ -1,4 +1,4 @@
-"""Real graphs for the tests: own ROS domain, real processes, and a look at what they leave."""
+"""Real graphs for the tests: their own ROS domain, real processes, and what they leave behind."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from greenroof_ros.drives.sensor_file import QUANTITIES
 def own_domain() -> Iterator[int]:
     """Hold a ROS domain that no other test session or worker on this machine holds.
 
-    From 51 on they are for studies.
+    Domains from 51 on are for studies.
     """
     for domain in range(1, 51):
         lock = Path(tempfile.gettempdir()) / f"greenroof_ros-test-domain-{domain}.lock"
@@ -44,7 +44,7 @@ def own_domain() -> Iterator[int]:
 
 
 def environment(domain: int) -> dict[str, str]:
-    """Return an environment for a graph of its own, on loopback."""
+    """Return an environment for a separate graph on loopback."""
     checkout = str(Path(__file__).resolve().parent.parent)
     return {
         **os.environ,
@@ -55,9 +55,9 @@ def environment(domain: int) -> dict[str, str]:
 
 
 def files_of(pid: int) -> list[str]:
-    """Return what a process has open, as the kernel names it."""
+    """Return what a process has open, by the kernel's names."""
     files = []
-    with contextlib.suppress(OSError):  # it has just ended
+    with contextlib.suppress(OSError):  # the process has just ended
         for entry in Path(f"/proc/{pid}/fd").iterdir():
             with contextlib.suppress(OSError):
                 files.append(str(entry.readlink()))
@@ -65,19 +65,19 @@ def files_of(pid: int) -> list[str]:
 
 
 def udp_addresses_of(pid: int) -> list[str]:
-    """Return the addresses to which a process has bound UDP sockets; none before it is a node."""
+    """Return the addresses to which a process has bound UDP sockets; none until it is a node."""
     sockets = set(files_of(pid))
     addresses = []
     for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
         fields = line.split()
         if f"socket:[{fields[9]}]" in sockets:
             number = bytes.fromhex(fields[1].partition(":")[0])
-            addresses.append(socket.inet_ntoa(number[::-1]))  # as on a little-endian machine
+            addresses.append(socket.inet_ntoa(number[::-1]))  # assumes a little-endian machine
     return addresses
 
 
 def assert_on_loopback_alone(pid: int) -> None:
-    """A node listens on 127.0.0.1, and uses none of the shared memory that others could lock.
+    """Check that a node listens only on 127.0.0.1 and uses no shared memory others could lock.
 
     Fast DDS calls its segments fastrtps_... and fast_datasharing_..., and their locks sem.fast...
     """
@@ -88,18 +88,18 @@ def assert_on_loopback_alone(pid: int) -> None:
 
 
 def _free_ports() -> Iterator[int]:
-    """Yield TCP ports that are free, the next one as well, each once and in random order.
+    """Yield free TCP ports, each once and in random order; the next higher port is free, too.
 
-    Every one is below those that the kernel gives to outgoing connections: one of those could be
-    taken before a simulator listens at it, by a connection of any other test. The order is of this
-    process alone, so that others that draw at the same moment draw others. The next port is for a
-    simulator's workbench.
+    All are below the range that the kernel gives to outgoing connections. Otherwise another test's
+    connection could take a port before a simulator listens at it. The order is random per process,
+    so that others that draw at the same moment draw other ports. The next port is for a simulator's
+    workbench.
     """
     try:
         end = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
     except OSError:
         end = 0
-    if end <= 11_000:  # unknown, or nothing is left below
+    if end <= 11_000:  # the range is unknown, or leaves too few ports below it
         end = 32_768
     ports = list(range(10_000, end - 1, 2))
     random.SystemRandom().shuffle(ports)
@@ -121,9 +121,9 @@ def free_ports(number: int) -> list[int]:
 
 
 def wait_for(condition: Callable[[], Any], seconds: float, event: str) -> Any:
-    """Wait until a condition holds and return its value; a slow condition is asked less often.
+    """Wait until a condition holds and return its value; a slow condition is checked less often.
 
-    To read a bag all the time would take a core from what is waited for.
+    Reading a bag all the time would take a core from the process that is waited for.
     """
     until = time.monotonic() + seconds
     while time.monotonic() < until:
@@ -136,7 +136,7 @@ def wait_for(condition: Callable[[], Any], seconds: float, event: str) -> Any:
 
 
 class Process:
-    """A command of this package as a user would start it, in a session of its own."""
+    """A command of this package as a user would start it, in a separate session."""
 
     started: ClassVar[list[Process]] = []
 
@@ -144,7 +144,7 @@ class Process:
         self, domain: int, module: str, *arguments: str, cwd: Path,
         ignored: Iterable[signal.Signals] = (), stderr: int | None = None,
     ) -> None:
-        """Start it, with some signals ignored, and its standard error in a file unless given."""
+        """Start it with some signals ignored; its standard error goes to a file unless given."""
 
         def prepare() -> None:
             for number in ignored:
@@ -158,7 +158,7 @@ class Process:
             [sys.executable, "-m", f"greenroof_ros.{module}", *arguments],
             cwd=cwd, stdin=subprocess.DEVNULL, stdout=self._out,
             stderr=self._err if stderr is None else stderr,
-            # A worker of pytest that is killed leaves no graph.
+            # If pytest's worker is killed, the graph ends with it.
             env={**asked_to_end_with_this(), **environment(domain)}, start_new_session=True,
             preexec_fn=prepare if ignored else None,
         )
@@ -166,7 +166,7 @@ class Process:
 
     @classmethod
     def end_all(cls) -> None:
-        """End what a test that failed left running, and say what each said: pytest shows it."""
+        """End the processes that a failed test left running, and print their stderr for pytest."""
         for process in cls.started:
             print(f"{process.process.args}: {process._last_said()}")
             if process.process.poll() is None:
@@ -175,7 +175,7 @@ class Process:
         cls.started.clear()
 
     def nodes(self) -> dict[str, int]:
-        """Return the process id of each node that this bringup started, by what it is."""
+        """Return the process id of each node that this bringup started, by the node's name."""
         processes = {}
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
         for pid in children.read_text().split():
@@ -192,7 +192,7 @@ class Process:
         return processes
 
     def wait_for_ticks(self, size: int = 30_000) -> None:
-        """Wait until the bag in ``run`` has grown to some size: the run is well under way."""
+        """Wait until the bag in ``run`` has this size (bytes): the run is well under way."""
         file = bag_file(self.cwd / "run")
 
         def grown() -> bool:
@@ -204,20 +204,20 @@ class Process:
         wait_for(grown, 120, "a growing bag")
 
     def until_said(self, words: str, seconds: float = 60) -> None:
-        """Wait until it has said something on its standard error."""
+        """Wait until it has printed these words on its standard error."""
         wait_for(lambda: words in self.stderr(), seconds, f"{words!r} of {self.process.args}")
 
     def wait(self, seconds: float) -> int:
-        """Wait for the end and return the exit code."""
+        """Wait until it ends, and return the exit code."""
         try:
             return self.process.wait(seconds)
         except subprocess.TimeoutExpired:
             for pid in [*self.nodes().values(), self.process.pid]:
-                os.kill(pid, signal.SIGKILL)  # nodes first: one that is stopped hears nothing else
+                os.kill(pid, signal.SIGKILL)  # nodes first: a suspended bringup cannot end them
             raise AssertionError(f"still running after {seconds:g} s; {self.stderr()}") from None
 
     def _last_said(self) -> str:
-        """Return the end of its standard error, wherever its directory is by now."""
+        """Return the end of its standard error, even if its directory was moved."""
         number = self._err.fileno()
         tail = os.pread(number, 2000, max(0, os.fstat(number).st_size - 2000))
         return tail.decode(errors="replace")
@@ -230,18 +230,18 @@ class Process:
 
 
 def summary_of(run: Path) -> dict[str, Any]:
-    """Return what a run has written about itself."""
+    """Return the summary that a run has written."""
     summary: dict[str, Any] = json.loads((run / "summary.json").read_text())
     return summary
 
 
 def bag_file(run: Path) -> Path:
-    """Return the mcap file of a run."""
+    """Return the MCAP file of a run."""
     return run / "bag" / "bag_0.mcap"
 
 
 def messages_of(run: Path) -> dict[str, list[bytes]]:
-    """Return each topic's messages in a run's closed bag, as written; checksums must be right."""
+    """Return each topic's messages in a run's closed bag as raw bytes; checksums must be right."""
     messages: dict[str, list[bytes]] = {}
     with bag_file(run).open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -253,7 +253,7 @@ def messages_of(run: Path) -> dict[str, list[bytes]]:
 def bring_up(
     domain: int, cwd: Path, *arguments: str, output: str = "run", seconds: float = 900
 ) -> dict[str, Any]:
-    """Run bringup to its good end and return the summary; the bag has as much of each topic."""
+    """Run bringup, which must succeed, and return its summary; each topic has as many messages."""
     process = Process(domain, "bringup", "--output", output, *arguments, cwd=cwd)
     code = process.wait(seconds)
     assert code == 0, process.stderr()
@@ -270,7 +270,7 @@ def bring_up(
 
 
 def alive(pid: int) -> bool:
-    """Whether a process still runs (a zombie does not)."""
+    """Return whether a process still runs (a zombie does not)."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:

@@ -1,4 +1,4 @@
-"""What the processes of tests and campaigns inherit: signals, environment, and no user's state."""
+"""What the processes of tests and campaigns inherit: signals, environment, no user state."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ import signal
 
 import pytest
 
-# A thousand processes that import the package need not compile it each, whatever the user has set.
+# Compile the package once, not in each of a thousand processes, whatever the user has set.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-# What a shell starts in its background ignores Ctrl-C, and so would the commands of the tests.
+# A shell's background jobs ignore Ctrl-C, and the tests' commands would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-# Under nohup they would ignore the end of the terminal.
+# With nohup they would also ignore the terminal's end.
 if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:
     signal.signal(signal.SIGHUP, lambda *_: None)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let Ctrl-C be for the first process alone: it ends the workers, which print nothing of it."""
+    """Leave Ctrl-C to the first process: it ends the workers, which print nothing about it."""
     if hasattr(config, "workerinput"):
-        signal.signal(signal.SIGINT, lambda *_: None)  # what they start has its own again
+        signal.signal(signal.SIGINT, lambda *_: None)  # children reset it
 
 
 @pytest.fixture(autouse=True)
 def no_state_of_the_user(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No test may find or leave anything in the home directory, nor of a drive of another test."""
+    """Keep tests out of the home directory and away from the drive state of other tests."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))

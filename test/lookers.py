@@ -1,4 +1,4 @@
-"""Nodes within the tests' own process, on the nodes' transport and in a domain of their own."""
+"""Nodes inside the tests' process, with the nodes' transport, in a separate domain."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def in_domain(domain: int) -> Iterator[None]:
-    """Set what nodes of this process need, and leave the environment as it was."""
+    """Set the environment that nodes of this process need, and restore it afterwards."""
     before = dict(os.environ)
     os.environ["ROS_DOMAIN_ID"] = str(domain)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -21,7 +21,7 @@ def in_domain(domain: int) -> Iterator[None]:
 
 
 class Peer:
-    """A node of somebody else's, which publishes and serves."""
+    """A foreign node that publishes and offers services."""
 
     def __init__(self, domain: int, name: str, namespace: str = "") -> None:
         import rclpy

@@ -1,4 +1,4 @@
-"""Tables in Markdown, as campaigns print them for the documentation."""
+"""Markdown tables, as the campaigns print them for the documentation."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 
 def row(cells: Sequence[str]) -> str:
-    """Return a row."""
+    """Return a table row."""
     return f"| {' | '.join(cells)} |"
 
 
 def head(cells: Sequence[str]) -> str:
-    """Return the two lines that a table begins with."""
+    """Return the two header lines of a table."""
     return f"{row(cells)}\n|{'---|' * len(cells)}"

@@ -1,4 +1,4 @@
-"""The other end of a Modbus line, byte by byte: what comes is written down, answers are given."""
+"""The other end of a Modbus line, byte by byte: it records requests and sends answers."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ Answer = list[tuple[float, bytes]] | None
 
 
 def frame(text: str) -> bytes:
-    """Return the bytes of a frame written as hexadecimal digits and blanks."""
+    """Return the bytes of a frame written as hexadecimal digits and spaces."""
     return bytes.fromhex(text)
 
 
 class Wire:
-    """A TCP port that takes Modbus TCP frames and answers as the test says."""
+    """A TCP port that takes Modbus TCP frames and gives the answers that a test defines."""
 
     def __init__(self, answer: Callable[[bytes], Answer], port: int = 0) -> None:
         self.answer = answer
         self.seen: list[bytes] = []
-        self.times: list[float] = []  # at which that came (s, `time.monotonic`)
+        self.times: list[float] = []  # when each frame came (s, `time.monotonic`)
         self.connections = 0
-        self.resets = 0  # so many connections were reset by the other side, not closed
+        self.resets = 0  # number of connections that the other side reset instead of closing
         self._listener = socket.create_server(("127.0.0.1", port))
         self.port: int = self._listener.getsockname()[1]
         self._open: list[socket.socket] = []
@@ -37,7 +37,7 @@ class Wire:
 
     @property
     def frames(self) -> list[str]:
-        """What came, in hexadecimal digits."""
+        """The received frames, in hexadecimal digits."""
         return [request.hex() for request in self.seen]
 
     @property
@@ -46,11 +46,11 @@ class Wire:
 
     @property
     def gateway(self) -> str:
-        """The same as the address of a gateway to a drive's serial port."""
+        """The same address, as a gateway to a drive's serial port."""
         return f"gateway://127.0.0.1:{self.port}"
 
     def drop(self) -> None:
-        """Close every connection, as a drive that loses its power does."""
+        """Close every connection, like a drive that loses power."""
         for connection in self._open:
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
@@ -94,9 +94,9 @@ class Wire:
 
 
 def script(dialogue: str) -> tuple[list[bytes], Callable[[bytes], Answer]]:
-    """Return the requests of a dialogue, and what answers them in that order.
+    """Return the requests of a dialogue, and a function that gives their answers in that order.
 
-    Before each stands the head of Modbus TCP, as of Modbus Messaging on TCP/IP V1.0b, section 3.1:
+    Each frame starts with the Modbus TCP header (Modbus Messaging on TCP/IP V1.0b, section 3.1):
     transaction (2 bytes, 1, 2, ...), protocol 0000, length, and unit 1.
 
     Args:
@@ -119,7 +119,7 @@ def script(dialogue: str) -> tuple[list[bytes], Callable[[bytes], Answer]]:
 
 
 class Registers:
-    """Holding registers behind Modbus TCP; a write may change others, or be refused."""
+    """Holding registers behind Modbus TCP; a write can change other registers, or be refused."""
 
     def __init__(self, values: dict[int, int]) -> None:
         self.values = values
@@ -151,10 +151,10 @@ class Registers:
 
 
 def acs880() -> Registers:
-    """Return registers that move as the state diagram of the ABB Drives profile says.
+    """Return registers that follow the state diagram of the ABB Drives profile.
 
     ACS880 firmware manual, page 620; only what the tests need: 0x047E leads to READY TO SWITCH ON,
-    0x047F from there to OPERATION, a rising bit 7 out of FAULT.
+    0x047F from there to OPERATION, and a rising bit 7 out of FAULT.
     """
     drive = Registers({
         0: 0, 1: 0, 3: 0x1270, 4: 0, 400: 0, 405: 0, 702: 1234, 5813: 1, 5814: 2, 5815: 50,
@@ -179,9 +179,9 @@ def acs880() -> Registers:
 
 
 def crc(data: bytes) -> bytes:
-    """Return the check of an RTU frame, low byte first.
+    """Return the CRC of an RTU frame, low byte first.
 
-    Modbus over serial line V1.02, section 6.2.2: a shift register that starts with ones, polynomial
+    Modbus over serial line V1.02, section 6.2.2: a shift register preset to ones, polynomial
     0xA001.
     """
     value = 0xFFFF
@@ -198,7 +198,7 @@ def crc(data: bytes) -> bytes:
 class SerialWire:
     """The other end of a serial line, a pseudo-terminal.
 
-    Every eight bytes, the length of requests 03 and 06, are written down and answered.
+    It records and answers every eight bytes, the length of requests with functions 03 and 06.
     """
 
     def __init__(self, answer: Callable[[bytes], bytes]) -> None:
@@ -223,7 +223,7 @@ class SerialWire:
                 data = data[8:]
 
     def close(self) -> None:
-        """Pull the plug."""
+        """Unplug the line."""
         if not self._ended.is_set():
             self._ended.set()
             self._thread.join()
@@ -232,7 +232,7 @@ class SerialWire:
 
 
 def over_serial(registers: Registers) -> Callable[[bytes], bytes]:
-    """Return what answers RTU frames from registers."""
+    """Return a function that answers RTU frames from registers."""
 
     def answer(request: bytes) -> bytes:
         assert crc(request[:6]) == request[6:]

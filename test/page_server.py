@@ -1,4 +1,4 @@
-"""The watcher's server in this process, over real sockets, and clients that speak by the byte."""
+"""The watcher's server in this process, on real sockets, and clients that send raw bytes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from greenroof_ros.watch.store import Store
 
 @contextmanager
 def served(store: Store, token: str | None = None, port: int = 0) -> Iterator[int]:
-    """Serve what is store on loopback, without a graph; yields the port."""
-    feed = Feed(store)  # not entered: nothing comes, none stops
+    """Serve the store's content on loopback without a graph; yield the port."""
+    feed = Feed(store)  # not entered: there are no updates and no commands
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever)
     thread.start()
@@ -43,7 +43,7 @@ def served(store: Store, token: str | None = None, port: int = 0) -> Iterator[in
 
 
 async def _cancel_others() -> None:
-    """End what still runs in this loop, as the end of a program does."""
+    """Cancel what still runs in this loop, as at the end of a program."""
     tasks = asyncio.all_tasks() - {asyncio.current_task()}
     for task in tasks:
         task.cancel()
@@ -51,7 +51,7 @@ async def _cancel_others() -> None:
 
 
 class Answer:
-    """What a server answered: status, headers in small letters, and body."""
+    """A server's answer: status, headers in lower case, and body."""
 
     def __init__(self, data: bytes) -> None:
         head, _, self.body = data.partition(b"\r\n\r\n")
@@ -68,7 +68,7 @@ def send(port: int, data: bytes, seconds: float = 60) -> bytes:
     """Send bytes, and return all that comes until the other side closes.
 
     Raises:
-        TimeoutError: it does not: what it answers is a stream without an end, perhaps.
+        TimeoutError: it does not close, perhaps because its answer is an endless stream.
     """
     until = time.monotonic() + seconds
     with socket.create_connection((LOOPBACK, port), timeout=seconds) as connection:
@@ -88,7 +88,7 @@ def request(
     port: int, method: str, target: str, body: bytes = b"", *, host: str | None = "localhost",
     **headers: str,
 ) -> Answer:
-    """Ask once, by a target that is sent as it is."""
+    """Send one request, with the target exactly as given."""
     lines = [f"{method} {target} HTTP/1.1", "Connection: close"]
     if host is not None:
         lines.append(f"Host: {host}")
@@ -99,7 +99,7 @@ def request(
 
 
 class Stream:
-    """A page's stream of events."""
+    """An event stream of the page."""
 
     def __init__(self, port: int, hours: str = "12", receiving: int | None = None,
                  **headers: str) -> None:
@@ -115,7 +115,7 @@ class Stream:
         self._head: str | None = None
 
     def head(self) -> str:
-        """Return the answer's head."""
+        """Return the head of the answer."""
         if self._head is None:
             self._head = ""
             while (line := self._file.readline()) not in (b"\r\n", b""):
@@ -123,14 +123,14 @@ class Stream:
         return self._head
 
     def chunks(self) -> Iterator[bytes]:
-        """Yield what comes, until its end."""
+        """Yield the chunks until the stream ends."""
         self.head()
         while size := int(self._file.readline() or b"0", 16):
             yield self._file.read(size)
             self._file.readline()
 
     def events(self) -> Iterator[tuple[str, Any]]:
-        """Yield each event's name and content."""
+        """Yield the name and content of each event."""
         for chunk in self.chunks():
             name, data, *_ = chunk.decode().split("\n")
             yield name.removeprefix("event: "), json.loads(data.removeprefix("data: "))

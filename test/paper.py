@@ -1,7 +1,7 @@
-"""The paper's equations once more, written from its text and apart from the package.
+"""The paper's equations again, written from its text and independent of the package.
 
-The tests hold the package against these. Everything takes numbers or arrays, the smooth model
-also complex ones, so that its derivatives come from complex steps instead of from calculus.
+The tests check the package against them. All functions take numbers or arrays. The smooth model
+also takes complex numbers, so its derivatives come from complex steps instead of calculus.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ TABLE_I: dict[str, float] = {
     "x2_star": 68.8 * 4.57e-2, "z_cap": 68.8 * 0.5, "z_H": 0.6, "z_o": 3, "z_pump": 0.15,
     "z_soil": 0.5, "z_veg": 4.57e-2,
 }
-"""Every row of Table I but pi, which is no setting."""
+"""Every row of Table I except pi, which is not a setting."""
 
 PAPER_SITE = Site(**TABLE_I)  # type: ignore[arg-type]  # M and N are written as whole numbers
 
@@ -48,7 +48,7 @@ _STEP = 1e-30
 
 
 def paper_run(*options: str) -> Run:
-    """Build a run as a command line with these options would."""
+    """Build a run like a command line with these options."""
     parser = argparse.ArgumentParser()
     add_run_arguments(parser, options)
     return run_from_arguments(parser.parse_args(options))
@@ -59,7 +59,7 @@ def weather_of(
     first: datetime = MIDNIGHT,
     **quantities: NDArray[np.float64],
 ) -> Weather:
-    """Return hours of mm/h and mm/day, which may be one for all, and of other quantities."""
+    """Return hours of mm/h and mm/day (a scalar for all hours, or arrays), and other quantities."""
     fallen = np.array(rain, dtype=float)
     dry = np.array(np.broadcast_to(evapotranspiration, fallen.shape), dtype=float)
     values = {"precipitation": fallen, "evapotranspiration": dry, **quantities}
@@ -70,14 +70,14 @@ def run_of_hours(
     hours: Sequence[tuple[float, float, bool]], x1: float, x2: float, site: Site = SLOW,
     steps: int | None = None, fraction: float = 1.0,
 ) -> Run:
-    """Build a run of plain on/off over hours of weather, or of fewer steps.
+    """Build a run of plain on/off over hours of weather, or over fewer steps.
 
     Args:
-        hours: rain (mm/h), evapotranspiration (mm/day), and whether there is frost, of each.
+        hours: rain (mm/h), evapotranspiration (mm/day), and whether there is frost, of each hour.
         x1: initial volume in the cistern (m3).
         x2: initial volume on the roof (m3).
-        site: its parameters; unless given the paper's, in ticks of ten seconds.
-        steps: of the run; by default all hours'.
+        site: its parameters; by default the paper's, with ticks of ten seconds.
+        steps: number of steps; by default all hours.
         fraction: of on/off.
     """
     first = datetime.fromisoformat("2021-07-07T00:00-05:00")
@@ -92,13 +92,13 @@ def run_of_hours(
 
 
 def site_with(**changes: float) -> Site:
-    """Return the paper's site with other values, x2_star and z_cap following from them."""
+    """Return the paper's site with other values; x2_star and z_cap follow from them."""
     site = replace(PAPER_SITE, **changes)  # type: ignore[arg-type]
     return replace(site, x2_star=site.a2 * site.z_veg, z_cap=site.a2 * site.z_soil)
 
 
 def site_file(directory: Path, *, base: str = "site.yaml", **changes: float) -> Path:
-    """Write a packaged site file with other values, and with more."""
+    """Write a packaged site file with changed and additional values."""
     path = directory / "site.yaml"
     lines = edited(CONFIG / base, {}).splitlines()
     unchanged = [line for line in lines if line.partition(":")[0] not in changes]
@@ -108,7 +108,7 @@ def site_file(directory: Path, *, base: str = "site.yaml", **changes: float) -> 
 
 
 def lookahead(site: Site = PAPER_SITE, **changes: float) -> Lookahead:
-    """Return one of 12 h that takes readings as they are, and waits for rain without limit."""
+    """Return a 12 h lookahead that uses readings unfiltered, and waits for rain without limit."""
     parameters = {
         "horizon": 12.0, "observer_time_constant": 0.0, "waiting_budget": math.inf, **changes,
     }
@@ -119,7 +119,7 @@ def lookahead(site: Site = PAPER_SITE, **changes: float) -> Lookahead:
 
 
 def rain_scaled(run: Run, factor: float) -> Run:
-    """Return a run with another multiple of its rain, and its old forecast."""
+    """Return a run with its rain multiplied and its forecast unchanged."""
     rain = run.weather.precipitation * factor
     weather = replace(run.weather, values={**run.weather.values, "precipitation": rain})
     return replace(
@@ -128,7 +128,7 @@ def rain_scaled(run: Run, factor: float) -> Run:
 
 
 def metrics_of(run: Run, controller: Any = None) -> Metrics:
-    """Return the metrics of a run, with its own controller unless another is given."""
+    """Return the metrics of a run, with its own controller or with the given one."""
     metrics = Metrics()
     for _ in closed_loop(run, controller or run.make_controller(), metrics):
         pass
@@ -136,13 +136,13 @@ def metrics_of(run: Run, controller: Any = None) -> Metrics:
 
 
 def deviation_of(run: Run, controller: Any = None) -> float:
-    """Return the total deviation of a run, likewise (m3 s)."""
+    """Return the total deviation of a run (m3 s), with its own controller or with the given one."""
     return metrics_of(run, controller)["total_deviation_m3"] * run.site.tau
 
 
 @st.composite
 def sites(draw: st.DrawFn) -> Site:
-    """Draw a site that a user could write down, from a rain barrel to a reservoir."""
+    """Draw a site that a user could define, from a rain barrel to a reservoir."""
 
     def between(least: float, largest: float) -> float:
         return draw(st.floats(least, largest))
@@ -162,11 +162,11 @@ def sites(draw: st.DrawFn) -> Site:
 
 @st.composite
 def measured_sites(draw: st.DrawFn) -> Site:
-    """Draw a site with a measured roof, with and without a drainage layer, mains, low outlet."""
+    """Draw a site with a measured roof, with and without drainage layer, mains and low outlet."""
     site = draw(st.just(PAPER_SITE) | sites())
     wilting = draw(st.just(0.0) | st.floats(0.0, 0.2))
     capacity = wilting + draw(st.floats(0.05, 0.7))
-    # The target is below field capacity, and perhaps below the wilting point.
+    # The target is below field capacity, and can be below the wilting point.
     z_veg = site.z_soil * capacity * draw(st.floats(0.01, 0.99))
     layer = draw(st.none() | st.tuples(st.floats(0.001, 0.1), st.floats(1.0, 1e5)))
     layer_filled = draw(st.just(0.0) | st.floats(0.0, 1.0)) if layer else 0.0
@@ -178,7 +178,7 @@ def measured_sites(draw: st.DrawFn) -> Site:
         runoff_coefficient=draw(st.just(1.0) | st.floats(0.01, 1.0)),
         low_outlet_level=low and low[0] * site.z_o,
         low_outlet_radius=low and low[1],
-        # Of a low outlet the level is no valve's; it is as good for a balance.
+        # This level ignores the low outlet, but any level serves for a balance.
         mains_level=mains and lowest + mains[0] * abs(site.z_o - lowest),
         mains_flow=mains and mains[1],
         z_veg=z_veg, x2_star=site.a2 * z_veg, z_cap=site.a2 * site.z_soil * capacity,
@@ -206,7 +206,7 @@ def exact_flows(site: Site, x1: float, x2: float, u: float) -> tuple[float, floa
 
 
 def _head_loss(site: Site) -> float:
-    """Head per squared flow that pipe and pump take together, b to the power of -2."""
+    """Head loss of pipe and pump together per squared flow: b to the power of -2."""
     return (site.F * site.l / site.D + site.k_L) / (2 * site.g * site.a_pump**2) - site.a_hat
 
 
@@ -219,13 +219,13 @@ def _psi(y: Any, epsilon: float) -> Any:
 
 
 def _sigma(exponent: Any) -> Any:
-    """1 / (1 + exp(exponent)); beyond 700 that is below 1e-304, and exp would overflow."""
+    """1 / (1 + exp(exponent)); beyond 700 it is below 1e-304, and exp would overflow."""
     return 1 / (1 + np.exp(np.where(np.real(exponent) > 700, 700, exponent)))
 
 
 def smooth_rates(site: Site, x1: Any, x2: Any, u: Any, rain: Any, evaporated: Any) -> Any:
     """Return f^epsilon of Eqs. (5)-(9) (m3/s), complex, shape (..., 2)."""
-    # In two parts, since numpy's complex division rounds twice, and near nu = 0 that is seen.
+    # In two parts: numpy's complex division rounds twice, which shows near nu = 0.
     level = np.real(x1) / site.a1 + 1j * np.imag(x1) / site.a1
     outlet = site.c_d * math.pi * site.r_o**2
     q_out = outlet * math.sqrt(2 * site.g) * _psi(level - site.z_o, site.epsilon)
@@ -270,7 +270,7 @@ def _measured_rate(site: Site, x2: Any, arriving: Any, evaporated: Any) -> Any:
 def linear_model(site: Site, *point: Any) -> tuple[Any, Any, Any, Any]:
     """Return A - I, B, C and b of Eq. (10) at points (x1, x2, u, w_r, w_e), by complex steps.
 
-    The identity is left to the caller, because the digits of tau df/dx drown in it.
+    The caller adds the identity, because it would swamp the digits of tau df/dx.
     """
     points = [np.asarray(value, dtype=float) for value in point]
     columns = []

@@ -11,10 +11,10 @@ CONFIG = CHECKOUT / "config"
 DATA = CHECKOUT / "test" / "data"
 
 def guarding(make: str, directory: Path) -> str:
-    """Copy a make's drive file, but for the time after power-up in which it guards nothing.
+    """Copy a maker's drive file, but with this time after power-up during which it does not guard.
 
-    For what is not about that: with an ABB everything would take 30 s longer. Returns the copy's
-    path, which names the drive as its name does.
+    For tests of other things: with an ABB drive all of them would take 30 s longer. Returns the
+    copy's path, which has the drive's name.
     """
     text = (CONFIG / "drives" / f"{make}.yaml").read_text(encoding="utf-8")
     directory.mkdir(parents=True, exist_ok=True)
@@ -27,4 +27,4 @@ def guarding(make: str, directory: Path) -> str:
 
 
 Once = Callable[[str, Callable[[Path], object]], Path]
-"""Fills the directory of a name, unless another worker has, and returns it: see ``once``."""
+"""Fills a named directory, unless another worker has, and returns it: see the ``once`` fixture."""

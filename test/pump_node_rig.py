@@ -1,4 +1,4 @@
-"""A pump node as a process, a simulated drive as another, and the test as plant and controller."""
+"""A pump node and a simulated drive as processes; the test acts as plant and controller."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from std_msgs.msg import Float64
 from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.simulators.faults import DEFAULT
 
-# Ten ticks of 1 s in a second, and a drive that ramps ten times as fast as in real time.
+# Ten ticks of 1 s per second, and a drive that ramps ten times as fast as in real time.
 PERIOD_S, FACTOR = 0.1, 10
 LEAST_TIMES = {"least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
 
 
 class SimulatedDrive:
-    """The program, which ends with the test, and its workbench."""
+    """The drive simulator as a process, which ends with the test, and its workbench."""
 
     def __init__(
         self, domain: int, cwd: Path, *options: str, make: str = "abb_acs880",
         pace: tuple[str, ...] = ("--speed", str(FACTOR), "--boot", "0.1", "--timeout", "1.5"),
     ) -> None:
-        """Start it, and wait until it is ready."""
+        """Start the simulator, and wait until it is ready."""
         self.domain, self.cwd = domain, cwd
         self._options = ("--drive", make, *pace, *options)
         self.start("--port", "0", "--workbench", "0")
@@ -44,7 +44,7 @@ class SimulatedDrive:
         self.address, self.workbench = addresses(self.process)
 
     def ask(self, question: Callable[[Workbench], Any]) -> Any:
-        """Do something at the workbench."""
+        """Send a request to the workbench."""
         workbench = Workbench(parse_address(self.workbench), timeout_s=PATIENCE_S)
         try:
             return question(workbench)
@@ -52,7 +52,7 @@ class SimulatedDrive:
             workbench.close()
 
     def speed(self) -> float:
-        """Return the true speed of the motor, share of rated."""
+        """Return the true speed of the motor (share of rated)."""
         return float(self.ask(lambda bench: bench.speed()))
 
     def inject(self, fault: str, parameter: int = DEFAULT) -> None:
@@ -64,13 +64,13 @@ class SimulatedDrive:
 
 
 def addresses(simulator: Process) -> list[str]:
-    """Return what a simulator says when it is ready."""
+    """Return the addresses that a simulator prints when it is ready."""
     line = wait_for(lambda: simulator.stdout().partition("\n")[0], 60, "a simulator that is ready")
     return re.findall(r"(?:tcp|gateway|mqtt)://[\w.:/]+", line)
 
 
 class PumpRig:
-    """The node's peers: clock, levels, frost and commands, and what the node says to them."""
+    """The node's peers: they send clock, levels, frost and commands, and record its answers."""
 
     def __init__(self, observer: Observer) -> None:
         self.domain, self.cwd, self.observer = observer.domain, observer.cwd, observer
@@ -85,7 +85,7 @@ class PumpRig:
         self._open()
 
     def _open(self) -> None:
-        """Begin without a past: a node that is started again takes part from the next tick on."""
+        """Begin a new run: a restarted node takes part from the next tick on."""
         self.leave()
         self._publishers = {
             name: self.observer.publisher(name)
@@ -95,22 +95,22 @@ class PumpRig:
 
     @property
     def drive(self) -> SimulatedDrive:
-        """Return the drive, and start it if need be."""
+        """Return the drive; start it if necessary."""
         return self._drive or self.simulate()
 
     def simulate(self, *options: str, **special: Any) -> SimulatedDrive:
-        """Start the drive."""
+        """Start the simulated drive."""
         self._drive = SimulatedDrive(self.domain, self.cwd, *options, **special)
         return self._drive
 
     def code(self, part: str) -> str:
-        """Return the condition code of a part; empty where it is well."""
+        """Return the condition code of a part of the node; empty if the part is well."""
         return str(self.observer.values(f"/pump: {part}").get("code", ""))
 
     def start(
         self, address: str = "", *, popen: dict[str, Any] | None = None, **parameters: object,
     ) -> subprocess.Popen[Any]:
-        """Start the node, for the simulated drive if no address is given; its state file stays."""
+        """Start the node, by default with the simulated drive; its state file is kept."""
         settings = {
             "drive": guarding("abb_acs880", self.cwd),
             "address": address or self.drive.address, "autostart": "true", "exchange_period": 0.05,
@@ -122,7 +122,7 @@ class PumpRig:
         return self.observer.start("pump", popen=popen, **settings)
 
     def leave(self) -> None:
-        """Have no publishers any more."""
+        """Remove all publishers."""
         for publisher in self._publishers.values():
             self.node.destroy_publisher(publisher)
 
@@ -134,11 +134,11 @@ class PumpRig:
         self._publishers[name].publish(Float64(data=float(value)))
 
     def send_nonsense(self) -> None:
-        """Publish a command that is cut off."""
+        """Publish a truncated command."""
         self._publishers["/pump/command"].publish(b"\x00\x01\x00\x00\x00")
 
     def tick(self, command: float) -> float:
-        """Publish a tick, and return its flow; there is exactly one."""
+        """Publish a tick, and return its flow; there must be exactly one."""
         began, before = time.monotonic(), len(self.flows)
         self.every_tick()
         clock = Clock()
@@ -173,19 +173,19 @@ class PumpRig:
         return time.monotonic() - began
 
     def until_said(self, part: str, level: bytes, *words: str, command: float = 0.5) -> None:
-        """Publish ticks until a part of the node is at a level, with some words."""
+        """Publish ticks until a part of the node reports this level with these words."""
         self.tick_until(command, lambda: self.says(part, level, *words), LATE, f"{part}: {words}")
 
     def until_code(self, part: str, code: str, command: float = 0.5) -> None:
-        """Publish ticks until a part has a code."""
+        """Publish ticks until a part of the node reports this code."""
         self.tick_until(command, lambda: self.code(part) == code, LATE, f"{part}: {code}")
 
     def until_state(self, words: str, seconds: float = LATE) -> None:
-        """Publish ticks until the state has some words."""
+        """Publish ticks until the state contains these words."""
         self.tick_until(0.5, lambda: words in self.state, seconds, words)
 
     def until_it_stands(self, seconds: float, command: float = 0.5) -> float:
-        """Publish ticks until the motor stands and no flow is said; return how long that took."""
+        """Publish ticks until the motor stands and flow is 0; return how long that took (s)."""
         return self.tick_until(
             command, lambda: self.drive.speed() == 0.0 and self.flows[-1] == 0.0, seconds, "a stop"
         )
@@ -193,7 +193,7 @@ class PumpRig:
     def play(
         self, values: dict[str, float], until: Callable[[], Any], event: str, seconds: float = 60
     ) -> None:
-        """Publish values, as the peers of a live graph do, until a condition holds."""
+        """Publish values, like the peers in a live graph, until a condition holds."""
 
         def played() -> Any:
             for name, value in values.items():
@@ -204,7 +204,7 @@ class PumpRig:
         wait_for(played, seconds, f"{event} ({self.states[-3:]})")
 
     def run(self, command: float = 0.5) -> None:
-        """Command until the pump runs."""
+        """Send a command until the pump runs."""
         self.join()
         self.tick_until(
             command, lambda: self.state.startswith("running") and self.drive.speed() > 0.5, 60,
@@ -219,7 +219,7 @@ class PumpRig:
         )
 
     def says(self, part: str, level: bytes, *words: str) -> bool:
-        """Whether a part of the node is at a level, with some words."""
+        """Return whether a part of the node reports this level with these words."""
         return self.observer.says(f"/pump: {part}", level, *words)()
 
     def call(self, kind: Any, name: str, **fields: object) -> Any:
@@ -227,7 +227,7 @@ class PumpRig:
         return self.observer.call(kind, f"/pump/{name}", **fields)
 
     def change(self, label: str) -> bool:
-        """Ask for a transition."""
+        """Request a lifecycle transition."""
         request = ChangeState.Request()
         request.transition.label = label
         return bool(self.call(ChangeState, "change_state", transition=request.transition).success)
@@ -236,7 +236,7 @@ class PumpRig:
         return str(self.call(GetState, "get_state").current_state.label)
 
     def stands_within(self, seconds: float) -> float:
-        """Wait without a tick until the motor stands, and return how long that took (s)."""
+        """Wait, without ticks, until the motor stands, and return how long that took (s)."""
         began = time.monotonic()
         wait_for(lambda: self.drive.speed() == 0.0, seconds, "the motor's standstill")
         return time.monotonic() - began

@@ -1,4 +1,4 @@
-"""A pump's logic with a drive and the plant of the site around it, in simulated time."""
+"""The pump's logic with a drive and the plant of the site, in simulated time."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from greenroof_ros.pumping.pump_control import Decision, Observation, PumpContro
 
 
 class Rig:
-    """Steps pump, drive and plant; what breaks is set from outside.
+    """Steps pump control, drive and plant; a test sets the faults.
 
     Attributes:
-        plant: the site, exact.
+        plant: the site, simulated exactly.
         speed: of the pump, share of the rated speed.
-        change: what is known at the next steps other than by the sensors, by Observation's names.
+        change: fields of Observation to override in the next steps.
         arriving: share of the flow that reaches the roof.
         leaving: share of the flow that leaves the cistern.
         leak: other water that leaves the cistern (m3/s).
-        stuck_speed: what the drive turns at whatever it is asked for; None while it follows.
+        stuck_speed: speed of the drive regardless of what is asked for; None if it follows.
         contactor_stuck: whether the pump runs at rated speed while the drive reports a stop.
         cistern_offset: what the cistern's sensor reads above the true level (m).
-        delivered: what the decisions said was pumped (m3).
-        decisions: every one.
+        delivered: volume pumped according to the decisions (m3).
+        decisions: all decisions.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Rig:
     def step(
         self, command: float | None, rain: float = 0.0, evapotranspiration: float = 0.0
     ) -> Decision:
-        """Move on by a tick; rain in m/s, evapotranspiration off the bed in m3/s."""
+        """Advance by a tick; rain in m/s, evapotranspiration from the bed in m3/s."""
         cistern, roof = self.plant.levels()
         errors = next(self._noise)
         observed = Observation(
@@ -104,7 +104,7 @@ class Rig:
         return decision
 
     def suspend(self, seconds: float, runs_on: float = 0.0) -> None:
-        """Let time pass in which nobody steps the pump; the drive's own timeout stops it after."""
+        """Let time pass without steps of the pump; then the drive's own timeout has stopped it."""
         for second in range(round(seconds / self.tau)):
             if second * self.tau >= runs_on:
                 self.speed = 0.0
@@ -114,14 +114,14 @@ class Rig:
         self.control.pass_unseen(seconds)
 
     def plant_flow(self, speed: float) -> float:
-        """Return the flow of the pump at a speed (m3/s), by the affinity laws once more."""
+        """Return the pump's flow at a speed (m3/s), computed independently by the affinity laws."""
         head = self.plant.x1 / self.site.a1 + speed**2 * self.site.c_hat - self.site.d
         return self.site.b * head**0.5 if head > 0 else 0.0
 
     def run(
         self, seconds: float, command: float | None, until: Callable[[Decision], bool] | None = None
     ) -> Decision:
-        """Step for so long, or until a decision is as it should be."""
+        """Step for this long (s), or until a decision meets a condition."""
         decision = self.step(command)
         for _ in range(round(seconds / self.tau) - 1):
             if until is not None and until(decision):

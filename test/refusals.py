@@ -1,4 +1,4 @@
-"""What is said of a file or an option that is wrong."""
+"""The reasons why a wrong file or option is refused."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from greenroof_ros.common.errors import ConfigurationError
 
 
 def refusal(read: Callable[..., object], *arguments: object, match: str | None = None) -> str:
-    """Return why reading does not go on; by the pattern, where there is one."""
+    """Return why reading is refused; the reason must match the pattern, if there is one."""
     with pytest.raises(ConfigurationError, match=match) as caught:
         read(*arguments)
     return str(caught.value)

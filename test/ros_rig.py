@@ -1,4 +1,4 @@
-"""A node of the test's own in a real graph: what it hears, says and asks; and nodes beside it."""
+"""A test node in a real graph, which listens, publishes and calls services; and nodes beside it."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from greenroof_ros.graph.messages import message_class, qos_profile
 
 OK, WARN, ERROR, STALE = b"\x00", b"\x01", b"\x02", b"\x03"
 TAU = 0.2
-# What a busy machine may take (s). That each bound holds, test_input_rules.py shows by a clock of
-# its own, and so does the campaign of faults.
+# How long a busy machine may take (s). That each bound holds is shown by test_input_rules.py with
+# its own clock, and by the fault campaign.
 LATE = 60.0
 FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
-# What evaporates off the paper's bed, 68.8 m2, in each month (m3/s).
+# Evapotranspiration from the paper's bed, 68.8 m2, in each month (m3/s).
 USUAL_EVAPOTRANSPIRATION = {
     month / 1000 / 86400 * 68.8
     for month in read_yaml(CONFIG / "site.yaml")["monthly_evapotranspiration"]
@@ -40,26 +40,26 @@ _TOPICS = {**read_topics(), **read_live_topics()}
 
 
 def qos(topic: str) -> Any:
-    """Return a topic's profile in the interface."""
+    """Return a topic's QoS profile in the interface."""
     return qos_profile(_TOPICS[topic].qos)
 
 
 def ros_arguments(**parameters: object) -> list[str]:
-    """Return ROS arguments that set parameters; those that are None are left out."""
+    """Return ROS arguments that set parameters; parameters that are None are left out."""
     settings = [f"{name}:={value}" for name, value in parameters.items() if value is not None]
     words = [word for setting in settings for word in ("-p", setting)]
     return ["--ros-args", *words] if words else []
 
 
 class Observer:
-    """A node of the test's own.
+    """A node of the test.
 
     Attributes:
-        domain: that it is in.
-        cwd: where nodes beside it are started.
-        started: these, which end with it.
-        diagnoses: of each name on /diagnostics what was said last.
-        said: all sentences that came there.
+        domain: its ROS domain.
+        cwd: directory in which nodes beside it are started.
+        started: these nodes, which end with it.
+        diagnoses: the latest status of each name on /diagnostics.
+        said: all messages received there.
     """
 
     def __init__(self, domain: int, cwd: Path) -> None:
@@ -106,7 +106,7 @@ class Observer:
         self, topic: str, value: Callable[[Any], Any] = lambda message: message.data,
         namespace: str = "",
     ) -> list[Any]:
-        """Return the list in which the values of a topic are from now on."""
+        """Return a list that collects the values of a topic from now on."""
         values: list[Any] = []
         self.node.create_subscription(
             message_class(_TOPICS[topic].type), namespace + topic,
@@ -115,7 +115,7 @@ class Observer:
         return values
 
     def times(self, topic: str) -> list[float]:
-        """Return the list of when each message of a topic was sent (s), from now on."""
+        """Return a list that collects when each message of a topic is sent (s), from now on."""
         times: list[float] = []
 
         def note(_: Any, info: Any) -> None:
@@ -127,12 +127,12 @@ class Observer:
         return times
 
     def publisher(self, topic: str, node: Node | None = None) -> Any:
-        """Open a topic, for the observer or another node."""
+        """Create a publisher for a topic, of the observer or of another node."""
         kind = message_class(_TOPICS[topic].type)
         return (node or self.node).create_publisher(kind, topic, qos(topic))
 
     def call(self, kind: Any, service: str, **fields: object) -> Any:
-        """Call a service, once it is there."""
+        """Call a service as soon as it is available."""
         client = self.node.create_client(kind, service)
         self.until(client.service_is_ready, 60, service)
         future = client.call_async(kind.Request(**fields))
@@ -140,7 +140,7 @@ class Observer:
         return future.result()
 
     def says(self, part: str, level: bytes, *words: str) -> Callable[[], bool]:
-        """Return whether a part is at a level, with some words."""
+        """Return whether a part reports this level with these words."""
 
         def said() -> bool:
             status = self.diagnoses.get(part)
@@ -151,7 +151,7 @@ class Observer:
         return said
 
     def values(self, name: str) -> dict[str, Any]:
-        """Return what a node said last of itself, or a part's code and what goes with it."""
+        """Return the latest values that a node reported, or a part's code with its details."""
         status = self.diagnoses.get(name)
         if status is None:
             return {}
@@ -169,10 +169,10 @@ class Observer:
 
 
 class Site:
-    """The sensors and the weather of a site, and what is heard from the node under test.
+    """The sensors and the weather of a site, and what the node under test publishes.
 
     Attributes:
-        values: what is published ten times a second; one may be a function of time.
+        values: published ten times a second; a value can be a function of time.
     """
 
     def __init__(self, watcher: Observer) -> None:
@@ -195,12 +195,12 @@ class Site:
         finally:
             process.send_signal(signal.SIGCONT)
             process.send_signal(signal.SIGINT)
-            # The kernel ends a node whose middleware takes long to go, as on a busy machine.
+            # If the middleware is slow to end, as on a busy machine, the kernel ends the node.
             code = process.wait(300)
             assert code in (0, -signal.SIGALRM), code
 
     def listen(self, topic: str) -> list[tuple[float, Any]]:
-        """Note when each value of a topic comes; of a row what its layout does not skip."""
+        """Record each value of a topic and when it came; without the part that its layout skips."""
 
         def value_of(message: Any) -> tuple[float, Any]:
             skipped = message.layout.data_offset if hasattr(message, "layout") else None
@@ -220,7 +220,7 @@ class Site:
             self.publishers[topic].publish(message_class(_TOPICS[topic].type)(data=data))
 
     def until(self, condition: Callable[[], Any], seconds: float, event: str) -> None:
-        """Play until a condition holds."""
+        """Publish values until a condition holds."""
 
         def played() -> Any:
             self.play()
@@ -230,7 +230,7 @@ class Site:
         self.watcher.until(played, seconds, f"{event} (before: {messages})")
 
     def during(self, seconds: float) -> None:
-        """Play for so long; a moment in which the machine stands still counts for 0.1 s."""
+        """Publish values for this long (s); a pause of the machine counts for at most 0.1 s."""
         played = 0.0
         while played < seconds:
             began = time.monotonic()
@@ -239,7 +239,7 @@ class Site:
             played += min(time.monotonic() - began, 0.1)
 
     def be_dry(self) -> list[tuple[float, Any]]:
-        """Have a dry roof and enough water, both moving, and return the commands."""
+        """Simulate a dry roof and enough water, both levels moving, and return the commands."""
         began = time.monotonic()
         self.values = {
             "/cistern/level": lambda now: 2.5 - 1.6e-4 * (now - began),
@@ -252,12 +252,12 @@ class Site:
 
 
 def newest(values: list[tuple[float, Any]]) -> Any:
-    """Return the value that came last; None before there is one."""
+    """Return the newest value; None if there is none yet."""
     return values[-1][1] if values else None
 
 
 def policies(process: int) -> set[int]:
-    """Return by which policies the kernel lets the threads of a process run."""
+    """Return the scheduling policies of a process's threads."""
     threads = [int(thread.name) for thread in Path(f"/proc/{process}/task").iterdir()]
     assert len(threads) > 1
     return {os.sched_getscheduler(thread) for thread in threads}
@@ -270,7 +270,7 @@ def write_forecast(
     path: Path, ago: timedelta = timedelta(0), rain: float = 0.0, temperature: float = 15.0,
     *, evapotranspiration: float = 2.0, hours: int = 12,
 ) -> None:
-    """Put a file with one issue of some hours in place, whole."""
+    """Write a file with one issue of some hours, in one step."""
     issued = datetime.now(UTC).replace(microsecond=0) - ago
     lines = [
         f"{issued.isoformat()},{(issued + timedelta(hours=hour)).isoformat()},{rain},"
@@ -282,9 +282,9 @@ def write_forecast(
     draft.replace(path)
 
 
-# Lets a process find, each time there is a file *suspended* or *suspended_in_a_decision*, that the
-# machine was suspended for an hour: between two decisions of a node, or in the middle of one,
-# before and after which it looks how long that was.
+# Each time the file *suspended* or *suspended_in_a_decision* exists, the process finds that the
+# machine was suspended for an hour: between two decisions of a node, or during one. A node reads
+# the suspended time before and after each decision.
 SUSPENDED = """
 import os
 import sys

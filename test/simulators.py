@@ -1,4 +1,4 @@
-"""The simulators as programs, and a client of their workbenches."""
+"""The simulators as programs, and a client for their workbenches."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from greenroof_ros.simulators.faults import (
     Fault,
 )
 
-# How long a workbench is waited for (s): as long as a loaded machine needs.
+# How long to wait for a workbench (s): as long as a loaded machine needs.
 PATIENCE_S = 30.0
-# Of drives and of relays; what has one name has one number.
+# For drives and relays; faults with the same name have the same number.
 FAULTS = {**DRIVE_FAULTS, **RELAY_FAULTS}
 T = TypeVar("T")
 
@@ -38,7 +38,7 @@ _PLACE = re.compile(r"(?:tcp|gateway)://127\.0\.0\.1:(\d+), device")
 class Workbench:
     """A client of a simulator's workbench, always on TCP.
 
-    Each method connects if it must, and raises `DriveError` where there is no answer.
+    Each method connects if necessary, and raises `DriveError` if there is no answer.
     """
 
     def __init__(
@@ -65,21 +65,21 @@ class Workbench:
         return faults.SPEED_UNIT * self._ask(lambda: self._line.read(faults.SPEED, 1))[0]
 
     def inject(self, fault: str, parameter: int = DEFAULT) -> None:
-        """Ask for a fault; there is one at a time, and ``none`` ends it."""
+        """Inject a fault; there is one at a time, and ``none`` ends it."""
         self._write(faults.PARAMETER, parameter)
         self._write(faults.FAULT, self._known[fault].number)
 
     def power_cycle(self) -> None:
-        """Take the drive's power away for a moment."""
+        """Power-cycle the drive."""
         self._write(faults.POWER_CYCLE, 1)
 
     def take_over(self, local: bool) -> None:
-        """Take the drive over at its panel, or hand it back to the bus."""
+        """Take over the drive at its panel, or hand it back to the bus."""
         self._write(faults.LOCAL, int(local))
 
 
 class Simulator:
-    """A simulator that is ready; ``with`` ends it by Ctrl-C and looks at how it ends."""
+    """A simulator that is ready; ``with`` ends it by Ctrl-C and checks how it ends."""
 
     def __init__(self, module: str, *options: str) -> None:
         self._module = module
@@ -97,7 +97,7 @@ class Simulator:
         self.said, self.complained = "", ""
 
     def inject(self, name: str, parameter: int = DEFAULT) -> None:
-        """Ask the workbench for a fault."""
+        """Inject a fault at the workbench."""
         self._on_workbench(lambda bench: bench.inject(name, parameter))
 
     def power_cycle(self) -> None:
@@ -134,7 +134,7 @@ class Simulator:
 
 
 def refusal(monkeypatch: pytest.MonkeyPatch, module: ModuleType, *options: str) -> str:
-    """Return what a simulator says of wrong options."""
+    """Return a simulator's error message for wrong options."""
     monkeypatch.setattr(sys, "argv", [module.__name__, *options])
     with pytest.raises(ConfigurationError) as caught:
         module.main.__wrapped__()

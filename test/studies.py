@@ -34,7 +34,7 @@ controllers:
 
 
 def study(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    """Run the command to its end."""
+    """Run the study command until it ends."""
     return subprocess.run(
         [sys.executable, "-m", "greenroof_ros.study", *options],
         cwd=directory, capture_output=True, text=True, timeout=600, check=False,
@@ -42,7 +42,7 @@ def study(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
 
 
 def begun(directory: Path, *options: str, **variables: str) -> subprocess.Popen[str]:
-    """Start the command on the grid in a directory, in a session of its own."""
+    """Start the study command on the grid in a directory, in a separate session."""
     return subprocess.Popen(
         [sys.executable, "-m", "greenroof_ros.study", "grid.yaml", "--output", "out", *options],
         cwd=directory, env={**os.environ, **variables}, stdout=subprocess.PIPE,
@@ -53,7 +53,7 @@ def begun(directory: Path, *options: str, **variables: str) -> subprocess.Popen[
 def store_of(
     directory: Path, *, engine: str = "inprocess", trajectory_every: float | None = 0.0
 ) -> Store:
-    """Begin the study of the grid in a directory, or go on with it."""
+    """Begin the study of the grid in a directory, or continue it."""
     file = directory / "grid.yaml"
     return Store(
         directory / "out", file, read_grid(file), engine, trajectory_every=trajectory_every
@@ -73,7 +73,7 @@ def run_here(directory: Path, text: str) -> Store:
 
 
 def stored(directory: Path) -> list[Path]:
-    """Return the runs of a study that are finished."""
+    """Return the finished runs of a study."""
     return [run for run in (directory / "out" / "runs").glob("*") if run.suffix != ".part"]
 
 
@@ -90,13 +90,13 @@ def rows_of(file: Path) -> list[dict[str, str]]:
 
 
 def edited(old: str, new: str) -> str:
-    """Return the grid with something else in it."""
+    """Return the grid with a replaced part."""
     assert old in GRID
     return GRID.replace(old, new)
 
 
 def record(directory: Path, years: Iterable[int]) -> None:
-    """Write a record of the first days of May of some years."""
+    """Write a weather record of the first days of May of some years."""
     directory.mkdir()
     header = "time,precipitation [mm/h],temperature [degC],dew point [degC],wind speed [km/h],"
     for year in years:

@@ -49,7 +49,7 @@ assert not asked, f"the core asks for {asked}"
 
 
 def test_every_module_but_the_graphs_imports_without_ros() -> None:
-    """In a process that finds no ROS, even where one is installed; new modules are included."""
+    """All modules, including new ones, are imported in a process that finds no ROS."""
     done = subprocess.run(
         [sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True, check=False
     )

@@ -1,4 +1,4 @@
-"""The example of a controller of one's own, through simulate, bringup and study."""
+"""The example of a user-defined controller, through simulate, bringup and study."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TICKS = 361
 
 
 def run(directory: Path, module: str, *options: str) -> str:
-    """Run a command to its good end and return what it prints."""
+    """Run a command, which must succeed, and return its output."""
     result = subprocess.run(
         [sys.executable, "-m", f"greenroof_ros.{module}", *options],
         cwd=directory, env=environment(0), capture_output=True, text=True, timeout=120, check=False,
@@ -31,12 +31,12 @@ def run(directory: Path, module: str, *options: str) -> str:
 
 
 def test_it_is_short() -> None:
-    """At most 60 lines, with its documentation."""
+    """It has at most 60 lines, including its documentation."""
     assert len((CHECKOUT / "examples" / "proportional.py").read_text().splitlines()) <= 60
 
 
 def test_simulate_and_graph_agree(domain: int, tmp_path: Path) -> None:
-    """Its parameter file is used by both, and the numbers are equal in every bit."""
+    """Both use its parameter file, and their results are equal in every bit."""
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     options = ("--controller", EXAMPLE, "--parameters", FILE, "--gain", "35", "--hours", "0.1")
     alone = json.loads(run(tmp_path, "simulate", "--json", "--output", "alone", *options))
@@ -47,12 +47,12 @@ def test_simulate_and_graph_agree(domain: int, tmp_path: Path) -> None:
     differing = {key for key in alone if alone[key] != graph[key]}
     assert differing <= {"wall_s", "times_real_time", "messages", "weather", "site"}
     assert set(graph["messages"].values()) == {TICKS}
-    # It solves nothing: no topic of a solver.
+    # It uses no solver, so there is no solver topic.
     assert not any(topic.startswith("/controller/") for topic in graph["messages"])
 
 
 def test_study(tmp_path: Path) -> None:
-    """It stands in grid and table beside a controller of this package, with its parameter."""
+    """The study's grid and table have it and its parameter beside a controller of this package."""
     section = f"  {EXAMPLE}:\n    gain: [10.0, 20.0]\n  onoff:\n"
     grid = GRID[: GRID.index("  mpc:\n")] + section
     grid = grid.replace("hours: 0.25", "hours: 0.02").replace("[published, fao56]", "published")
@@ -73,7 +73,7 @@ def test_study(tmp_path: Path) -> None:
 def test_another_state_of_its_code_is_another_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A study that was begun with other code of the controller is not gone on with."""
+    """A study that was begun with other code of the controller is not continued."""
     monkeypatch.syspath_prepend(tmp_path)
     file = tmp_path / "my_own.py"
     file.write_text((CHECKOUT / "examples" / "proportional.py").read_text())

@@ -1,4 +1,4 @@
-"""A sample of the campaign of seeded faults; the whole of it is ``make faults``."""
+"""A sample of the campaign of seeded faults; ``make faults`` runs all of it."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ pytest.importorskip("pymodbus", reason="drives are on Modbus")
 
 Sample = Mapping[str, tuple[str | list[str], str]]
 
-# Each with what must be shown of its cause, or named as the reason of the end, and what must come
-# after.
+# Each fault with the cause that must be shown or named as the reason of the end, and with what must
+# follow.
 SAMPLE: Sample = {
     "site:danfoss_fc202/kill/pump/0": (["pump", "node_failed"], "ran again"),
     "site:danfoss_fc202/drive/drive_fault/0": (
@@ -62,7 +62,7 @@ def campaign(
 def test_a_sample_of_the_campaign(
     domain: int, tmp_path: Path, sample: Sample
 ) -> None:
-    """Each stops the pump within its bound, is named, and goes on as specified."""
+    """Each fault stops the pump within its bound and is named; then follows what is specified."""
     done = campaign(domain, tmp_path, sample)
     assert done.returncode == 0, done.stdout
     lines = [json.loads(line) for line in (tmp_path / "results.jsonl").read_text().splitlines()]
@@ -73,5 +73,5 @@ def test_a_sample_of_the_campaign(
         assert cause in (result["reason"] if isinstance(cause, str) else result["signs"]), result
         assert after == result["recovery"], result
         assert result["to_safe"] is None or 0 < result["to_safe"] <= result["bound"], result
-    # What is done is not done again.
+    # Finished work is not repeated.
     assert f"{len(sample)} skipped" in campaign(domain, tmp_path, sample).stdout

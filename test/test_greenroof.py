@@ -1,4 +1,4 @@
-"""``greenroof``: its help, its commands by both names, completion in the shell."""
+"""The ``greenroof`` command: its help, its commands under both names, shell completion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from places import CHECKOUT
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
 
-# Runs each of its arguments as a command, and prints the top-level packages that are imported.
+# Runs each of its arguments as a command, and prints which top-level packages are imported.
 IMPORTED = """
 import sys
 from greenroof_ros.__main__ import main
@@ -32,7 +32,7 @@ def greenroof(directory: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def imported_by(directory: Path, *lines: str) -> tuple[set[str], str]:
-    """Return the packages that commands have imported when they end, and what they printed."""
+    """Return the packages that commands have imported when they end, and their output."""
     done = subprocess.run(
         [sys.executable, "-c", IMPORTED, *lines], cwd=directory, capture_output=True, text=True,
         env={**os.environ, "PYTHONPATH": str(CHECKOUT)}, check=True, timeout=120,
@@ -42,7 +42,7 @@ def imported_by(directory: Path, *lines: str) -> tuple[set[str], str]:
 
 @pytest.mark.parametrize("words", [(), ("--help",), ("simulators", "-h")])
 def test_help_groups_the_commands(tmp_path: Path, words: tuple[str, ...]) -> None:
-    """By what a user wants to do, each with a line that fits a terminal."""
+    """Grouped by what a user wants to do; each command has one line that fits a terminal."""
     done = greenroof(tmp_path, *words)
     assert (done.returncode, done.stderr) == (0, "")
     sections = {
@@ -55,7 +55,7 @@ def test_help_groups_the_commands(tmp_path: Path, words: tuple[str, ...]) -> Non
 
 
 def test_each_command_has_its_help_and_imports_little_for_it(tmp_path: Path) -> None:
-    names = [name for name in COMMANDS if name != "live"]  # which is of ROS
+    names = [name for name in COMMANDS if name != "live"]  # live needs ROS
     packages, printed = imported_by(tmp_path, *(f"{name} --help" for name in names))
     *texts, after_last = printed.split("\f 0\n")
     assert after_last == ""
@@ -82,7 +82,7 @@ def test_what_is_no_command_is_refused(tmp_path: Path, words: list[str], suggest
 
 
 def test_a_command_does_what_its_module_does(tmp_path: Path) -> None:
-    """Its output, its exit code and what it says of a wrong option."""
+    """Output, exit code and the error for a wrong option are equal."""
     assert greenroof(tmp_path, "topics").stdout.startswith("| topic |")
     wrong = greenroof(tmp_path, "simulate", "--hours", "-1")
     assert wrong.returncode == 2

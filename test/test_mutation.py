@@ -1,4 +1,4 @@
-"""The modules and tests that mutation testing names; it is run by hand."""
+"""The modules and tests listed for mutation testing, which is run by hand."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FOLDERS: dict[str, Any] = yaml.safe_load(
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_modules_and_their_judges_are_there(folder: str) -> None:
-    """What was moved or renamed must be so there, too, or its mutants are judged by nothing."""
+    """Moved or renamed files must be updated in the list, or no test would judge their mutants."""
     modules, without = FOLDERS[folder]["modules"], FOLDERS[folder]["without"]
     for module in modules:
         assert (CHECKOUT / "greenroof_ros" / module).is_file(), module
@@ -30,7 +30,7 @@ def test_modules_and_their_judges_are_there(folder: str) -> None:
 
 @pytest.mark.parametrize("folder", sorted(FOLDERS.keys() - {"lockstep"}))
 def test_no_module_of_a_folder_is_forgotten(folder: str) -> None:
-    """Lockstep is a part of a folder."""
+    """For lockstep only a part of a folder is listed."""
     written = {
         f"{folder}/{path.name}" for path in Path(CHECKOUT, "greenroof_ros", folder).glob("*.py")
     }

@@ -1,4 +1,4 @@
-"""What pip and colcon make of the checkout: the real tools, in directories of their own."""
+"""What pip and colcon make of the checkout: the real tools, in separate directories."""
 
 import contextlib
 import filecmp
@@ -31,21 +31,21 @@ NODES = (
 # Each command of `greenroof` by its module; `live` is bringup's.
 COMMANDS = {command.module.partition(".")[0] for command in GREENROOF_COMMANDS.values()}
 GREENROOF = "greenroof"
-# What `ros2 run` finds in a workspace; pip installs the first alone.
+# What `ros2 run` finds in a workspace; pip installs only the first.
 SCRIPTS = sorted((GREENROOF, *NODES, *COMMANDS))
 
-# The rosdep keys of requirements that are not named as their distribution.
+# The rosdep keys of requirements that differ from the distribution's name.
 ROSDEP_KEYS = {
     "pyyaml": ["python3-yaml"],
     "pymodbus": ["python3-pymodbus-pip", "python3-serial"],
     "rosbags": ["python3-rosbags-pip"],
 }
-# Extras for a developer of this package, or another ROS 2; the others are a user's.
+# Extras for developers of this package, or for another ROS 2; the others are for users.
 OTHER_EXTRAS = {"ros", "test", "docs", "swmm", "bench", "mutation"}
 
 
 def run(*command, cwd, env, timeout=1800):
-    """Run a command; what it printed comes with the failure."""
+    """Run a command; if it fails, the error contains its output."""
     done = subprocess.run(
         [str(part) for part in command],
         cwd=cwd, env=env, timeout=timeout, text=True,
@@ -58,7 +58,7 @@ def run(*command, cwd, env, timeout=1800):
 def bare_environment(home, *path):
     """Return an environment in which no ROS, workspace or virtual environment is active.
 
-    What tells programs how to reach the network stays.
+    Variables that tell programs how to reach the network are kept.
     """
     variables = {
         name: value for name, value in os.environ.items()
@@ -73,7 +73,7 @@ def bare_environment(home, *path):
 
 
 def copy_of_checkout(directory):
-    """Copy what is part of the project, without what builds and runs left behind."""
+    """Copy the project's files, without what builds and runs left behind."""
     generated = shutil.ignore_patterns(
         ".git", ".venv", "build", "install", "log", "dist", "runs", "*.egg-info", "__pycache__",
         ".*_cache", ".hypothesis",
@@ -83,15 +83,15 @@ def copy_of_checkout(directory):
 
 
 def files_under(directory):
-    """List the files under a directory, relative to it, without hidden ones."""
+    """List the files under a directory, relative to it, without hidden files."""
     paths = [path.relative_to(directory) for path in directory.rglob("*") if path.is_file()]
     return sorted(path for path in paths if not any(part[0] == "." for part in path.parts))
 
 
 def assert_installed(module, prefix):
-    """All of the package is under a prefix, and nothing else: modules, shared files, marker."""
+    """Check that a prefix has the whole package and nothing else: modules, shared files, marker."""
     assert module.is_relative_to(prefix)
-    # Where the checkout is installed editable, it would step in for a module that is not there.
+    # An editable install of the checkout would stand in for a missing module.
     compiled = (".pyc", ".pyi")
     ours = files_under(CHECKOUT / "greenroof_ros")
     files = [path for path in ours if path.suffix not in compiled]
@@ -121,9 +121,9 @@ print(shared_directory())
 
 @pytest.fixture(scope="module")
 def package_index(tmp_path_factory):
-    """Skip where pip cannot reach a package index."""
+    """Skip the test if pip cannot reach a package index."""
     directory = tmp_path_factory.mktemp("index")
-    # Not from pip's cache, which would say nothing about the index.
+    # Without pip's cache, which would not show whether the index is reachable.
     probe = subprocess.run(
         [sys.executable, "-m", "pip", "--no-cache-dir", "--retries", "1", "--timeout", "20",
          "download", "--no-deps", "--dest", directory, "iniconfig"],
@@ -137,14 +137,14 @@ def package_index(tmp_path_factory):
 
 
 def pip_of(environment):
-    """Return the beginning of a command: pip, for a virtual environment that need not have one."""
+    """Return the start of a pip command for a virtual environment, which needs no own pip."""
     return [sys.executable, "-m", "pip", "--python", environment / "bin" / "python"]
 
 
 def empty_environment(directory):
-    """Return a new virtual environment in a directory, without anything."""
+    """Create an empty virtual environment in a directory and return it."""
     environment = bare_environment(Path(os.environ.get("HOME", directory)))
-    # Without a pip: one of its own would take as long as the rest.
+    # Without pip: installing it would take as long as everything else.
     run(
         sys.executable, "-m", "venv", "--without-pip", directory / "venv",
         cwd=directory, env=environment,
@@ -153,7 +153,7 @@ def empty_environment(directory):
 
 
 def with_wheel(environment, released, extras=""):
-    """Install the wheel with its extras into a virtual environment, and return that."""
+    """Install the wheel with its extras into a virtual environment, and return the environment."""
     (wheel,) = released.glob("*.whl")
     run(*pip_of(environment), "install", "--no-compile", f"{wheel}{extras}",
         cwd=environment.parent,
@@ -163,24 +163,24 @@ def with_wheel(environment, released, extras=""):
 
 @pytest.fixture(scope="module")
 def released(package_index, tmp_path_factory):
-    """Return the directory of sdist and wheel, the wheel being built from the sdist."""
+    """Return the directory of sdist and wheel; the wheel is built from the sdist."""
     directory = tmp_path_factory.mktemp("release")
     checkout = copy_of_checkout(directory / "checkout")
     environment = bare_environment(Path(os.environ.get("HOME", directory)))  # holds pip's cache
     run(sys.executable, "-m", "build", "--outdir", directory / "dist", ".",
         cwd=checkout, env=environment)
-    shutil.rmtree(checkout)  # nothing may depend on it any longer
+    shutil.rmtree(checkout)  # nothing may depend on it any more
     return directory / "dist"
 
 
 @pytest.fixture(scope="module")
 def pip_installed(released, tmp_path_factory):
-    """Return a new virtual environment in which the wheel was installed, and nothing else."""
+    """Return a new virtual environment in which only the wheel was installed."""
     return with_wheel(empty_environment(tmp_path_factory.mktemp("pip")), released)
 
 
 def test_a_package_index_would_take_the_release(released):
-    """An sdist and a wheel for any machine; their README is shown, the wheel has no strays."""
+    """Sdist and wheel fit any machine, show their README, and the wheel has no stray files."""
     files = sorted(released.iterdir())
     name = f"greenroof_ros-{greenroof_ros.__version__}"
     assert [file.name for file in files] == [f"{name}-py3-none-any.whl", f"{name}.tar.gz"]
@@ -199,7 +199,7 @@ def test_pip_install_brings_no_ros(pip_installed, pip_environment, tmp_path):
         *pip_of(pip_installed), "list", "--format", "json",
         "--disable-pip-version-check", cwd=tmp_path, env=pip_environment,
     )
-    # Warnings may stand before the list.
+    # Warnings can precede the list.
     line = next(line for line in listing.splitlines() if line.startswith("["))
     names = {item["name"].lower().replace("_", "-") for item in json.loads(line)}
     assert {"greenroof-ros", "numpy", "osqp"} <= names
@@ -207,7 +207,7 @@ def test_pip_install_brings_no_ros(pip_installed, pip_environment, tmp_path):
 
 
 def test_pip_install_lays_everything(pip_installed, pip_environment, tmp_path):
-    """No node or command becomes a name on everybody's PATH, such as watch, which Linux has."""
+    """No node or command gets a generic name on the PATH, such as watch, which Linux has."""
     printed = run(
         pip_installed / "bin" / "python", "-c", PRINT_SHARED_DIRECTORY,
         cwd=tmp_path, env=pip_environment,
@@ -222,7 +222,7 @@ def test_pip_install_lays_everything(pip_installed, pip_environment, tmp_path):
 def test_pip_install_simulates_and_reads_copies_of_its_grids(
     pip_installed, pip_environment, tmp_path
 ):
-    """Copied into an empty directory, they find the files that they name in the installed share."""
+    """Copied into an empty directory, the grids find their files in the installed share."""
     commands = pip_installed / "bin"
     share = pip_installed / "share" / "greenroof_ros"
     shutil.copy(share / "config" / "studies" / "paper.yaml", tmp_path)
@@ -254,14 +254,14 @@ controllers: {mpc: {}, onoff: {}}
 
 @pytest.fixture(scope="module")
 def with_extras(released, tmp_path_factory):
-    """Return a new virtual environment with the wheel, and what studies and the page need."""
+    """Return a new virtual environment with the wheel and the extras for studies and the page."""
     empty = empty_environment(tmp_path_factory.mktemp("extras"))
     return with_wheel(empty, released, "[study,watch]")
 
 
 @pytest.fixture(scope="module")
 def with_ros(with_extras, released, setup_options):
-    """Return the same environment after ROS 2 came in; skip where the index has none for it."""
+    """Return the same environment with ROS 2 added; skip the test if the index does not have it."""
     environment = bare_environment(Path(os.environ.get("HOME", with_extras)))
     rclpy = setup_options["extras_require"]["ros"][0]
     probe = subprocess.run(
@@ -275,7 +275,7 @@ def with_ros(with_extras, released, setup_options):
 
 
 def test_pip_install_with_extras_studies_and_reports(with_extras, tmp_path):
-    """Anywhere, without ROS: a grid of one's own, and the page of its results."""
+    """It works in any directory, without ROS: a user's grid, and the page of its results."""
     greenroof = with_extras / "bin" / GREENROOF
     environment = bare_environment(tmp_path, with_extras / "bin")
     (tmp_path / "small.yaml").write_text(SMALL_GRID)
@@ -288,7 +288,7 @@ def test_pip_install_with_extras_studies_and_reports(with_extras, tmp_path):
 
 
 def test_pip_install_with_ros_runs_a_graph_and_shows_it(with_ros, tmp_path, domain):
-    """The run as its nodes wrote it, then its page, which answers a browser until Ctrl-C."""
+    """The run works as its nodes wrote it; its page answers a browser until Ctrl-C."""
     greenroof = with_ros / "bin" / GREENROOF
     environment = bare_environment(tmp_path, with_ros / "bin") | {
         "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -319,7 +319,7 @@ def test_pip_install_with_ros_runs_a_graph_and_shows_it(with_ros, tmp_path, doma
 
 # -------------------------------------------------------------------------------------- ros2
 
-# What each kind of line prints, among other things.
+# What the output of each kind of line contains.
 ROS2_PRINTS = {
     "topic list": "/roof/level", "topic echo": "---", "topic hz": "average rate",
     "param set": "Set parameter successful", "interface show": "float64 data",
@@ -327,13 +327,13 @@ ROS2_PRINTS = {
 
 
 def blocks(page):
-    """Return the blocks of shell lines of a page."""
+    """Return the blocks of shell lines on a page."""
     return [text for _, language, text in fences(page) if language == "sh"]
 
 
 @pytest.fixture(scope="module")
 def ros2_checkout(package_index, tmp_path_factory):
-    """Return a copy of the checkout whose .venv is what make run and the first run's lines make."""
+    """Return a copy of the checkout with the .venv that make run and the first run's lines make."""
     if not os.environ.get("GREENROOF_ROS_TEST_ROS2"):
         pytest.skip("takes minutes: GREENROOF_ROS_TEST_ROS2=1 runs it")
     repository = "https://github.com/ros2/ros2cli"
@@ -341,7 +341,7 @@ def ros2_checkout(package_index, tmp_path_factory):
         pytest.skip(f"{repository} cannot be reached")
     (lines,) = (block for block in blocks("doc/tutorials/first-run.md") if repository in block)
     checkout = copy_of_checkout(tmp_path_factory.mktemp("ros2") / "checkout")
-    # Where pip's cache is.
+    # Pip's cache is there.
     environment = bare_environment(os.environ.get("HOME", checkout), Path(sys.executable).parent)
     for command in (["make", ".venv/.for-run"], ["bash", "-e", "-c", lines]):
         run(*command, cwd=checkout, env=environment)
@@ -349,7 +349,7 @@ def ros2_checkout(package_index, tmp_path_factory):
 
 
 def test_ros2_lines_work_as_printed(ros2_checkout, domain):
-    """Each line, in a terminal of its own in which only .venv was activated."""
+    """Each line works in a separate terminal in which only .venv was activated."""
     environment = bare_environment(ros2_checkout) | {"ROS_DOMAIN_ID": str(domain)}
     pages = "\n".join(blocks("doc/tutorials/first-run.md") + blocks("doc/reference/topics.md"))
     lines = re.findall(r"^(?:\S+ )?ros2 (?:topic|param|interface) .*$", pages, re.MULTILINE)
@@ -364,7 +364,7 @@ def test_ros2_lines_work_as_printed(ros2_checkout, domain):
         )
 
     def end(process, seconds):
-        """Wait, press Ctrl-C, and return what was printed."""
+        """Wait, press Ctrl-C, and return the output."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.communicate(timeout=seconds)[0]
         os.killpg(process.pid, signal.SIGINT)
@@ -387,7 +387,7 @@ def test_ros2_lines_work_as_printed(ros2_checkout, domain):
 
 
 def test_make_keeps_an_environment_that_is_active(tmp_path):
-    """AMENT_PREFIX_PATH, exported for ros2 interface, does not make its rclpy a sourced one."""
+    """AMENT_PREFIX_PATH, exported for ros2 interface, must not make .venv's rclpy look sourced."""
     shutil.copy(CHECKOUT / "Makefile", tmp_path)
     (tmp_path / "setup.py").touch()
     venv.create(tmp_path / ".venv")
@@ -409,7 +409,7 @@ def test_make_keeps_an_environment_that_is_active(tmp_path):
 
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory):
-    """Return a colcon workspace that was built from a copy of the checkout, nothing sourced."""
+    """Return a colcon workspace built from a copy of the checkout with nothing sourced."""
     beside_python = Path(sys.executable).parent
     colcon = shutil.which("colcon", path=str(beside_python)) or shutil.which("colcon")
     if colcon is None:
@@ -420,7 +420,7 @@ def workspace(tmp_path_factory):
         colcon, "--log-base", directory / "log", "build", "--event-handlers", "console_direct+",
         cwd=directory, env=bare_environment(directory, beside_python),
     )
-    # colcon ends with 0 too when it found nothing that it could build.
+    # colcon also ends with 0 if it found nothing to build.
     assert (directory / "install" / "setup.bash").is_file(), printed
     assert "doesn't explicitly install" not in printed  # the marker, package.xml
     shutil.rmtree(directory / "src")
@@ -429,7 +429,7 @@ def workspace(tmp_path_factory):
 
 
 def sourced(workspace, tmp_path, command):
-    """Run a shell command after sourcing the workspace, and nothing else."""
+    """Run a shell command after sourcing only the workspace."""
     script = f"source {workspace}/install/setup.bash && {command}"
     return run(
         "bash", "--noprofile", "--norc", "-c", script,
@@ -460,7 +460,7 @@ def test_colcon_build_puts_the_executables_where_ros2_run_looks(workspace, tmp_p
 
 
 def options_of_setup(*commands):
-    """Return what setup.py hands to setuptools when it is called with some commands."""
+    """Return what setup.py passes to setuptools when it is called with these commands."""
     code = (
         "import json, setuptools\n"
         "from distutils.core import run_setup\n"
@@ -479,7 +479,7 @@ def options_of_setup(*commands):
 
 @pytest.fixture(scope="module")
 def setup_options():
-    """Return what setup.py hands to setuptools for pip."""
+    """Return what setup.py passes to setuptools for pip."""
     return options_of_setup("bdist_wheel")
 
 
@@ -519,7 +519,7 @@ def test_version_is_the_same_everywhere(manifest, setup_options):
 
 
 def test_package_xml_names_every_requirement(manifest, setup_options):
-    """By its rosdep key, and nothing else; what has none is in the comment on what pip installs."""
+    """By rosdep keys, and nothing else; a comment lists the requirements without a key."""
     extras = setup_options["extras_require"]
     assert extras.keys() > OTHER_EXTRAS
     named = [setup_options["install_requires"]]
@@ -545,8 +545,8 @@ def test_package_xml_names_every_requirement(manifest, setup_options):
     assert {"python3-pytest", "python3-hypothesis"} <= needed <= tests
 
 
-# For each target of the command line: whether it can be imported, and called. Nothing of this
-# package that one has imported is there for the next; other packages, which take longest, are.
+# For each target of the command line: whether it can be imported and called. The modules of this
+# package are unloaded between targets; other packages, which take longest, stay.
 FIND_TARGETS = """
 import importlib, sys, traceback
 for target in sys.argv[1:]:
@@ -561,7 +561,7 @@ for target in sys.argv[1:]:
 
 
 def test_executables_can_be_called():
-    """The target of each executable of a workspace."""
+    """The target of each executable of a workspace can be imported and called."""
     entries = options_of_setup("install")["entry_points"]["console_scripts"]
     targets = dict(entry.replace(" ", "").split("=") for entry in entries)
     assert sorted(targets) == SCRIPTS
@@ -569,7 +569,7 @@ def test_executables_can_be_called():
         sys.executable, "-c", FIND_TARGETS, *targets.values(), cwd=CHECKOUT, env=dict(os.environ)
     )
     targets_found = dict(line.split(" ", 1) for line in printed.splitlines() if ":" in line)
-    if importlib.util.find_spec("rclpy") is None:  # the extra [ros], or one that is sourced
+    if importlib.util.find_spec("rclpy") is None:  # the extra [ros], or a sourced ROS 2
         targets = {name: target for name, target in targets.items() if name not in NODES}
     assert {name: targets_found[target] for name, target in targets.items()} == dict.fromkeys(
         targets, "True"
@@ -577,7 +577,7 @@ def test_executables_can_be_called():
 
 
 def test_the_service_is_one_that_systemd_takes() -> None:
-    """Its own check of the unit, but for paths that are a site's."""
+    """systemd's own check accepts the unit, apart from paths that depend on the site."""
     unit = CHECKOUT / "examples" / "greenroof.service"
     try:
         done = subprocess.run(

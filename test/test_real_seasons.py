@@ -1,4 +1,4 @@
-"""The campaign's own parts: halves that share no storm, and intervals."""
+"""Parts of the campaign of real seasons: halves that share no storm, and intervals."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from real_seasons.ideal import squared
 from real_seasons.inputs import AUTUMN, BLOCK_WEEKS, SEASON, SERVICES, YEAR, Inputs
 from real_seasons.runs import NO_RAIN, PERFECT, Case, build
 from real_seasons.tables import interval
 from real_seasons.worth import SHOWN, rows
 
 from greenroof_ros.common.times import hours_since_1970
+from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.model.look_ahead import growing_steps
 
 HOUR = timedelta(hours=1)
@@ -21,7 +23,7 @@ HOUR = timedelta(hours=1)
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
-    """The inputs of made-up rain: a storm each third day, heavy in every other month."""
+    """The inputs of made-up rain: a storm every third day, heavy in every other month."""
     directory = tmp_path_factory.mktemp("archives")
     begin = YEAR.start.replace(hour=0)
     hours = round(YEAR.hours) + 24
@@ -40,7 +42,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
 
 
 def test_no_storm_is_on_both_sides(inputs: Inputs) -> None:
-    """What dresses an issue is of the other half, all hours of it, and a week away or more."""
+    """An issue is dressed only with hours of the other half, at least a week away."""
     wet = inputs.wet_weeks(YEAR)
     assert 0.3 < wet.mean() < 0.6
     changes = np.flatnonzero(np.diff(wet.astype(int))) + 1
@@ -61,7 +63,7 @@ def test_no_storm_is_on_both_sides(inputs: Inputs) -> None:
 
 @pytest.mark.parametrize("hour", [True, False])
 def test_what_is_known_of_the_present_hour(inputs: Inputs, hour: bool) -> None:
-    """The rain of this minute; of the rest of the hour the same, or only the forecast: no rain."""
+    """This minute's rain; the rest of the hour has the same, or only the forecast: no rain."""
     run = build(Case("measured", AUTUMN, NO_RAIN, hour=hour), inputs)
     weather = inputs.weather["measured"]
     first = (AUTUMN.start - weather.first) // HOUR
@@ -73,8 +75,17 @@ def test_what_is_known_of_the_present_hour(inputs: Inputs, hour: bool) -> None:
     np.testing.assert_allclose(rest, rain[0] if hour else 0.0, rtol=1e-12)
 
 
+def test_an_ideal_ensemble_knows_what_a_single_forecast_does() -> None:
+    """Given a forecast of coherence s, members have s^2 with what falls and with each other."""
+    skill = read_skill(REAL)
+    leads, frequencies = np.array([6.0, 24.0, 100.0]), np.array([0.0, 0.01, 0.1])
+    np.testing.assert_allclose(
+        squared(skill).coherence(leads, frequencies), skill.coherence(leads, frequencies) ** 2
+    )
+
+
 def test_intervals_of_sums_over_weeks() -> None:
-    """Nothing but a factor between two: no width. Otherwise the ratio lies within it."""
+    """A constant factor has an interval without width; otherwise the ratio lies within it."""
     weeks = np.random.default_rng(1).gamma(2.0, size=40)
     assert interval(0.9 * weeks, weeks) == pytest.approx((0.9, 0.9, 0.9))
     value, low, high = interval(weeks, np.ones(40))
@@ -83,7 +94,7 @@ def test_intervals_of_sums_over_weeks() -> None:
 
 
 def test_rows_of_the_figure(inputs: Inputs, tmp_path: Path) -> None:
-    """A run with a tenth less in each week has 0.9, without width; the least has its range."""
+    """A tenth less in each week gives 0.9 without width; the least possible has a range."""
     results = {}
     for number, (source, form) in enumerate(SHOWN.values()):
         share = 1 - number / 10

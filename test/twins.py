@@ -1,4 +1,4 @@
-"""Synthetic records of a roof whose parameters are known, with a sensor's noise and gaps."""
+"""Synthetic records of a roof with known parameters, with sensor noise and gaps."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FILLED_AT_FIRST = 0.5
 def a_record(
     rain: np.ndarray, step_s: float = 300.0, month: int = 5, **series: np.ndarray | None
 ) -> Record:
-    """A record from the beginning of a month on; of what is not given there is nothing."""
+    """Return a record from the beginning of a month; missing series are zero or None."""
     nothing = np.zeros(len(rain))
     series_of = {"reference": nothing, "pumped": nothing, "runoff": None, "level": None} | series
     start = datetime(2021, month, 1, tzinfo=timezone.utc)
@@ -42,7 +42,7 @@ def a_record(
 
 
 def storms(days: int, random: np.random.Generator) -> np.ndarray:
-    """Rain (mm in a step): a storm every three days or so, of 6 mm or so, over hours."""
+    """Return rain (mm in a step): a storm of about 6 mm about every three days, over hours."""
     rain = np.zeros(days * DAY)
     at = 0.0
     while True:
@@ -60,10 +60,10 @@ def record_rows(
 ) -> list[list[str]]:
     """Return the rows of a CSV record, the header first.
 
-    The true roof is stepped by the plant, with ticks of 5 s while it rains and the record's
-    steps else. Its level is measured with a noise of 2 mm, its runoff by a counter of tips; three
-    gaps of a day leave out both. If anything is pumped, then on every fourth day twice for ten
-    minutes at a quarter of the flow, where the cistern is not too low; its level has the same
+    The plant steps the true roof, with ticks of 5 s while it rains and with the record's steps
+    otherwise. Its level is measured with a noise of 2 mm, its runoff by a counter of tips; three
+    gaps of a day have neither. With pumping, every fourth day has two periods of ten minutes
+    at a quarter of the flow, if the cistern is not too low; the cistern's level has the same
     noise.
     """
     random = np.random.default_rng(seed)
@@ -122,10 +122,10 @@ def record_rows(
 
 
 def summed(rows: list[list[str]], hours: int) -> list[list[str]]:
-    """Return the rows that a logger of longer steps would write, the header first.
+    """Return the rows that a logger with longer steps would write, the header first.
 
     Rain and runoff are sums, the level is at the step's beginning, and each row has the
-    temperatures of its day; a gap in any part is one of the whole.
+    temperatures of its day; a gap in any part makes the whole step a gap.
     """
     count = hours * 3600 // STEP_S
     result = [rows[0]]

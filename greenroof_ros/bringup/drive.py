@@ -170,12 +170,12 @@ class DriveChoice:
                 status = stop_drive(placed, driver=pump_node)
             except DriveInUseError as error:
                 return False, (
-                    f"another program (process {error.holder}) runs the drive: left to it, which "
-                    "may run the pump"
+                    f"another program (process {error.holder}) runs the drive, and may run the "
+                    "pump: the drive is left to it"
                 )
             except Exception as error:  # whatever the error, somebody must check the pump
                 return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
-            message = f"bringup told the drive to stop, which said then: {status}"
+            message = f"bringup ordered the drive to stop; it then reported: {status}"
             return (True, message) if status.stands else (False, f"{message}; {_MAY_RUN}")
 
         return stop
@@ -196,24 +196,24 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     )
     group.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="put the whole graph, its clock too, under /NAME, so that several run side by side "
-        "in one domain (default: none)",
+        help="put the whole graph, including its clock, under /NAME, so that several run side by "
+        "side in one domain (default: none)",
     )
     group.add_argument(
         "--peer-limit", type=within(2, 1e6), default=5.0, metavar="S",
-        help="longest wait for a node, in wall time, 2 s at least: nodes that join listen for a "
+        help="longest wait for a node, in wall time, at least 2 s: joining nodes listen for one "
         "second (default: %(default)s s)",
     )
     group.add_argument(
         "--watch", action="store_true",
-        help="show the graph on a page in a browser, whose address is printed. It ends with the "
-        "graph, which goes on without it; greenroof watch is a page that stays. Needs "
+        help="show the graph on a page in a browser, whose address is printed. The page ends with "
+        "the graph; the graph does not need it. The page of greenroof watch stays. Needs "
         "greenroof_ros[watch]",
     )
     group = parser.add_argument_group(
         "the drive",
-        "With --drive the pump node takes the commands and runs a drive by Modbus, or a relay by\n"
-        "MQTT, real or simulated.",
+        "With --drive the pump node takes the commands and runs a drive over Modbus, or a relay\n"
+        "over MQTT, real or simulated.",
     )
     group.add_argument(
         "--drive", metavar="{NAME,FILE}",
@@ -221,15 +221,15 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     )
     group.add_argument(
         "--drive-at", metavar="ADDRESS",
-        help="its address: tcp://HOST:PORT for an Ethernet port of its own, gateway://HOST:PORT "
-        "for a gateway to its serial port, or a serial line such as /dev/ttyUSB0; after a comma "
-        "its device id, if that is not in its file, such as gateway://HOST:PORT,17; for a relay "
-        "mqtt://HOST[:PORT]/DEVICE, its topic at a broker, or mqtts:// over TLS",
+        help="its address: tcp://HOST:PORT if it has its own Ethernet port, gateway://HOST:PORT "
+        "for a gateway to its serial port, or a serial line such as /dev/ttyUSB0; append a comma "
+        "and its device id if that differs from its file's, such as gateway://HOST:PORT,17; for a "
+        "relay mqtt://HOST[:PORT]/DEVICE (its topic at a broker), mqtts:// for TLS",
     )
     for option, metavar, meaning in (
-        ("--broker-login", "FILE", "for a relay: YAML file with its username and password"),
-        ("--broker-authority", "FILE", "for a relay: certificates to trust (PEM), if the system "
-         "does not know its broker's"),
+        ("--broker-login", "FILE", "for a relay: YAML file with username and password"),
+        ("--broker-authority", "FILE", "for a relay: file of trusted certificates (PEM), if the "
+         "system does not know the broker's"),
     ):
         group.add_argument(option, default="", metavar=metavar, help=meaning)
     group.add_argument(
@@ -241,9 +241,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     group.add_argument(
         "--node-parameters", type=Path, metavar="FILE",
         help="ROS 2 parameter file for what bringup does not decide, such as the pump node's "
-        "limits; each node's --help says what it has, and what no node would take is refused. "
-        "Which drive there is and where, and where its state is kept, --drive, --drive-at and "
-        "--state alone say",
+        "limits; each node's --help lists its parameters; unknown ones are refused. The drive, "
+        "its address and its state directory are set only by --drive, --drive-at and --state",
     )
 
 
@@ -288,12 +287,12 @@ def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
     drive, at = arguments.drive, arguments.drive_at
     refuse(
         (drive is None and at is not None, "--drive-at", at,
-         "needs --drive, which says what the drive is like"),
+         "needs --drive, the make of the drive"),
         (drive is not None and at is None, "--drive", drive,
          "needs --drive-at, such as tcp://192.168.0.20:502, gateway://..., /dev/ttyUSB0 or "
          "mqtt://..."),
         (drive is not None and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
-         "leaves the pump to somebody else's node, and --drive to the pump node; give one"),
+         "leaves the pump to somebody else's node, --drive to the pump node; give only one"),
     )
     files = [
         str(Path(file).resolve()) if file else ""
@@ -320,7 +319,7 @@ def own_parameters(
     file: Path | None = arguments.node_parameters
     if file is None:
         return []
-    refuse((not file.is_file(), "--node-parameters", str(file), "must be a file that is there"))
+    refuse((not file.is_file(), "--node-parameters", str(file), "must be an existing file"))
     with importing_ros():
         from greenroof_ros.graph.parameters import refuse_unknown_in
     modules = {f"{arguments.namespace}/{node.name}": node.module for node in nodes}

@@ -69,6 +69,6 @@ def wait_for_drive(
     latched = report.get("fault") or report.get("stop")
     if latched:
         progress.say(
-            f"warning: the pump stays off, by {state_file}: {latched}; a fault is cleared by the "
-            "service /pump/reset, a stop by /pump/stop with false, and --state DIR is another's"
+            f"warning: {state_file} keeps the pump off: {latched}; a fault is cleared by the "
+            "service /pump/reset, a stop by /pump/stop with false; another drive needs --state DIR"
         )

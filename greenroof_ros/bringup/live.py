@@ -131,7 +131,7 @@ def _keep_up(
     finally:
         notify("STOPPING=1")
         if site.drive is not None:
-            say("waiting for the pump to stand")
+            say("waiting for the pump to come to rest")
 
 
 def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
@@ -269,7 +269,7 @@ class _Record:
             self.log.end(node, PROCESS)
         disk = {
             "level": "ERROR" if DISK.late else "OK", "code": "disk_hangs" if DISK.late else "",
-            "message": f"{self._state}: the disk takes nothing; logs and summary wait in memory",
+            "message": f"{self._state}: the disk does not respond; logs and summary wait in memory",
         }
         report = {"diagnoses": {"disk": disk}}
         self.log.look({**supervisor.last, "bringup": report}, starting=starting)
@@ -285,7 +285,7 @@ class _Record:
         warnings = {self._summary.problem} if self._summary.problem else set()
         if DISK.refused and not DISK.late:
             warnings.add(
-                f"{self._state}: {DISK.refused} pieces of logs found no room in memory since the "
+                f"{self._state}: {DISK.refused} pieces of logs did not fit in memory since the "
                 "start, and are lost"
             )
         for text in sorted((of_nodes | warnings) - self._warnings):
@@ -310,7 +310,7 @@ class _Record:
         """Wait until everything is on the disk; warn if it is not within 5 s."""
         if not DISK.wait(_WRITTEN_S):
             self._summary.problem = (
-                f"{self._state}: the disk takes nothing; {summary.SUMMARY} is not kept"
+                f"{self._state}: the disk does not respond; {summary.SUMMARY} is not kept"
             )
         self._warn(self._warnings)
 
@@ -367,7 +367,7 @@ def _state_directory(path: Path) -> Iterator[Path]:
             lock = take_lock(path / "bringup.lock")
     except LockedError:
         raise OccupiedError(
-            "is of a bringup that runs; end it, or take another directory",
+            "belongs to a running bringup; end it, or use another directory",
             key="--state", value=str(path),
         ) from None
     with lock:

@@ -190,7 +190,7 @@ def make_parser() -> argparse.ArgumentParser:
         "    --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
         "exit codes: 0 asked to stop, 1 a node failed, the pump may run on, or there were\n"
         "incidents: a drive or a sensor was lost for a while, 2 bad usage or configuration, 3 a\n"
-        "graph is there already, 130 interrupted",
+        "graph is already running, 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     group = parser.add_argument_group("the site")
@@ -230,7 +230,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     group.add_argument(
         "--thermometer", choices=[EXTERNAL],
-        help="external: a node of your own publishes /gauge/temperature (degC), where the file of "
+        help="external: a node of your own publishes /gauge/temperature (degC), if the file of "
         "--sensors has no thermometer; without --forecast nothing else can say whether there is "
         "frost",
     )
@@ -283,8 +283,8 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
             parse_address(sensor.address)
         ):
             raise ConfigurationError(
-                f"is the serial line of the sensor {section}, too, which one program alone can "
-                "open: put a Modbus TCP gateway on it, or take another line",
+                f"is also the serial line of the sensor {section}, which only one program can "
+                "open: connect a Modbus TCP gateway to it, or use another line",
                 key="--drive-at", value=drive.at,
             )
 
@@ -295,5 +295,5 @@ def _readable(file: str, option: str) -> Path:
     Raises:
         ConfigurationError: there is no such file.
     """
-    refuse((not Path(file).is_file(), option, file, "must be a file that is there"))
+    refuse((not Path(file).is_file(), option, file, "must be an existing file"))
     return Path(file).resolve()

@@ -54,8 +54,8 @@ def make_parser() -> argparse.ArgumentParser:
         description="Start plant, weather, controller and recorder as ROS 2 nodes, each its own\n"
         "process, run them in lockstep on simulated time, and end them. While it runs,\n"
         "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.\n\n"
-        "With --drive and --drive-at there is hardware in the loop: a drive, and no simulated\n"
-        "pump, at real time, or with the drive simulator at another --speed.\n\n"
+        "With --drive and --drive-at there is hardware in the loop: a drive instead of the\n"
+        "simulated pump, in real time, or with the drive simulator at another --speed.\n\n"
         "A site with sensors, at which nothing is simulated, is greenroof live, or\n"
         "python -m greenroof_ros.bringup --plant external.",
         epilog="examples:\n"
@@ -65,8 +65,8 @@ def make_parser() -> argparse.ArgumentParser:
         "  greenroof run --speed 60 --no-record\n"
         "  greenroof run --drive danfoss_fc202 --drive-at gateway://127.0.0.1:5020\n\n"
         "exit codes: 0 done, 1 a node failed, the pump may run on, or done with incidents: a\n"
-        "drive was lost for a while, 2 bad usage or configuration, 3 a graph is there already,\n"
-        "130 interrupted",
+        "drive was lost for a while, 2 bad usage or configuration, 3 a graph is already\n"
+        "running, 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_run_arguments(parser)
@@ -86,7 +86,7 @@ def simulated_run(arguments: argparse.Namespace) -> Run:
     if arguments.pump == EXTERNAL or arguments.drive is not None:
         run.sensor_pump_errors.refuse_external_pump()
     no_drive = arguments.state is not None and arguments.drive is None
-    refuse((no_drive, "--state", None, "is of a drive"))
+    refuse((no_drive, "--state", None, "is for a drive"))
     return run
 
 

@@ -14,7 +14,7 @@ from greenroof_ros.model.pump_speed import STANDS
 
 # Time between two checks whether a drive has reached a state (s).
 _LOOK_S = 0.05
-_LOCAL = "; it is in local control: hand it over to the bus at its panel"
+_LOCAL = "; it is in local control: switch it to bus control at its panel"
 
 
 @dataclass(frozen=True)
@@ -117,9 +117,9 @@ class Drive:
         if timeout is None:
             raise self.line.error(
                 "answer",
-                f"{self.file.path} tells of none by which a connection there is guarded "
-                f"(timeout.{self._address.interface}); if a gateway to the drive's serial port is "
-                "there, the address is gateway://HOST:PORT",
+                f"{self.file.path} has no communication timeout for this interface "
+                f"(timeout.{self._address.interface}); if the address is a gateway to the drive's "
+                "serial port, write gateway://HOST:PORT",
             )
         raw = self._raw(timeout.register)
         seconds = self._scaled(timeout.register, raw)
@@ -130,7 +130,7 @@ class Drive:
                 continue
             chosen = self._number(setting.register)
             if chosen not in setting.stops:
-                text = setting.runs_on.get(chosen, "not known to the drive's file")
+                text = setting.runs_on.get(chosen, "not in the drive file")
                 return None, (
                     f"{self._named(setting.register)} is {chosen}: {text}; the pump might run on"
                 )
@@ -191,7 +191,7 @@ class Drive:
             ValueError: the speed is out of range.
         """
         if not 0 <= speed <= 1:
-            raise ValueError(f"{speed} is no share of rated speed")
+            raise ValueError(f"{speed} is not a share of rated speed (0 to 1)")
         values: dict[str, int] = {}
         if self._fulfils(self.file.status.fault, values):
             raise self.line.error("drive", f"fault: {self._cause(self.file.faults)[1]}")
@@ -258,7 +258,7 @@ class Drive:
             return ""
         return (
             f"{self.line.where}: somebody else writes to the drive: its control word is "
-            f"0x{word:04X}, and 0x{self._word:04X} was written (unless the drive itself changed it)"
+            f"0x{word:04X}, but 0x{self._word:04X} was written (unless the drive itself changed it)"
         )
 
     def why_no_simulator(self) -> str:
@@ -277,10 +277,10 @@ class Drive:
         except DriveError as error:
             if error.kind == "connection":
                 raise
-            return f"what is there does not identify itself as that ({error})"
+            return f"the device there does not identify itself as the simulator ({error})"
         if named == SIMULATOR:
             return ""
-        return f"what is at {self._address} identifies itself as {named[0]!r}, {named[1]!r}"
+        return f"the device at {self._address} identifies itself as {named[0]!r}, {named[1]!r}"
 
     # --- sequences --------------------------------------------------------------------------------
 
@@ -354,7 +354,7 @@ class Drive:
     def _cause(self, codes: Codes | None) -> tuple[int, str]:
         """Return the code, or bits, of the present fault or warning, and its text."""
         raw = 0 if codes is None else self._number(codes.register)
-        return raw, (codes and codes.text(raw)) or "the drive names no cause"
+        return raw, (codes and codes.text(raw)) or "the drive gives no cause"
 
     def _number(self, name: str) -> int:
         raw = self._raw(name)
@@ -376,8 +376,8 @@ class Drive:
         if not math.isfinite(value) or not low <= value <= register.high:
             raise self.line.error(
                 "answer",
-                f"{self._named(name)} is {raw}: {f'{value:g} {register.unit}'.strip()}, believable "
-                f"are {low:g} to {register.high:g}",
+                f"{self._named(name)} is {raw}: {f'{value:g} {register.unit}'.strip()}; "
+                f"believable values are {low:g} to {register.high:g}",
             )
         return value
 
@@ -487,7 +487,7 @@ def no_real_time(why: str, key: str, speed: float) -> ConfigurationError:
         speed: simulated time per wall time; 0 for as fast as possible.
     """
     return ConfigurationError(
-        "is for the drive simulator alone, at loopback or on a pseudo-terminal, since another "
-        f"drive may turn a real pump by made-up levels: {why}",
+        "is allowed only with the drive simulator, at loopback or on a pseudo-terminal: any other "
+        f"drive may turn a real pump according to made-up levels: {why}",
         key=key, value=f"{speed:g}" if speed else "max",
     )

@@ -32,7 +32,7 @@ LONGEST_RAMP_S = 30.0
 class Source:
     """A document that the file was made from."""
 
-    title: str = entry("what it is called")
+    title: str = entry("its title")
     document: str = entry("its number and revision, as on its title page")
     where: str = entry("where it was read")
 
@@ -49,8 +49,8 @@ class Numbering:
 class Tcp:
     """Modbus TCP."""
 
-    port: int = entry("TCP port, of a gateway, too", 1, 65535)
-    device_id: int = entry("unit identifier; behind a gateway `serial` has it", 0, 255)
+    port: int = entry("TCP port, also of a gateway", 1, 65535)
+    device_id: int = entry("unit identifier; behind a gateway see `serial`", 0, 255)
 
 
 @dataclass(frozen=True)
@@ -67,14 +67,14 @@ class Register:
     meaning: str = entry("what its value means")
     source: str = entry("page or table of one of the sources, or 'none'")
     word_order: str = entry("which half of 32 bits comes first", choices=WORD_ORDERS, default="")
-    length: int = entry("of a text: how many registers of two characters each", 0, 64, default=0)
-    unit: str = entry("of the scaled value; empty: a plain word", choices=UNITS, default="")
+    length: int = entry("text only: number of registers, two characters each", 0, 64, default=0)
+    unit: str = entry("unit of the scaled value; empty: a plain word", choices=UNITS, default="")
     scale: float = entry("value = scale x raw", default=1.0)
     full_scale: str = entry(
-        "a register by whose value this one is divided, read on connecting", default=""
+        "register whose value divides this one; read on connecting", default=""
     )
-    low: float = entry("the least believable value, in the unit", default=-math.inf)
-    high: float = entry("the greatest believable value, in the unit", default=math.inf)
+    low: float = entry("lowest believable value, in the unit", default=-math.inf)
+    high: float = entry("highest believable value, in the unit", default=math.inf)
     missing: Word | None = entry("the raw value that says 'not available'", default=None)
 
     @property
@@ -102,7 +102,7 @@ class Step:
 
     write: str = entry("name of the register that is written")
     value: Word | str = entry(
-        "the word, or 'speed': the speed asked for", 0, 0xFFFF, choices=(SPEED,)
+        "the word, or 'speed' for the requested speed", 0, 0xFFFF, choices=(SPEED,)
     )
     until: Condition | None = entry("what must be true before the next step", default=None)
     within_s: float = entry("how long that may take (s)", 0.05, 60, default=1.0)
@@ -113,7 +113,7 @@ class Sequences:
     """The writes, in order, that bring the drive from one state to another."""
 
     ready: tuple[Step, ...] = entry(
-        "from any state without fault (power-up, reset, local control) to where `run` works"
+        "from any state without fault (power-up, reset, local control) to one in which `run` works"
     )
     run: tuple[Step, ...] = entry("speed and run; written again in every cycle while it runs")
     stop: tuple[Step, ...] = entry("ramp down and off; written again in every cycle while off")
@@ -126,9 +126,9 @@ class Status:
 
     enabled: Condition = entry("`run` works without `ready` before it")
     ready: Condition = entry("no fault, no interlock: it would start")
-    running: Condition = entry("the motor is fed")
+    running: Condition = entry("the motor is energized")
     fault: Condition = entry("a fault keeps it off")
-    warning: Condition | None = entry("a warning stands", default=None)
+    warning: Condition | None = entry("a warning is active", default=None)
     remote: Condition | None = entry("it obeys the bus", default=None)
     bits: dict[int, str] = entry(
         "texts of the status word's bits, 0 the least significant", 0, 31, factory=dict
@@ -168,7 +168,7 @@ class Action:
     register: str = entry("its name")
     stops: dict[int, str] = entry("values with which it stops the pump, and their names", 0)
     runs_on: dict[int, str] = entry(
-        "values with which it does not, or not for certain, or not until somebody resets it: the "
+        "values with which it does not, or not for certain, or only until somebody resets it: the "
         "timeout counts as off", 0,
     )
 
@@ -179,32 +179,32 @@ class Timeout:
 
     register: str = entry("name of the register of the time")
     kept_alive_by: str = entry("which messages restart it")
-    how_to_set: str = entry("for people: where and to what")
+    how_to_set: str = entry("for people: where to set it, and to what")
     off_values: tuple[Word, ...] = entry("raw times that mean off", default=())
-    action: Action | None = entry("where it says what it then does", default=None)
+    action: Action | None = entry("setting that selects what it does when it expires", default=None)
     mode: Action | None = entry(
-        "where it says which messages restart it, if that can be chosen", default=None
+        "setting that selects which messages restart it, if there is a choice", default=None
     )
     trips: tuple[Word, ...] = entry(
-        "codes (or bits) of `faults` by which the drive says that it has passed", 0, default=()
+        "codes (or bits) of `faults` that report that it has expired", 0, default=()
     )
     unguarded_after_power_up_s: float = entry(
-        "so long after power-up it does not guard (s); the pump stands so long after each "
-        "connection, since the drive may have been switched on just before", 0, 600, default=0.0,
+        "how long after power-up it is not effective (s); the pump is kept off for this long after "
+        "each connection, since the drive may have just been switched on", 0, 600, default=0.0,
     )
     local_settings_decide: bool = entry(
-        "what the pump does then is set in the drive and cannot be read: a person must say that it "
-        "stops (`local_settings_stop_the_pump`)", default=False,
+        "what the pump does after the timeout is set in the drive and cannot be read: a person "
+        "must confirm that it stops (`local_settings_stop_the_pump`)", default=False,
     )
-    traps: str = entry("when it does not guard", default="")
+    traps: str = entry("when it is not effective", default="")
 
 
 @dataclass(frozen=True)
 class Timeouts:
     """The drive's own communication timeouts: one per interface, which guards only that one."""
 
-    serial: Timeout | None = entry("of its serial port, over a line or a gateway", default=None)
-    tcp: Timeout | None = entry("of its own Ethernet port, or its adapter's", default=None)
+    serial: Timeout | None = entry("for its serial port, over a line or a gateway", default=None)
+    tcp: Timeout | None = entry("for its own Ethernet port, or its adapter's", default=None)
 
     @property
     def known(self) -> dict[str, Timeout]:
@@ -230,15 +230,15 @@ class DriveFile:
 
     make: str = entry("maker")
     model: str = entry("the drive, and the option or adapter that speaks Modbus")
-    sources: tuple[Source, ...] = entry("documents that the file was made from")
+    sources: tuple[Source, ...] = entry("documents from which the file was made")
     unverified: tuple[str, ...] = entry(
-        "keys of this file (such as registers.control) that no manual's text was found for"
+        "keys of this file (such as registers.control) that could not be verified against a manual"
     )
     numbering: Numbering = entry("the manual's numbers of registers")
     tcp: Tcp = entry("Modbus TCP")
     serial: Serial = entry("Modbus RTU as delivered")
     registers: dict[str, Register] = entry(
-        "by name; `control`, `reference`, `status` and `speed` must be there"
+        "by name; `control`, `reference`, `status` and `speed` are required"
     )
     sequences: Sequences = entry("control words")
     status: Status = entry("the status word")
@@ -387,15 +387,15 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
     for key, part in _parts(drive, ""):
         if isinstance(part, Condition) and part.value & ~part.mask:
             yield f"{key}.value", (
-                f"has bits outside of the mask 0x{part.mask:04X}: it could never be true"
+                f"has bits outside the mask 0x{part.mask:04X}: it could never be true"
             )
         elif isinstance(part, Action):
             for value in part.stops.keys() & part.runs_on.keys():
-                yield f"{key}.stops.{value}", "stands in stops and in runs_on, too"
+                yield f"{key}.stops.{value}", "is in both stops and runs_on"
     yield from _sequence_mistakes(drive)
     for number, key in enumerate(drive.unverified, start=1):
         if find(content, key)[1] is None:
-            yield f"unverified.{number}", "names no key of this file"
+            yield f"unverified.{number}", "is not a key of this file"
 
 
 def _register_mistakes(register: Register, offset: int) -> Iterator[tuple[str, str]]:

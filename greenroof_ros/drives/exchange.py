@@ -194,11 +194,11 @@ class Obedience:
         unread = now - self._unread_from > RUNS_ON_S
         if stopped and unread and now - self._left_until > RUNS_ON_AGAIN_S:
             return (
-                "; its speed cannot be read, and whether it stands has not been known for "
-                f"{RUNS_ON_S:g} s, although *stop* is written"
+                f"; its speed cannot be read, and for {RUNS_ON_S:g} s it has been unknown whether "
+                "it is at rest, although *stop* is written"
             )
         if self._refusals > 1:
-            return "; *stop* could not be written on two connections one after the other"
+            return "; *stop* could not be written on two successive connections"
         return None
 
     def left(self, until: float) -> None:
@@ -305,7 +305,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         if within_s < longest_s:
             return False
         self._update(state=State.CONNECTING, status=None)
-        self._fail("whether the drive stands was not read: its connection hangs")
+        self._fail("could not confirm that the pump is at rest: the connection hangs")
         return True
 
     def demand(self, speed: float | None) -> None:
@@ -314,7 +314,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         Anything but a number from 0 to 1 is refused, reported as a problem, and means off.
         """
         if speed is not None and not 0 <= speed <= 1:
-            self._fail(f"refused: {speed} is no share of rated speed")
+            self._fail(f"refused: {speed} is not a share of rated speed (0 to 1)")
             speed = None
         before = self._demand[0]
         self._demand = (speed, boot_time())
@@ -352,12 +352,12 @@ class DriveExchange(DeviceThread[Snapshot]):
         It may have lost power since the last connection; a cut cable looks the same.
         """
         if self._simulator_only and (why := self._snapshot.no_simulator) != "":
-            return why or "whether it is the drive simulator is not known yet"
+            return why or "it is not known yet whether it is the drive simulator"
         if time.monotonic() >= self._guarded_from:
             return ""
         return (
-            f"its own communication timeout does not guard for {self._unguarded_s:g} s after "
-            "power-up, so it is not run for so long after it was connected"
+            f"its own communication timeout is not effective for {self._unguarded_s:g} s after "
+            "power-up, so the drive is kept off for this long after connecting"
         )
 
     def _step(self) -> None:
@@ -395,10 +395,10 @@ class DriveExchange(DeviceThread[Snapshot]):
             self._connect_at = now + silence_s
             self._obedience.left(self._connect_at)
             self._fail(
-                f"{problem}{why}, so nothing is sent for {silence_s:g} s: the drive's own "
-                f"communication timeout ({timeout_s:g} s"
-                f"{'' if own_timeout_s is not None else ', if it is no longer'}) stops it then, "
-                "which any message might put off",
+                f"{problem}{why}, so nothing is sent for {silence_s:g} s, in which the drive's "
+                "own communication timeout "
+                f"({'' if own_timeout_s is not None else 'assumed to be at most '}{timeout_s:g} "
+                "s) must stop it; any message could restart that timeout",
                 state=State.SILENT, status=None,
             )
         self._let_go()
@@ -571,7 +571,7 @@ class DriveExchange(DeviceThread[Snapshot]):
             self._drive.run(speed, lambda: self._target_speed() is not None)
         except DriveError as error:
             if error.kind == "drive":
-                self._update(start_failed=f"the drive did not come to run: {error}")
+                self._update(start_failed=f"the drive failed to start: {error}")
             else:
                 self._obedience.forget()  # it may obey although the answer was lost
             raise

@@ -57,15 +57,15 @@ class DriveLock:
             self._lock = take_lock(path, 0o666), path
         except LockedError as error:
             raise DriveInUseError(
-                f"{self._drive}: process {error.holder or 'unknown'} of this machine runs this "
-                f"drive already (lock {path}); end that process, and this one goes on by itself",
+                f"{self._drive}: process {error.holder or 'unknown'} on this machine already runs "
+                f"this drive (lock {path}); end that process and this one continues by itself",
                 error.holder,
             ) from None
         except OSError as error:
             raise DriveError(
                 "drive",
-                f"{self._drive}: the lock {path} cannot be opened ({error.strerror}), without "
-                "which two programs could run one drive; make it writable, or remove it",
+                f"{self._drive}: the lock {path} cannot be opened ({error.strerror}); without it "
+                "two programs could run the same drive; make it writable, or remove it",
             ) from error
 
     def release(self) -> None:

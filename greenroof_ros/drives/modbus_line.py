@@ -194,7 +194,7 @@ def parse_drive_address(text: str, key: str) -> Address:
     low, high = (0, 255) if address.interface == "tcp" else (1, 247)
     if not re.fullmatch(r"[0-9]{1,3}", device_id) or not low <= int(device_id) <= high:
         raise ConfigurationError(
-            f"after the comma must be the drive's device id, {low} to {high}", key=key, value=text
+            f"must have a device id, {low} to {high}, after the comma", key=key, value=text
         )
     return replace(address, device_id=int(device_id))
 
@@ -296,7 +296,7 @@ class ModbusLine:
         answer = self._ask(action, 4 if inputs else 3, read, address, count=count)
         if len(answer.registers) != count:
             came = len(answer.registers)
-            raise self.error("answer", f"{action}: {came} registers came, not {count}")
+            raise self.error("answer", f"{action}: {came} registers, not {count}")
         return list(answer.registers)
 
     def write(self, address: int, word: int) -> None:
@@ -310,7 +310,7 @@ class ModbusLine:
         if answer.address != address or list(answer.registers) != [word]:
             raise self.error(
                 "answer",
-                f"{action}: the answer speaks of {answer.registers} in register {answer.address}",
+                f"{action}: the answer confirms {answer.registers} in register {answer.address}",
             )
 
     def identification(self) -> tuple[str, str]:
@@ -396,7 +396,7 @@ def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
     if WIDTHS.get(kind) == 2 and not word_order:
         yield "word_order", "must be 'high first' or 'low first'"
     elif word_order and WIDTHS.get(kind) != 2:
-        yield "word_order", f"does not belong to {kind}, which is no number of 32 bits"
+        yield "word_order", f"is for numbers of 32 bits, not for {kind}"
 
 
 def limits(kind: str) -> tuple[float, float]:

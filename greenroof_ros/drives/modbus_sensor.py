@@ -55,7 +55,7 @@ class ModbusReader(DeviceThread[Reading]):
             raise
         bits = decode(registers, "uint32" if len(registers) == 2 else "uint16", sensor.word_order)
         if bits == sensor.missing:
-            raise line.error("answer", f"says 0x{bits:X}, which means that there is no reading")
+            raise line.error("answer", f"says 0x{bits:X}, which means 'no reading'")
         raw = decode(registers, sensor.type, sensor.word_order)
         assert not isinstance(raw, str)
         try:

@@ -33,14 +33,14 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
     try:
         value = json.loads(payload)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"says {payload[:40]!r}, which is no JSON") from error
+        raise ValueError(f"says {payload[:40]!r}, which is not JSON") from error
     try:
         for step in sensor.steps:
             value = value[step]
     except (LookupError, TypeError) as error:
         raise ValueError(f"says {payload[:80]!r}, which has no {sensor.value}") from error
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"says {str(value)[:40]!r}, which is no number")
+        raise ValueError(f"says {str(value)[:40]!r}, which is not a number")
     try:
         return float(value)
     except OverflowError as error:
@@ -83,7 +83,7 @@ class MqttReader:
         with self._lock:
             age = time.monotonic() - self._reading.read_at
             if not self._reading.problem and age > self._sensor.max_age:
-                self._lose(f"has said nothing for {self._sensor.max_age:g} s")
+                self._lose(f"has sent nothing for {self._sensor.max_age:g} s")
             return self._reading
 
     def start(self) -> None:
@@ -98,7 +98,7 @@ class MqttReader:
 
     def _on_connect(self) -> None:
         with self._lock:
-            self._lose("has said nothing yet")
+            self._lose("has sent nothing yet")
         for topic in filter(None, (self._topic, self._sensor.available)):
             self._client.subscribe(topic)
 
@@ -123,22 +123,22 @@ class MqttReader:
     def _hear_availability(self, payload: bytes) -> None:
         came, self._online = not self._online, payload == self._sensor.online.encode()
         if not self._online:
-            raise ValueError(f"is not there: {self._sensor.available} says {payload[:40]!r}")
+            raise ValueError(f"is offline: {self._sensor.available} says {payload[:40]!r}")
         if came:
-            raise ValueError("is there, and has said nothing yet")
+            raise ValueError("is online, but has not sent a reading yet")
 
     def _take(self, payload: bytes, retained: bool) -> None:
         now = time.monotonic()
         if retained:
-            raise ValueError("has said nothing yet; what the broker kept may be old")
+            raise ValueError("has sent nothing yet; the retained message may be old")
         if not self._online:
             raise ValueError(
-                f"is not there: {self._sensor.available} has not said {self._sensor.online!r}"
+                f"is offline: {self._sensor.available} has not said {self._sensor.online!r}"
             )
         if self._readings.forget_after_suspend():
             self._deaf_until = now + _DEAF_S
         if now < self._deaf_until:
-            raise ValueError("may have said this before the machine was suspended")
+            raise ValueError("this message may be from before the suspend")
         value = self._readings.add(read_number(payload, self._sensor))
         self._reading = Reading(now, "", value)
 

@@ -38,7 +38,7 @@ def place_drive(
         return PlacedRelay(read_relay_file(file), *parse_topic(at, key, login, authority))
     if login or authority:
         raise ConfigurationError(
-            "has no broker to log in to: login and certificates are of a relay on MQTT",
+            "has no broker to log in to: login and certificates are for a relay on MQTT",
             key=key, value=at,
         )
     return PlacedDrive(read_drive_file(file), parse_drive_address(at, key))

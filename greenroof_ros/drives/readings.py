@@ -75,7 +75,7 @@ class Readings:
         sensor = self._sensor
         value = sensor.scale * raw + sensor.offset
         if not math.isfinite(value):
-            raise ValueError(f"says {raw}, which is no number")
+            raise ValueError(f"says {raw}, which is not a number")
         if sensor.counts:
             rate = self._rate(value)
             if rate is None:

@@ -200,8 +200,8 @@ class RelayLine:
                 return answer
         if payload and self.connected:
             raise self.error("answer", (
-                f"no answer to the question {name!r} that can be understood within "
-                f"{self._timeout_s:g} s, but {payload[:_SHOWN]!r}"
+                f"no valid answer to the question {name!r} within {self._timeout_s:g} s; received "
+                f"{payload[:_SHOWN]!r}"
             ))
         raise self.error("connection", (
             f"no answer to the question {name!r} within {self._timeout_s:g} s"
@@ -305,12 +305,12 @@ class Relay:
         for setting in self.file.must:
             if (value := _text(self._value(setting, answers))) != setting.value:
                 return None, (
-                    f"{setting.meaning}: {setting.path} is {value}, and must be {setting.value}"
+                    f"{setting.meaning}: {setting.path} is {value}, but must be {setting.value}"
                 )
         timer = self.file.timer
         raw = self._value(timer, answers)
         if isinstance(raw, bool) or not isinstance(raw, int | float):
-            raise self.line.error("answer", f"its timer, {timer.path}, is {raw!r}: no number")
+            raise self.line.error("answer", f"its timer, {timer.path}, is {raw!r}: not a number")
         try:
             seconds = timer.seconds(raw)
         except OverflowError:
@@ -355,10 +355,10 @@ class Relay:
             ValueError: the speed is out of range.
         """
         if not 0 < speed <= 1:
-            raise ValueError(f"{speed} is no speed at which a relay is on")
+            raise ValueError(f"{speed} is not a speed at which a relay is on (above 0 to 1)")
         timer_s = self._timer_s
         if timer_s is None:
-            raise self.line.error("drive", "it is not switched on: its own timer does not guard")
+            raise self.line.error("drive", "it is not switched on: its own timer is not effective")
         is_on = self._read() if self._is_on is None else self._is_on
         if self._ordered:
             # Renew a period early: the next round might be too late.
@@ -403,7 +403,7 @@ class Relay:
             return f"{self.line.where}: somebody else has switched the relay on"
         return (
             f"{self.line.where}: the relay is off although it was switched on: somebody else has "
-            "switched it off, it was without power, or its timer has passed"
+            "switched it off, it was without power, or its timer has expired"
         )
 
     def why_no_simulator(self) -> str:
@@ -421,9 +421,9 @@ class Relay:
         except DriveError as error:
             if error.kind == "connection":
                 raise
-            return f"what is there does not identify itself as that ({error})"
+            return f"the relay there does not identify itself as the simulator ({error})"
         return "" if named == " ".join(SIMULATOR) else (
-            f"what is at {self.line.where} identifies itself as {named!r}"
+            f"the relay at {self.line.where} identifies itself as {named!r}"
         )
 
     def _read(self) -> bool:
@@ -450,7 +450,7 @@ class Relay:
                 return
             if time.monotonic() > self._on_at + _ON_S:
                 raise self.line.error(
-                    "drive", f"it was switched on, and is still off after {_ON_S:g} s"
+                    "drive", f"it was switched on, but is still off after {_ON_S:g} s"
                 )
             time.sleep(_LOOK_S)
         self._ordered = True

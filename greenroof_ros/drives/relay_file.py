@@ -24,7 +24,7 @@ _ROUNDS = 6
 class Message:
     """A message to the relay."""
 
-    topic: str = entry("where it is published")
+    topic: str = entry("topic on which it is published")
     payload: str = entry("what is published")
 
 
@@ -32,9 +32,9 @@ class Message:
 class Question:
     """A question to the relay, and how its answer is recognized among all that it publishes."""
 
-    topic: str = entry("where it is asked")
+    topic: str = entry("topic on which it is asked")
     answer: str = entry("topic of the answer, which is a JSON object")
-    known_by: str = entry("a path, such as result.output, that the answer has")
+    known_by: str = entry("a path that this answer has, such as result.output")
     payload: str = entry("what is published there", default="")
 
 
@@ -59,7 +59,7 @@ class Setting(Value):
     """A setting that must have this value, or the relay may switch or stay on by itself."""
 
     value: str = entry("what it must be, as in JSON")
-    meaning: str = entry("what that is, for people")
+    meaning: str = entry("what this setting does, for people")
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,9 @@ class Scale:
 class Timer(Value):
     """The relay's own timer, which switches it off again: its communication timeout."""
 
-    scales: tuple[Scale, ...] = entry("its seconds; a raw value in none of the ranges means off")
-    how_to_set: str = entry("for people: where and to what")
-    traps: str = entry("when it does not guard", default="")
+    scales: tuple[Scale, ...] = entry("to seconds; a raw value outside all ranges means off")
+    how_to_set: str = entry("for people: where to set it, and to what")
+    traps: str = entry("when it is not effective", default="")
 
     # Drives on Modbus may have these; no relay has.
     unguarded_after_power_up_s = 0.0
@@ -96,20 +96,20 @@ class Timer(Value):
 class RelayFile:
     """A make of relay."""
 
-    protocol: str = entry("mqtt: by which the file is known as a relay's", choices=(MQTT,))
+    protocol: str = entry("mqtt; marks the file as a relay's", choices=(MQTT,))
     make: str = entry("maker")
     model: str = entry("the relay, and its firmware")
-    sources: tuple[Source, ...] = entry("documents that the file was made from")
+    sources: tuple[Source, ...] = entry("documents from which the file was made")
     unverified: tuple[str, ...] = entry(
-        "keys of this file (such as timer) that no text of the maker's was found for"
+        "keys of this file (such as timer) that could not be verified in the maker's documents"
     )
     questions: dict[str, Question] = entry("by name")
     state: State = entry("whether it is on")
     timer: Timer = entry("the time after which it switches itself off")
     must: tuple[Setting, ...] = entry("settings that are read with the timer")
-    name: Value = entry("what it says that it is, for people")
+    name: Value = entry("how it identifies itself, for people")
     switch_on: Message = entry("published to switch it on, and again to keep it on")
-    switch_off: Message = entry("published again and again while it is to be off")
+    switch_off: Message = entry("published repeatedly while it must be off")
     set_up: tuple[str, ...] = entry("for people: what must be set in the relay")
     number: str = entry(
         "path of the question's $id in each answer; empty: answers have none, and come in order",
@@ -172,14 +172,14 @@ def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str
         try:
             Template(text).substitute(dict.fromkeys(names, ""))
         except (KeyError, ValueError):
-            yield key, f"has another $ than {', '.join(f'${name}' for name in names)}"
+            yield key, f"may contain only these $ names: {', '.join(f'${name}' for name in names)}"
     if relay.number and any("$id" not in question.payload for question in relay.questions.values()):
-        yield "number", "is of questions whose payload has $id"
+        yield "number", "needs $id in the payload of every question"
     if relay.state.is_on == relay.state.is_off:
-        yield "state.is_off", "must be another value than is_on"
+        yield "state.is_off", "must differ from is_on"
     for number, scale in enumerate(relay.timer.scales, start=1):
         if scale.low > scale.high:
             yield f"timer.scales.{number}.low", f"must be at most high, {scale.high:g}"
     for number, key in enumerate(relay.unverified, start=1):
         if find(content, key)[1] is None:
-            yield f"unverified.{number}", "names no key of this file"
+            yield f"unverified.{number}", "is not a key of this file"

@@ -68,15 +68,15 @@ class Sensor:
     """What all sensors have. The value is the median of readings, each scale x raw + offset."""
 
     scale: float = entry("value = scale x raw + offset, in the quantity's unit", -1e3, 1e3)
-    low: float = entry("least value that is accepted, in the quantity's unit", -100, 100)
-    high: float = entry("greatest value that is accepted, likewise", -100, 100)
-    offset: float = entry("value where raw is 0, likewise", -1e3, 1e3, default=0.0)
+    low: float = entry("lowest accepted value, in the quantity's unit", -100, 100)
+    high: float = entry("highest accepted value, likewise", -100, 100)
+    offset: float = entry("value at raw 0, likewise", -1e3, 1e3, default=0.0)
     median: int = entry(
-        "how many readings the median is taken over, an odd number; 1: no filter", 1, 99, default=5
+        "number of readings in the median, odd; 1: no filter", 1, 99, default=5
     )
     counts: bool = entry(
-        "scale x raw is a running total (m or m3), whose growth in a second is the value; median: "
-        "1 goes with it", default=False,
+        "scale x raw is a running total (m or m3), whose increase per second is the value; needs "
+        "median: 1", default=False,
     )
 
 
@@ -94,14 +94,14 @@ class ModbusSensor(Sensor):
     word_order: str = entry("which half of 32 bits comes first", choices=WORD_ORDERS, default="")
     missing: Word | None = entry("the raw value that says 'no reading'", default=None)
     period: float = entry(
-        "from one reading to the next (s); at most half of the greatest age of the quantity", 0.05,
+        "time between two readings (s); at most half of the greatest age of the quantity", 0.05,
         3600, default=1.0,
     )
-    baud_rate: int = entry("of a serial line: bits per second", 1200, 1_000_000, default=19200)
+    baud_rate: int = entry("serial line only: bits per second", 1200, 1_000_000, default=19200)
     parity: str = entry(
-        "of a serial line: parity bit", choices=("even", "odd", "none"), default="even"
+        "serial line only: parity bit", choices=("even", "odd", "none"), default="even"
     )
-    stop_bits: int = entry("of a serial line: stop bits", 1, 2, default=1)
+    stop_bits: int = entry("serial line only: stop bits", 1, 2, default=1)
 
     def __str__(self) -> str:
         return f"{self.address}, device {self.device_id}"
@@ -143,15 +143,14 @@ class MqttSensor(Sensor):
         "sensors[0].distance; left out: the message is the number", default="",
     )
     max_age: float = entry(
-        "for how long the sensor may say nothing (s); at most the greatest age of the quantity",
+        "how long the sensor may be silent (s); at most the greatest age of the quantity",
         0.1, 3600,
     )
-    available: str = entry("topic that says whether the sensor is there", default="")
-    online: str = entry("what that topic says where it is", default="online")
+    available: str = entry("topic that says whether the sensor is online", default="")
+    online: str = entry("what that topic says when it is", default="online")
     login: str = entry("file with username and password, an absolute path", default="")
     authority: str = entry(
-        "file of the certificates that are trusted (PEM), an absolute path; left out: the "
-        "system's", default="",
+        "file of trusted certificates (PEM), an absolute path; left out: the system's", default="",
     )
 
     def __str__(self) -> str:
@@ -244,13 +243,13 @@ def _mistakes(
         of = first.replace("_", " ")
         if earlier.place == later.place:
             key = "register" if isinstance(later, ModbusSensor) else "address"
-            yield f"{second}.{key}", f"is the {of}'s: both sensors would be the same"
+            yield f"{second}.{key}", f"is also the {of}'s: both sensors would be the same"
         if isinstance(earlier, ModbusSensor) and isinstance(later, ModbusSensor) and parse_address(
             later.address
         ).shares_line(parse_address(earlier.address)):
             yield f"{second}.address", (
-                f"is the {of}'s serial line, which one program alone can open: put a Modbus TCP "
-                "gateway on it (tcp://HOST:PORT), or take another line"
+                f"is the {of}'s serial line, which only one program can open: connect a Modbus "
+                "TCP gateway to it (tcp://HOST:PORT), or use another line"
             )
 
 
@@ -261,13 +260,13 @@ def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
     if sensor.low >= sensor.high:
         yield "high", f"must be above low, {sensor.low:g} {topic.unit}"
     if sensor.high > topic.high:
-        yield "high", f"must be at most {topic.high:g} {topic.unit}: nobody takes more"
+        yield "high", f"must be at most {topic.high:g} {topic.unit}: higher values are not accepted"
     if sensor.median % 2 == 0:
-        yield "median", "must be odd, so that it is one of the readings"
+        yield "median", "must be odd, so that the median is one of the readings"
     if sensor.counts and section not in ("flow_meter", "rain_gauge"):
         yield "counts", "is for a flow meter or a rain gauge"
     if sensor.counts and sensor.median > 1:
-        yield "counts", "goes with median: 1, for a median leaves out what comes now and then"
+        yield "counts", "needs median: 1, because a median removes occasional pulses"
 
 
 def _late(sensor: Sensor, quantity: Quantity, interval: float) -> Iterator[tuple[str, str]]:
@@ -275,14 +274,14 @@ def _late(sensor: Sensor, quantity: Quantity, interval: float) -> Iterator[tuple
     shown = late + interval
     if quantity is QUANTITIES["flow_meter"] and shown > _LONGEST_AFTERFLOW_S:
         yield "median", (
-            f"shows a flow for up to {shown:g} s after it has stopped, where it is {interval:g} s "
-            f"from one reading to the next; at most {_LONGEST_AFTERFLOW_S:g} s, or it looks like a "
-            "contact that is welded"
+            f"shows a flow for up to {shown:g} s after it has stopped, with {interval:g} s from "
+            f"one reading to the next; at most {_LONGEST_AFTERFLOW_S:g} s, or it looks like a "
+            "welded contact"
         )
     if late > _LONGEST_FILTER_S:
         yield "median", (
-            f"is late by {late:g} s where it is {interval:g} s from one reading to the next; at "
-            f"most {_LONGEST_FILTER_S:g} s are sensible"
+            f"delays the value by {late:g} s, with {interval:g} s from one reading to the next; "
+            f"at most {_LONGEST_FILTER_S:g} s is sensible"
         )
 
 
@@ -301,13 +300,13 @@ def _modbus_mistakes(
     if not sensor.counts and (ends[0] > sensor.low + step or ends[1] < sensor.high - step):
         yield "scale", (
             f"cannot give {sensor.low:g} to {sensor.high:g} {unit}: {sensor.type} with offset "
-            f"{sensor.offset:g} goes from {ends[0]:g} to {ends[1]:g} {unit}"
+            f"{sensor.offset:g} gives {ends[0]:g} to {ends[1]:g} {unit}"
         )
     yield from _late(sensor, quantity, sensor.period)
     if sensor.period > greatest_age / 2:
         yield "period", (
-            f"must be at most {greatest_age / 2:g} s, half of {quantity.limit}: nobody takes what "
-            "is older"
+            f"must be at most {greatest_age / 2:g} s, half of {quantity.limit}: older values are "
+            "not used"
         )
 
 
@@ -324,7 +323,7 @@ def _mqtt_mistakes(
     if set(sensor.available) & set("#+"):
         yield "available", "must be a topic without # and +"
     if sensor.available == topic:
-        yield "available", "must be another topic than for the readings"
+        yield "available", "must differ from the topic of the readings"
     for key in ("login", "authority"):
         file = getattr(sensor, key)
         if file and not Path(file).is_absolute():
@@ -332,5 +331,5 @@ def _mqtt_mistakes(
     yield from _late(sensor, quantity, sensor.max_age)
     if sensor.max_age > greatest_age:
         yield "max_age", (
-            f"must be at most {greatest_age:g} s, {quantity.limit}: nobody takes what is older"
+            f"must be at most {greatest_age:g} s, {quantity.limit}: older values are not used"
         )

@@ -121,7 +121,7 @@ def _occupied(reason: str, namespace: str) -> OccupiedError:
     domain = _domain()
     place = f"in ROS domain {domain}" + (f", namespace {namespace}" if namespace else "")
     return OccupiedError(
-        f"{reason} already {place}; end it, or take another domain: "
+        f"{reason} already {place}; end it, or use another domain: "
         f"ROS_DOMAIN_ID={domain % 100 + 1} greenroof run ..., or another --namespace"
     )
 
@@ -145,11 +145,11 @@ def only_bringup(namespace: str) -> Iterator[None]:
     try:
         lock = take_lock(file)
     except LockedError:
-        raise _occupied("a bringup runs", namespace) from None
+        raise _occupied("a bringup is running", namespace) from None
     except OSError as error:
         raise ConfigurationError(
-            f"cannot be opened ({error.strerror}), without which two bringups could run one site; "
-            "remove it", file=file,
+            f"cannot be opened ({error.strerror}); without it two bringups could run the same "
+            "site; remove it", file=file,
         ) from error
     with lock:
         yield
@@ -184,7 +184,7 @@ def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[
                 if place == (namespace or "/") and name in names
             )
             if running:
-                raise _occupied(f"a graph with {', '.join(running)} runs", namespace)
+                raise _occupied(f"a graph with {', '.join(running)} is running", namespace)
     finally:
         node.destroy_node()
         context.try_shutdown()

@@ -125,8 +125,8 @@ class Publishers:
         if count < 2 or len(self._known()) < 2:
             return ""
         return (
-            f"has {count} publishers ({', '.join(self.names())}), and must have one: end the "
-            "other, or take another ROS_DOMAIN_ID or --namespace"
+            f"has {count} publishers ({', '.join(self.names())}), but must have one: end the "
+            "other, or use another ROS_DOMAIN_ID or --namespace"
         )
 
     def sentence(self, now: float) -> str:
@@ -158,7 +158,7 @@ class Publishers:
         why = dict.fromkeys(word for info in unheard for word in lacks(info.qos_profile, needed))
         return (
             f"has a publisher that cannot be heard ({', '.join(names)}): it {' and '.join(why)}, "
-            f"and must be {requirements(self.topic.qos)} (doc/real-pump.md); change it, or end it"
+            f"but must be {requirements(self.topic.qos)} (doc/real-pump.md); change it, or end it"
         )
 
     def _known(self) -> list[Any]:
@@ -174,7 +174,7 @@ def call_node(name: str) -> str:
     A node that joined just before another was killed may discover its topics but never its name.
     """
     if name == _UNKNOWN_NAME:
-        return "a node whose name is not known, perhaps because it was killed"
+        return "a node of unknown name, perhaps because it was killed"
     return name
 
 
@@ -287,7 +287,7 @@ class Input:
                 "are only counted"
             )
         self.refused += 1
-        self.verdict = Verdict("input_refused", f"was refused: {value!r}, and {limits}")
+        self.verdict = Verdict("input_refused", f"was refused: {value!r}; it {limits}")
         self.value = instead
 
 

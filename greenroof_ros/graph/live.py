@@ -36,15 +36,15 @@ PAUSE_S = 1.0
 _FIRST_S = 1.0
 
 RECOVERY = Parameter(
-    "recovery_time", 10.0, "s", 0.0, 86400.0, "live: for how long an input that was not good "
-    "must be good again",
+    "recovery_time", 10.0, "s", 0.0, 86400.0, "live: how long an input that was not good must be "
+    "good before it counts again",
 )
 _FROZEN_MOVEMENT = Parameter(
-    "frozen_movement", 0.01, "", 1e-6, 10.0, "live: a level that shows no change while pump and "
-    "rain must have moved it by so much is frozen (m); above the sensor's resolution",
+    "frozen_movement", 0.01, "", 1e-6, 10.0, "live: a level is frozen if it shows no change while "
+    "pump and rain must have moved it by this much (m); above the sensor's resolution",
 )
 _JUMP_TOLERANCE = Parameter(
-    "jump_tolerance", 0.02, "", 1e-6, 10.0, "live: how far two values of a level may be apart "
+    "jump_tolerance", 0.02, "", 1e-6, 10.0, "live: how far apart two values of a level may be, "
     "beyond what water can do between them (m); at least 10 times the sensor's noise (standard "
     "deviation)",
 )
@@ -55,7 +55,7 @@ def _limit(name: str, default: float, most: float, quantity: str) -> Parameter:
 
 
 _LEVEL = _limit("level_limit", 5.0, 60.0, "a level")
-_FORECAST = _limit("forecast_limit", 3600.0, 86400.0, "a forecast, since it came")
+_FORECAST = _limit("forecast_limit", 3600.0, 86400.0, "a forecast, since its arrival")
 _FROST = _limit("frost_limit", 60.0, 600.0, "frost")
 _GAUGE = _limit("gauge_limit", 60.0, 3600.0, "what the gauges measure")
 _FLOW = _limit("flow_limit", 5.0, 60.0, "the pump's flow")

@@ -105,8 +105,8 @@ class Lockstep:
                 kind = LockstepError if self.tick else OccupiedError
                 raise kind(
                     f"{entry.name} came twice in tick {self.tick} "
-                    f"({', '.join(entry.publishers.names())}); another publisher, or nodes of an "
-                    "earlier run, are in this graph"
+                    f"({', '.join(entry.publishers.names())}); another publisher, or nodes from "
+                    "an earlier run, are in this graph"
                 )
             entry.receive(message)
             awaited.discard(name)
@@ -133,7 +133,7 @@ class Lockstep:
         """
         if len(values) != len(RunIdentity._fields):
             raise LockstepError(
-                f"{RUN} has {len(values)} numbers and not {len(RunIdentity._fields)}: the plant is "
+                f"{RUN} has {len(values)} numbers, not {len(RunIdentity._fields)}: the plant is "
                 "of another version"
             )
         before, self.run = self.run, RunIdentity(*values)

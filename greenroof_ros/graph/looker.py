@@ -196,7 +196,7 @@ class Looker:
         if not answer.done():
             client.remove_pending_request(answer)
             raise StopFailedError(
-                f"{name} did not answer within {timeout_s:g} s: whether it did that is not known."
+                f"{name} did not answer within {timeout_s:g} s: it may or may not have done that."
             )
         result = answer.result()
         if isinstance(result, self._types["dose"].Response):

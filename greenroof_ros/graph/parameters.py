@@ -214,7 +214,7 @@ def refuse_unknown_in(
                 if name in options.get(node, ()):
                     raise ConfigurationError(
                         f"must not be given to the node {node} here: under bringup "
-                        f"{options[node][name]} says it", file=file, line=content.lines[name],
+                        f"{options[node][name]} sets it", file=file, line=content.lines[name],
                         key=f"{section}: {name}", value=value,
                     )
             if name not in names and name.partition(".")[0] not in OF_EVERY_NODE:

@@ -259,7 +259,7 @@ class PumpCheck:
             publishers = self._node.get_publishers_info_by_topic(self._name(topic))
             if publishers:
                 raise OccupiedError(
-                    f"{self._name(topic)} has a publisher already "
+                    f"{self._name(topic)} already has a publisher "
                     f"({call_node(publishers[0].node_name)}): the check plays plant, weather and "
                     "controller itself; end the graph first"
                 )
@@ -344,14 +344,14 @@ class PumpCheck:
                 self._hindered = "not tried: the driver does not answer"
                 raise _ProblemError(
                     f"no flow within {self._limits.answer:g} s of command {values[_COMMAND]:g}, "
-                    f"the {self._ticks}th{self._driver_state()}"
+                    f"number {self._ticks}{self._driver_state()}"
                 )
             self._executor.spin_once(timeout_sec=left)
         self._spin(began + self._limits.period - time.monotonic())
         flow = self._flows[0]
         self._count_answers(1)
         high = self._interface["/pump/flow"].high
-        _require(0 <= flow <= high, f"its flow is {flow:g} m3/s, and must be from 0 to {high:g}")
+        _require(0 <= flow <= high, f"its flow is {flow:g} m3/s, but must be from 0 to {high:g}")
         least = (self._site.suction_level + self._least_above_suction) * self._site.a1
         self._volumes = [max(cistern - flow * tau, least), roof + flow * tau]
         return flow
@@ -360,8 +360,7 @@ class PumpCheck:
         """Note flows beyond the expected number, and forget all flows."""
         if len(self._flows) > answers and not self._lockstep_problem:
             self._lockstep_problem = (
-                f"{len(self._flows)} flows where {answers} must come, after "
-                f"{self._ticks} commands"
+                f"{len(self._flows)} flows instead of {answers}, after {self._ticks} commands"
             )
         self._flows.clear()
 

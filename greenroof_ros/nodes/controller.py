@@ -55,8 +55,8 @@ _GIVEN_UP = 3
 _LIVE_CHANGES = 20
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 STATE_FILE = Parameter(
-    "state_file", "", meaning="a file that keeps what the controller has learned of its forecasts "
-    "over restarts, live; empty for none",
+    "state_file", "", meaning="live: file that keeps what the controller has learned about its "
+    "forecasts across restarts; empty: none",
 )
 # How often learned values are saved (s).
 _KEEP_S = 600.0
@@ -178,7 +178,7 @@ class ControllerNode(LinkedNode):
             command, decides = 0.0, False
         else:
             if "command" in self.reports.diagnoses:
-                now = "commands again" if decides else "is not asked"
+                now = "commands again" if decides else "is idle"
                 self.diagnose("command", OK, f"the controller {now}")
         self._say_forecast()
         self._keep_learned(_KEEP_S)
@@ -210,7 +210,7 @@ class ControllerNode(LinkedNode):
             if learned:
                 set_learned(self._controller, learned)
         except (ConfigurationError, KeyError) as error:
-            self.get_logger().warning(f"what was learned is lost: {file}: {error}")
+            self.get_logger().warning(f"learned values are lost: {file}: {error}")
         return memory
 
     def _keep_learned(self, every: float) -> None:
@@ -221,7 +221,7 @@ class ControllerNode(LinkedNode):
         self._kept_at = now
         learned = learned_by(self._controller)
         if self._kept.problem:
-            warning = f"what {self.get_name()} learned is not kept: {self._kept.problem}"
+            warning = f"learned values of {self.get_name()} are not saved: {self._kept.problem}"
             self.get_logger().warning(warning)
         if learned is not None:
             self._kept.write(learned)
@@ -313,7 +313,7 @@ class ControllerNode(LinkedNode):
             return np.atleast_2d(rain)
         if isinstance(rain, np.ndarray):
             raise ConfigurationError(
-                f"has {len(rain)} members, and {self.get_name()} takes one; set all_members of "
+                f"has {len(rain)} members, but {self.get_name()} takes one; set all_members of "
                 "the weather node to false", key=self._rain.name,
             )
         return rain
@@ -357,7 +357,7 @@ def _help(controller: str | None) -> str:
     start = f"-p {declared[0].name}:={declared[0].default}" if declared else "--params-file FILE"
     return node_help(
         f"controller --controller {name}", "controller",
-        f"{__doc__}\nRegistered are {', '.join(controller_names())}.",
+        f"{__doc__}\nRegistered controllers: {', '.join(controller_names())}.",
         lambda _: parameters(choice), f"--ros-args {start}",
         () if choice is None else choice.outputs,
     )

@@ -31,7 +31,7 @@ _LOOK_S, _WRITTEN_S = 1.0, 4.0
 def parameters(site: Site | None = None) -> list[Parameter]:
     """Return the node's parameters, which are the same at every site."""
     return [
-        Parameter("directory", "bag", meaning="the bag; goes on with one that is there"),
+        Parameter("directory", "bag", meaning="the bag; continues an existing one"),
         Parameter(
             "file_limit", 100.0, "MB", 0.1, 1e6, "size at which a file of the bag ends and the "
             "next begins",
@@ -87,7 +87,7 @@ class LiveRecorderNode(LinkedNode):
             DISK.do(partial(self._bag.look, now))
         problem = self._bag.problem
         if DISK.late:
-            problem = f"{self._bag.directory}: the disk takes nothing; what comes waits in memory"
+            problem = f"{self._bag.directory}: the disk does not respond; messages wait in memory"
         self.say(
             "recording", problem and f"nothing is recorded: {problem}",
             f"recording to {self._bag.directory}", "not_recorded",
@@ -104,7 +104,7 @@ class LiveRecorderNode(LinkedNode):
         """Close the bag, unless the disk hangs: then it stays as after a kill."""
         problem = ""
         if not (DISK.do(self._bag.close) and DISK.wait(_WRITTEN_S)):
-            problem = f"{self._bag.directory}: the disk takes nothing; the bag is not closed"
+            problem = f"{self._bag.directory}: the disk does not respond; the bag is not closed"
         if problem or self._bag.problem:
             self.get_logger().error(problem or self._bag.problem)
 

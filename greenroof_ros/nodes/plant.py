@@ -47,16 +47,16 @@ def parameters(site: Site) -> list[Parameter]:
         Parameter("initial_roof_volume", roof, "m3", 0, 1e9, "volume on the roof at tick 0"),
         Parameter("start", DEFAULT_START, meaning="time of tick 0, ISO 8601 with its offset"),
         Parameter("run_length", site.N, "ticks", 1, 2**40, "N"),
-        Parameter("speed", 0.0, "", 0, 1e9, "simulated per wall time, 0 = as fast as it goes"),
+        Parameter("speed", 0.0, "", 0, 1e9, "simulated time per wall time; 0: as fast as possible"),
         Parameter(
-            "pump", "internal", meaning="internal, or external: /pump/flow is a driver's",
+            "pump", "internal", meaning="internal, or external: a driver publishes /pump/flow",
             among=("internal", "external"),
         ),
         *PARAMETERS.values(),
         Parameter("record", False, meaning="wait for a recorder"),
         Parameter("peer_limit", 5.0, "", 2, 1e6, "longest wait for another node (s of wall time)"),
         Parameter(
-            "start_limit", 30.0, "", 0.1, 1e6, "longest wait for the other nodes to come (s of "
+            "start_limit", 30.0, "", 0.1, 1e6, "longest wait for the other nodes to appear (s of "
             "wall time)",
         ),
     ]
@@ -158,8 +158,8 @@ class PlantNode(LinkedNode):
         """Step the plant: all inputs of this tick have arrived."""
         if not self._running or self._paused:
             raise OccupiedError(
-                f"answers to tick {self._tick} came before it was published: nodes of an earlier "
-                "run are in this graph; end them"
+                f"answers to tick {self._tick} arrived before it was published: nodes of an "
+                "earlier run are still in this graph; end them"
             )
         if self._tick == 0:
             self._began = time.monotonic()  # before, the other nodes were still joining
@@ -232,7 +232,7 @@ class PlantNode(LinkedNode):
             missing = "/recorder/written from recorder"
             if not self._paused:
                 missing = self.inputs.causes(self.lockstep.awaited)
-            raise LockstepError(f"tick {self._tick}: nothing came within {limit:g} s on {missing}")
+            raise LockstepError(f"tick {self._tick}: no message within {limit:g} s on {missing}")
 
     def progress(self) -> dict[str, Any]:
         """Return the tick, the levels (m) and the command."""

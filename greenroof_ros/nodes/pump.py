@@ -74,30 +74,30 @@ _SAID_S = 60.0
 _AGAIN_S, _LOOK_S = 0.5, 0.2
 
 PAUSE_UNTIL = Parameter(
-    "pause_until", "", meaning="the pump stands until this time, such as 2026-12-24T08:00-05:00, "
-    "which is kept over restarts; empty ends the pause (greenroof pause sets it)", may_change=True,
+    "pause_until", "", meaning="pump off until this time, such as 2026-12-24T08:00-05:00, after "
+    "restarts too; empty ends the pause (greenroof pause sets it)", may_change=True,
 )
 _OWN = (
     Parameter("drive", "", meaning="make of drive, a file of config/drives, or a file's path"),
     Parameter(
-        "address", "", meaning="of the drive: tcp://HOST:PORT where it has an Ethernet port of "
-        "its own, gateway://HOST:PORT of a gateway to its serial port, or /dev/tty... of a "
-        "serial line; after a comma its device id, where that is not its file's, such as "
-        "gateway://HOST:PORT,17; of a relay mqtt://HOST[:PORT]/DEVICE, its own topic at a broker, "
-        "or mqtts:// over TLS",
+        "address", "", meaning="address of the drive: tcp://HOST:PORT if it has its own Ethernet "
+        "port, gateway://HOST:PORT for a gateway to its serial port, or /dev/tty... for a serial "
+        "line; append a comma and its device id if that differs from its file's, such as "
+        "gateway://HOST:PORT,17; or of a relay: mqtt://HOST[:PORT]/DEVICE (its topic at a "
+        "broker), mqtts:// for TLS",
     ),
     Parameter(
-        "broker_login", "", meaning="of a relay: YAML file of its broker's username and password; "
-        "empty: none is asked for",
+        "broker_login", "", meaning="relay only: YAML file with the broker's username and "
+        "password; empty: the broker needs none",
     ),
     Parameter(
-        "broker_authority", "", meaning="of a relay: file of the certificates that are trusted "
-        "(PEM); empty: the system's",
+        "broker_authority", "", meaning="relay only: file of trusted certificates (PEM); empty: "
+        "the system's",
     ),
     Parameter(
         "exchange_period", 0.1, "s", 0.02, 1.0, "time between two rounds of requests to the drive",
     ),
-    Parameter("autostart", False, meaning="configure and activate by itself, until that works"),
+    Parameter("autostart", False, meaning="configure and activate by itself, with retries"),
     Parameter(
         "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "greatest communication timeout that the "
         "drive itself may have",
@@ -107,13 +107,13 @@ _OWN = (
         "would run on when this machine fails: DANGEROUS",
     ),
     Parameter(
-        "local_settings_stop_the_pump", False, meaning="a person has set the pump so that it "
-        "stands when the bus lets go of it, and has seen that it does; needed where that cannot "
+        "local_settings_stop_the_pump", False, meaning="confirms that somebody has set the pump "
+        "to stop when the bus connection ends, and has seen it stop; needed if the setting cannot "
         "be read",
     ),
     Parameter(
-        "state_file", "", meaning="keeps a stop, a fault and the day's use over restarts; "
-        "without it greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
+        "state_file", "", meaning="file that keeps a stop, a fault and the day's use across "
+        "restarts; empty: greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
     ),
     PAUSE_UNTIL,
 )
@@ -144,7 +144,7 @@ class _Drive:
         if not values["drive"]:
             raise ConfigurationError(
                 "must be given: the make of the drive, as a file of config/drives without .yaml, "
-                "or the path of a file of one's own", key=key.format("drive"),
+                "or the path of your own file", key=key.format("drive"),
             )
         self.placed = place_drive(
             find_drive_file(values["drive"]), values["address"], key.format("address"),
@@ -191,20 +191,20 @@ class _Drive:
             return ""
         self._leaving = not self.exchange.close(within)
         if self._leaving:
-            raise RefusedError("the drive is still slowing down, or not heard; ask again")
+            raise RefusedError("the drive is still slowing down, or does not answer; ask again")
         snapshot = self.snapshot
         status = snapshot.status
         self._renew()
-        problem = f"the drive does not stand at the end: {status}"
+        problem = f"the drive is not at rest at the end: {status}"
         if status is None or snapshot.connected:
             # If still connected, the thread has not read that the drive is at rest.
             problem = f"the drive was not heard at the end ({snapshot.problem or 'no last answer'})"
         elif status.stands:
-            return f"let go of the drive: {status}"
+            return f"released the drive: {status}"
         timeout = "off" if snapshot.timeout_known else "not known"
-        ending = f"nothing but its own panel stops it now: its communication timeout is {timeout}"
+        ending = f"only its own panel can stop it now: its communication timeout is {timeout}"
         if snapshot.timeout_s is not None:
-            ending = f"its own timeout of {snapshot.timeout_s:g} s has to stop it"
+            ending = f"its own timeout of {snapshot.timeout_s:g} s must stop it"
         raise OSError(f"{problem}; {ending}")
 
     def why_no_run(self, run: RunIdentity | None) -> str:
@@ -217,8 +217,8 @@ class _Drive:
         if run is not None or why == "":
             return ""
         return (
-            "no plant has said at what speed the time of its levels passes (/run), and "
-            f"{why or 'whether the drive is the drive simulator is not known yet'}"
+            "no plant has published its speed (/run), and "
+            f"{why or 'it is not known yet whether the drive is the drive simulator'}"
         )
 
     def keep_to_speed_of(self, run: RunIdentity | None) -> None:
@@ -240,10 +240,10 @@ class _Drive:
     def absence(self, now: float) -> str:
         """Return why the drive is not heard; empty if it is."""
         if self._leaving:
-            return "no connection to the drive: it is being let go of; clean up first"
+            return "no connection to the drive: it is being released; clean up first"
         if self.status(now) is not None:
             return ""
-        problem = self.snapshot.problem or f"it said nothing for {_DRIVE_AGE_S:g} s"
+        problem = self.snapshot.problem or f"it has not answered for {_DRIVE_AGE_S:g} s"
         return f"no connection to the drive: {problem}"
 
     def timeout_problem(self, snapshot: Snapshot) -> str:
@@ -252,16 +252,16 @@ class _Drive:
         if not snapshot.timeout_known:
             why = f" could not be read ({snapshot.timeout_note})"
         elif seconds is None:
-            why = f" does not guard ({snapshot.timeout_note})"
+            why = f" is not effective ({snapshot.timeout_note})"
         elif seconds > self._limit:
             why = (
-                f" is {seconds:g} s, and must be at most {self._limit:g} s (drive_timeout_limit)"
+                f" is {seconds:g} s, but must be at most {self._limit:g} s (drive_timeout_limit)"
             )
         elif guard is not None and guard.local_settings_decide and not self._stops_locally:
             return (
-                "after the drive's own communication timeout, or this node's end, the pump does "
-                "what is set in itself, which cannot be read: set it to stop there, see that it "
-                "does, and say so (local_settings_stop_the_pump: true); to set it: "
+                "after the drive's own communication timeout, or after this node ends, the pump "
+                "does what is set in it, which cannot be read: set it to stop, see that it does, "
+                "and confirm that (local_settings_stop_the_pump: true); to set it: "
                 f"{guard.how_to_set}"
             )
         else:
@@ -285,8 +285,8 @@ class PumpNode(Lifecycle, LinkedNode):
         self._command_limit: float = values[limit]
         if self.live and self._command_limit <= site.tau:
             raise ConfigurationError(
-                f"must be more than tau of the site, {site.tau:g} s: a command comes once in that "
-                "time", key=f"parameter {limit} of {self.get_name()}", value=self._command_limit,
+                f"must be more than tau of the site, {site.tau:g} s: one command arrives per "
+                "tau", key=f"parameter {limit} of {self.get_name()}", value=self._command_limit,
             )
         settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
         settings["least_speed"] = max(settings["least_speed"], self._drive.placed.file.least_speed)
@@ -389,7 +389,7 @@ class PumpNode(Lifecycle, LinkedNode):
             ends = read_start(until, key=PAUSE_UNTIL.name).timestamp()
             if ends <= time.time():
                 raise ConfigurationError(
-                    "must be a time to come", key=PAUSE_UNTIL.name, value=until
+                    "must be in the future", key=PAUSE_UNTIL.name, value=until
                 )
         self._control.pause(ends)
         if problem := self._ledger.why_not_kept():
@@ -409,7 +409,7 @@ class PumpNode(Lifecycle, LinkedNode):
         while absence := self._drive.absence(boot_time()):
             if boot_time() > until:
                 # The exchange keeps trying: a drive that appears is stopped.
-                raise RefusedError(f"not configured: {absence}; it is tried on, ask again")
+                raise RefusedError(f"not configured: {absence}; still trying, ask again")
             time.sleep(0.02)
         self.reports.hardware = self._drive.snapshot.identity
 
@@ -529,7 +529,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._step(boot_time())
         response.result.successful = not refusal
         response.result.reason = refusal or self._state
-        self.get_logger().info(f"dose asked for: {response.result.reason}")
+        self.get_logger().info(f"dose requested: {response.result.reason}")
         return response
 
     def _kept(self, response: Any, message: str) -> Any:
@@ -610,7 +610,7 @@ class PumpNode(Lifecycle, LinkedNode):
         if status is not None:
             if not status.remote:
                 reasons["drive_local"] = (
-                    "the drive is in local control: hand it over to the bus at its panel"
+                    "the drive is in local control: switch it to bus control at its panel"
                 )
             reasons["second_master"] = self._drive.snapshot.second_master
             reasons["start_failed"] = self._drive.snapshot.start_failed
@@ -634,7 +634,7 @@ class PumpNode(Lifecycle, LinkedNode):
         if now - self._commanded > self._command_limit:
             return f"no command has come for {self._command_limit:g} s (command_limit)"
         if now - self._idle_at > PAUSE_S:
-            return f"this node itself stood still for {now - self._idle_at:.0f} s"
+            return f"this node itself was paused for {now - self._idle_at:.0f} s"
         return ""
 
     def _step(self, now: float) -> None:
@@ -722,7 +722,7 @@ class PumpNode(Lifecycle, LinkedNode):
         )
         if self._site.greatest_dose is not None:
             self._diagnose_dose()
-        diagnose("flow", OK, f"known so: {decision.source}", "", "")
+        diagnose("flow", OK, f"source: {decision.source}", "", "")
         self._diagnose_command()
         bad = [level for level in (self._cistern, self._roof) if not level.good]
         self.say(
@@ -730,8 +730,8 @@ class PumpNode(Lifecycle, LinkedNode):
             bad[0].verdict.code if bad else "",
         )
         blind = (
-            "blind: a level is unknown, or both were not known for "
-            f"{self._settings.averaging_time:g} s yet"
+            "blind: a level is unknown, or both have not yet been known for "
+            f"{self._settings.averaging_time:g} s"
         )
         self.say(
             "delivery", blind if decision.blind_for else "",
@@ -795,7 +795,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self.diagnose("command", STALE, silence, "no_command")
         else:
             code = command.verdict.code or "two_controllers"
-            self.say("command", trouble, silence or "commands come", code)
+            self.say("command", trouble, silence or "commands are arriving", code)
 
     def _diagnose_drive(self, now: float) -> None:
         if self.lifecycle_state == UNCONFIGURED and not self._autostart:

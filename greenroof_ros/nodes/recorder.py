@@ -60,7 +60,7 @@ class RecorderNode(LinkedNode):
             self._bag = BagWriter(Path(directory), self._in_bag)
         except FileExistsError:
             raise ConfigurationError(
-                "exists; the recorder never writes over a bag", key="directory", value=directory
+                "exists; the recorder never overwrites a bag", key="directory", value=directory
             ) from None
         self._closed = False
         self._looked_at = 0.0
@@ -114,8 +114,8 @@ class RecorderNode(LinkedNode):
                 f"{name}: {count}" for name, count in came.items() if count != ticks
             )
             raise LockstepError(
-                f"of each topic {ticks} messages should have come; messages were lost or came "
-                f"twice: {wrong}"
+                f"expected {ticks} messages of each topic; some were lost or arrived twice: "
+                f"{wrong}"
             )
 
     def summary(self) -> dict[str, Any]:

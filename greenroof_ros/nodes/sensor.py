@@ -40,7 +40,7 @@ _AWAITED_S = 5.0
 def parameters(site: Site | None = None) -> list[Parameter]:
     """Return the parameters of sensor nodes, which are the same at every site."""
     sensors = Parameter(
-        "sensors_file", str(default_sensors()), meaning="what the sensors are like, and where"
+        "sensors_file", str(default_sensors()), meaning="the sensors and their addresses"
     )
     limits = dict.fromkeys(LIMITS[quantity.topic_name] for quantity in QUANTITIES.values())
     return [sensors, *limits]
@@ -65,7 +65,7 @@ class SensorNode(LinkedNode):
         sensor = read_sensors(file, values).by_section.get(section)
         if sensor is None:
             raise ConfigurationError(
-                "is missing: it says where the sensor is", file=file, key=section
+                "is missing: it describes the sensor", file=file, key=section
             )
         self._topic, unit = quantity.topic_name, quantity.topic.unit
         # A missing level stops the pump; other missing quantities need not.
@@ -87,7 +87,7 @@ class SensorNode(LinkedNode):
         if now - max(reading.read_at, self._started) > self._hangs_s:
             self._value = None
             self.diagnose(
-                self._part, STALE, "the sensor is not read any more: the reader hangs",
+                self._part, STALE, "the sensor is no longer read: the reader hangs",
                 "sensor_hangs",
             )
         elif reading.read_at > self._published or (

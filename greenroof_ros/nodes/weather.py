@@ -85,35 +85,35 @@ def parameters(site: Site) -> list[Parameter]:
             "empty: the file's own if it has one",
         ),
         Parameter(
-            "gaps", REFUSE, meaning="refuse a run in which an hour is missing, or fill it: rain "
-            "with none, all else with the mean at that time of day over three days before and "
-            "after",
+            "gaps", REFUSE, meaning="refuse a run with a missing hour, or fill it: rain with "
+            "none, everything else with the mean at that time of day over the three days before "
+            "and after",
             among=GAPS,
         ),
         Parameter(
-            "horizon", 0.0, "", 0.0, LONGEST_HORIZON, "h that the forecasts reach, in steps that "
-            "grow; 0: the M ticks that come",
+            "horizon", 0.0, "", 0.0, LONGEST_HORIZON, "how far the forecasts reach (h), in "
+            "growing steps; 0: the next M ticks",
         ),
         Parameter(
-            "all_members", False, meaning="of an ensemble: for lookahead; otherwise the first",
+            "all_members", False, meaning="publish all members of an ensemble, not only the first",
         ),
         Parameter(
             "forecast", str(forecast),
-            meaning=f"{', '.join(MODELS)}, or a file or directory of archived "
-            "ones; live: a FILE.csv, read again whenever it is replaced, or empty: there is none",
+            meaning=f"{', '.join(MODELS)}, or a file or directory of archived ones; live: a "
+            "FILE.csv, read again whenever it is replaced, or empty for none",
         ),
         Parameter(
-            "fetch", "", meaning="live: Open-Meteo's forecast is fetched as the FILE.csv of "
-            "forecast, and kept beside it where it is new: of its interface forecast or ensemble; "
-            "empty: somebody else writes the file",
+            "fetch", "", meaning="live: fetch the FILE.csv of forecast from this interface of "
+            "Open-Meteo, and also keep each new one next to it; empty: somebody else writes the "
+            "file",
             among=("", *INTERFACES),
         ),
         Parameter(
-            "fetch_model", "", meaning="weather model by Open-Meteo's name; empty: its own choice",
+            "fetch_model", "", meaning="Open-Meteo's name of the weather model; empty: its choice",
         ),
-        Parameter("fetch_url", "", meaning="of a server like Open-Meteo's; empty: theirs"),
+        Parameter("fetch_url", "", meaning="server compatible with Open-Meteo; empty: its own"),
         Parameter(
-            "fetch_every", 30.0, "min", 10.0, 1440.0, "from one fetched forecast to the next"
+            "fetch_every", 30.0, "min", 10.0, 1440.0, "time between two fetched forecasts"
         ),
         Parameter(
             "forecast_skill", forecast.skill,
@@ -123,20 +123,20 @@ def parameters(site: Site) -> list[Parameter]:
         NUMBERS["members"],
         replace(
             delay, low=delay.default, meaning=f"{delay.meaning}; {delay.default:g}: "
-            f"{SERVICE_DELAY_H:g} of the first two, and what is usual of a file's kind",
+            f"{SERVICE_DELAY_H:g} for the first two, and what is usual for a file's kind",
         ),
         Parameter(
-            "dressed", "", meaning="a file: FILE.csv of greenroof verify --dress, by which each "
-            "forecast is an ensemble of what fell after similar ones; live, it is added to; empty: "
-            "none",
+            "dressed", "", meaning="with a file of forecasts: FILE.csv from greenroof verify "
+            "--dress, which replaces each forecast by an ensemble of the rain observed after "
+            "similar ones; live, new observations are added; empty: none",
         ),
         Parameter(
-            "issue_limit", 7200.0, "s", 1.0, 1e6, "live: how long ago the newest forecast of the "
+            "issue_limit", 7200.0, "s", 1.0, 1e6, "live: how long ago the newest forecast in the "
             "file may have been issued",
         ),
         Parameter(
             "unknown_frost_may_pump", False, meaning="live: without a temperature there is no "
-            "frost; otherwise the pumps stand",
+            "frost; otherwise the pumps are kept off",
         ),
         *live_parameters(_GAUGES),
     ]
@@ -152,7 +152,7 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
     try:
         choice = choose(values[name])
         if values["live"] and choice.file is None:
-            raise ValueError("must be a FILE.csv in a live graph, or empty where there is none")
+            raise ValueError("must be a FILE.csv in a live graph, or empty for none")
         name = "forecast_skill"
         check_skill(values[name])
     except ValueError as error:
@@ -374,13 +374,13 @@ class WeatherNode(LinkedNode):
             if of_record is None:
                 self.diagnose("forecast", ERROR, why, "forecast_missing", unreadable)
             else:
-                why = f"the record of past weather stands for a forecast: {why}"
+                why = f"the record of past weather replaces the forecast: {why}"
                 self.diagnose("forecast", WARN, why, "forecast_of_record", unreadable)
             return of_record
         age = (now - outlook.issued).total_seconds()
         self.reports.numbers["forecast"] = {"issued_ago_s": age}
         issued = f"the newest forecast was issued at {to_people(outlook.issued)}"
-        trouble = problem and f"{issued}; what was read before holds on: {problem}"
+        trouble = problem and f"{issued}; the previously read forecast stays in use: {problem}"
         self.say("forecast", trouble, issued, unreadable, WARN)
         return outlook
 
@@ -389,11 +389,11 @@ class WeatherNode(LinkedNode):
         if not math.isnan(temperature):
             self.diagnose("frost", OK, "the temperature is known")
             return float(temperature <= 0)
-        level, pumps = WARN, "may run all the same"
+        level, pumps = WARN, "may run anyway"
         if math.isnan(self._unknown_frost):
             level, pumps = ERROR, "stand"
         self.diagnose(
-            "frost", level, "the temperature is unknown, and so whether there is frost: the pumps "
+            "frost", level, "the temperature is unknown, so there may be frost: the pumps "
             f"{pumps} (unknown_frost_may_pump)", "temperature_unknown",
         )
         return self._unknown_frost

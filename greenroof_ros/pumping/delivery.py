@@ -279,8 +279,8 @@ def _missing_on_roof(over: _Sums) -> str:
 def _lost_from_cistern(over: _Sums) -> str:
     fell = -over.cistern
     cause = (
-        "the pump runs although it should stand (a stuck contactor), or its flow is more than "
-        "is measured" if over.roof > fell / 2
+        "the pump runs although it should be off (a stuck contactor), or its flow is larger than "
+        "measured" if over.roof > fell / 2
         else "a leak, or somebody else takes water"
     )
     by_outlet = f" and {over.drained:.2f} m3 by its low outlet" if over.drained else ""

@@ -114,7 +114,7 @@ class Doses:
         age = now - request
         if not -_AHEAD_S <= age <= EXPIRES_S:
             return (
-                f"the request is {age:.0f} s old and must be at most {EXPIRES_S:g} s: ask again, "
+                f"the request is {age:.0f} s old, but must be at most {EXPIRES_S:g} s: ask again, "
                 "or set the clocks"
             )
         if request <= self._newest:
@@ -123,7 +123,7 @@ class Doses:
         if refusal := self.refusal(against):
             return refusal
         if volume < least:
-            return f"a dose must be at least {least:.3f} m3, what the pump delivers once it is on"
+            return f"a dose must be at least {least:.3f} m3, the pump's least pulse"
         self.last = Dose(request, volume, max(0.0, age))
         return ""
 

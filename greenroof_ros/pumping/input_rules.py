@@ -166,7 +166,7 @@ class LevelRule:
         """Take a value (m), and judge whether water can have reached it."""
         if value > self._reach.highest:
             return Verdict(
-                "input_refused", f"is {value:.4g} m, and here no level is above "
+                "input_refused", f"is {value:.4g} m, but no level here is above "
                 f"{self._reach.highest:g} m: is its unit wrong?",
             )
         if value != self._value:
@@ -194,7 +194,7 @@ class LevelRule:
         self._old_low, self._old_high = low, high
         end = high if value > high else low
         return Verdict(
-            "input_jump", f"jumped: {before:.4g} m, and {passed:.3g} s later {value:.4g} m, where "
+            "input_jump", f"jumped: {before:.4g} m, and {passed:.3g} s later {value:.4g} m, but "
             f"water can be at {max(end, 0.0):.4g} m, give or take {half:g} m (jump_tolerance)",
         )
 
@@ -262,7 +262,7 @@ class InputRules:
         if self._came is not None:
             self._came = None
             self._newest = Verdict(
-                "input_paused", f"is unknown: this node itself stood still for {seconds:.0f} s"
+                "input_paused", f"is unknown: this node itself was paused for {seconds:.0f} s"
             )
 
     def judge(self, now: float, publishers: str = "") -> Verdict:
@@ -280,8 +280,8 @@ class InputRules:
             self._good_since = now
         if now - self._good_since < self._recovery:
             return Verdict(
-                _RECOVERING, f"{self._broken.why}; now it is good, and counts after "
-                f"{self._recovery:g} s of that (recovery_time)",
+                _RECOVERING, f"{self._broken.why}; now it is good, and counts once it has been so "
+                f"for {self._recovery:g} s (recovery_time)",
             )
         return verdict
 

@@ -82,7 +82,7 @@ INTERLOCKS = {
     "daily_volume": Interlock(INHIBIT, _LIMITS, "greatest_volume_per_day"),
     "daily_run": Interlock(INHIBIT, _LIMITS, "greatest_run_per_day"),
     "not_active": Interlock(
-        ENABLE, _NODE, "autostart", by="itself; activate, where somebody asked for another state",
+        ENABLE, _NODE, "autostart", by="itself; or activate, if another state was requested",
     ),
     "drive_lost": Interlock(ENABLE, _NODE, "exchange_period"),
     "drive_local": Interlock(ENABLE, _NODE, by=_AT_PANEL),

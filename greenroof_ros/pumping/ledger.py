@@ -259,7 +259,7 @@ class Ledger:
         """
         self._save()
         if not DISK.wait(within):
-            return self.problem or f"{self._file} is not yet on the disk; it is written on"
+            return self.problem or f"{self._file} is not yet on the disk; writing continues"
         return self.problem
 
     def close(self) -> str:
@@ -308,13 +308,13 @@ def _why(file: Path, error: Exception) -> str:
     """Return why a file cannot be written, in words."""
     if isinstance(error, LockedError):
         return (
-            f"{file} cannot be written: process {error.holder or 'unknown'} has it already; end "
-            "that process, and this one goes on by itself, or give this one another file "
+            f"{file} cannot be written: process {error.holder or 'unknown'} already uses it; end "
+            "that process and this one continues by itself, or give this one another file "
             "(--state, state_file)"
         )
     why = getattr(error, "strerror", None) or repr(error)
     return (
-        f"{file} cannot be written: {why}; a restart would not know of a stop, a fault, and how "
+        f"{file} cannot be written: {why}; a restart would not know of a stop, a fault, or how "
         "much was pumped"
     )
 
@@ -345,7 +345,7 @@ def _make(file: Path, record: Record) -> None:
         OSError: for instance, there is no room.
     """
     if file.exists() and not file.is_file():
-        raise FileExistsError(errno.EEXIST, "it is there and no file")
+        raise FileExistsError(errno.EEXIST, "it exists but is not a file")
     file.parent.mkdir(parents=True, exist_ok=True)
     beside = file.with_name(file.name + ".new")
     with beside.open("wb") as stream:
@@ -386,7 +386,7 @@ def _read(file: Path) -> tuple[Record, int, bool]:
     numbered, problems = [], []
     try:
         if not stat.S_ISREG(file.stat().st_mode):
-            raise ValueError("it is no file")
+            raise ValueError("it is not a file")
         with file.open("rb") as stream:
             content = stream.read(2 * _LINE + 1)
         if len(content) != 2 * _LINE:
@@ -404,8 +404,8 @@ def _read(file: Path) -> tuple[Record, int, bool]:
     sequence, record = max(numbered, key=lambda pair: pair[0], default=(0, Record()))
     if problems:
         unknown = (
-            f"{file} cannot be read ({'; '.join(problems)}), so whether there was a stop or a "
-            "fault is not known; look at the pump, then release it"
+            f"{file} cannot be read ({'; '.join(problems)}), so it is unknown whether there was a "
+            "stop or a fault; check the pump, then release it"
         )
         record = replace(record, unknown=record.unknown or unknown)
     return record, sequence, not problems

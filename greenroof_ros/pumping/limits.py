@@ -57,36 +57,36 @@ class PumpSettings:
     """
 
     least_speed: float = entry(
-        "least speed of the drive, share of the rated one; its drive file's where that is larger",
+        "least speed of the drive, share of the rated one; its drive file's if that is larger",
         0.05, 1.0, unit="1", default=0.3,
     )
     least_flow: float = entry(
-        "least continuous flow of the pump, share of the maximum; below it there are pulses",
+        "least continuous flow of the pump, share of the maximum; below it the pump runs in pulses",
         0.01, 1.0, unit="1", default=_LEAST_FLOW,
     )
     ramp: float = entry(
-        "how fast the asked speed changes while the pump runs; the drive has a ramp of its own",
+        "how fast the requested speed changes while the pump runs; the drive also has its own ramp",
         0.001, 10.0, unit="1/s", default=1.0,
     )
     least_on: float = entry(
-        "how long the pump stays on, once it is", 0.0, 3600.0, unit="s", default=10.0
+        "shortest time on", 0.0, 3600.0, unit="s", default=10.0
     )
     least_off: float = entry(
-        "how long the pump stays off, once it is", 0.0, 3600.0, unit="s", default=10.0
+        "shortest time off", 0.0, 3600.0, unit="s", default=10.0
     )
     starts_per_hour: float = entry(
-        "starts in any hour; by default the site's", 1.0, 3600.0, unit="1/h"
+        "most starts in any hour; by default the site's", 1.0, 3600.0, unit="1/h"
     )
     greatest_run: float = entry(
-        "time on without a break; by default in which a fifth of the flow fills an empty roof",
+        "longest unbroken run; default: a fifth of the flow fills an empty roof in this time",
         1.0, DAY_S, unit="s",
     )
     greatest_run_per_day: float = entry(
-        "time on in 24 h; by default in which a fifth of the flow delivers the day's volume",
+        "most time on in 24 h; default: a fifth of the flow delivers the day's volume in it",
         1.0, DAY_S, unit="s",
     )
     greatest_volume_per_day: float = entry(
-        "pumped in 24 h; by default 1.5 times an empty roof's filling and 10 mm for the plants",
+        "most pumped in 24 h; default: 1.5 times an empty roof's filling and 10 mm for the plants",
         1e-6, 1e9, unit="m3",
     )
     suction_hysteresis: float = entry(
@@ -94,30 +94,30 @@ class PumpSettings:
         0.0, 10.0, unit="m", default=0.02,
     )
     drive_ramp: float = entry(
-        "the drive's own ramp, from rest to rated speed and back, the longer of both; no drive may "
-        "have a longer one than by default",
+        "the drive's own ramp, from rest to rated speed or back, whichever is longer; the default "
+        "is the longest that a drive may have",
         0.0, 30.0, unit="s", default=30.0,
     )
     follow_tolerance: float = entry(
-        "how far the speed may be from the asked one, or from what the ramp has reached on the way "
-        "there, share of the rated one; less than the least speed",
+        "how far the speed may be from the requested one, or from what the ramp has reached on "
+        "the way there, share of rated speed; less than the least speed",
         0.01, 1.0, unit="1", default=0.1,
     )
     follow_time: float = entry(
-        "how long it may be farther, before that is a fault", 0.1, 600.0, unit="s", default=12.0
+        "how long it may be farther off before that is a fault", 0.1, 600.0, unit="s", default=12.0
     )
     averaging_time: float = entry(
         "time over which the delivery check averages levels and volumes",
         1.0, 3600.0, unit="s", default=60.0,
     )
     level_tolerance: float = entry(
-        "change of a mean level that the delivery check leaves unexplained; 13 times the noise of "
-        "the mean of readings each second with 5 mm, and above what a sensor resolves",
+        "unexplained change of a mean level that the delivery check tolerates; 13 times the noise "
+        "of the mean of one reading per second with 5 mm, and above a sensor's resolution",
         1e-4, 1.0, unit="m", default=0.006,
     )
     level_offset: float = entry(
-        "how far a level sensor may be from the truth, above or below, for good; so far above the "
-        "suction level is the dry-run cut",
+        "greatest permanent error of a level sensor, up or down; the dry-run cut is this far "
+        "above the suction level",
         0.0, 1.0, unit="m", default=0.02,
     )
     least_delivery: float = entry(
@@ -137,8 +137,8 @@ class PumpSettings:
         """
         if self.follow_tolerance >= self.least_speed:
             raise ConfigurationError(
-                f"must be less than least_speed, {self.least_speed:g}: a pump that "
-                "stands would count as running, and a pump that runs on after a stop as standing",
+                f"must be less than least_speed, {self.least_speed:g}: a pump at rest would count "
+                "as running, and one that runs on after a stop as at rest",
                 key="follow_tolerance", value=self.follow_tolerance,
             )
 
@@ -249,10 +249,10 @@ class Limits:
             reasons["frost"] = "there is frost"
         if (quiet := self._site.quiet) is not None:
             if time_ns is None:
-                reasons["quiet_hours"] = "whether it is in quiet hours is not known: no time came"
+                reasons["quiet_hours"] = "no time has arrived, so these may be quiet hours"
             elif quiet.quiet_at(time_ns):
                 end = to_people(quiet.end_after(time_ns))
-                reasons["quiet_hours"] = f"it is in quiet hours, until {end}"
+                reasons["quiet_hours"] = f"these are quiet hours, until {end}"
         if command == 0:
             self._rests_for = 0.0
         if self._rests_for > 0:
@@ -260,15 +260,15 @@ class Limits:
                 f"it ran for {_minutes(settings.greatest_run)} without a break; it rests "
                 f"until the command is 0, or for {_minutes(self._rests_for)}"
             )
-        again = f"goes on in {_minutes(DAY_S - record.day_elapsed)}"
+        again = f"resumes in {_minutes(DAY_S - record.day_elapsed)}"
         if record.day_volume >= settings.greatest_volume_per_day:
             reasons["daily_volume"] = (
-                f"{record.day_volume:.2f} m3 were pumped in this day, the most is "
+                f"{record.day_volume:.2f} m3 were pumped in this 24-h period, the limit is "
                 f"{settings.greatest_volume_per_day:g} m3; {again}"
             )
         if record.day_run >= settings.greatest_run_per_day:
             reasons["daily_run"] = (
-                f"it ran for {_minutes(record.day_run)} in this day, the most is "
+                f"it ran for {_minutes(record.day_run)} in this 24-h period, the limit is "
                 f"{_minutes(settings.greatest_run_per_day)}; {again}"
             )
         return reasons

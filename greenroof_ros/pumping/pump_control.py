@@ -126,7 +126,7 @@ class PumpControl:
         self._pulses = Pulses(site, settings)
         self._delivery = DeliveryCheck(site, settings)
         self._doses = Doses(site, ledger.now)
-        self._against = "it was not looked at yet"  # reason against running, at the last step
+        self._against = "it has not been checked yet"  # reason against running, at the last step
         self._least_pulse = math.inf  # at the last level (m3)
         self._setpoint: float | None = None
         # Speed that the slowest allowed ramp has reached on the way to the requested speed (share
@@ -200,10 +200,10 @@ class PumpControl:
             return "there is no fault"
         row = INTERLOCKS.get(record.fault_code)
         if row is None or not row.on_page:
-            return "such a fault is cleared at the pump node, by somebody who has looked"
+            return "such a fault is cleared at the pump node, by somebody who has checked the pump"
         wait = record.page_clears_from - record.elapsed
         if wait > 0:
-            return f"a fault is cleared here once in 24 h, and not for {wait / 3600:.1f} h more"
+            return f"a fault can be cleared here once in 24 h; again in {wait / 3600:.1f} h"
         return ""
 
     def clear_on_page(self) -> None:
@@ -327,7 +327,7 @@ class PumpControl:
             room = self._site.x2_star - self._site.roof_volume(observed.roof_level)
             if not full and room < self._least_pulse:
                 self._against = (
-                    "the roof lacks less of its target than the pump delivers once it is on"
+                    "the roof needs less than the pump's least pulse to reach its target"
                 )
             if (dose := self._doses.present) is not None:
                 dose.begun, dose.why = dose.begun or setpoint is not None, why
@@ -347,7 +347,7 @@ class PumpControl:
             # A drive that is heard but reports an implausible speed has not timed out.
             stands = not heard and self._must_stand()
             if not stands and not backwards:
-                why += "; whether the pump stands is not known"
+                why += "; it is not known whether the pump is at rest"
                 state = "unknown" if state == "off" else state
         else:
             stands = setpoint is None and not turning
@@ -374,7 +374,7 @@ class PumpControl:
         """
         site = self._site
         if self._setpoint is None and observed.speed is not None and observed.speed <= STANDS:
-            return 0.0, "the pump stands"
+            return 0.0, "the pump is at rest"
         level = site.z_o if observed.cistern_level is None else observed.cistern_level
         most = _GREATEST_FLOW * flow_at(site, 1.0, level)
         for flow, source in (
@@ -384,8 +384,8 @@ class PumpControl:
                 return flow, source
             if flow is not None:
                 warnings.append(
-                    f"{source}: a flow of {flow:g} m3/s is not believed, the pump delivers "
-                    f"{most / _GREATEST_FLOW:.3g} m3/s at most"
+                    f"{source}: a flow of {flow:g} m3/s is not believable: the pump delivers at "
+                    f"most {most / _GREATEST_FLOW:.3g} m3/s"
                 )
         return computed, "unknown, taken as 0" if computed is None else "computed from the speed"
 
@@ -445,8 +445,8 @@ class PumpControl:
         if self._flowed_for <= self._settings.follow_time:
             return ""
         return (
-            f"{measured:.3g} m3/s flow, by the meter, for {self._flowed_for:.0f} s, although the "
-            "drive says that the pump stands: perhaps a contact is welded, and only the main "
+            f"a flow of {measured:.3g} m3/s, by the meter, for {self._flowed_for:.0f} s, although "
+            "the drive reports the pump at rest: perhaps a contact is welded, and only the main "
             "switch stops the pump; or the meter is wrong"
         )
 
@@ -468,11 +468,11 @@ class PumpControl:
         reasons = {"delivery": undelivered, "runs_on": self._flows_at_rest(drive_dt, observed)}
         if observed.speed is not None and self._follow_error_for > self._settings.follow_time:
             off = self._setpoint is None
-            expected = "it was ordered to stop" if off else f"{self._setpoint:.2f} is asked for"
+            expected = "it was ordered to stop" if off else f"{self._setpoint:.2f} is requested"
             reasons["runs_on" if off else "speed_not_followed"] = (
                 f"the speed does not follow: the pump turns at {observed.speed:.2f} of its speed, "
-                f"and {expected}, for {self._follow_error_for:.0f} s, which a ramp of "
-                f"{self._settings.drive_ramp:g} s (drive_ramp) does not explain"
+                f"but {expected}, for {self._follow_error_for:.0f} s; a ramp of "
+                f"{self._settings.drive_ramp:g} s (drive_ramp) does not explain this"
             )
         if self._failed_starts >= _FAILED_STARTS:
             reasons["speed_not_followed"] = (

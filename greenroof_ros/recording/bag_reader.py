@@ -120,7 +120,7 @@ def load_bag(
     samples = stamps[stamps >= max(series[topic].times[0] for topic in _NEEDED)]
     if len(samples) < 2:
         raise ConfigurationError(
-            f"must hold two samples of {', '.join(_NEEDED)} at least, not {len(samples)}",
+            f"must hold at least two samples of {', '.join(_NEEDED)}, not {len(samples)}",
             file=bag,
         )
     spacings = np.diff(samples)
@@ -293,5 +293,5 @@ def _gap_note(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str:
         named.append(f"and {len(gaps) - _MOST_NAMED} more, {hours.sum():.3g} h in all")
     return (
         f"no message came from {', '.join(named)}: command, weather and flows are unknown there "
-        "and count as 0, and the levels as they were before"
+        "and count as 0, and the levels keep their last values"
     )

@@ -94,7 +94,7 @@ def read_parquet(path: Path) -> Trajectory:
         polars.exceptions.PolarsError, polars.exceptions.PanicException, KeyError, ValueError
     ) as error:
         raise ConfigurationError(
-            "is empty, cut short or no trajectory; make the run again", file=path
+            "is empty, truncated or not a trajectory; repeat the run", file=path
         ) from error
     return Trajectory(
         start=start, **{name: table[column].to_numpy() for name, column in _COLUMNS.items()}

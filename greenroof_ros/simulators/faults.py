@@ -42,21 +42,21 @@ class Fault:
 NONE = "none"
 DRIVE_FAULTS: Mapping[str, Fault] = {
     NONE: Fault(0, "no fault"),
-    "refused": Fault(1, "connections are refused, and those that there are closed"),
+    "refused": Fault(1, "connections are refused, and existing ones are closed"),
     "dropped": Fault(2, "every request closes its connection"),
     "half_open": Fault(3, "connections are accepted, but no request gets through"),
     "silence": Fault(4, "requests are obeyed, but never answered"),
     "slow": Fault(5, "answers come late, but in time", "ms", 200),
-    "late": Fault(6, "answers come when the client has given up", "ms", 1500),
+    "late": Fault(6, "answers come after the client has given up", "ms", 1500),
     "split": Fault(7, "answers come byte by byte", "ms between two bytes", 5),
     "garbage": Fault(8, "random bytes come instead of answers", "how many", 16),
     "wrong_unit": Fault(9, "answers come from the next device id"),
     "wrong_function": Fault(10, "answers are to the next function code"),
     "wrong_length": Fault(11, "answers lack their last byte"),
-    "absurd_value": Fault(12, "the register of the speed reads nonsense", "the raw value", 0x7FFF),
+    "absurd_value": Fault(12, "the speed register reads nonsense", "the raw value", 0x7FFF),
     "exception": Fault(13, "every request is refused", "exception code", 4),
     "drive_fault": Fault(
-        14, "the drive trips and cannot be reset while this stands",
+        14, "the drive trips and cannot be reset while this is active",
         "code, or bits, in its register of faults; 0: the first of the drive file", 0,
     ),
     "speed_stays": Fault(15, "the speed stays as it is"),
@@ -68,9 +68,9 @@ DRIVE_FAULTS: Mapping[str, Fault] = {
     "timeout_off": Fault(18, "the drive's communication timeout is turned off, for good"),
     "refused_writes": Fault(19, "every write is refused", "exception code", 6),
     "runs_on": Fault(
-        20, "ordered to stop, the drive says that it is off, and the motor runs on, until the "
-        "drive's communication timeout passes",
-        "how long each connection lasts, s; 0: for ever", 0,
+        20, "ordered to stop, the drive reports off, but the motor runs on until the drive's "
+        "communication timeout expires",
+        "how long each connection lasts, s; 0: forever", 0,
     ),
 }
 RELAY_FAULTS: Mapping[str, Fault] = {
@@ -78,9 +78,9 @@ RELAY_FAULTS: Mapping[str, Fault] = {
     "timer_off": Fault(18, "the relay's timer is turned off, for good"),
     "timer_long": Fault(21, "the relay's timer is set, for good", "s", 120),
     "power_up_on": Fault(22, "the relay is set to be on after power-up, for good"),
-    "deaf": Fault(23, "the relay answers, and neither switches on nor off but by its timer"),
+    "deaf": Fault(23, "the relay answers, but only its timer switches it"),
     "auto_on": Fault(25, "a Shelly is set to switch itself on again after off, for good"),
-    "welded": Fault(24, "the contact does not open any more; the relay says what it was ordered"),
+    "welded": Fault(24, "the contact no longer opens; the relay reports what was ordered"),
 }
 SITE_FAULTS: Mapping[str, Fault] = {
     NONE: Fault(0, "no fault"),
@@ -90,14 +90,14 @@ SITE_FAULTS: Mapping[str, Fault] = {
     "cistern_noisy": Fault(
         4, "the cistern's sensor is noisy", "standard deviation in 0.1 mm", 500
     ),
-    "cistern_drifting": Fault(5, "the cistern's sensor drifts upwards", "0.1 mm in a minute", 100),
+    "cistern_drifting": Fault(5, "the cistern's sensor drifts upwards", "0.1 mm per minute", 100),
     "roof_frozen": Fault(6, "the roof's sensor repeats its last reading"),
     "roof_silent": Fault(7, "the roof's sensor does not answer"),
     "roof_absurd": Fault(8, "the roof's sensor reads nonsense", "the raw value", 0xFFFE),
     "roof_noisy": Fault(9, "the roof's sensor is noisy", "standard deviation in 0.1 mm", 100),
-    "roof_drifting": Fault(10, "the roof's sensor drifts upwards", "0.1 mm in a minute", 50),
+    "roof_drifting": Fault(10, "the roof's sensor drifts upwards", "0.1 mm per minute", 50),
     "burst_pipe": Fault(11, "pumped water does not arrive on the roof"),
-    "leak": Fault(12, "the cistern loses water", "ml in a second", 500),
+    "leak": Fault(12, "the cistern loses water", "ml per second", 500),
     "closed_valve": Fault(13, "the pump moves no water, however it runs"),
 }
 
@@ -106,7 +106,7 @@ def add_option(parser: argparse.ArgumentParser, known: Mapping[str, Fault]) -> N
     """Add the option ``--fault`` to a command."""
     parser.add_argument(
         "--fault", type=functools.partial(_read_fault, known=known), default=NONE,
-        metavar="KIND[=PARAMETER]", help="a fault from the start; see below",
+        metavar="KIND[=PARAMETER]", help="fault that is active from the start; see below",
     )
 
 

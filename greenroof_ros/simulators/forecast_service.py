@@ -34,16 +34,16 @@ FAULTS = {
     NONE: "no fault",
     "refused": "connections are accepted and closed",
     "silent": "requests are never answered",
-    "slow": "answers come a few bytes in a second",
+    "slow": "answers come a few bytes per second",
     "truncated": "answers break off in the middle",
-    "broken": "answers are no JSON",
+    "broken": "answers are not JSON",
     "limit": "429 Too Many Requests, with Retry-After: 120",
     "error": "503 Service Unavailable",
     "unit": "precipitation is in a unit that the service does not have",
     "length": "the series of temperature is an hour short",
     "missing": "every value is null",
-    "old": "answers are of last month",
-    "clock": "the service's clock is a day late",
+    "old": "answers are from last month",
+    "clock": "the service's clock is a day behind",
 }
 _MEMBERS = 11
 _SUN_W_PER_M2 = 0.6 * 1367

@@ -208,7 +208,7 @@ class Server:
         )
         if not await server.listen():
             raise ConfigurationError(
-                "cannot be opened: another program has the port, the address is not of this "
+                "cannot be opened: another program uses the port, the address is not one of this "
                 "machine, or you may not use it; or there is no such serial device",
                 key="address", value=str(self.address),
             )
@@ -343,7 +343,7 @@ class Bench(ABC):
             flush=True,
         )
         if name != faults.NONE and not self.inject(name, parameter):
-            raise ConfigurationError("is no exception code", key="--fault", value=parameter)
+            raise ConfigurationError("is not an exception code", key="--fault", value=parameter)
         await self.run(ended)
         for server in (*self.servers, self._workbench):
             server.close()

@@ -72,7 +72,7 @@ class SimulatedRelay(ABC):
         """Simulate up to now."""
         if self._clock() >= self._off_at:
             self._set(False)
-            self.say("its timer has passed: off")
+            self.say("its timer has expired: off")
         self._stuck = self.welded and (self._stuck or self.on)
 
     def switch(self, on: bool, seconds: float | None) -> None:

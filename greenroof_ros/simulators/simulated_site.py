@@ -127,8 +127,8 @@ class SiteBench(Bench):
 
         if len(read()) < sum(map(len, ranges.values())):
             raise ConfigurationError(
-                "two sensors answer to the same register: this cannot be simulated, input and "
-                "holding registers are one here",
+                "two sensors answer to the same register: this cannot be simulated, since input "
+                "and holding registers are the same here",
                 key="register", value=max(registers[0] for registers in ranges.values()),
             )
         return Device(read, hears=hears)
@@ -178,8 +178,8 @@ class SiteBench(Bench):
         """Run the site until the end; after a pause of this process, catch up."""
         if self._drive is None:
             print(
-                "no drive is connected: the pump never runs, no water reaches the roof; with a "
-                "drive simulator that runs, add --drive-at and its workbench, such as "
+                "no drive is connected: the pump never runs, no water reaches the roof; if a "
+                "drive simulator runs, add --drive-at with its workbench, such as "
                 "tcp://127.0.0.1:5021",
                 flush=True,
             )
@@ -231,7 +231,7 @@ class SiteBench(Bench):
         except DriveError as error:
             drive.close()
             if not self._drive_gone:
-                self.say(f"{error}: the pump counts as standing")
+                self.say(f"{error}: the pump is taken to be at rest")
             self._drive_gone = True
             return 0.0
         if self._drive_gone:

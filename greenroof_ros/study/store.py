@@ -209,15 +209,17 @@ class _WithoutTexts(ast.NodeTransformer):
 def _numbers(engine: str) -> dict[str, str]:
     """Return the versions of everything that affects a run's numbers; stored runs must match.
 
-    For this package they are a digest of the code in the relevant folders, without comments and
+    For this package they are a digest of the relevant code, without comments and
     docstrings, and the constants of the named forecast skills. With the engine ``ros``, graph and
     nodes are relevant, too.
     """
     package = Path(__file__).parent.parent
     digest = hashlib.sha256()
-    folders = ["model", "formats", "weather", "forecast", "controllers", "experiment"]
-    for folder in [*folders, "graph", "nodes"] if engine == "ros" else folders:
-        for file in sorted((package / folder).rglob("*.py")):
+    parts = ["model", "formats", "weather", "forecast", "controllers", "experiment"]
+    parts += ["study/case_run.py", "recording/results_table.py"]
+    for part in [*parts, "graph", "nodes"] if engine == "ros" else parts:
+        path = package / part
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             code = ast.dump(_WithoutTexts().visit(ast.parse(file.read_bytes())))
             digest.update(file.relative_to(package).as_posix().encode() + code.encode())
     digest.update(repr(read_skill(REAL)).encode())

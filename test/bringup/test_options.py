@@ -1,4 +1,4 @@
-"""What bringup refuses of a command line, and says of a drive, and of a mistake in itself."""
+"""What bringup refuses on a command line, and what it reports on a drive and on its own errors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def bringup(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]
 
 
 def refused(monkeypatch: pytest.MonkeyPatch, way: str, *words: str) -> str:
-    """Return with what words a command line is refused, which must be so."""
+    """Return the message with which a command line is refused; fail if it is accepted."""
     monkeypatch.setattr(sys, "argv", [way, *words])
     try:
         if way == "live":
@@ -55,7 +55,7 @@ def refused(monkeypatch: pytest.MonkeyPatch, way: str, *words: str) -> str:
 def test_a_controller_keeps_what_it_learned_in_its_own_file(
     controller: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another one would not understand it, and write over it."""
+    """Another controller would not understand the file, and would overwrite it."""
     monkeypatch.setattr(sys, "argv", ["live", *NOBODY, "--controller", controller])
     nodes = LiveSite(live_site_parser().parse_args()).nodes(tmp_path, tmp_path)
     (path,) = (node.parameters["state_file"] for node in nodes if node.name == controller)
@@ -63,7 +63,7 @@ def test_a_controller_keeps_what_it_learned_in_its_own_file(
 
 
 def test_plant_external_is_live(tmp_path: Path) -> None:
-    """Bringup starts all three ways to run: the option leads to live's own command line."""
+    """Bringup starts all three ways to run: this option leads to live's own command line."""
     done = bringup(tmp_path, "--plant", "external", "--pump", "external")
     assert done.returncode == 2 and done.stderr.startswith("error: --sensors FILE: is missing:")
     done = bringup(tmp_path, "--help", "--plant=external")
@@ -73,7 +73,7 @@ def test_plant_external_is_live(tmp_path: Path) -> None:
 
 
 def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: Path) -> None:
-    """A real motor would run on made-up levels, with sixty times the starts per hour."""
+    """A real motor would run on simulated levels, with sixty times the starts per hour."""
     drive = acs880()
     options = ("--drive", "abb_acs880", "--state", "state", "--hours", "0.01", "--speed")
     with closing(Wire(drive)) as wire:
@@ -81,10 +81,10 @@ def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: P
         assert not drive.written and len(wire.seen) == 1
     assert done.returncode == 2
     assert done.stderr.startswith(
-        "error: --speed = '60': is for the drive simulator alone, at loopback or on a pseudo-"
+        "error: --speed = '60': is allowed only with the drive simulator, at loopback or on a "
     )
-    assert "what is there does not identify itself as that" in done.stderr
-    # Of a network for documentation, RFC 5737.
+    assert "the device there does not identify itself as the simulator" in done.stderr
+    # An address of a documentation network, RFC 5737.
     done = bringup(tmp_path, *options, "max", "--drive-at", "tcp://192.0.2.1")
     assert done.returncode == 2
     assert "--speed = 'max'" in done.stderr and done.stderr.count("\n") == 1
@@ -92,7 +92,7 @@ def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: P
     assert not list(tmp_path.iterdir())
 
 
-# Of a live site with a weather node, what is somebody else's; and a drive.
+# A live site with a weather node, and the rest external; and a drive.
 WEATHERED = "live --sensors external --pump external"
 DRIVE = "--drive abb_acs880 --drive-at tcp://127.0.0.1:1"
 WRONG = {
@@ -105,14 +105,14 @@ WRONG = {
         "say whether there is frost; give it if a node of your own publishes /gauge/temperature",
     f"{WEATHERED} --thermometer external --controller onoff --dressed d.csv":
         "--dressed = 'd.csv': is for forecasts of --forecast FILE.csv",
-    f"{WEATHERED} --forecast no.csv": "--forecast = 'no.csv': must be a file that is there",
+    f"{WEATHERED} --forecast no.csv": "--forecast = 'no.csv': must be an existing file",
     f"{WEATHERED} --weather external --forecast forecast.csv":
         "--forecast = 'forecast.csv': is for the weather node",
     f"run --pump external {DRIVE}": "--pump = 'external': leaves the pump to somebody else's node",
     "run --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
     "run --drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
     f"run {DRIVE} --minimum-on 60": "minimum on and off times: must be set in the pump driver",
-    "run --state here": "--state: is of a drive",
+    "run --state here": "--state: is for a drive",
 }
 
 
@@ -122,7 +122,7 @@ def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, words: str) -> N
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    # What has a thermometer of its own needs no other one: only the drive is missing.
+    # The sensor file has a thermometer, so no other one is needed: only the drive is missing.
     (("--drive", "no_such_drive", "--drive-at", "tcp://127.0.0.1:1"), "no_such_drive"),
     (("--pump", "external", "--thermometer", "external"),
      "--thermometer = 'external': contradicts the file of --sensors, which has a thermometer"),
@@ -147,14 +147,14 @@ def test_wrong_namespace(name: str, capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_serial_line_of_a_sensor_and_the_drive(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """One program alone can open it, so that one of both would never be heard."""
+    """Only one program can open it, so the sensor or the drive would never be heard."""
     sensors = tmp_path / "sensors.yaml"
     shipped = (CHECKOUT / "config" / "sensors.yaml").read_text()
     sensors.write_text(shipped.replace("tcp://127.0.0.1:5031", "/dev/ttyS0"))
     assert refused(
         monkeypatch, "live", "--weather", "external", "--sensors", str(sensors),
         "--drive", "danfoss_fc202", "--drive-at", "/dev/ttyS0,1",
-    ).startswith("--drive-at = '/dev/ttyS0,1': is the serial line of the sensor roof, too")
+    ).startswith("--drive-at = '/dev/ttyS0,1': is also the serial line of the sensor roof")
 
 
 NODES = [
@@ -166,23 +166,23 @@ NODES = [
 
 
 def parameters(file: Path) -> list[Path]:
-    """Return what bringup with a drive makes of a parameter file."""
+    """Return the parameter files that bringup with a drive makes from one."""
     arguments = make_parser().parse_args(["--namespace", "site1", "--node-parameters", str(file)])
     return own_parameters(arguments, NODES, find_controller("onoff"))
 
 
 _ONLY_BRINGUP = "must not be given to the node pump"
-# By what a file says: what is refused of it, beginning with its line.
+# By the file's text: what is refused, beginning with its line.
 NO_EFFECT = {
-    # Only bringup says which drive: else the node would run one drive, and bringup stop another.
+    # Only bringup sets the drive: otherwise the node could run one drive, and bringup stop another.
     "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    drive: danfoss_fc202\n":
         f"line 4: /**/pump: drive = 'danfoss_fc202': {_ONLY_BRINGUP}",
     "/**:\n  ros__parameters:\n    address: tcp://127.0.0.1:2\n":
         f"line 3: /**: address = 'tcp://127.0.0.1:2': {_ONLY_BRINGUP}",
-    # A real drive would run on levels of another time than --speed, which is refused, says.
+    # A real drive would run on levels at another speed than --speed, which is refused.
     "site1/plant:\n  ros__parameters:\n    speed: 60.0\n":
         "line 3: site1/plant: speed = 60.0: must not be given to the node plant here: under "
-        "bringup --speed says it",
+        "bringup --speed sets it",
     "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    greatest_volume_per_dai: 0.5\n":
         "line 4: /**/pump: greatest_volume_per_dai = 0.5: there is no such parameter; the closest "
         "is greatest_volume_per_day;",
@@ -201,10 +201,10 @@ NO_EFFECT = {
 
 @pytest.mark.parametrize("text", NO_EFFECT)
 def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> None:
-    """rclpy takes a mistyped limit without a word."""
+    """rclpy accepts a mistyped limit without a warning."""
     pytest.importorskip("rclpy")
     file = tmp_path / "nodes.yaml"
-    with pytest.raises(ConfigurationError, match="must be a file that is there"):
+    with pytest.raises(ConfigurationError, match="must be an existing file"):
         parameters(file)
     file.write_text(text)
     with pytest.raises(ConfigurationError) as error:
@@ -248,38 +248,38 @@ def test_a_state_file_is_a_drives_however_its_address_is_written(
 
 
 def test_a_drive_of_another_program_is_left_to_it() -> None:
-    """As at the end of a second bringup that was started at the same drive by mistake."""
+    """As at the end of a second bringup that was started with the same drive by mistake."""
     with closing(Wire(acs880())) as wire:
         choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
         driver, stop = DriveLock(choice.read()), choice.stopper()
         driver.take()
         assert stop(1) == (
             False,
-            f"another program (process {os.getpid()}) runs the drive: left to it, which may run "
-            "the pump",
+            f"another program (process {os.getpid()}) runs the drive, and may run the pump: "
+            "the drive is left to it",
         )
         assert wire.connections == 0
-        message = "bringup told the drive to stop, which said then: speed 0.0%"
+        message = "bringup ordered the drive to stop; it then reported: speed 0.0%"
         assert stop(os.getpid())[0] and stop(os.getpid())[1].startswith(message)
         driver.release()
         assert stop(1)[0] and stop(1)[1].startswith(message)
 
 
 def test_a_directory_in_use(tmp_path: Path) -> None:
-    """Two bringups must not write into one: another domain would not tell them apart."""
+    """Two bringups must not write into one directory; with another domain they would not notice."""
     (tmp_path / "live").mkdir()
     with take_lock(tmp_path / "live" / "bringup.lock"):
         done = run_command("bringup.live", *NOBODY, cwd=tmp_path, env=environment(0))
     assert done.returncode == 3
     assert done.stderr == (
-        "error: --state = 'live': is of a bringup that runs; end it, or take another directory\n"
+        "error: --state = 'live': belongs to a running bringup; end it, or use another directory\n"
     )
 
 
 def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(
     monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Which has what the pump node says of it, and what to look at; no log."""
+    """With the pump node's message and what to check; without a log."""
     assert in_the_loop._DRIVE_LIMIT_S == 60.0
     monkeypatch.setattr(in_the_loop, "_DRIVE_LIMIT_S", 0.1)
     report = {"diagnoses": {"drive": {"level": "WARN", "message": "cannot connect"}}}
@@ -296,7 +296,7 @@ def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(
 
 
 def test_a_mistake_is_said_with_its_traceback(capfd: pytest.CaptureFixture[str]) -> None:
-    """As all else, by the thread: the interpreter would wait for who reads standard error."""
+    """By the thread, as all output: the interpreter would block on a stderr that nobody reads."""
     written: list[tuple[str, ...]] = []
     record: Any = SimpleNamespace(write=lambda *line: written.append(line), wait=lambda: None)
     supervisor: Any = SimpleNamespace(may_run="")

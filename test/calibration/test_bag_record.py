@@ -1,4 +1,4 @@
-"""Bags as measured records: sums over five minutes of what holds from message to message."""
+"""Bags as measured records: five-minute sums, each value held until the next message."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def write_bag(
 
 
 def test_sums_of_five_minutes(tmp_path: Path) -> None:
-    """Off 100 m2: 1e-5 m/s are 3 mm in 300 s, 2 l/s 6 mm, and 1e-4 m3/s 0.3 mm."""
+    """On 100 m2, 1e-5 m/s are 3 mm in 300 s, 2 l/s are 6 mm, and 1e-4 m3/s is 0.3 mm."""
     bag = write_bag(tmp_path / "bag", range(0, 1810, 10), 1e-4)
     record = read_bag_record(bag, TWIN)
     assert record.start.isoformat() == "2021-07-07T08:00:00+01:00"
@@ -56,15 +56,15 @@ def test_sums_of_five_minutes(tmp_path: Path) -> None:
     assert record.pumped == pytest.approx([4.8, *[6.0] * 5])
     assert record.runoff == pytest.approx(np.full(6, 0.3))
     assert record.level == pytest.approx(0.02 + 300e-6 * np.arange(6))
-    # Nothing says that it was computed, so the site's crop coefficient is not in it.
+    # Nothing says that it was computed, so the site's crop coefficient is not applied.
     assert record.reference == pytest.approx(np.full(6, 0.03))
     assert record.cistern == pytest.approx(np.full(6, 2.0))
-    # While nothing is delivered no command counts.
+    # While nothing is delivered, the command does not count.
     assert record.command == pytest.approx([0.4, *[0.5] * 5])
 
 
 def test_a_command_that_no_pump_follows_is_not_known(tmp_path: Path) -> None:
-    """And without drainage levels count alone."""
+    """Without drainage only levels count as measured."""
     bag = write_bag(
         tmp_path / "bag", range(0, 1810, 10), 0.0, command=lambda now: 1.5 if now == 700 else 1.0
     )
@@ -79,7 +79,7 @@ def test_a_command_that_no_pump_follows_is_not_known(tmp_path: Path) -> None:
 def test_a_crop_coefficient_counts_where_evapotranspiration_was_computed(
     method: str, reference: float, tmp_path: Path
 ) -> None:
-    """That of the run's own site, 0.5, and not that of the site that is fitted, 0.85."""
+    """The run's own site counts with 0.5, not the site that is fitted with 0.85."""
     bag = write_bag(tmp_path / "bag", range(0, 1810, 10), 1e-4)
     (tmp_path / "summary.json").write_text(
         json.dumps({"controller": "onoff", "evapotranspiration_method": method})
@@ -93,9 +93,9 @@ def test_a_crop_coefficient_counts_where_evapotranspiration_was_computed(
 
 
 def test_in_a_gap_the_roof_dries_and_nothing_else_is_known(tmp_path: Path) -> None:
-    """Before a day has passed as before the gap; from then on as a day before.
+    """During the first day it dries as before the gap; later as it did a day before.
 
-    Evapotranspiration is 0.01 mm in 5 min at first and ten times that from 6 to 12 h of each day.
+    Evapotranspiration is 0.01 mm in 5 min at first, and ten times that from 6 to 12 h of each day.
     """
     hour, gaps = 3600, ((2, 8), (27, 33))
     times = [now for now in range(0, 36 * hour, 300)
@@ -112,7 +112,7 @@ def test_in_a_gap_the_roof_dries_and_nothing_else_is_known(tmp_path: Path) -> No
     reference = record.reference
     assert reference[2 * 12 + 1:8 * 12] == pytest.approx(0.01)
     assert reference[8 * 12 + 1:12 * 12] == pytest.approx(0.1)
-    # Of a day before, when it was held.
+    # As a day before, when the value was held.
     assert reference[27 * 12 + 1:32 * 12] == pytest.approx(0.01)
     assert reference[32 * 12 + 1:33 * 12] == pytest.approx(0.1)
 

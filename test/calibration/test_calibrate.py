@@ -1,4 +1,4 @@
-"""The command: the site file and the page that it writes, what it refuses, what it is given."""
+"""The command: the site file and the page that it writes, what it refuses, its input."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def calibrate(directory: Path, *arguments: str) -> subprocess.CompletedProcess[s
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory in which the command has run on a twin, from the paper's site.
+    """A directory in which the command fitted a twin, starting from the paper's site.
 
     Its pumps are worn: their data sheet has 50 m. Its target is more than the roof holds.
     """
@@ -85,12 +85,12 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
         "; counts where evapotranspiration is computed (fao56; hargreaves in calibrate), not with "
         "a weather file's own column"
     )
-    assert site.z_pump == 0.15  # what was not fitted stays, with its comment
+    assert site.z_pump == 0.15  # a value that was not fitted stays, with its comment
     assert "# m       elevation of the pumps above the cistern's base [T1]" in text
 
 
 def test_a_data_sheet_needs_no_record(fitted: Path, tmp_path: Path) -> None:
-    """Two lines of the site file are other ones, and nothing else."""
+    """Exactly two lines of the site file are changed."""
     sheet = str(fitted / "pump.csv")
     ended = calibrate(tmp_path, "--pump-data", sheet, "-o", "pumped.yaml")
     assert ended.returncode == 0, ended.stderr
@@ -120,7 +120,7 @@ NEW = {"c_hat": (50.0, "new"), "z_veg": (0.04, "new"), "wilting_point": (0.05, "
     "text", ["{extends: site.yaml, c_hat: 54, x2_star: 3.14416}", "extends: site.yaml\nz_cap: 34.4"]
 )
 def test_a_site_file_of_any_form_is_edited(text: str, tmp_path: Path) -> None:
-    """In one line or more, with a volume that follows or without."""
+    """On one line or more, with or without a derived volume."""
     file = tmp_path / "own.yaml"
     file.write_text(text)
     new = tmp_path / "edited.yaml"
@@ -134,9 +134,9 @@ def test_a_site_file_of_any_form_is_edited(text: str, tmp_path: Path) -> None:
 
 
 def test_all_else_in_a_site_file_stays() -> None:
-    """Its comments with it, but for what goes on behind an entry that is replaced.
+    """Comments stay, too, except the continuation of an entry that is replaced.
 
-    What would be no site is not written.
+    An invalid site is not written.
     """
     was = PAPER.read_text(encoding="utf-8").splitlines()
     now = edited_site_file(PAPER, NEW, ["Why."]).splitlines()
@@ -159,7 +159,7 @@ def test_all_else_in_a_site_file_stays() -> None:
 
 
 SHEET = "flow [m3/s],head [m]\n"
-# What is written beside the record, the arguments but -o, and what the message has.
+# The content beside the record, the arguments without -o, and part of the message.
 WRONG = {
     "cell": (
         "time,rain [mm],level [m],reference evapotranspiration [mm]\n"

@@ -1,4 +1,4 @@
-"""What speaks against records and fits: right ones are left alone, wrong ones have their code."""
+"""Checks of records and fits: good ones pass, bad ones get their code."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from greenroof_ros.calibration.simulation import simulate
 from greenroof_ros.common.quality import Severity, accept
 
 Change = Callable[[np.ndarray, int], np.ndarray]
-"""What becomes of a column, by how many of its steps are a day."""
+"""changes a column, given the number of its steps in a day"""
 
 
 @cache
 def twin(days: int, hours: int = 0, *, gaps: bool = False) -> Record:
-    """The record of a twin; its sums over so many hours, if any."""
+    """Return the record of a twin; with hours, its sums over this many hours."""
     rows = record_rows(TWIN, days, 1, gaps=gaps)
     with TemporaryDirectory() as directory:
         file = write(summed(rows, hours) if hours else rows, Path(directory) / "twin.csv")
@@ -42,7 +42,7 @@ def shifted(hours: float) -> Change:
 
 
 def fixed(value: float, first: float, end: float = np.inf) -> Change:
-    """The same value from a day on."""
+    """Return a change to a constant value from a day on."""
     def changed(values: np.ndarray, day: int) -> np.ndarray:
         at = np.arange(len(values)) / day
         return np.where((at >= first) & (at < end), value, values)
@@ -50,7 +50,7 @@ def fixed(value: float, first: float, end: float = np.inf) -> Change:
 
 
 def sparse(values: np.ndarray, day: int) -> np.ndarray:
-    """Of every third row."""
+    """Keep only every third row."""
     return np.where(np.arange(len(values)) % 3, np.nan, values)
 
 
@@ -60,7 +60,7 @@ def changed(record: Record, column: str, change: Change) -> Record:
 
 
 def cases(record: Record) -> list[tuple[str, ...]]:
-    """What the checks find: code, case and column, and of a clock whether it is early."""
+    """Return what the checks find: code, case, column, and for a clock whether it is early."""
     return [
         (finding.code, finding.case, finding.about, str(finding.figures.get("side", "")))
         for finding in check_record(record, TWIN)
@@ -69,8 +69,8 @@ def cases(record: Record) -> list[tuple[str, ...]]:
 
 # --- records --------------------------------------------------------------------------------------
 
-# Of a month by five minutes, and of longer sums of a season: columns that are there, the one that
-# is changed and how, and what is found.
+# For five-minute steps of a month, and for longer sums of a season: the columns present, the one
+# that is changed and how, and what is found.
 BOTH, LEVEL = ("runoff", "level"), ("level",)
 OF_A_MONTH: dict[str, tuple[tuple[str, ...], str, Change, tuple[str, ...]]] = {
     "rain in metres": (BOTH, "rain", scaled(0.001), ("unit-error", "little rain", "rain")),
@@ -117,7 +117,7 @@ def test_a_column_of_nothing_is_refused() -> None:
 
 
 def test_what_is_wrong_in_other_months_does_not_count() -> None:
-    """A flow meter that is stuck in April; May to July are right."""
+    """A flow meter that is stuck in April; May to July are good."""
     record = changed(twin(100, 1), "runoff", fixed(0.05, 0, 30))
     assert "sensor-stuck" in [code for code, *_ in cases(record)]
     assert check_record(record.only(in_months(record, "5-7")), TWIN) == []
@@ -127,7 +127,7 @@ def test_what_is_wrong_in_other_months_does_not_count() -> None:
 
 
 def kept_roof(days: int, mm_a_day: float = 4.25) -> Record:
-    """A roof in a dry July that is watered each morning with what evaporates, 0.85 of 5 mm.
+    """A roof in a dry July, watered each morning with its evapotranspiration, 0.85 of 5 mm.
 
     Two showers of 4 and 6 mm; the meter shows no flow below 0.06 mm in 5 min.
     """
@@ -146,7 +146,7 @@ def kept_roof(days: int, mm_a_day: float = 4.25) -> Record:
 
 
 def test_a_well_kept_roof_off_which_nothing_runs_is_right() -> None:
-    """27 days, 125 mm on 100 mm of soil, and no runoff: so a good controller keeps a roof."""
+    """27 days, 125 mm on 100 mm of soil, and no runoff: a good controller does this."""
     record = kept_roof(27)
     assert record.came.sum() == pytest.approx(124.75)
     assert not record.runoff.any()
@@ -154,7 +154,7 @@ def test_a_well_kept_roof_off_which_nothing_runs_is_right() -> None:
 
 
 def test_a_flow_meter_that_shows_nothing_of_too_much_water_is_dead() -> None:
-    """15 mm a day are more than a watered roof evaporates, 1.3 x 5 mm, by 230 mm in 27 days."""
+    """15 mm a day exceed what a watered roof evaporates, 1.3 x 5 mm, by 230 mm in 27 days."""
     record = kept_roof(27, 15.0)
     dead = replace(record, runoff=np.zeros(record.steps), level=None)
     first, second = check_record(dead, TWIN)
@@ -170,7 +170,7 @@ def test_a_flow_meter_that_shows_nothing_of_too_much_water_is_dead() -> None:
 
 
 def of_evapotranspiration(days: int, mm_a_day: float, month: int) -> Record:
-    """A record with the same evapotranspiration at all times."""
+    """Return a record with constant evapotranspiration."""
     wet = np.tile([2.0] + [0.0] * (DAY - 1), days)
     reference = np.full(days * DAY, mm_a_day / DAY)
     record = a_record(wet, month=month, level=np.zeros(days * DAY), reference=reference)
@@ -183,17 +183,17 @@ def of_unit(record: Record, latitude: float | None = TWIN.latitude) -> list[str]
 
 
 def test_a_day_with_too_much_evapotranspiration_is_found() -> None:
-    """4 mm a day, taken for 12 times as much."""
+    """4 mm a day, read as 12 times as much."""
     wrong = of_evapotranspiration(12, 48.0, 6)
     assert of_unit(wrong) == ["day"]
     assert "day" not in [case for _, case, *_ in cases(replace(wrong, reference_column=""))]
 
 
 # Mean reference evapotranspiration of warm and of cool humid regions (FAO-56, Table 2: 4 to 7 and 1
-# to 2 mm a day); a December of central Europe.
+# to 2 mm a day); a December in central Europe.
 @pytest.mark.parametrize(("month", "mm_a_day"), [(6, 7.0), (12, 0.3)])
 def test_a_twelfth_of_a_month_is_found(month: int, mm_a_day: float) -> None:
-    """What each day has may be so little; not where the place is unknown, nor in 29 days."""
+    """A single day can be so low; no finding without a place, nor for 29 days."""
     assert of_unit(of_evapotranspiration(30, mm_a_day, month)) == []
     assert of_unit(of_evapotranspiration(30, mm_a_day / 12, month)) == ["month"]
     assert of_unit(of_evapotranspiration(29, mm_a_day / 12, month)) == []
@@ -204,7 +204,7 @@ def test_a_twelfth_of_a_month_is_found(month: int, mm_a_day: float) -> None:
 
 
 def test_a_refusal_stands_unless_it_is_accepted() -> None:
-    """All of them in one message, a line each; what is accepted is a warning from then on."""
+    """All in one message, a line each; an accepted finding becomes a warning."""
     stuck = FINDINGS.make(
         "sensor-stuck", "stuck", "level", value=0.03, unit="m", hours=30.0, since="noon", fell=12.0
     )
@@ -225,7 +225,7 @@ def test_a_refusal_stands_unless_it_is_accepted() -> None:
 
 MEASURED = np.where(np.arange(240) % 60 < 6, 1.0, 0.0)
 GOOD, HALF_MORE = 0.9 * MEASURED, 1.6 * MEASURED
-# What falls where it rises has the mean's volume and an NSE of 1 - 4 = -3, of hours and of days.
+# Falls where the data rise: the mean's volume, and NSE 1 - 4 = -3 of hours and of days.
 OPPOSITE = 2 * MEASURED.mean() - MEASURED
 
 
@@ -235,7 +235,7 @@ def row(part: str, simulated: np.ndarray, step_s: float = 3600.0) -> Scores:
 
 
 def test_a_fit_is_judged_by_the_half_that_it_has_not_seen() -> None:
-    """And is none where it is worse than the mean everywhere; of daily sums days judge."""
+    """There is no fit if it is worse than the mean everywhere; daily sums are judged by days."""
     worse = "worse than the mean of what was measured in the half that it has not seen (NSE of run"
     for fitted, judged, step_s, code, text in (
         (OPPOSITE, OPPOSITE, 3600.0, "no-fit",
@@ -258,7 +258,7 @@ def test_a_fit_is_judged_by_the_half_that_it_has_not_seen() -> None:
 
 
 def test_dry_nights_show_noise_and_drift() -> None:
-    """A level with a noise of 2 mm and a drift of -3 mm a month, of 60 days."""
+    """A level of 60 days with a noise of 2 mm and a drift of -3 mm a month."""
     step = np.arange(60 * DAY)
     sun = (step % DAY >= 72) & (step % DAY < 216)
     true = 0.03 - 1e-6 * np.cumsum(sun)

@@ -1,4 +1,4 @@
-"""Measured records as CSV: what is read from them, which step a row is of, what is refused."""
+"""Measured records as CSV: what is read, which step a row belongs to, what is refused."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from greenroof_ros.formats.records import Table
 
 
 def small(header: str, *cells: str, rows: int = 120) -> str:
-    """A file of rows with the same cells in each, five minutes apart."""
+    """Return a file of rows five minutes apart with the same cells in each."""
     times = (f"2021-06-{1 + row // 288:02}T{row % 288 // 12:02}:{row % 12 * 5:02}"
              for row in range(rows))
     return "\n".join([header, *(",".join([time, *cells]) for time in times), ""])
 
 
 def test_units_come_to_mm_of_a_step_and_m(tmp_path: Path) -> None:
-    """12 mm/h are 1 mm in 5 minutes; 2 l/s off 100 m2 6 mm, and 50 l 0.5 mm."""
+    """12 mm/h are 1 mm in 5 minutes; on 100 m2, 2 l/s are 6 mm, and 50 l are 0.5 mm."""
     file = tmp_path / "record.csv"
     file.write_text(small(
         "time,rain [mm/h],runoff [l/s],pumped [l],level [mm],reference evapotranspiration [mm/day]",
@@ -44,7 +44,7 @@ def test_units_come_to_mm_of_a_step_and_m(tmp_path: Path) -> None:
     [("0.04", 0.01), ("3", 1.0), ("0.30000000000000004", 0.1), ("0.00515464", 1e-8)],
 )
 def test_the_last_decimal_of_runoff(runoff: str, last_decimal: float, tmp_path: Path) -> None:
-    """Of 100 m2: 1 in the last place of litres is a hundredth of that in mm."""
+    """On 100 m2, 1 in the last place of litres is a hundredth of that in mm."""
     file = tmp_path / "record.csv"
     for unit, factor in (("mm", 1.0), ("l", 0.01)):
         file.write_text(small(
@@ -54,9 +54,9 @@ def test_the_last_decimal_of_runoff(runoff: str, last_decimal: float, tmp_path: 
 
 
 def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(tmp_path: Path) -> None:
-    """At 3 m the paper's pumps lift sqrt((3 + 55.2 - 16) / 1 / b^-2), Eq. 3e.
+    """At 3 m the paper's pumps deliver sqrt((3 + 55.2 - 16) / 1 / b^-2), Eq. 3e.
 
-    Without the cistern's level a pump that runs lifts nobody knows what, one that stands 0.
+    Without the cistern's level the flow of a running pump is unknown; a pump at rest delivers 0.
     """
     text = small(
         "time,rain [mm],level [m],pump state [%],cistern level [m],"
@@ -98,12 +98,12 @@ def test_missing_rows_and_empty_cells_are_gaps(tmp_path: Path) -> None:
     assert record.steps == 120
     assert np.flatnonzero(np.isnan(record.rain)).tolist() == list(range(60, 70))
     assert np.flatnonzero(np.isnan(record.runoff)).tolist() == [20, *range(60, 70)]
-    # A sensor that failed has often seen a part of the steps beside only.
+    # A sensor that failed has often missed a part of the neighbouring steps.
     assert np.flatnonzero(~record.known).tolist() == [19, 20, 21, *range(59, 71)]
 
 
 RAIN, RUNOFF, LEVEL, LEAST, GREATEST = LINES[0].split(",")[1:]
-# A text of the file, what stands in its place, and what is said.
+# A text of the file, its replacement, and the message.
 WRONG = {
     "no rain column": (RAIN, "pumped [mm]", "line 1: there must be a column 'rain [mm]'"),
     "nothing measured": (
@@ -142,7 +142,7 @@ START = datetime(2021, 4, 1, 0, 3, tzinfo=timezone.utc)
 
 
 def steps(since: np.ndarray) -> tuple[list[int], float]:
-    """Steps of rows at some seconds since the first."""
+    """Return the steps of rows at these times (s) since the first."""
     times = [START + timedelta(seconds=float(second)) for second in since]
     texts = [time.isoformat() for time in times]
     table = Table(Path("roof.csv"), ["time"], {"time": texts}, 1, range(2, len(times) + 2))
@@ -170,9 +170,9 @@ def test_rows_that_are_on_no_clock_are_refused(since: np.ndarray, message: str) 
 
 
 def test_two_rows_of_one_step_are_put_together(tmp_path: Path) -> None:
-    """Amounts add up, rates and levels are averaged; what one row leaves empty is not known.
+    """Amounts add up, rates and levels are averaged; a cell that is empty in one row is unknown.
 
-    After the row of 2:00 comes one of 2:02, with which the clock was set, and then 2:05.
+    After the row of 2:00 comes one of 2:02, when the clock was set, and then 2:05.
     """
     lines = small(
         "time,rain [mm],runoff [mm/h],level [m],least temperature [degC],"

@@ -29,16 +29,16 @@ ELSEWHERE = replace(
     TWIN, field_capacity=0.3, z_cap=3.0, wilting_point=0.02, depletion_fraction=0.5,
     drainage_time=300.0, crop_coefficient=1.0,
 )
-"""Where the fit begins."""
+"""the site at which the fit starts"""
 
 
 def true_value(name: str) -> float:
-    """What the twin's parameter is."""
+    """Return the twin's true parameter."""
     return FILLED_AT_FIRST if name == FILLED else float(getattr(TWIN, name))
 
 
 def values_of(parameters: list[Parameter]) -> dict[str, float]:
-    """The values that the record identifies; the truth is in each interval."""
+    """Return the values that the record identifies; each interval must contain the truth."""
     known = [parameter for parameter in parameters if parameter.interval]
     for parameter in known:
         assert parameter.low <= true_value(parameter.name) <= parameter.high, parameter
@@ -47,7 +47,7 @@ def values_of(parameters: list[Parameter]) -> dict[str, float]:
 
 @cache
 def twin(hours: int, days: int, seed: int = 2) -> Record:
-    """A record with a noise of 2 mm, of so many hours a step; 0 means five minutes."""
+    """Return a record with a noise of 2 mm and steps of this many hours; 0 means five minutes."""
     rows = record_rows(TWIN, 150, seed, gaps=False)[:1 + days * DAY]
     with TemporaryDirectory() as directory:
         file = write(summed(rows, hours) if hours else rows, Path(directory) / "twin.csv")
@@ -55,9 +55,9 @@ def twin(hours: int, days: int, seed: int = 2) -> Record:
 
 
 def test_a_twin_is_recovered() -> None:
-    """From six weeks; and the fit says how far it is.
+    """From six weeks; the fit reports its progress.
 
-    Each stage in turn; the share grows with each simulation, and ends at 1.
+    Stages come in order; the share grows with each simulation, and ends at 1.
     """
     record = twin(0, 45)
     progress: list[tuple[str, float]] = []
@@ -81,9 +81,9 @@ def test_a_twin_is_recovered() -> None:
 
 
 def test_runoff_alone_tells_only_what_the_soil_holds_between() -> None:
-    """Field capacity and wilting point count by their difference; the level tells them apart.
+    """Only the difference of field capacity and wilting point matters; the level separates them.
 
-    So the interval of the field capacity allows for any wilting point, also for the true one.
+    So the interval of the field capacity allows for any wilting point, including the true one.
     """
     record = replace(twin(1, 100), level=None)
     fitted = fit(ELSEWHERE, record, record.known)
@@ -108,7 +108,7 @@ def test_levels_alone_tell_nothing_of_the_drainage_layer() -> None:
 
 
 def test_a_dead_day_of_a_sensor_does_not_decide() -> None:
-    """A level that reads 8 cm too much for a day, among 100: the loss is robust."""
+    """A level that reads 8 cm too high for one day in 100: the loss is robust."""
     record = twin(1, 100)
     level = record.level.copy()
     level[20 * 24:21 * 24] += 0.08
@@ -117,10 +117,10 @@ def test_a_dead_day_of_a_sensor_does_not_decide() -> None:
 
 
 def test_longer_steps_do_not_make_more_runoff() -> None:
-    """Of 150 days, with the true drainage time in the site file: of six hours it is not fitted.
+    """150 days, with the true drainage time in the site file; six-hour steps do not fit it.
 
-    Rain comes evenly in a simulated step, and so runs off late. Step against step, a fit of these
-    records of six hours makes up for that by 15 % more runoff.
+    In a simulated step rain falls evenly, and so runs off late. Fitted step by step, these
+    six-hour records would make up for that by 15 % more runoff.
     """
     record = twin(6, 150)
     site = replace(ELSEWHERE, drainage_time=TWIN.drainage_time)
@@ -136,7 +136,7 @@ def test_longer_steps_do_not_make_more_runoff() -> None:
 
 
 def test_of_daily_sums_the_soil_is_found() -> None:
-    """Of 110 days' sums and morning levels; how fast the roof drains they cannot tell."""
+    """110 daily sums and morning levels; they cannot show how fast the roof drains."""
     record = twin(24, 110, seed=1)
     fitted = fit(ELSEWHERE, record, record.known)
     values = values_of(fitted.parameters)
@@ -147,8 +147,8 @@ def test_of_daily_sums_the_soil_is_found() -> None:
     assert not drainage.interval
     assert drainage.words == "steps of 1 day are too long to tell it"
     assert drainage.value == fitted.site.drainage_time == ELSEWHERE.drainage_time
-    # Of twelve days' runoff there are four sums of four days at most, and of the roof five
-    # parameters that could be fitted.
+    # Twelve days of runoff give at most four sums of four days, but the roof has five parameters
+    # that could be fitted.
     few = {name: getattr(record, name)[:12] for name in ("rain", "reference", "pumped", "runoff")}
     fitted = fit(ELSEWHERE, replace(record, **few, level=None), np.full(12, True))
     assert len(values_of(fitted.parameters)) <= 4
@@ -158,7 +158,7 @@ def test_of_daily_sums_the_soil_is_found() -> None:
 def test_the_interval_of_a_mean_is_that_of_students_t() -> None:
     """The jackknife of a mean is its standard error, s / sqrt(n) (Efron 1982, chapter 3).
 
-    One group says nothing; one that tells most leaves fewer degrees of freedom than there are.
+    One group gives no interval; a dominant group reduces the degrees of freedom.
     """
     values = np.array([2.0, 3.5, 1.0, 4.0, 2.5, 6.0])
     count = len(values)

@@ -17,17 +17,17 @@ from greenroof_ros.model.site import Site
 
 TICK_S = 60.0
 SITE = replace(TWIN, a_in=1000.0)
-"""With the pump curve of Table I, and rain of a catchment that fills the cistern again."""
+"""with the pump curve of Table I, and a catchment whose rain refills the cistern"""
 
 
 @cache
 def twin(
     site: Site, days: int, seed: int = 1, *, refills: bool = False, shortest: bool = False
 ) -> Record:
-    """A cistern whose pumps run twice a day: ten minutes at full command, twenty at half.
+    """A cistern with pumps that run twice a day: ten minutes at full command, twenty at half.
 
-    The shortest runs are of five minutes at full command. If it is refilled, then once a week
-    during a run or beside it, with 1 to 5 m3 in 5 to 15 min.
+    The shortest runs are five minutes at full command. With refills, once a week 1 to 5 m3 come
+    in 5 to 15 min, during a run or near it.
     """
     random = np.random.default_rng(seed)
     rain = storms(days, random)
@@ -57,7 +57,7 @@ def twin(
 
 
 def later(record: Record, steps: int) -> Record:
-    """A record whose pump state is late by some steps; at its beginning or end the pumps stand."""
+    """Return a record with a pump state that is late by some steps; the pumps stand at its ends."""
     return replace(record, command=np.roll(record.command, steps))
 
 
@@ -66,7 +66,7 @@ def cases(pumps: PumpFit) -> list[str]:
 
 
 def hits(pumps: PumpFit, true: Site) -> bool:
-    """Whether the flow of the true pumps (l/s) lies in the interval."""
+    """Return whether the true pumps' flow (l/s) lies in the interval."""
     assert cases(pumps)[0] == "flow"
     figures = pumps.findings[0].figures
     flow = 1000 * maximum_pump_flow(true, figures["level"] * SITE.a1)
@@ -74,11 +74,11 @@ def hits(pumps: PumpFit, true: Site) -> bool:
 
 
 WORN = replace(SITE, c_hat=48.0)
-"""They lift a tenth less than the site's curve says; levels change the head of 40 m by 2."""
+"""deliver a tenth less than the site's curve; levels change the head of 40 m by 2 m"""
 
 
 def test_the_flow_of_worn_pumps_is_found() -> None:
-    """With a refill a week, of a fifth to all of what a run takes."""
+    """With a refill a week, a fifth to all of a run's volume."""
     pumps = fit_pumps(SITE, twin(WORN, 60, refills=True))
     assert cases(pumps) == ["flow", "left out"] and hits(pumps, WORN)
     figures = pumps.findings[0].figures
@@ -112,7 +112,7 @@ def test_short_runs_are_said_to_tell_less() -> None:
 
 
 def test_intervals_of_one_week_hold_the_truth() -> None:
-    """In 12 records of ten runs and more; right intervals miss three times and more in 2 %."""
+    """12 records with ten runs or more; correct intervals miss three or more times in 2 %."""
     inside, fits, seed = 0, 0, 0
     while fits < 12:
         seed += 1
@@ -124,7 +124,7 @@ def test_intervals_of_one_week_hold_the_truth() -> None:
 
 
 def test_of_pumps_with_little_head_the_whole_curve_is_found() -> None:
-    """A lift of 2 to 4 m, as the cistern stands."""
+    """A lift of 2 to 4 m, depending on the cistern's level."""
     low = replace(SITE, d=3.0, c_hat=4.0, a_hat=-9e4)
     pumps = fit_pumps(replace(low, c_hat=5.0, a_hat=-6e4), twin(low, 60))
     assert hits(pumps, low)
@@ -135,10 +135,10 @@ def test_of_pumps_with_little_head_the_whole_curve_is_found() -> None:
 
 
 def test_where_no_run_is_seen_nothing_is_said() -> None:
-    """It rains all the time; the cistern stands at its outlet or its valve; gaps part all runs."""
+    """Rain all the time; the cistern at its outlet or its valve; gaps that split all runs."""
     record = twin(WORN, 30)
     level = record.cistern.copy()
-    level[::2] = np.nan  # between two there is never one step of a run
+    level[::2] = np.nan  # no step of a run lies between two values
     for site, seen in (
         (SITE, replace(record, rain=np.full(record.steps, 0.01))),
         (replace(SITE, z_o=1.0), record),
@@ -152,7 +152,7 @@ def test_where_no_run_is_seen_nothing_is_said() -> None:
 
 
 def test_what_no_pumps_do_is_refused() -> None:
-    """A cistern that stands still; percent that are called shares; a clock three steps late."""
+    """A cistern that stands still; percent labelled as shares; a clock three steps late."""
     record = twin(WORN, 30)
     still = np.random.default_rng(1).normal(2.0, NOISE_M, record.steps)
     for wrong, code, text in (

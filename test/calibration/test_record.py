@@ -1,4 +1,4 @@
-"""Storms of a record, what of it is compared, its months and its halves."""
+"""Storms of a record, the steps that are compared, its months and its halves."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ DAY = 24 * HOUR
 
 
 def of_rain(days: int, rain: dict[int, float]) -> Record:
-    """A record of five-minute steps with rain and without runoff in some of them."""
+    """Return a record of five-minute steps with rain in some of them and without runoff."""
     depths = np.zeros(days * DAY)
     depths[list(rain)] = list(rain.values())
     return a_record(depths, runoff=np.zeros(days * DAY))
 
 
 def test_six_dry_hours_part_two_storms_and_a_day_ends_one() -> None:
-    """Of daily sums a dry day parts two; the record's end ends the last."""
+    """In daily sums a dry day separates two storms; the record's end ends the last storm."""
     record = of_rain(6, {
         10: 1.0, 10 + 6 * HOUR: 2.0,  # six hours later: the same storm
         20 + 13 * HOUR: 4.0,  # more than six hours later: the next
@@ -49,7 +49,7 @@ def test_six_dry_hours_part_two_storms_and_a_day_ends_one() -> None:
 
 @pytest.mark.parametrize("what", ["rain", "pumped", "runoff"])
 def test_a_storm_in_which_something_was_not_seen_is_left_out_whole(what: str) -> None:
-    """On another day the step and those beside it."""
+    """On another day only the step and its neighbours are left out."""
     record = of_rain(6, {100: 5.0, 4 * DAY: 5.0})
     series = getattr(record, what).copy()
     series[[120, 3 * DAY]] = np.nan
@@ -61,7 +61,7 @@ def test_a_storm_in_which_something_was_not_seen_is_left_out_whole(what: str) ->
 
 
 def test_halves_have_the_same_water_and_no_storm_in_common() -> None:
-    """Half has come on the second day of the first long storm; the dry day after it parts."""
+    """Half of the water has come on the second day of the first storm; the next dry day splits."""
     record = of_rain(8, {10: 1.0, DAY: 2.0, DAY + HOUR: 3.0, 5 * DAY: 4.0})
     steps = np.arange(record.steps) != 7
     earlier, later = halve(record, steps).values()
@@ -73,7 +73,7 @@ def test_halves_have_the_same_water_and_no_storm_in_common() -> None:
 
 
 YEAR = np.zeros(365 * 24)
-# On a clock of UTC+1, on which months begin; an hour before it is July in UTC.
+# Months begin by a clock of UTC+1; an hour before it is July in UTC.
 SINCE_JULY = replace(
     a_record(YEAR, 3600.0), start=datetime(2021, 7, 1, tzinfo=timezone(timedelta(hours=1)))
 )

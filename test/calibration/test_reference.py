@@ -1,4 +1,4 @@
-"""Evapotranspiration of a record: gaps of its own column, and by the temperatures of its days."""
+"""Evapotranspiration of a record: gaps in its own column, and from the temperatures of its days."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NAME = "reference evapotranspiration [mm/day]"
 def read(
     file: Path, minutes: np.ndarray, values: list[str], month: int = 6, column: str = NAME
 ) -> Record:
-    """A record of rows so long after the month's beginning, and their evapotranspiration."""
+    """Return a record of rows at these minutes of a month, with their evapotranspiration."""
     start = datetime(2021, month, 1)  # noqa: DTZ001 - on the clock of the site
     rows = [f"{(start + timedelta(minutes=float(after))).isoformat()},0,0.02,{value}"
             for after, value in zip(minutes, values, strict=True)]
@@ -33,7 +33,7 @@ EMPTY, NO_ROW = "is empty", "there is no row of 2021-06-01T02:30:00"
 
 @pytest.mark.parametrize("what", [EMPTY, NO_ROW])
 def test_an_hour_may_be_missing_and_no_more(what: str, tmp_path: Path) -> None:
-    """It grows by 0.01 mm/day from row to row, and so it does through the gap."""
+    """It grows by 0.01 mm/day from row to row, and also through the gap."""
     file = tmp_path / "record.csv"
     row = np.arange(120)
     values = 2 + 0.01 * row
@@ -51,7 +51,7 @@ def test_an_hour_may_be_missing_and_no_more(what: str, tmp_path: Path) -> None:
 
 
 def test_at_the_ends_an_hour_may_be_missing_too(tmp_path: Path) -> None:
-    """And 0 throughout is no evapotranspiration."""
+    """And a column of zeros is not evapotranspiration."""
     cells = [""] * 12 + ["3"] * 96 + [""] * 12
     record = read(tmp_path / "record.csv", 5 * np.arange(120), cells)
     assert record.reference == pytest.approx(np.full(120, 3 / 288))
@@ -66,7 +66,7 @@ def test_at_the_ends_an_hour_may_be_missing_too(tmp_path: Path) -> None:
 
 
 def test_a_clock_that_is_set_leaves_no_gap(tmp_path: Path) -> None:
-    """Set on four times, together by more than half a step: one step has no row then."""
+    """Set forward four times, together by more than half a step, so one step has no row."""
     minutes = 360 * np.arange(500)
     for row in range(100, 500, 100):
         minutes[row:] += 55
@@ -76,7 +76,7 @@ def test_a_clock_that_is_set_leaves_no_gap(tmp_path: Path) -> None:
 
 
 def with_temperatures(file: Path, extremes: dict[int, str]) -> Path:
-    """Write two months of hours from 1 April on, and the temperatures of some of their days."""
+    """Write two months of hours from 1 April on, with the temperatures of some days."""
     first = datetime(2021, 4, 1)  # noqa: DTZ001 - on the clock of the site
     rows = ["time,rain [mm],level [m],least temperature [degC],greatest temperature [degC]"]
     for day in range(60):
@@ -88,9 +88,9 @@ def with_temperatures(file: Path, extremes: dict[int, str]) -> Path:
 
 
 def test_temperatures_that_show_no_day_are_refused(tmp_path: Path) -> None:
-    """None after ten days; none in the first half of April, as of a logger out in winter; none.
+    """None after ten days; none in early April, as of a logger put away in winter; none at all.
 
-    Those of every sixth hour show no extremes; and a day's least may be above its greatest.
+    Six-hourly temperatures show no extremes; and a day's least must not exceed its greatest.
     """
     file = tmp_path / "record.csv"
     for extremes, message in (
@@ -109,14 +109,14 @@ def test_temperatures_that_show_no_day_are_refused(tmp_path: Path) -> None:
 
 
 LYON = replace(TWIN, latitude=45 + 43 / 60, longitude=4.85, utc_offset=1.0)
-# Least and greatest temperature of 13 to 16 July; those of the 15th are FAO-56's Example 20.
+# Least and greatest temperature of 13 to 16 July; the 15th is FAO-56's Example 20.
 DAYS = {13: (8.0, 40.0), 14: (4.0, 9.0), 15: (14.8, 26.6), 16: (-2.0, 38.0)}
 
 
 def times() -> list[datetime]:
-    """Rows from 8:23 on, whose clock is set on by 2 min at 18:00: then there is one of 0:00.
+    """Rows from 8:23 on, with a clock that is set forward by 2 min at 18:00: one row is at 0:00.
 
-    The step that 0:00 lies in begins at 23:58, as the steps go on from the first row.
+    The step with 0:00 begins at 23:58, because the steps continue from the first row.
     """
     rows = [datetime(1998, 7, 13, 8, 23) + timedelta(minutes=5 * row)  # noqa: DTZ001 - site's clock
             for row in range(12 * 24 * 3)]
@@ -134,7 +134,7 @@ def reference(file: Path, columns: str, cells: dict[datetime, str], empty: str) 
 
 
 def test_a_row_has_the_temperatures_of_its_own_day(tmp_path: Path) -> None:
-    """In the first row of each day, in each row, or as the day's course: the same.
+    """In the first row of each day, in each row, or as the day's course: the results are equal.
 
     By Example 20 the 15th has 5.0 mm; the days beside it are much colder and much warmer.
     """
@@ -147,7 +147,7 @@ def test_a_row_has_the_temperatures_of_its_own_day(tmp_path: Path) -> None:
     file = tmp_path / "record.csv"
     in_first = reference(file, extremes, first, ",")
     assert reference(file, extremes, every, ",") == pytest.approx(in_first)
-    # Of a day's course three quarters must be there: not so of the 13th and the 16th.
+    # Three quarters of a day's course are required: the 13th and the 16th have less.
     whole = slice(188, 188 + 2 * 288)
     of_course = reference(file, "temperature [degC]", course, "")
     assert of_course[whole] == pytest.approx(in_first[whole])

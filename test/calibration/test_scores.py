@@ -1,4 +1,4 @@
-"""Scores, against worked figures of others."""
+"""Scores, compared with published examples."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from greenroof_ros.calibration.scores import efficiency, kling_gupta, score
 
 
 def test_nash_and_sutcliffe_kling_and_gupta() -> None:
-    """The example of the documentation of the package HydroErr, and its figures there."""
+    """The example in the documentation of the package HydroErr, with its results."""
     simulated = np.array([5, 7, 9, 2, 4.5, 6.7])
     measured = np.array([4.7, 6, 10, 2.5, 4, 7])
     assert efficiency(simulated, measured) == pytest.approx(0.922093023255814, rel=1e-12)
@@ -25,12 +25,12 @@ def test_the_mean_is_worth_0_and_minus_0_41() -> None:
     almost = mean + 1e-9 * np.tile([1.0, 1.0, -2.0, -1.0, -1.0, 2.0], 500)
     assert efficiency(mean, measured) == 0.0
     assert kling_gupta(almost, measured) == pytest.approx(1 - np.sqrt(2), abs=1e-3)
-    # By what does not vary nothing is judged.
+    # Constant data give no score.
     assert np.isnan(efficiency(measured, mean)) and np.isnan(kling_gupta(mean, measured))
 
 
 def test_longer_sums_forgive_a_delay() -> None:
-    """A day's runoff an hour late: nothing right by the hour, all by the day."""
+    """A day's runoff an hour late scores below 0 by the hour, and perfectly by the day."""
     measured = np.zeros(4 * 24)
     measured[[10, 60]] = 5.0, 2.0
     seconds = 3600 * np.arange(96)
@@ -41,7 +41,7 @@ def test_longer_sums_forgive_a_delay() -> None:
 
 
 def test_gaps_say_nothing_of_a_level() -> None:
-    """Days of 4, 1 and 2 values, of 1, 3 and 2 cm: the mean of the days is worth 0."""
+    """Days of 4, 1 and 2 values with levels of 1, 3 and 2 cm: the daily mean has NSE 0."""
     days = np.array([0, 0, 0, 0, 1, 2, 2])
     measured = np.array([0.01, 0.03, 0.02])[days]
     seconds = 86400 * days + 3600 * np.array([0, 1, 2, 3, 5, 0, 9])

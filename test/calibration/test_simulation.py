@@ -1,4 +1,4 @@
-"""The roof under a record's rain is the plant's; what its runoff meter shows of that."""
+"""The roof under a record's rain behaves like the plant; what its runoff meter shows of that."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TICK_S = 5.0
 
 
 def by_the_plant(record: Record, filled: float) -> tuple[np.ndarray, np.ndarray]:
-    """Runoff (mm) and level (m) of each step, by the plant with ticks of seconds."""
+    """Return runoff (mm) and level (m) of each step, from the plant with ticks of seconds."""
     plant = Plant(
         replace(TWIN, tau=TICK_S, z_o=1e9), 1e6,
         TWIN.wilting_volume + filled * TWIN.available_volume,
@@ -38,7 +38,7 @@ def by_the_plant(record: Record, filled: float) -> tuple[np.ndarray, np.ndarray]
 
 @pytest.mark.parametrize(("step_s", "days"), [(300.0, 5), (3600.0, 5), (6 * 3600.0, 10)])
 def test_the_plant_does_the_same(step_s: float, days: int) -> None:
-    """An hour's rain or pumping is as much as that of five minutes elsewhere."""
+    """With long steps, rain or pumping of an hour is as much as five minutes' in other records."""
     random = np.random.default_rng(3)
     steps = round(days * 86400 / step_s)
     rain = np.resize(storms(20, random)[1000:], steps)
@@ -59,7 +59,7 @@ def of_runoff(runoff: np.ndarray | None, last_decimal: float = 0.0) -> Record:
 
 
 def test_a_counter_of_tips_misses_nothing() -> None:
-    """Tips of a litre off 194 m2, as in Berlin, or printed with two decimals; a flow meter does.
+    """Tips of a litre from 194 m2, as in Berlin, or printed with two decimals; a flow meter does.
 
     Nor does anything get lost without a meter.
     """
@@ -71,14 +71,14 @@ def test_a_counter_of_tips_misses_nothing() -> None:
     for runoff, last_decimal, least in (
         (None, 0.0, 0.0), (np.zeros(6), 0.0, 0.0),
         (np.array([0, tip, 2 * tip, 0, 60 * tip, np.nan]), 0.0, 0.0),
-        (printed, 0.01, 0.0), (printed, 0.0, printed.min()),  # with more decimals it is no counter
+        (printed, 0.01, 0.0), (printed, 0.0, printed.min()),  # more decimals: not a counter
         (flows, 0.01, flows.min()),
     ):
         assert least_reading(of_runoff(runoff, last_decimal)) == least
 
 
 def test_a_flow_meter_shows_nothing_below_its_least() -> None:
-    """The lowest readings of Neubrandenburg's, which are of no common tip."""
+    """The lowest readings of Neubrandenburg's meter, which are not multiples of a tip."""
     readings = np.array([0, 0.00605509, 0.01215386, 0.01829655, 0.02448339, 0.03071464])
     least = least_reading(of_runoff(readings))
     assert least == pytest.approx(0.00605509)

@@ -1,4 +1,4 @@
-"""What a thread writes: in order, in limited room, on a disk that works, hangs or is full."""
+"""A thread that writes to disk in order, in limited memory, even if the disk hangs or is full."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TOO_LONG_S = 60
 
 
 class Newest:
-    """Writes what is newest, into a list."""
+    """Writes the newest value, into a list."""
 
     def __init__(self) -> None:
         self.value = 0
@@ -58,7 +58,7 @@ def test_the_newest_waits_once_and_a_mistake_in_one_job_ends_no_other(
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
-    """By the next process; before the first there is nothing."""
+    """The next process reads it; before the first write there is nothing."""
     file = tmp_path / "site" / "numbers.json"
     numbers = Kept(file)
     assert numbers.read() == {}
@@ -77,7 +77,7 @@ def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path, content: str) 
 
 
 def test_a_disk_that_hangs_holds_nobody_up(tmp_path: Path) -> None:
-    """A pipe that nobody reads: the end waits two seconds, and what is newest is written later."""
+    """With a pipe that nobody reads, the end waits two seconds; the newest is written later."""
     os.mkfifo(tmp_path / ".numbers.json.part")
     numbers = Kept(tmp_path / "numbers.json")
     began = time.monotonic()
@@ -89,14 +89,14 @@ def test_a_disk_that_hangs_holds_nobody_up(tmp_path: Path) -> None:
     time.sleep(max(0.0, began + 2.5 - time.monotonic()))
     assert numbers.problem == "the disk takes nothing"
     woken = (tmp_path / ".numbers.json.part").rename(tmp_path / "pipe")
-    with woken.open() as pipe:  # the disk wakes up
+    with woken.open() as pipe:  # the disk works again
         assert '"a": ' in pipe.read()
     numbers.close()
     assert numbers.read() == {"a": 2.0} and numbers.problem == ""
 
 
 def test_a_process_ends_while_the_disk_hangs(tmp_path: Path) -> None:
-    """Within what its end waits for at most, two seconds, and what a busy machine takes."""
+    """The end waits for two seconds at most, plus what a busy machine takes."""
     os.mkfifo(tmp_path / ".numbers.json.part")
     program = (
         "import sys; from pathlib import Path; from greenroof_ros.common.disk import Kept; "
@@ -109,7 +109,7 @@ def test_a_process_ends_while_the_disk_hangs(tmp_path: Path) -> None:
 def test_the_file_is_on_the_disk_before_it_takes_the_place_of_the_old_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Or a power cut may leave the name with nothing behind it."""
+    """Otherwise a power cut could leave a name without content."""
     file = tmp_path / "numbers.json"
     file.write_text('{"a": 1.0}')
     contents = []
@@ -128,7 +128,7 @@ def test_the_file_is_on_the_disk_before_it_takes_the_place_of_the_old_one(
 
 
 def test_what_went_wrong_is_said(tmp_path: Path) -> None:
-    """As long as it is so; the next writing is tried again."""
+    """For as long as it lasts; the next write is tried again."""
     (tmp_path / "state").write_text("a file where a directory is due")
     numbers = Kept(tmp_path / "state" / "numbers.json")
     numbers.write({"a": 1.0})

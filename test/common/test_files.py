@@ -23,7 +23,7 @@ VALUES = (
 
 
 def test_values_as_rcl_reads_them(tmp_path: Path, domain: int) -> None:
-    """Kind and value of each are those that a node is given, which has read the file by rcl."""
+    """Type and value equal those of a node that has read the file by rcl."""
     rclpy = pytest.importorskip("rclpy", reason="rcl comes with ROS 2")
     from rclpy.node import Node
 
@@ -56,7 +56,7 @@ def test_values_as_rcl_reads_them(tmp_path: Path, domain: int) -> None:
 
 
 def test_a_controllers_file_is_read_as_its_node_reads_it(tmp_path: Path) -> None:
-    """By simulate, too: octal digits, and an exponent without a point."""
+    """Simulate reads it in the same way: octal digits, and an exponent without a point."""
     file = tmp_path / "parameters.yaml"
     file.write_text(
         "/**/anticipating_onoff:\n  ros__parameters: {horizon: 010, fraction: 5e-1}\n"
@@ -77,7 +77,7 @@ def test_numbers_of_yaml_1_2(tmp_path: Path, text: str, value: object) -> None:
 
 
 def test_lines_and_anchors(tmp_path: Path) -> None:
-    """Each key's line; an anchor's value stands at its alias; a byte order mark is left away."""
+    """Each key has its line; an alias has its anchor's value; a byte order mark is dropped."""
     file = tmp_path / "a.yaml"
     file.write_text("\ufeff# c\na: &x [1, {b: 2}]\nc:\n  d: *x\n")
     content = read_yaml(file)
@@ -100,7 +100,7 @@ def test_lines_and_anchors(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
-    """With the file, and the line where there is one."""
+    """The error has the file, and the line if there is one."""
     file = tmp_path / "a.yaml"
     file.write_text(text, encoding="utf-8", errors="surrogateescape")
     for read in (read_yaml, read_ros_parameters):

@@ -1,4 +1,4 @@
-"""The interface, msg_defs/, against the documentation and against a live graph."""
+"""The interface, msg_defs/, compared with the documentation and with a live graph."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from greenroof_ros.common.interface import find_namespace, read_topics, recorded
 
 
 def test_documentation_shows_the_interface() -> None:
-    """The documentation's table is what the command prints."""
+    """The documentation's table equals the command's output."""
     printed = subprocess.run(
         [sys.executable, "-m", "greenroof_ros.topics"],
         cwd=CHECKOUT, capture_output=True, text=True, check=True,
@@ -32,9 +32,9 @@ def test_documentation_shows_the_interface() -> None:
 
 
 def test_numbers_have_a_display() -> None:
-    """What has a unit is shown in one that belongs to it: m as mm, m/s as mm/h, m3/s as L/min.
+    """Each unit is shown in a related one: m as mm, m/s as mm/h, m3/s as L/min.
 
-    And a reader may be behind by more than 32 ticks.
+    And a reader can lag by more than 32 ticks.
     """
     factors = {
         ("s", "s"): 1, ("m", "mm"): 1e3, ("m/s", "mm/h"): 1e3 * 3600, ("m3/s", "L/min"): 1e3 * 60,
@@ -53,11 +53,11 @@ def test_numbers_have_a_display() -> None:
 
 
 def test_namespace_of_a_bag() -> None:
-    """A graph's topics are found by the ends of their names; two graphs are one too many."""
+    """A graph's topics are found by the ends of their names; two graphs are refused."""
     needed, bag = ["/roof/level", "/pump/flow"], Path("bag")
     assert find_namespace({"/roof/level", "/pump/flow", "/clock"}, needed, bag) == ""
     assert find_namespace({"/a/b/roof/level", "/a/b/pump/flow"}, needed, bag) == "/a/b"
-    # One topic alone is no graph.
+    # A single topic is not a graph.
     assert find_namespace({"/roof/level", "/pump/flow", "/s/roof/level"}, needed, bag) == ""
     with pytest.raises(ConfigurationError, match=r"bag: .*/, /s"):
         find_namespace(
@@ -66,7 +66,7 @@ def test_namespace_of_a_bag() -> None:
 
 
 def test_outputs_of_a_controller_are_optional_topics() -> None:
-    """A controller publishes nothing that another node does."""
+    """A controller publishes nothing that another node publishes."""
     with pytest.raises(ConfigurationError, match="/pump/flow"):
         recorded_topics({"/pump/flow": "flow"})
 
@@ -98,7 +98,7 @@ OUTPUTS = {"/controller/cost": "cost", "/controller/solver_status": "status"}
 
 
 def test_live_graph_is_the_interface(domain: int, tmp_path: Path) -> None:
-    """Every topic of the interface is in the graph, and no other: types, QoS, nodes."""
+    """The graph has exactly the topics of the interface: types, QoS, nodes."""
     rclpy = pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     from rclpy.duration import Duration, Infinite
     from rclpy.node import Node
@@ -144,7 +144,7 @@ def test_live_graph_is_the_interface(domain: int, tmp_path: Path) -> None:
             }
 
         wait_for(lambda: ends() == expected, 60, "discovery of the topics")
-        time.sleep(1)  # of one too many, too
+        time.sleep(1)  # for a topic too many
         assert ends() == expected
         kinds = dict(node.get_topic_names_and_types())
         for name, topic in interface.items():

@@ -1,4 +1,4 @@
-"""Addresses of brokers and their topics, logging in, and a client that connects again."""
+"""Addresses of brokers and their topics, login, and a client that reconnects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Processes that end with the one that started them, and what systemd would receive."""
+"""Processes that end with their parent, and the messages that systemd receives."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from greenroof_ros.common.processes import asked_to_end_with_this, notify
 
 TOO_LONG_S = 60
 
-# A command of this package that says its number and then works for long.
+# A command of this package that prints its process id and then works for long.
 _CHILD = """
 import os, time
 from greenroof_ros.common.command_line import command
@@ -27,7 +27,7 @@ def main():
     time.sleep(600)
 main()
 """
-# Starts it after a while, in which its own parent may die, and ends by itself in a minute.
+# Starts it, optionally late so that its parent can die before, and ends after a minute.
 _PARENT = """
 import subprocess, sys, time
 from greenroof_ros.common.processes import asked_to_end_with_this
@@ -62,7 +62,7 @@ def test_a_child_ends_with_a_parent_that_is_killed() -> None:
 
 
 def test_a_child_ends_whose_parent_died_while_it_started() -> None:
-    """Before it could ask the kernel: its output ends, and it never said a word."""
+    """Before it could ask the kernel: it ends without any output."""
     parent = start_parent("3")
     children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
     (child,) = wait_for(lambda: children.read_text().split(), TOO_LONG_S, "the child's start")
@@ -74,7 +74,7 @@ def test_a_child_ends_whose_parent_died_while_it_started() -> None:
 
 
 def test_who_is_not_asked_lives_on() -> None:
-    """And what a child starts in turn is its own."""
+    """And a child does not pass the request on to its own children."""
     code = _CHILD.replace("time.sleep(600)", "return int('GREENROOF_ROS_PARENT' in os.environ)")
     for environment, expected in (
         (dict(os.environ), 0), (asked_to_end_with_this(), 0),
@@ -94,7 +94,7 @@ def test_who_is_not_asked_lives_on() -> None:
 def test_a_datagram_arrives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, abstract: bool
 ) -> None:
-    """By a socket in the file system, and by one with a name of its own (sd_notify(3))."""
+    """By a socket in the file system, and by an abstract one (sd_notify(3))."""
     name = f"greenroof-test-{tmp_path.name}" if abstract else str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
         receiver.bind(f"\0{name}" if abstract else name)
@@ -105,7 +105,7 @@ def test_a_datagram_arrives(
 
 
 def test_nobody_listens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without systemd, or while it is started again, the site runs on."""
+    """Without systemd, or during its restart, the site runs on."""
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     notify("READY=1")
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
@@ -113,7 +113,7 @@ def test_nobody_listens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_a_full_socket_stops_nobody(tmp_path: Path) -> None:
-    """A service manager that reads nothing; the limit on the time is the test."""
+    """With a service manager that reads nothing; the time limit is the test."""
     path = tmp_path / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
         receiver.bind(str(path))

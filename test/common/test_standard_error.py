@@ -1,4 +1,4 @@
-"""Lines for people hold up neither who says them nor the end, whatever reads them; progress."""
+"""Lines on standard error delay neither their writer nor its end, whoever reads them; progress."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_lines_come_in_order(capfd: pytest.CaptureFixture[str]) -> None:
 
 
 def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
-    """The oldest; what is said is whole again when somebody reads."""
+    """The oldest are dropped; as soon as somebody reads, output is complete again."""
     with full_pipe() as (reading, writing):
         lines = Lines(writing)
         began = time.monotonic()
@@ -47,7 +47,7 @@ def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
 
 
 def test_nobody_is_there_to_read() -> None:
-    """What cannot be written is lost, and no error of who says it."""
+    """Output that cannot be written is lost, without an error for the writer."""
     reading, writing = os.pipe()
     os.close(reading)
     lines = Lines(writing)
@@ -86,7 +86,7 @@ def test_the_disk_goes_on_where_standard_error_takes_nothing() -> None:
 def test_a_line_every_ten_seconds(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of progress every second for 35 s, what came at 10, 20 and 30 s is printed."""
+    """With progress every second for 35 s, only the lines at 10, 20 and 30 s are printed."""
     now = 1000.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
     lines = ProgressLines()

@@ -1,4 +1,4 @@
-"""What a run says of the code that computed it."""
+"""What a run records about the code that computed it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from greenroof_ros.common.versions import versions, versions_text
 
 
 def test_the_source_is_a_hash_and_people_are_told_so() -> None:
-    """Of the names and contents of all Python files, in order: no commit."""
+    """A hash of the names and contents of all Python files, in order; not a commit."""
     package = Path(greenroof_ros.__file__).resolve().parent
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*.py")):

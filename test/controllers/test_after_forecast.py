@@ -16,7 +16,7 @@ STEPS = len(EDGES) - 1
 
 
 def test_steps() -> None:
-    """They begin with seconds, end at the horizon, and never shrink but the last."""
+    """They begin with seconds, end at the horizon, and never shrink, except the last."""
     for hours in (0.1, 1.0, 4.0, 12.0, 48.0, 240.0):
         edges = growing_steps(hours)
         lengths = np.diff(edges)
@@ -26,7 +26,7 @@ def test_steps() -> None:
 
 
 def test_after_the_forecast_the_roof_dries_slowly() -> None:
-    """Ten days without rain, and with 0.3 of the mean evapotranspiration of the past day."""
+    """Ten days without rain, at 0.3 of the mean evapotranspiration of the past day."""
     after = AfterForecast(site_with(tau=3600.0), 12, 10)
     assert after.edges[: STEPS + 1].tolist() == EDGES.tolist()
     assert np.diff(after.edges[STEPS:]).tolist() == [86_400.0] * 10
@@ -47,7 +47,7 @@ def test_after_the_forecast_the_roof_dries_slowly() -> None:
 
 
 def test_after_the_forecast_the_first_mean_is_that_of_the_forecast() -> None:
-    """Over its first day, however much its later steps have."""
+    """Of its first day, whatever its later steps have."""
     edges = growing_steps(48)
     after = AfterForecast(PAPER_SITE, 48, 10)
     forecast = np.where(edges[1:] <= 86_400, 2e-6, 9e-6)

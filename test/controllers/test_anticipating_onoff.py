@@ -1,4 +1,4 @@
-"""The on/off controller that anticipates the weather: one sum, and what it decides."""
+"""The on/off controller that anticipates the weather: a sum, and the decisions it gives."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ Array = NDArray[np.float64]
 
 
 def anticipating(fraction: float = 1.0) -> AnticipatingOnOff:
-    """Return one that takes each reading as it is and never stops waiting for rain."""
+    """Return a controller that uses readings unfiltered and waits for rain without limit."""
     return AnticipatingOnOff(PAPER_SITE, 12, 10, fraction, 0.0, math.inf, 0.0)
 
 
 def medians(values: Array, weights: Array) -> list[float]:
-    """Return the lower median until each step, by its definition."""
+    """Return the lower median up to each step, by its definition."""
     medians = []
     for k in range(1, len(values) + 1):
         order = np.argsort(values[:k], kind="stable")
@@ -49,7 +49,7 @@ def medians(values: Array, weights: Array) -> list[float]:
 def test_it_pumps_the_first_volume_of_the_isotonic_regression(
     rates: list[float], roof: float
 ) -> None:
-    """It pumps while the least of the medians of what is missing, until each step, is above 0."""
+    """It pumps while the least median of the missing volume, over all end steps, is above 0."""
     rain = [max(0.0, rate) / 3.6e6 for rate in rates]
     evaporated = [max(0.0, -rate) / 3.6e6 * PAPER_SITE.a2 for rate in rates]
     controller = anticipating(0.8)
@@ -66,9 +66,9 @@ def test_it_pumps_the_first_volume_of_the_isotonic_regression(
 
 
 def test_a_longer_forecast_does_no_harm_on_a_measured_roof(tmp_path: Path) -> None:
-    """Twenty days of July with twice its rain, perfect forecasts of two days and of ten.
+    """Twenty days of July with doubled rain, perfect forecasts of two and of ten days.
 
-    That much rain flushes what was pumped: who counts on it for ten days is 4 % behind.
+    So much rain flushes pumped water away: relying on it for ten days would be 4 % worse.
     """
     site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=600.0)
     totals = []
@@ -95,7 +95,7 @@ def test_a_longer_forecast_does_no_harm_on_a_measured_roof(tmp_path: Path) -> No
 def test_pumps_that_do_not_work_are_not_asked_to(
     make: Callable[[], Any], levels: tuple[float, float]
 ) -> None:
-    """Below the suction level, at and above the target, and on levels that are no numbers."""
+    """Below the suction level, at and above the target, and with levels that are NaN."""
     controller = make()
     assert controller.command(*levels, DRY, DRY) == 0.0
     assert controller.command(2.3, 0.02, DRY, DRY) > 0.9

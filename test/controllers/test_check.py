@@ -21,12 +21,12 @@ HEAD = "    parameters = (\n"
 
 
 def returning(code: str) -> tuple[str, str]:
-    """Return what of the example's code is replaced to make it go wrong in the end."""
+    """Return a replacement in the example's code that makes its command go wrong."""
     return RETURNS, f"command = min(command, 1.0) if command > 0 else 0.0; {code}"
 
 
 def planning(plan: str) -> tuple[str, str]:
-    """Do the same for one whose plan is no plan."""
+    """Return a replacement that gives it an invalid plan."""
     outputs = f'    outputs = {{"/controller/plan": "plan"}}\n    import numpy\n    plan = {plan}\n'
     return HEAD, outputs + HEAD
 
@@ -35,7 +35,7 @@ FINITE = "its commands are finite and not negative, at all levels and for all fo
 OUTPUTS = "each of its outputs is a topic of the interface and has its value after a command"
 NO_PLAN = "no numpy array of floats, of shape (n, 4), in the attribute plan"
 BROKEN = [
-    # What it does wrong, the rule that it breaks, and what is said of it.
+    # The error, the rule that it breaks, and the message.
     (returning("return -command if command else 0.0"), FINITE, "must be finite and not negative"),
     (
         returning("return command if self.gain else -1.0"),
@@ -68,7 +68,7 @@ BROKEN = [
         "its statistics are None, or the figures of its solver",
         "statistics() must be None or have fallbacks, max_s, mean_s, p99_s, solves",
     ),
-    # The node can send no other plan than an array of floats with the interface's columns.
+    # The node can only send an array of floats with the interface's columns as plan.
     (planning("numpy.zeros((2, 4), dtype=int)"), OUTPUTS, NO_PLAN),
     (planning("numpy.zeros((2, 2))"), OUTPUTS, NO_PLAN),
 ]
@@ -97,7 +97,7 @@ def test_broken_controllers(
 
 
 def test_the_command(tmp_path: Path) -> None:
-    """Exit code 0 where all is right, 1 where something is wrong, 2 of what cannot be imported."""
+    """Exit code 0 if all is right, 1 if something is wrong, 2 if it cannot be imported."""
     (tmp_path / "broken.py").write_text(TEXT.replace(*returning("return None")))
     for reference, directory, code, message in (
         (EXAMPLE, CHECKOUT, 0, "12 of 12 checks passed"),

@@ -1,4 +1,4 @@
-"""What controllers make of quiet hours: all command 0 in them, and lookahead plans for them."""
+"""Controllers during quiet hours: all command 0, and lookahead plans for them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site
 
-# The pump may run from 17:00 to 19:00 alone, as where people use the roof by day and sleep by it.
+# The pump may run only from 17:00 to 19:00, as where people use the roof by day.
 EVENING = replace(SLOW, quiet_hours=("19:00-17:00",), time_zone="America/Toronto")
 # A run of 20 h from 18:00 on.
 START, HOURS = datetime.fromisoformat("2021-07-07T18:00-04:00"), 20
@@ -27,13 +27,13 @@ BEGINS = 360  # ticks from the start to the quiet hours
 
 
 def run_of(controller: str, rain: dict[int, float], site: Site = EVENING, **changes: float) -> Run:
-    """Build a run on a roof at three quarters of its target, with a forecast that comes true.
+    """Build a run on a roof at three quarters of its target, with a perfect forecast.
 
     Args:
         controller: its name.
         rain: by the hour of the run (mm/h).
         site: of the run.
-        given: parameters of the controller.
+        changes: parameters of the controller.
     """
     fallen = np.zeros(60)
     for hour, depth in rain.items():
@@ -47,7 +47,7 @@ def run_of(controller: str, rain: dict[int, float], site: Site = EVENING, **chan
 
 
 def ticks_of(run: Run, site: Site | None = None) -> list[Tick]:
-    """Run it; the controller is made for another site, if one is given."""
+    """Run it; a given site is the one that the controller is made for."""
     controller = run.controller.make(site or run.site, run.parameters)
     return list(closed_loop(run, controller, Metrics()))
 
@@ -60,14 +60,14 @@ def deviation(ticks: list[Tick]) -> float:
     "controller", ["onoff", "anticipating_onoff", "mpc", "lookahead"]
 )
 def test_no_controller_pumps_in_quiet_hours(controller: str) -> None:
-    """Each begins to pump before, on a roof that is never full, and goes on when they end."""
+    """Each begins to pump before, on a roof that is never full, and continues afterwards."""
     changes = {"days_after": 0.0} if controller in ("lookahead", "anticipating_onoff") else {}
     if controller == "onoff":
         changes["fraction"] = 0.001
-    site = replace(EVENING, quiet_hours=("18:30-19:00",), a_hat=-5.78e9)  # a pump that is weak
+    site = replace(EVENING, quiet_hours=("18:30-19:00",), a_hat=-5.78e9)  # a weak pump
     run = replace(run_of(controller, {}, site, **changes), steps=720)
     commands = [tick.command for tick in ticks_of(run)]
-    # mpc must not begin at once.
+    # mpc need not begin at once.
     assert max(commands[:180]) > 0
     assert commands[180:360] == [0.0] * 180
     assert max(commands[360:]) > 0
@@ -88,9 +88,9 @@ LOOKAHEAD = {
 
 
 def test_lookahead_fills_the_roof_before_quiet_hours() -> None:
-    """A little rain comes in them, and a dry day: what is left unfilled now stays so all day.
+    """They bring a little rain, and a dry day: a roof that is not filled now stays so all day.
 
-    Without quiet hours in its plan it leaves room for that rain, and means to fill up later, when
+    Without quiet hours in its plan it leaves room for that rain, and plans to fill up later, when
     it must not pump. On/off fills all of it, and has too much after the rain.
     """
     rain = {4: 2.0}
@@ -104,7 +104,7 @@ def test_lookahead_fills_the_roof_before_quiet_hours() -> None:
 
 
 def test_its_plans_pump_nothing_in_quiet_hours() -> None:
-    """Each row whose step lies in quiet hours has no flow; a plan is made at their ends, too."""
+    """No row with its step in quiet hours has a flow; a plan is also made at their ends."""
     site = replace(EVENING, quiet_hours=("19:00-20:00",), starts_per_hour=3600.0)
     run = replace(run_of("lookahead", {1: 1.0, 3: 3.0}, site, **LOOKAHEAD), steps=1080)
     controller = run.make_controller()

@@ -1,4 +1,4 @@
-"""When a controller decides, and what is no command."""
+"""When a controller decides, and which commands are invalid."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from greenroof_ros.controllers.decide import decide
 
 
 class Answering:
-    """Answers the same to everything, and counts the ticks that are skipped."""
+    """Gives the same answer to everything, and counts the ticks that are skipped."""
 
     parameters = ()
 
@@ -46,6 +46,6 @@ def test_where_pumping_is_not_allowed_the_tick_is_skipped() -> None:
 
 @pytest.mark.parametrize("answer", [-0.5, math.nan, math.inf, "0.5", None])
 def test_what_is_no_command_ends_the_run(answer: Any) -> None:
-    """It would pump water out of the roof, or stop in the middle of the plant."""
+    """It could pump water out of the roof, or fail in the middle of the plant."""
     with pytest.raises(ConfigurationError, match=r"the command of Answering.*must be a finite num"):
         decide(Answering(answer), True, 2.0, 0.03, [0.0], [0.0])

@@ -1,4 +1,4 @@
-"""Trust that is learned from shadow roofs: what it ends at, and what it costs on the way."""
+"""Trust that is learned from shadow roofs: where it ends, and what it costs on the way."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ HOUR_S, DAY_S = 3600.0, 86_400.0
 HORIZON = 24.0
 ENDS = growing_steps(HORIZON)
 EVAPORATES = 4e-3 / DAY_S  # m/s
-STORM = 0.008 / (2 * HOUR_S)  # m/s, for two hours each third day
-# Ticks of an hour, and a cistern that is not empty in weeks.
+STORM = 0.008 / (2 * HOUR_S)  # m/s, for two hours every third day
+# Ticks of an hour, and a cistern that does not run empty for weeks.
 SITES = {
     "paper": site_with(tau=HOUR_S, M=1, mains_level=0.85, mains_flow=5e-4),
     "measured": replace(
@@ -55,7 +55,7 @@ def dry(time: float) -> Array:
 
 
 def always(time: float) -> Array:
-    """Return 10 mm that are six to twelve hours ahead, for ever."""
+    """Return 10 mm that are always six to twelve hours ahead."""
     ahead = (ENDS[:-1] >= 6 * HOUR_S) & (ENDS[1:] <= 12 * HOUR_S)
     return ahead * 0.01 / (6 * HOUR_S)
 
@@ -65,10 +65,10 @@ def season(
     site: str, forecast: Callable[[float], Array], days: float = 6.0, *, memory: float = 30.0,
     falls: Callable[[Array], Array] = fallen,
 ) -> tuple[Lookahead, Array, Array]:
-    """Run some days with forecasts that are right of the present tick alone, or of more.
+    """Run some days with a forecast that is sure to be right only for the present tick.
 
-    Returns the controller, the deviation in days of an empty roof, and the share that is left, of
-    each tick.
+    Returns the controller and, for each tick, the deviation (in days of an empty roof) and the
+    trust.
     """
     of = SITES[site]
     choice = find_controller("lookahead")
@@ -89,12 +89,12 @@ def season(
 
 
 def three_days(time: float) -> Array:
-    """Return :func:`always` on three days of each four, and then no rain."""
+    """Return :func:`always` on three of every four days, otherwise no rain."""
     return always(time) * (time % (4 * DAY_S) < 3 * DAY_S)
 
 
 def test_a_worthless_forecast_is_given_up() -> None:
-    """Rain that never comes costs one wait of three days, and not one in each four days."""
+    """Rain that never comes costs one wait of three days, not one in every four days."""
     _, trusting, alike = season("paper", three_days, 8.0, memory=0.0, falls=np.zeros_like)
     _, learned, trust = season("paper", three_days, 8.0, falls=np.zeros_like)
     assert alike.tolist() == [1.0] * len(alike)
@@ -105,7 +105,7 @@ def test_a_worthless_forecast_is_given_up() -> None:
 
 
 def test_a_good_forecast_is_trusted_to_the_last_bit() -> None:
-    """And gains."""
+    """And there is a gain."""
     _, plain, _ = season("paper", dry, memory=0.0)
     _, trusting, _ = season("paper", truth, memory=0.0)
     _, learned, trust = season("paper", truth)
@@ -115,7 +115,7 @@ def test_a_good_forecast_is_trusted_to_the_last_bit() -> None:
 
 
 def test_trust_comes_back() -> None:
-    """Of a service that promises rain in a drought, and is right as it ends."""
+    """For a service that forecasts rain during a drought, and is right as it ends."""
     dry_for = 4 * DAY_S
 
     def falls(time: Array) -> Array:
@@ -133,7 +133,7 @@ def test_trust_comes_back() -> None:
 
 @pytest.mark.parametrize("site", SITES)
 def test_the_shadows_are_the_roofs_that_would_be(site: str) -> None:
-    """The shadow with no trust is a roof without a forecast, with full trust a roof with it."""
+    """The shadow without trust is a roof without a forecast; with full trust, one with it."""
     controller, _, _ = season(site, always)
     for shadow, forecast in ((0, dry), (-1, always)):
         _, off, _ = season(site, forecast, memory=0.0)
@@ -143,7 +143,7 @@ def test_the_shadows_are_the_roofs_that_would_be(site: str) -> None:
 
 @pytest.mark.parametrize("site", SITES)
 def test_without_a_forecast_the_shadows_have_the_rain_of_the_gauge(site: str) -> None:
-    """And dry as on the day before: for two days they hold what the roof holds, hour by hour."""
+    """They dry as on the day before: for two days they equal the roof, hour by hour."""
     of, choice = SITES[site], find_controller("lookahead")
     controller = choice.make(of, {**choice.defaults(of), "horizon": HORIZON})
     assert isinstance(controller, Lookahead)
@@ -161,7 +161,7 @@ def test_without_a_forecast_the_shadows_have_the_rain_of_the_gauge(site: str) ->
 
 
 def test_one_that_is_made_again_goes_on_with_what_was_learned() -> None:
-    """Of trust and of the budget; all of it, or nothing."""
+    """Both trust and budget; either all of it, or nothing."""
     controller, _, trust = season("paper", three_days, 8.0, falls=np.zeros_like)
     site, choice = SITES["paper"], find_controller("lookahead")
     again = choice.make(site, {**choice.defaults(site), "horizon": HORIZON})
@@ -177,7 +177,7 @@ def test_one_that_is_made_again_goes_on_with_what_was_learned() -> None:
 
 
 def test_what_is_left_for_rain() -> None:
-    """All, none and half of the room; where the plan leaves a roof alone, that for an empty one."""
+    """All, none and half of the room; where a plan leaves the roof alone, as for an empty roof."""
     assert leave(SHARES, 1.0, 0.5, 4.0).tolist() == [4.0, 3.0, 2.0, 1.0]
     assert leave(0.5, -1.0, 1.0, 4.0) == 2.5
     assert leave(np.array([0.5, 1.0]), -1.0, -1.0, 4.0).tolist() == [2.0, -1.0]
@@ -186,7 +186,7 @@ def test_what_is_left_for_rain() -> None:
 @pytest.mark.parametrize("potential", [3e-6, 0.0])
 @pytest.mark.parametrize("share", SHARES[:-1])
 def test_the_plan_leaves_the_room_that_the_command_leaves(share: float, potential: float) -> None:
-    """It is held there until the next step may raise it, by night, too, when nothing dries."""
+    """The level is held until the next step can raise it, also at night, when nothing dries."""
     controller, steps = lookahead(horizon=HORIZON), len(ENDS) - 1
     controller.learned = {**controller.learned, "trust": share}
     controller.command(2.3, 0.04, [always(-6 * HOUR_S)], [potential] * steps)

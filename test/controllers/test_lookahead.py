@@ -1,4 +1,4 @@
-"""The controller that looks ahead: its recursion against exhaustive search, and what it does."""
+"""The controller that looks ahead: its recursion against exhaustive search, and its behaviour."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Tiny:
 
     @property
     def site(self) -> Site:
-        """The paper's with a target of 40 units, and no rain into its cistern to speak of."""
+        """The paper's site with a target of 40 units, and practically no rain into its cistern."""
         return site_with(z_veg=TARGET * UNIT / PAPER_SITE.a2, a_in=1e-9)
 
     def solved(self, groups: NDArray[np.intp]) -> Policy:
@@ -69,13 +69,13 @@ def straight(before: float, after: float) -> float:
 
 
 def exhaustive(tiny: Tiny, groups: Sequence[Sequence[int]]) -> float:
-    """Return the least mean deviation (m3): each volume, each water, each level tried.
+    """Return the least mean deviation (m3), trying each volume, each water and each level.
 
-    What is decided in a state is the same for all members of a group.
+    The decision in a state is the same for all members of a group.
     """
 
     def ended(hour: int, member: int, roof: int, water: int) -> tuple[float, int, int]:
-        """Leave it, from that level on, or hold it as far as pumps and water go."""
+        """Leave the roof alone during an hour: return cost, roof and water after it."""
         alone = min(max(roof + tiny.rain[member][hour] - tiny.evaporated[hour], 0), MOST)
         return straight(roof, alone), alone, water
 
@@ -95,7 +95,7 @@ def exhaustive(tiny: Tiny, groups: Sequence[Sequence[int]]) -> float:
 
     @cache
     def decided(hour: int, group: int, roof: int, water: int) -> int | None:
-        """Return the level to fill to, None to leave it."""
+        """Return the level to fill to; None to leave the roof alone."""
         members = [member for member, label in enumerate(groups[hour]) if label == group]
         best = None
         least = worst_mean([cost(hour, member, roof, water, None) for member in members])
@@ -135,7 +135,7 @@ def tiny_problems(
     draw: st.DrawFn, members: int = 1, water: int = 1000, pumps: tuple[int, ...] = (1000,),
     risk: float = 0.0,
 ) -> Tiny:
-    """Draw one of five hours, in which storms come and go."""
+    """Draw a problem of five hours, in which storms come and go."""
     hours = 5
     rain = st.sampled_from([0, 0, 0, 4, 8, 16, 28])
     return Tiny(
@@ -147,7 +147,7 @@ def tiny_problems(
 
 
 def apart(tiny: Tiny, groups: Sequence[Sequence[int]] = ((0,),) * 5) -> float:
-    """Return how far the recursion's cost is from the least of all plans (units)."""
+    """Return the difference of the recursion's cost from the least of all plans (units)."""
     cost = tiny.solved(np.array(groups).T).cost
     return abs(cost - exhaustive(tiny, groups)) / UNIT
 
@@ -155,7 +155,7 @@ def apart(tiny: Tiny, groups: Sequence[Sequence[int]] = ((0,),) * 5) -> float:
 @settings(max_examples=30)
 @given(tiny_problems())
 def test_one_forecast_and_strong_pumps(tiny: Tiny) -> None:
-    """The least cost is the least of all plans."""
+    """The recursion finds the least cost of all plans."""
     assert apart(tiny) < 0.1
 
 
@@ -169,7 +169,7 @@ def test_weak_pumps_and_hours_without(tiny: Tiny) -> None:
 @settings(max_examples=20)
 @given(tiny_problems(members=4), st.sampled_from([0.0, 0.5, 0.6]))
 def test_an_ensemble_that_parts(tiny: Tiny, risk: float) -> None:
-    """One level for all, then one for each half, by the mean over them or over the worst."""
+    """One level for all, then one for each half, by the mean over all or over the worst."""
     tiny = replace(tiny, risk=risk)
     groups = [[0, 0, 0, 0]] * 2 + [[0, 0, 2, 2]] * 2 + [[0, 1, 2, 3]]
     assert apart(tiny, groups) < 0.2
@@ -178,7 +178,7 @@ def test_an_ensemble_that_parts(tiny: Tiny, risk: float) -> None:
 @settings(max_examples=20)
 @given(tiny_problems(), st.integers(0, 16))
 def test_a_cistern_that_runs_empty(tiny: Tiny, water: int) -> None:
-    """What it has is pumped once, when it is worth most; the nodes of water are 9 units apart."""
+    """Its water is pumped once, when it is worth most; the nodes of water are 9 units apart."""
     assert apart(replace(tiny, water=water)) < 4.5
 
 
@@ -188,9 +188,9 @@ def test_a_cistern_that_runs_empty(tiny: Tiny, water: int) -> None:
 def test_the_drier_half_parts_from_the_wetter() -> None:
     """Five members, hours of rain (mm), a halving every two hours: worked out by hand.
 
-    After two hours 0, 1, 1, 2 and 3 mm have fallen: the two driest part. The second 1 mm is wetter
-    than the first since more of it comes in the next hour. After four hours each is alone but the
-    two wettest, and after six these, too.
+    After two hours 0, 1, 1, 2 and 3 mm have fallen: the two driest separate. The second 1 mm is
+    wetter than the first because more follows in the next hour. After four hours each is alone
+    except the two wettest, and after six hours these are, too.
     """
     fallen = [[2, 0, 0, 5, 0, 0, 0, 0], [0, 1, 1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 9, 0, 0, 0],
               [3, 0, 0, 0, 0, 1, 0, 0], [1, 0, 0, 0, 0, 0, 0, 0]]
@@ -202,10 +202,10 @@ def test_the_drier_half_parts_from_the_wetter() -> None:
 
 
 def test_it_waits_for_what_will_be_known_in_time() -> None:
-    """Rain in six hours that one member of eight has, and that fills the roof for a day.
+    """One member of eight has rain in six hours that fills the roof for a day.
 
-    Known apart from most of the others after an hour it is worth the hour. Not known apart before
-    it falls the roof is filled: seven of eight lack water.
+    If it separates from most others after an hour, an hour's wait is worth it. If it does not
+    separate before the rain, the roof is filled: seven of eight lack water.
     """
     edges = growing_steps(12)
     storm = np.where((edges[:-1] >= 21_600) & (edges[:-1] < 32_400), 3e-6, 0.0)
@@ -218,7 +218,7 @@ def test_it_waits_for_what_will_be_known_in_time() -> None:
     assert commands[1] > 0.9
 
 
-# --- what follows from it -------------------------------------------------------------------------
+# --- what follows from the recursion --------------------------------------------------------------
 
 STEPS = len(growing_steps(12.0)) - 1
 DRY = [0.0] * STEPS
@@ -256,7 +256,7 @@ def planned_volumes(controller: Lookahead) -> Array:
 
 
 def test_what_is_above_the_outlet_is_not_counted_on() -> None:
-    """A cistern full to 3.9 m, 1.1 m too much and gone in minutes, for a roof of 91 m3."""
+    """A cistern at 3.9 m, with 1.1 m that will be gone in minutes, for a roof of 91 m3."""
     site = site_with(a2=2000.0, a_in=1e-9)
     controller = lookahead(site)
     assert controller.command(3.9, 0.0, DRY, DRY) > 0.9
@@ -265,7 +265,7 @@ def test_what_is_above_the_outlet_is_not_counted_on() -> None:
 
 
 def test_water_that_fades_is_pumped_once() -> None:
-    """The cistern has half a cubic metre for ten dry days: all is pumped at once, and no more."""
+    """The cistern has 0.5 m3 for ten dry days: all is pumped at once, and no more."""
     site = replace(MEASURED, a_in=1e-9, mains_level=None, mains_flow=None)
     controller = lookahead(site, horizon=240.0)
     dry = [0.0] * (len(growing_steps(240.0)) - 1)
@@ -284,9 +284,9 @@ def test_the_last_water_is_pumped() -> None:
 
 
 def test_what_a_low_outlet_would_take_is_on_the_roof_before_it_is_gone() -> None:
-    """One forecast of three has rain for 0.9 of what is missing: it waits, if it can fill later.
+    """One forecast of three has rain for 0.9 of the lack: it waits, if it can fill later.
 
-    Where a low outlet empties the cistern in an hour it fills most of it at once.
+    If a low outlet empties the cistern in an hour, it fills most of the lack at once.
     """
     missing = PAPER_SITE.z_veg / 2
     forecasts = [rain_in((8, 10), 0.9 * missing), DRY, DRY]
@@ -328,14 +328,14 @@ def test_what_it_plans_if_no_rain_comes() -> None:
     assert not fill_to[: wet + 1].any()
     assert fill_to[wet + 1] == pytest.approx(PAPER_SITE.z_veg)
     assert not fill_to[wet + 2 :].any()  # nothing dries: it holds that by itself
-    assert controller.plan[wet:, 2] == pytest.approx(0.06)  # with the rain it is as full as this
+    assert controller.plan[wet:, 2] == pytest.approx(0.06)  # as full as this with the rain
 
 
 # --- the controller -------------------------------------------------------------------------------
 
 
 def test_without_a_forecast_it_fills_to_the_target_and_holds_it() -> None:
-    """As with a forecast of no rain; and it goes on where there is one again."""
+    """As with a forecast of no rain; it continues when there is a forecast again."""
     controller = lookahead()
     assert controller.command(2.3, 0.04, [], []) == 1.0
     assert controller.fill_to == pytest.approx(PAPER_SITE.z_veg)
@@ -352,7 +352,7 @@ def test_without_a_forecast_it_fills_to_the_target_and_holds_it() -> None:
 
 
 def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain() -> None:
-    """A plan for 12 h is followed for a quarter of an hour; only then the roof is filled."""
+    """A plan for 12 h is followed for a quarter of an hour; only then is the roof filled."""
     controller = lookahead()
     nothing: list[float] = []
     assert controller.command(2.3, 0.03, [rain_in((3, 6), 0.03)], DRY) == 0.0
@@ -364,7 +364,7 @@ def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain() -> None:
 
 
 def test_forecasts_of_another_shape_are_refused() -> None:
-    """And of nothing that is a number nothing is planned."""
+    """And with NaN nothing is planned."""
     controller = lookahead()
     for rain, evaporated in (
         ([[0.0] * 5], DRY), ([DRY], [0.0] * 5), ([], DRY),
@@ -378,7 +378,7 @@ def test_forecasts_of_another_shape_are_refused() -> None:
 
 @pytest.mark.parametrize("horizon", [0.5, 12.0, 120.0])
 def test_an_ensembles_plan_has_longer_steps(horizon: float) -> None:
-    """Of an hour and more where the horizon has it, up to the horizon; a single forecast's do."""
+    """Hours or longer, up to the horizon, if it is that long; a single forecast's are shorter."""
     steps = len(growing_steps(horizon)) - 1
     ends = []
     for members in (1, 3):
@@ -392,7 +392,7 @@ def test_an_ensembles_plan_has_longer_steps(horizon: float) -> None:
 
 
 def test_the_order_of_members_does_not_matter() -> None:
-    """Bit for bit, nor does their order in memory."""
+    """Bit for bit; nor does their order in memory."""
     storms = [rain_in((5, 7), depth) for depth in (0.0, 0.004, 0.006, 0.01)]
     three = [lookahead() for _ in range(3)]
     for controller, members in zip(
@@ -404,9 +404,9 @@ def test_the_order_of_members_does_not_matter() -> None:
 
 
 def test_it_plans_again_when_something_changed() -> None:
-    """In a minute when a forecast has a millimetre more, at once with more members, each hour.
+    """In a minute if a forecast has 1 mm more, at once with more members, and periodically.
 
-    Of 12 h a plan is followed for a quarter of an hour. A tick that it does not decide is no plan.
+    With 12 h, a plan is followed for a quarter of an hour. A skipped tick has no plan.
     """
     controller = lookahead()
     assert np.isnan(controller.plan).all() and controller.plan.shape == (1, 4)
@@ -427,7 +427,7 @@ def test_it_plans_again_when_something_changed() -> None:
 
 
 def test_who_fears_the_worst_members_leaves_room_for_them() -> None:
-    """One of forty has a storm: no reason to wait for the mean, but for the worst tenth."""
+    """One of forty has a storm: the mean need not wait for it, but the worst tenth must."""
     members = [DRY] * 39 + [rain_in((9, 12), 0.03)]
     levels = []
     for cvar_level in (0.0, 0.9):

@@ -1,4 +1,4 @@
-"""The model predictive controller, against an exact solution of the paper's program."""
+"""The model predictive controller, compared with an exact solution of the paper's program."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site
 
-# Weights, and the run of each: one until its commands have been 0 for a while, one in a storm.
+# Weights, each with its run: one until the commands have been 0 for a while, one in a storm.
 RUNS = {
     1e-5: ("--hours", "1.1"), 1e-3: ("--hours", "0.5"),
     1e-1: ("--hours", "0.25", "--start", "2021-07-08T05:00"),
@@ -38,12 +38,12 @@ class Walk(NamedTuple):
     u: Any
     """commands, shape (ticks,)"""
     cost: Any
-    """what the controller says that Eq. (11) comes to, shape (ticks,)"""
+    """the controller's value of Eq. (11), shape (ticks,)"""
 
 
 @cache
 def walk(weight: float, *options: str, max_command: float = math.inf) -> Walk:
-    """Run the controller against the exact plant, from low-low unless another state is given."""
+    """Run the controller with the exact plant, by default from low-low."""
     run = paper_run(*options)
     controller = Mpc(run.site, weight, max_command)
     x, w, u, cost = [], [], [], []
@@ -102,14 +102,14 @@ def solution(G: Any, r: Any, weight: float, bound: float = math.inf) -> Any:
 
 @pytest.mark.parametrize("weight", RUNS)
 def test_commands_are_exact_over_a_whole_run(weight: float) -> None:
-    """Every tick, and what they cost; of the smallest weight those at the end are clipped to 0."""
+    """For every tick, with their cost; with the smallest weight the last are clipped to 0."""
     run = walk(weight, *RUNS[weight])
     assert (run.u[-1] == 0) == (weight == 1e-5)
     G, r = programs(run)
     U = np.array([solution(*program, weight) for program in zip(G, r, strict=True)])
     np.testing.assert_allclose(run.u, U[:, 0], rtol=0, atol=1e-8)
     assert run.u.min() >= 0
-    # J of Eq. (11) counts the depth now, too.
+    # J of Eq. (11) also counts the present depth.
     depths = np.column_stack([run.x[:, 1] / PAPER_SITE.a2 - PAPER_SITE.z_veg,
                               r + np.einsum("nij,nj->ni", G, U)])
     J = (depths**2).sum(axis=1) + weight * (U**2).sum(axis=1)
@@ -132,7 +132,7 @@ def first_inputs() -> tuple[float, float, list[float], list[float]]:
 
 
 def exact_first_command(site: Site, inputs: Any, weight: float, u_bar: float = 0.0) -> float:
-    """Solve one tick's program about w-bar = 0; b and C w~ differ with w-bar, their sum not."""
+    """Solve a tick's program about w-bar = 0; b and C w~ depend on w-bar, but not their sum."""
     cistern, roof, rain, evaporated = inputs
     x = np.array([[cistern * site.a1, roof * site.a2]])
     w = np.transpose((rain, evaporated))[None]
@@ -151,7 +151,7 @@ def exact_first_command(site: Site, inputs: Any, weight: float, u_bar: float = 0
 def test_first_command_of_any_site_is_exact(
     site: Site, data: st.DataObject, size: int, weight: float, rain: float, evaporated: float
 ) -> None:
-    """Random sites, look-aheads, states and weathers; to 1e-8 of the command where it is large."""
+    """Random sites, look-aheads, states and weathers; to 1e-8 of the command if it is large."""
     cistern, roof = data.draw(st.floats(0, 2 * site.z_o)), data.draw(st.floats(0, 1.5 * site.z_veg))
     inputs = cistern, roof, [rain] * size, [evaporated] * size
     command = Mpc(replace(site, M=size), weight, math.inf).command(*inputs)
@@ -171,7 +171,7 @@ def test_weight_may_change_between_two_ticks() -> None:
 def test_unsolved_program_pumps_nothing(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One iteration is too few: OSQP says so, tick after tick, and its numbers are not used."""
+    """One iteration is too few: OSQP reports this each tick, and its numbers are not used."""
     with monkeypatch.context() as patch:
         patch.setitem(module._SOLVER_SETTINGS, "max_iter", 1)
         mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
@@ -184,7 +184,7 @@ def test_unsolved_program_pumps_nothing(
         (record,) = caplog.records
         assert record.levelno == logging.WARNING
         assert "falling back" in record.getMessage()
-    # What failed was that solver's own; the next controller's first tick is right.
+    # The failure was that solver's own; the next controller's first tick is right.
     fresh = Mpc(PAPER_SITE, 1e-3, math.inf)
     expected = exact_first_command(PAPER_SITE, first_inputs(), 1e-3)
     assert fresh.command(*first_inputs()) == pytest.approx(expected, abs=1e-8)
@@ -197,7 +197,7 @@ def test_unsolved_program_pumps_nothing(
 def test_what_is_no_number_pumps_nothing(
     bad: float, index: int, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A level, or the end of a forecast: 0 for that tick, and the next one is exact again."""
+    """A NaN level, or a NaN at a forecast's end: 0 for that tick; the next is exact again."""
     mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
     good = first_inputs()
     spoilt: list[Any] = list(good)

@@ -24,13 +24,13 @@ NO_WEATHER = [0.0] * 10
     ],
 )
 def test_thresholds(cistern: float, roof: float, pumps: bool) -> None:
-    """v if x2/a2 < 0.0457 m and x1/a1 >= 0.15 + 0.6 m, else 0; 0 for what is no number."""
+    """v if x2/a2 < 0.0457 m and x1/a1 >= 0.15 + 0.6 m, else 0; 0 for NaN."""
     controller = OnOff(PAPER_SITE, 1.5)
     assert controller.command(cistern, roof, NO_WEATHER, NO_WEATHER) == (1.5 if pumps else 0.0)
 
 
 def test_a_level_below_the_target() -> None:
-    """With 0.75 it pumps below 0.034275 m, and not from there on."""
+    """With 0.75 it pumps below 0.034275 m, and not at or above it."""
     controller = OnOff(PAPER_SITE, 1.5, 0.75)
     assert controller.command(3.0, 0.034274, NO_WEATHER, NO_WEATHER) == 1.5
     assert controller.command(3.0, 0.034276, NO_WEATHER, NO_WEATHER) == 0.0

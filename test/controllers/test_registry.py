@@ -21,9 +21,9 @@ from greenroof_ros.model.site import read_site
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_the_file_a_user_edits_has_the_defaults(name: str) -> None:
-    """Names, values, kinds and order; and a key that holds in any namespace.
+    """Names, values, types and order, under a key that holds in any namespace.
 
-    What depends on the roof is left out.
+    Parameters that depend on the roof are left out.
     """
     content = yaml.safe_load((CONFIG / f"{name}.yaml").read_text())
     assert list(content) == [f"/**/{name}"]
@@ -37,7 +37,7 @@ def test_the_file_a_user_edits_has_the_defaults(name: str) -> None:
 
 
 def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where pip's part of the installation was left out, that is said instead of a traceback."""
+    """If pip's part of the installation is missing, the error says so, without a traceback."""
     monkeypatch.setitem(sys.modules, "osqp", None)
     choice = find_controller("mpc")
     with pytest.raises(ConfigurationError, match=r"'mpc': cannot be imported: .*osqp"):
@@ -45,7 +45,7 @@ def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_file_for_all_nodes(tmp_path: Path) -> None:
-    """The most common form: its section is ``/**``, its numbers may be whole."""
+    """The most common form: section ``/**``, and whole numbers are permitted."""
     (tmp_path / "mine.yaml").write_text(
         "/**:\n  ros__parameters:\n    use_sim_time: true\n    weight: 5\n"
     )
@@ -89,7 +89,7 @@ def test_wrong_files(tmp_path: Path, name: str, text: str, message: str) -> None
     ],
 )
 def test_wrong_references(reference: str, message: str) -> None:
-    """Refused before anything is imported."""
+    """They are refused before anything is imported."""
     with pytest.raises(ConfigurationError, match=f"controller = '{reference}': {message}"):
         find_controller(reference)
 
@@ -114,7 +114,7 @@ def test_a_node_is_named_after_the_class() -> None:
 def test_classes_that_are_no_controllers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, message: str
 ) -> None:
-    """Whatever the user's module does, it is said with the class's path."""
+    """Whatever the user's module does, the error has the class's path."""
     (tmp_path / "mine.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "mine", raising=False)
@@ -123,7 +123,7 @@ def test_classes_that_are_no_controllers(
 
 
 def test_a_class_beside_the_current_directory_and_its_parameters(tmp_path: Path) -> None:
-    """It is found by a console script, too, and its parameter is an option."""
+    """A console script finds it, too, and its parameter is an option."""
     (tmp_path / "mine.py").write_text((CHECKOUT / "examples" / "proportional.py").read_text())
     done = subprocess.run(
         [sys.executable, "-P", "-c", "from greenroof_ros.simulate import main; main()", "--hours",
@@ -141,7 +141,7 @@ def test_a_class_beside_the_current_directory_and_its_parameters(tmp_path: Path)
 def test_a_controller_that_a_package_registers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An entry point gives it a name, beside this package's."""
+    """An entry point gives it a name beside this package's controllers."""
     example = (CHECKOUT / "examples" / "proportional.py").read_text()
     (tmp_path / "gentle_roofs.py").write_text(example)
     about = tmp_path / "roofs-1.0.dist-info"
@@ -166,7 +166,7 @@ def test_a_controller_that_a_package_registers(
 
 @pytest.mark.parametrize("name", ["lookahead", "anticipating_onoff"])
 def test_how_far_a_controller_looks_ahead_follows_from_the_roof(name: str, tmp_path: Path) -> None:
-    """Five days; on a roof with a measured soil two; and what a file says on both."""
+    """Five days; on a roof with a measured soil two; a file can override both."""
     choice = find_controller(name)
     measured = read_site(CONFIG / "site_catchment.yaml")
     assert choice.defaults(PAPER_SITE)["horizon"] == 120.0

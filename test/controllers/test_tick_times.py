@@ -1,4 +1,4 @@
-"""Times of ticks, of any number of them in the same memory."""
+"""Times of ticks, in constant memory for any number of them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from greenroof_ros.controllers.tick_times import TickTimes
 
 @pytest.mark.parametrize("count", [0, 1, 5000, 100_000])
 def test_times_of_ticks(count: int) -> None:
-    """They are numpy's; of a hundred thousand the percentile is of the last 65,536."""
+    """They equal numpy's; for 100,000 ticks the percentile covers the last 65,536."""
     times, drawn = TickTimes(), np.random.default_rng(4).exponential(1e-4, count)
     for seconds in drawn.tolist():
         times.append(seconds)

@@ -44,7 +44,7 @@ MEASURED = ("--site", str(CONFIG / "site_neubrandenburg.yaml"))
 
 @pytest.mark.parametrize("options", [(), ("--cistern", "60", "--roof", "35"), MEASURED])
 def test_estimate_is_the_truth_where_model_and_sensor_are_exact(options: tuple[str, ...]) -> None:
-    """With rain, pumps at work, a soil that drains, and one that percolates and dries."""
+    """With rain, running pumps, a soil that drains, and one that percolates and dries."""
     run = paper_run(
         "--controller", "onoff", "--start", "2021-07-08T05:00", "--hours", "2", *options
     )
@@ -56,7 +56,7 @@ def test_estimate_is_the_truth_where_model_and_sensor_are_exact(options: tuple[s
 
 
 def test_it_begins_with_the_mean() -> None:
-    """The first reading is as good as any of the next: after n of them, their mean is the best."""
+    """Each of the first n readings is equally good, so their mean is the best estimate."""
     estimate = RoofObserver(PAPER_SITE, 300.0)
     readings = 0.04 + 0.0005 * np.random.default_rng(2).standard_normal(300)
     for number, reading in enumerate(readings, start=1):
@@ -67,7 +67,7 @@ def test_it_begins_with_the_mean() -> None:
 
 @pytest.mark.parametrize("tau", [1.0, 10.0])
 def test_noise_of_any_size_is_noise(tau: float) -> None:
-    """It is averaged over 300 s: the error is the average's alone, with no jumps to it."""
+    """It is averaged over 300 s: the error is only the average's, without jumps."""
     site, noise = replace(PAPER_SITE, tau=tau), 0.005
     estimate = RoofObserver(site, 300.0)
     errors = []
@@ -88,7 +88,7 @@ CONTROLLERS = {
 
 @pytest.mark.parametrize("kind", CONTROLLERS.values())
 def test_a_roof_that_filled_unseen_is_not_pumped_on(kind: Callable[..., Any]) -> None:
-    """Below its target before hours of frost, a millimetre above after them."""
+    """Below its target before hours of frost, a millimetre above it afterwards."""
     controller = kind()
     steps = [0.0] * STEPS
     assert controller.command(2.3, 0.0375, steps, steps) > 0
@@ -101,10 +101,10 @@ def test_a_roof_that_filled_unseen_is_not_pumped_on(kind: Callable[..., Any]) ->
 @pytest.mark.parametrize("kind", CONTROLLERS.values())
 @pytest.mark.parametrize("strength", [0.3, 3.0])
 def test_pumps_of_another_flow(kind: Callable[..., Any], strength: float) -> None:
-    """A driver that does what is commanded, with pumps that give more or less than the model's.
+    """A driver obeys the commands, with pumps that deliver more or less than the model's.
 
-    Nothing but the controller stops them. The roof ends near its target: what comes in the fifteen
-    seconds until the sensor is believed, and a millimetre, are too much at most.
+    Only the controller stops them. The roof ends near its target: at most a millimetre plus the
+    inflow during the fifteen seconds until the sensor is believed is too much.
     """
     controller = kind()
     level, steps = 0.035, [0.0] * STEPS
@@ -124,7 +124,7 @@ BUDGET_H, SHARE = 6.0, 0.05
 def a_week(directory: Path, *options: str) -> Run:
     """Build a run of a week with a tenth of July 2021's rain, in ticks of two minutes.
 
-    Its pumps are to have a twentieth of the flow: with all of it on/off would overshoot by 14 mm.
+    Its pumps have a twentieth of the flow: with all of it on/off would overshoot by 14 mm.
     """
     run = paper_run(
         *options, "--site", str(site_file(directory, tau=120.0)),
@@ -141,7 +141,7 @@ def a_week(directory: Path, *options: str) -> Run:
 def test_an_adversary_costs_at_most_the_budget(
     controller: str, strength: str, kind: str, tmp_path: Path
 ) -> None:
-    """On/off and its share, the budget, and at most what is lost until the pumps may start."""
+    """On/off plus its share, plus the budget, plus at most the loss until the pumps may start."""
     plain = deviation_of(a_week(tmp_path, "--controller", "onoff", "--fraction", "0.05"))
     run = a_week(tmp_path, "--controller", controller, strength, "0.05", "--horizon", "48")
     false = with_forecasts(run, kind, 48)
@@ -157,7 +157,7 @@ def test_an_adversary_costs_at_most_the_budget(
 
 
 def test_what_overflows_while_the_roof_waits_is_missing_later() -> None:
-    """From 3.2 m of water on/off has pumped for two ticks, and lost less by the outlet at 3 m."""
+    """From 3.2 m of water on/off pumped for two ticks, and lost less by the outlet at 3 m."""
     budget = RegretBudget(PAPER_SITE, 1e6, 0.0)
     for _ in range(2):
         budget.move(80.0, 2.0, 2.0, 1.0, 0.0)
@@ -167,7 +167,7 @@ def test_what_overflows_while_the_roof_waits_is_missing_later() -> None:
 
 
 def test_waiting_ends_with_the_budget(caplog: pytest.LogCaptureFixture) -> None:
-    """Rain that is always promised never comes: in the end it does as on/off, and says so once."""
+    """Forecast rain never comes: in the end it acts as on/off, and says so once."""
     rain = [3e-6 if 7200 <= begin < 14_400 else 0.0 for begin in growing_steps(12)[:-1]]
     for budget, pumps in ((72.0, False), (0.01, True)):
         controller = lookahead(waiting_budget=budget, waiting_share=0.0)
@@ -178,9 +178,9 @@ def test_waiting_ends_with_the_budget(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_a_low_outlet_limits_the_waiting_by_hand() -> None:
-    """On/off pumps 0.00828 m3/s from 40 m3: after 151 s more than the 1.25 m3 which stay.
+    """On/off pumps 0.00828 m3/s from 40 m3: after 151 s more than the 1.25 m3 that stay.
 
-    A week of what is beyond costs the limit of 11 319 m3 s where that is 0.0187 m3, 3 s later.
+    A week of the excess costs the limit of 11 319 m3 s when it is 0.0187 m3, 3 s later.
     """
     site = replace(PAPER_SITE, low_outlet_level=0.8, low_outlet_radius=0.06)
     loss = RegretBudget(site, 1.0, 0.0)
@@ -196,7 +196,7 @@ def test_a_low_outlet_limits_the_waiting_by_hand() -> None:
 
 
 def test_ticks_in_frost_count() -> None:
-    """Nothing may be pumped in them, but who waited before is worse off in each."""
+    """Nothing may be pumped in them, but the roof that waited before is worse off in each."""
     loss = RegretBudget(PAPER_SITE, 1.0, 0.0)
     loss.judge(50.0, 2.0, 1.0)
     loss.move(50.0, 2.0, 2.0, 1.0, 0.0)  # on/off pumps for a tick
@@ -209,10 +209,10 @@ def test_ticks_in_frost_count() -> None:
 
 
 def test_the_count_on_a_measured_roof_is_what_onoff_has(tmp_path: Path) -> None:
-    """Beside a plant that is watered by on/off: the roof which never was has all it lacks.
+    """Beside a plant that on/off waters; a roof that was never watered lacks everything.
 
-    Rain comes on two roofs, one of them wetter, and more of it percolates there; so the difference
-    is right only if that is followed. In ticks of ten seconds a tenth of the full flow.
+    Rain falls on two roofs; on the wetter one more of it percolates, so the difference is right
+    only if that is followed. In ticks of ten seconds at a tenth of the full flow.
     """
     site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=10.0, z_veg=0.0457)
     options = (
@@ -226,7 +226,7 @@ def test_the_count_on_a_measured_roof_is_what_onoff_has(tmp_path: Path) -> None:
     lacks = []
     ticks = list(closed_loop(idle, idle.make_controller(), Metrics()))
     for tick, after, theirs in zip(ticks, [*ticks[1:], ticks[-1]], onoff_roof, strict=True):
-        assert loss._more == pytest.approx(theirs - tick.x2, abs=0.01)  # a tick
+        assert loss._more == pytest.approx(theirs - tick.x2, abs=0.01)  # a tick's flow
         lacks.append(theirs - tick.x2)
         loss.judge(tick.x1, tick.x2, 0.1)
         loss.move(
@@ -238,7 +238,7 @@ def test_the_count_on_a_measured_roof_is_what_onoff_has(tmp_path: Path) -> None:
 
 
 def test_trust_comes_back() -> None:
-    """When the roof is filled, and a tenth of what on/off costs has made up for what is too much.
+    """When the roof is filled, and a tenth of on/off's cost has made up for the excess.
 
     That is 100 m3 s: on/off is 0.1 m3 off its target for 10,000 s.
     """
@@ -259,7 +259,7 @@ def test_trust_comes_back() -> None:
 
 
 def test_a_gain_pays_for_a_loss() -> None:
-    """An hour with 1 m3 too much on the roof of on/off alone, then the budget and 3600 m3 s."""
+    """An hour with 1 m3 too much only on the roof of on/off, then the budget and 3600 m3 s."""
     budget = RegretBudget(PAPER_SITE, 0.01, 0.0)
     budget._more = 1.0
     for _ in range(3600):
@@ -269,6 +269,6 @@ def test_a_gain_pays_for_a_loss() -> None:
     seconds = 0
     while not budget.judge(50.0, PAPER_SITE.x2_star - 1.0, 1.0):
         seconds += 1
-    # On/off has the target, and to fill the roof takes half a m3 for as long as that takes.
+    # On/off is at the target, and filling the roof takes half a m3 for that long.
     flow = maximum_pump_flow(PAPER_SITE, 50.0)
     assert seconds == pytest.approx(3600 + 0.01 * EMPTY_HOUR - 0.5 / flow, abs=2)

@@ -1,9 +1,9 @@
-"""The blocks of commands in README and documentation, run as written: a sample of the pages.
+"""The command blocks of README and documentation, run as written: a sample of the pages.
 
 ``make doc-commands`` runs all of them: each page in a copy of the checkout and in one shell, its
 blocks in order, as a reader types them with ``.venv`` active. A command that never ends gets Ctrl-C
-once it is ready. What running a block takes beside that, and why some are not run, stands in
-``tools/doc_commands/notes.yaml``.
+as soon as it is ready. ``tools/doc_commands/notes.yaml`` lists what else a block needs, and why
+some are not run.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from doc_commands.blocks import PAGES, Block, Note, blocks_of, read_notes, untag
 from doc_commands.page import run_page
 
 NOTES = read_notes()
-# The page that a new user's site begins with.
+# The page with which a new user's site begins.
 RUN = PAGES if os.environ.get("GREENROOF_ROS_TEST_DOCS") else ["doc/running/live.md"]
 FAILURES = {
     "python -c 'raise SystemExit(3)'\ntrue\n": (Note(""), "exit code 3: python"),
@@ -43,7 +43,7 @@ def test_every_note_is_of_a_block() -> None:
 
 @pytest.fixture
 def simulators_ports() -> None:
-    """Skip where something has the simulators' usual ports, which the pages use."""
+    """Skip the test if another program has the simulators' usual ports, which the pages use."""
     for port in (5020, 5021, 5030, 5031, 5032):
         with socket.socket() as tried:
             tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -72,7 +72,7 @@ def test_what_fails_is_seen(domain: int, tmp_path: Path) -> None:
 
 
 def test_ctrl_c_ends_what_never_ends(domain: int, tmp_path: Path) -> None:
-    """One after the other, and what is in the background at the page's end."""
+    """One command after the other, and background commands at the page's end."""
     (tmp_path / "program.py").write_text(
         "import sys, time\ntry: print(sys.argv[1], flush=True); time.sleep(600)\n"
         "except KeyboardInterrupt: print('interrupted')\n"

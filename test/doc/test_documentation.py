@@ -1,4 +1,4 @@
-"""README and documentation: they build; their links, tables and commands hold."""
+"""README and documentation: they build; their links, tables and commands are valid."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PAGES = [
     CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md",
     *sorted(path for path in DOC.rglob("*.md") if "_build" not in path.parts),
 ]
-# The most words on a page of these folders.
+# The largest number of words on a page of these folders.
 WORDS = {"explanation": 1800, "running": 700}
 
 
@@ -43,7 +43,7 @@ def test_a_page_has_few_words(page: Path) -> None:
 
 
 def test_documentation_has_few_words() -> None:
-    """README and ``doc/`` without the reference, which is made or holds tables."""
+    """README and ``doc/``, without the reference, which is generated or holds tables."""
     read = [
         page for page in PAGES
         if page.parent.name not in ("reference", "modules") and page.name != "CONTRIBUTING.md"
@@ -52,7 +52,7 @@ def test_documentation_has_few_words() -> None:
 
 
 def test_phrases_that_nobody_says_are_refused(tmp_path: Path) -> None:
-    """``make lint`` names each, at a line's end and in capitals, too, but no part of a word."""
+    """``make lint`` names each, also at a line's end or in capitals, but not parts of words."""
     phrases = ("held against", "of which", "That of", "astray", "owed", "Anew")
     (tmp_path / "page.md").write_text("\n".join(f"- It is {each}" for each in phrases))
     (tmp_path / "fine.md").write_text("a share that often shows; followed renewal of whichever\n")
@@ -74,11 +74,11 @@ def test_tables_are_those_of_the_package(page: Path) -> None:
 
 
 def test_commands_are_introduced_as_their_help_does() -> None:
-    """In paragraphs; and what an option takes is no name of a function."""
+    """With paragraphs; and an option's value is not shown as the name of a function."""
     text = (DOC / "reference" / "commands.md").read_text()
     assert (
         "shows the roof.\n\nWith `--drive` and `--drive-at` there is hardware in the loop: a "
-        "drive, and no simulated pump"
+        "drive instead of the simulated pump"
     ) in text
     assert not re.search(r"^\| `--[^|]*\| (parse|\\?_\w+) \|", text, re.MULTILINE)
 
@@ -93,7 +93,7 @@ def anchors(path: Path) -> set[str]:
 
 
 def links(text: str) -> Iterator[str]:
-    """Yield what a page links to or shows, without its code."""
+    """Yield what a page links to or shows; code is left out."""
     text = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
     text = re.sub(r"`[^`\n]*`", "", text)
     yield from re.findall(r"\]\(\s*([^)\s]+)\s*\)", text)
@@ -113,7 +113,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 def commands(page: Path) -> Iterator[list[str]]:
-    """Yield the words of each command of this package in a block of a page."""
+    """Yield the words of each command of this package in a page's blocks."""
     for _, language, block in fences(name(page)):
         if language not in ("sh", "text"):
             continue
@@ -126,7 +126,7 @@ def commands(page: Path) -> Iterator[list[str]]:
 
 @pytest.mark.parametrize("page", [page for page in PAGES if any(commands(page))], ids=name)
 def test_commands_can_be_given(page: Path) -> None:
-    """The options of each command that is shown exist, and take such values."""
+    """The options of each command that is shown exist, and accept the values."""
     nodes = (DOC / "reference" / "nodes.md").read_text()
     for words in commands(page):
         if words[0] == "python":
@@ -140,7 +140,7 @@ def test_commands_can_be_given(page: Path) -> None:
         command = words[1] if words[1] in generate.COMMANDS else " ".join(words[1:3])
         assert command in generate.COMMANDS, words
         arguments = words[1 + len(command.split()) :]
-        if name(page) != "doc/reference/commands.md":  # the usage, with names in place of values
+        if name(page) != "doc/reference/commands.md":  # there it is the usage, without values
             generate.parser_of(command, arguments).parse_args(arguments)
 
 

@@ -13,7 +13,7 @@ import worth
 
 
 def test_readme_says_what_its_figure_shows() -> None:
-    """The figure is drawn from the file that is kept, and so are the README's percentages."""
+    """The figure and the README's percentages come from the same stored file."""
     assert (CHECKOUT / "doc" / "_static" / "worth.svg").read_text() == worth.drawing()
     with worth.FILE.open(newline="") as stream:
         rows = list(csv.DictReader(stream))

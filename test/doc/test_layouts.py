@@ -1,4 +1,4 @@
-"""The layouts of config/layouts/ against the interface."""
+"""The layouts in config/layouts/, compared with the interface."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_layouts_are_made_from_the_interface(name: str) -> None:
 
 
 def check_scale(topic: str, label: str, factor: float) -> None:
-    """Hold what is shown against the interface: a number, its label, its unit and its factor."""
+    """Check a topic against the interface: a number, with this label, its unit and this factor."""
     entry = read_topics()[topic]
     assert entry.type == "std_msgs/msg/Float64"
     assert entry.display is not None
@@ -48,7 +48,7 @@ def target() -> float:
 
 
 def test_foxglove() -> None:
-    """Each line is a script's topic, each script scales a topic."""
+    """Each line shows a script's output, and each script scales a topic."""
     layout = json.loads(FOXGLOVE.read_text(encoding="utf-8"))
     outputs = {}
     for script in layout["userNodes"].values():
@@ -71,7 +71,7 @@ def test_foxglove() -> None:
 
 
 def test_plotjuggler() -> None:
-    """Each curve is a function's, each function scales a topic that each run has."""
+    """Each curve shows a function's output, and each function scales a topic of every run."""
     root = ElementTree.parse(PLOTJUGGLER).getroot()
     functions = {}
     for snippet in root.iterfind("customMathEquations/snippet"):

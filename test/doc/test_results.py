@@ -1,4 +1,4 @@
-"""The results: each table and figure is of its file, and each file of the study that it names."""
+"""The results: each table and figure belongs to its file, and each file to its study."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ DOC = CHECKOUT / "doc"
 
 @pytest.mark.parametrize("name", RESULTS)
 def test_figure_is_of_its_file(name: str) -> None:
-    """'make docs' would draw no other numbers; the tables are tested with all others."""
+    """'make docs' would draw no other numbers; the tables are tested with all other tables."""
     drawn = (DOC / "_static" / "results" / f"{name}.svg").read_text()
     assert f'data-drawn-from="{RESULTS[name]().figure.digest}"' in drawn
     assert f"<!-- table: results {name} -->" in (DOC / "results.md").read_text()
 
 
 def test_every_file_has_its_study() -> None:
-    """No file of results is left that no command writes, and none is missing."""
+    """Each result file is written by a command, and none is missing."""
     assert {path.stem for path in (DOC / "results").glob("*.csv")} == set(TABLES)
     assert all(grid.is_file() for grid, _ in TABLES.values())
 
 
 def test_file_has_the_papers_runs(papers: Path) -> None:
-    """Digit for digit without a solver, whose last digits are the machine's."""
+    """Digit for digit without a solver; a solver's last digits depend on the machine."""
     kept = {
         (row["controller"], row["parameter:weight"], row["parameter:fraction"]): row
         for row in read(DOC / "results" / "methods.csv")
@@ -56,7 +56,7 @@ def test_file_has_the_papers_runs(papers: Path) -> None:
 
 @pytest.mark.parametrize("controller", ["onoff", "lookahead"])
 def test_file_has_what_a_run_gives(controller: str) -> None:
-    """A storm and a record of the tests, digit for digit."""
+    """A storm and a record in the tests' data, digit for digit."""
     cases = [
         case for case in read_grid(TABLES["windows"][0]) if case.controller.name == controller
     ]
@@ -71,14 +71,14 @@ def test_file_has_what_a_run_gives(controller: str) -> None:
 
 
 def study(directory: Path, rows: list[dict[str, Any]]) -> Path:
-    """Write a study's table, with what all its rows have alike."""
+    """Write a study's table, with the values that all its rows share."""
     alike = {"run": "", "site": "site.yaml", "forecast_seed": 1}
     write(directory / "results.csv", [{**alike, **row, "bound_m3": ""} for row in rows])
     return directory
 
 
 def test_seasons_are_compared_to_on_off(tmp_path: Path) -> None:
-    """Half of on/off's deviation in each of three years is half with certainty."""
+    """Half of on/off's deviation in each of three years gives half, with no width."""
     rows = [
         {
             "run": f"{controller}{year}", "controller": controller, "start": f"{year}-05-01",

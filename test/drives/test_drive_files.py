@@ -1,4 +1,4 @@
-"""The files of the drives, and what is said of wrong ones."""
+"""The drive files, and the errors for wrong ones."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def test_shipped_files_are_right(path: Path) -> None:
     assert drive.path == find_drive_file(path.stem) == path
     letters = {"even": "E", "odd": "O", "none": "N"}
     assert drive.serial.parity_letter("/dev/ttyS0") == letters[drive.serial.parity]
-    # What has no source is said to be unverified.
+    # What has no source is marked as unverified.
     for name, register in drive.registers.items():
         if register.source == "none":
             assert f"registers.{name}" in drive.unverified
-        # At rest a signed speed may be a count below 0.
+        # At rest a signed speed can be a count below 0.
         if name == "speed" and register.type.startswith("int"):
             assert register.low <= -1.2
-    # A drive whose vital words nobody has seen in its manual says so.
+    # A drive whose vital words were not checked in its manual says so.
     assert drive.unverified_and_vital
 
 
@@ -64,7 +64,7 @@ SECONDS = "    type: uint16\n    unit: s"
         ("- {write: reference, value: 0}", "- {write: reference, value: speed}",
          "sequences.stop.2.value = 'speed': can be written in sequences.run only"),
         (BIT_2, BIT_2.replace("value: 0x0004", "value: 0x0005"),
-         "status.running.value = '0x0005': has bits outside of the mask 0x0004: it could never"),
+         "status.running.value = '0x0005': has bits outside the mask 0x0004: it could never"),
         (BIT_2, BIT_2.replace("mask: 0x0004", "mask: 0"),
          "status.running.mask = 0: must be from 1 to 4"),
         ("stop_bits: 1", "stop_bits: 3", "serial.stop_bits = 3: must be from 1 to 2"),
@@ -75,20 +75,20 @@ SECONDS = "    type: uint16\n    unit: s"
         ("    scale: 0.1\n", "    scale: 0\n", "registers.timeout_time.scale = 0: must be fin"),
         ("    low: -1.6\n", "    low: 2\n", "registers.speed.low = 2: must be at most high, 1.6"),
         ("stops: {1: Fault,", "stops: {2: Fault,",
-         "timeout.serial.action.stops.2 = 'Fault': stands in stops and"),
+         "timeout.serial.action.stops.2 = 'Fault': is in both stops and"),
         ("    register: timeout_time\n", "    register: rating\n",
          "registers.rating: must have the unit s"),
         ("    scale: 5.0e-5\n    low: -1.6\n", "    full_scale: rating\n    low: -1.6\n",
          "registers.rating: must have low, above 0, and high, and no full_scale: speed is div"),
         ("  - registers.fault\n", "  - registers.faulty\n",
-         "unverified.5 = 'registers.faulty': names no key of this file"),
+         "unverified.5 = 'registers.faulty': is not a key of this file"),
         ("  speed:\n    address: 4", "  pace:\n    address: 4", "registers: speed is missing: e"),
     ],
 )
 def test_wrong_files_are_refused_by_line_key_and_value(
     tmp_path: Path, old: str, new: str, message: str
 ) -> None:
-    """The line that is named is the changed one, or the head of what lacks something."""
+    """The error names the changed line, or the head of the section that lacks something."""
     assert ABB.count(old) == 1, f"{old!r} is not once in the file"
     path = tmp_path / "drive.yaml"
     path.write_text(ABB.replace(old, new), encoding="utf-8")
@@ -97,7 +97,7 @@ def test_wrong_files_are_refused_by_line_key_and_value(
 
 
 def test_a_file_of_ones_own(tmp_path: Path) -> None:
-    """Found by its path; what is wrong with it, by the line of its key."""
+    """It is found by its path, and errors name the line of its key."""
     path = tmp_path / "mine.yaml"
     path.write_text(ABB.replace("least_speed: 0.3", "least_speed: 30"), encoding="utf-8")
     line = 1 + path.read_text(encoding="utf-8").split("\n").index("least_speed: 30")
@@ -123,7 +123,7 @@ def test_a_file_of_ones_own(tmp_path: Path) -> None:
     ],
 )
 def test_addresses(text: str, address: Address, interface: str, device_id: int) -> None:
-    """A gateway leads to the serial port; the device asked is the address's, or the file's."""
+    """A gateway leads to the serial port; the device number is the address's or the file's."""
     assert parse_drive_address(text, "at") == address
     assert str(address) == text and address.interface == interface
     assert address.device_id is not None or parse_address(text) == address
@@ -140,9 +140,9 @@ def test_addresses(text: str, address: Address, interface: str, device_id: int) 
         *((text, "must be tcp://HOST, tcp://HOST:PORT, gateway:")
           for text in ("10.0.0.7", "tcp://host:0", "tcp://host:65536", "udp://host", "COM3",
                        "somewhere,17")),
-        ("tcp://10.0.0.7,256", "must be the drive's device id, 0 to 255"),
-        ("gateway://10.0.0.7,0", "must be the drive's device id, 1 to 247"),
-        ("/dev/ttyUSB0,x", "must be the drive's device id, 1 to 247"),
+        ("tcp://10.0.0.7,256", "must have a device id, 0 to 255, after"),
+        ("gateway://10.0.0.7,0", "must have a device id, 1 to 247, after"),
+        ("/dev/ttyUSB0,x", "must have a device id, 1 to 247, after"),
     ],
 )
 def test_no_addresses(text: str, message: str) -> None:
@@ -156,7 +156,7 @@ def test_no_addresses(text: str, message: str) -> None:
         ("int16", "", [0xFFFE], -2),
         ("uint32", "low first", [0x0001, 0x0002], 131073),
         ("int32", "high first", [0xFFFF, 0xFFFD], -3),
-        # IEEE 754, as worked in every text book: 0x3FC00000 is 1.5.
+        # IEEE 754 textbook example: 0x3FC00000 is 1.5.
         ("float32", "high first", [0x3FC0, 0x0000], 1.5),
         ("text", "", [0x4142, 0x4300], "ABC"),
     ],
@@ -178,12 +178,12 @@ def test_limits_are_those_of_the_type(kind: str, low: int, high: int) -> None:
     ("bits", 0x83, False), ("bits", 0, False),
 ])
 def test_a_fault_that_is_the_timeout_and_no_other(kind: str, raw: int, only: bool) -> None:
-    """Code 7, or bits 1 and 7: with no bit at all there is no such fault."""
+    """Code 7, or bits 1 and 7 together; no bits at all are not this fault."""
     assert Codes("fault", kind, {}).only(raw, (7,) if kind == "code" else (1, 7)) is only
 
 
 def test_the_bits_of_a_word_in_words() -> None:
-    """From the lowest to the highest of 32, those without a text by their number."""
+    """From the lowest to the highest of 32 bits; bits without a text by their number."""
     codes = Codes("fault", "bits", {Word(0): "low", Word(31): "high"})
     assert codes.text(0x8000_0003) == "low, bit 1, high"
     assert codes.text(0) == ""

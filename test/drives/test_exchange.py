@@ -1,4 +1,4 @@
-"""The thread that keeps a drive up, against registers behind a real TCP port."""
+"""The thread that keeps up the connection to a drive, against registers behind a real TCP port."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ OFF, RUN, ACKNOWLEDGE = (0, 0x047E), (0, 0x047F), (0, 0x04FE)
 
 
 def abb(unguarded_s: float = 0.0) -> DriveFile:
-    """ABB's, but for the time after power-up, which only its own test waits for."""
+    """ABB's file, by default without the time after power-up, for which only its own test waits."""
     read = read_drive_file(find_drive_file("abb_acs880"))
     assert read.timeout.serial is not None
     assert read.timeout.serial.unguarded_after_power_up_s == 30.0
@@ -63,11 +63,11 @@ class Bench:
         drive: its registers.
         wire: the port.
         exchange: not yet started.
-        speed: what is asked for.
+        speed: the speed asked for; None for off.
     """
 
     def __init__(self, file: DriveFile = ABB, at: str = "", **options: float) -> None:
-        """Ask for nothing yet, of what is at an address, or where that is empty at the port."""
+        """Ask for nothing yet, from the drive at an address or, if that is empty, at the port."""
         self.drive = acs880()
         self.wire = Wire(self.drive)
         self.exchange = DriveExchange(
@@ -110,17 +110,17 @@ class Bench:
         wait(lambda: self.drive.values[4] == 10000)
 
     def until_said(self, condition: Callable[[DriveStatus], object]) -> None:
-        """Wait until the drive says something."""
+        """Wait until the drive's status meets a condition."""
         wait(lambda: self.now.status and condition(self.now.status))
 
     def written_in(self, rounds: int) -> list[tuple[int, int]]:
-        """Return what is written in so many rounds, of two words at least, from now on."""
+        """Return what is written from now on in this many rounds, with at least two words each."""
         self.drive.written.clear()
         wait(lambda: len(self.drive.written) > 2 * rounds)
         return self.drive.written
 
     def lose(self) -> None:
-        """Have connections closed at the first request, those that there are, too."""
+        """Close all connections, and each new one at its first request."""
         self.wire.answer = lambda _request: None
         self.wire.drop()
         wait(lambda: not self.now.connected)
@@ -138,7 +138,7 @@ def bench() -> Iterator[Bench]:
 
 
 def test_it_stops_the_drive_first_and_reads_what_it_is(bench: Bench) -> None:
-    bench.drive.values.update({0: 0x047F, 1: 20000, 3: 0x1337, 4: 20000})  # somebody left it so
+    bench.drive.values.update({0: 0x047F, 1: 20000, 3: 0x1337, 4: 20000})  # left by somebody
     bench.connect()
     assert bench.wire.frames[0][12:] == "01060000047e"  # the very first request
     now = bench.now
@@ -148,14 +148,14 @@ def test_it_stops_the_drive_first_and_reads_what_it_is(bench: Bench) -> None:
     assert (now.problem, now.errors) == ("", 0)
     time.sleep(5 * PERIOD)
     assert RUN not in bench.drive.written
-    assert bench.drive.written.count(OFF) > 3  # which keeps the drive's own timeout fed
+    assert bench.drive.written.count(OFF) > 3  # this keeps the drive's own timeout from passing
     assert sum("0316b7" in frame for frame in bench.wire.frames) == 1  # 58.16 is not read each time
 
 
 def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all(
     bench: Bench
 ) -> None:
-    """And when it is closed, which reads that back; nothing is written after that."""
+    """It is also stopped by a close, which reads back the stop; nothing is written after that."""
     drive = bench.drive
     assert bench.now.state is State.CONNECTING
     bench.exchange.start()
@@ -192,7 +192,7 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
 
 
 def test_what_is_asked_for_waits_for_no_round_of_requests() -> None:
-    """A run and a stop go out at once, however seldom the drive is asked; half a speed may wait."""
+    """A run and a stop are sent at once, however long the period; a change of speed can wait."""
     with closing(Bench(period_s=20.0, dead_man_s=60.0)) as bench:
         bench.ask_no_more()
         bench.connect()
@@ -205,7 +205,7 @@ def test_what_is_asked_for_waits_for_no_round_of_requests() -> None:
 def test_what_was_asked_for_before_a_suspend_runs_nothing_after_it(
     monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`time.monotonic`, which stands still in a suspend, would have it still new."""
+    """By `time.monotonic`, which stands still during a suspend, the demand would still be new."""
     with closing(Bench(dead_man_s=60.0)) as bench:
         bench.ask_no_more()
         bench.exchange.start()
@@ -240,7 +240,7 @@ def test_one_lost_answer_stops_nothing_and_a_half_open_connection_heals(bench: B
 
 
 def test_a_drive_that_closes_its_connections_for_a_moment_is_not_left_in_silence() -> None:
-    """Closed at 0 s, connected again after 0.25 s and, twice that and 0.5 s later, at 1.25 s.
+    """Closed at 0 s; connected again after 0.25 s and, twice that plus 0.5 s later, at 1.25 s.
 
     At the end it is connected once more to be stopped.
     """
@@ -261,14 +261,14 @@ def test_a_drive_that_closes_its_connections_for_a_moment_is_not_left_in_silence
 
 
 def test_after_each_connection_the_drive_is_off_while_it_may_not_guard() -> None:
-    """Here for 0.6 s of the 30 s; a cut cable looks like a power cycle, so it counts again."""
+    """Here for 0.6 s instead of 30 s; a cut cable looks like a power cycle, so it starts again."""
     began = time.monotonic()
     with closing(Bench(abb(unguarded_s=0.6))) as bench:
         bench.speed = 0.5
         bench.exchange.start()
         for _ in range(2):
             wait(lambda: bench.now.connected)
-            assert "does not guard for 0.6 s after power-up" in bench.now.unguarded
+            assert "is not effective for 0.6 s after power-up" in bench.now.unguarded
             wait(lambda: RUN in bench.drive.written)
             assert time.monotonic() - began > 0.6
             wait(lambda: bench.now.unguarded == "" and bench.drive.values[4] == 10000)
@@ -294,7 +294,7 @@ def test_the_trip_of_a_lost_connection_is_acknowledged(bench: Bench) -> None:
 
 
 def test_a_fault_is_acknowledged_by_a_reset_while_it_is_seen(bench: Bench) -> None:
-    """Nobody has seen it before the first connection, nor between two."""
+    """A reset before the first connection, or between two, does not count: no fault was seen."""
     bench.drive.values.update({3: 0x1238, 400: 0x1234})
     bench.exchange.reset()
     bench.speed = 0.5
@@ -318,7 +318,7 @@ def test_a_fault_is_acknowledged_by_a_reset_while_it_is_seen(bench: Bench) -> No
 def test_a_reset_that_could_not_be_done_in_time_is_forgotten(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """While somebody else's control word stands the drive is stopped, and nothing else."""
+    """While another master's control word is active, the drive is only stopped."""
     monkeypatch.setattr(exchange, "RESET_S", 0.3)
     bench.drive.values.update({3: 0x1238, 400: 0x1234})
     bench.connect()
@@ -355,7 +355,7 @@ def test_a_drive_that_does_not_start_is_left_off_for_a_while(bench: Bench) -> No
 def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
     bench: Bench, fails: str
 ) -> None:
-    """Who asks counts starts, and waits between them; here the speed is asked for all the time."""
+    """The caller counts starts, and waits between them; here it asks for the speed all the time."""
     def ask(speed: float | None, seconds: float, until: Callable[[], object]) -> bool:
         ends = time.monotonic() + seconds
         while time.monotonic() < ends and not until():
@@ -377,7 +377,7 @@ def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
     bench.drive.written.clear()
     assert not ask(0.5, PAUSE_S + 1.0, lambda: RUN in bench.drive.written)
     assert bench.now.start_failed.startswith({
-        "to start": "the drive did not come to run: ",
+        "to start": "the drive failed to start: ",
         "while it runs": "the connection was lost: ",
     }[fails])
     assert ask(None, 5, lambda: not bench.now.start_failed)
@@ -402,15 +402,15 @@ def test_a_serial_line_whose_plug_is_pulled() -> None:
 
 
 def silences(wire: Wire) -> list[float]:
-    """Return how long nothing was sent, where that is longer than the waits between attempts."""
+    """Return the times without any request, if longer than the waits between attempts."""
     gaps = [later - before for before, later in itertools.pairwise(wire.times)]
     return [gap for gap in gaps if gap > 1.0]
 
 
 def test_a_drive_that_refuses_to_stop_is_left_in_silence(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its own timeout, 58.16, is unknown, and the limit 0.8 s; the margin, 1 s, is 0.4 s here.
+    """Its own timeout, 58.16, is unknown, and the limit is 0.8 s; the margin is 0.4 s, not 1 s.
 
-    Closed in a silence it tries once more, and ends.
+    If closed during a silence, it tries once more, and ends.
     """
     assert exchange.SILENCE_MARGIN_S == 1.0
     monkeypatch.setattr(exchange, "SILENCE_MARGIN_S", 0.4)
@@ -424,8 +424,8 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(monkeypatch: pytest.Mon
         assert "refused with exception 6" in bench.now.problem
         assert bench.now.state is State.SILENT and bench.now.status is None
         connections = bench.wire.connections
-        assert bench.drive.written[-1] == (1, 0)  # what comes after the refused word
-        for bench.speed in (None, 0.5):  # who asks for something does not break it
+        assert bench.drive.written[-1] == (1, 0)  # follows the refused word
+        for bench.speed in (None, 0.5):  # a demand does not break the silence
             time.sleep(0.3)
         bench.exchange.reset()
         wait(lambda: len(silences(bench.wire)) == 2, seconds=8)
@@ -450,7 +450,7 @@ def test_its_own_timeout_is_read_though_no_stop_was_ever_taken(bench: Bench) -> 
 @pytest.mark.parametrize(
     ("speed", "left_for"),
     [
-        # -32768 of 20000 is no speed.
+        # -32768 of 20000 is not a speed.
         (0x8000, r"register 400005.* is -32768.*; its speed cannot be read.*, although \*stop\*"),
         (10_000, r"it acknowledges \*stop\*, but its speed has not fallen .* \(it is 50.0%\)"),
     ],
@@ -458,9 +458,9 @@ def test_its_own_timeout_is_read_though_no_stop_was_ever_taken(bench: Bench) -> 
 def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, speed: int, left_for: str
 ) -> None:
-    """Judged after 0.5 s instead of 10, and seen for 0.5 s instead of 2.
+    """Judged after 0.5 s instead of 10 s, after an observation of 0.5 s instead of 2 s.
 
-    Its own timeout, 58.16, is 1 s; the margin, 1 s, is 0.2 s here.
+    Its own timeout, 58.16, is 1 s; the margin is 0.2 s here instead of 1 s.
     """
     for name, seconds in (("RUNS_ON_S", 0.5), ("SEEN_S", 0.5), ("SILENCE_MARGIN_S", 0.2)):
         monkeypatch.setattr(exchange, name, seconds)
@@ -469,11 +469,11 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
     bench.wire.times.clear()
     bench.drive.on_write = lambda _address, _word: bench.drive.values.update({3: 0x1231, 4: speed})
     bench.speed = None
-    if speed == 10_000:  # its cause is seen before the silence
+    if speed == 10_000:  # the fault is seen before the silence
         bench.until_said(lambda status: status.runs_on and "acknowledges *stop*" in status.fault)
         assert bench.now.state is State.STOPPING
     wait(lambda: re.search(f"{left_for}.*so nothing is sent for 1.2 s", bench.now.problem))
-    assert "two connections" not in bench.now.problem
+    assert "two successive connections" not in bench.now.problem
     assert not bench.now.connected and bench.now.status is None
     assert bench.drive.written[-1] in (OFF, (1, 0))
     bench.drive.written.clear()
@@ -487,7 +487,7 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
 def test_one_in_local_control_is_not_left_in_silence(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A person at its panel has it, and sees to it, whether its speed can be read or not."""
+    """A person at its panel is responsible for it, whether its speed can be read or not."""
     monkeypatch.setattr(exchange, "RUNS_ON_S", 0.5)
     bench.run()
     bench.drive.on_write = lambda _address, _word: bench.drive.values.update({3: 0x1031, 4: 0x8000})
@@ -499,21 +499,21 @@ def test_one_in_local_control_is_not_left_in_silence(
         time.sleep(0.01)
 
 
-# --- whether a drive obeys, by a clock of the test's own ------------------------------------------
+# --- whether a drive obeys, by the test's own clock -----------------------------------------------
 
 
 class Stopping:
-    """Writes *stop* ten times a second, and listens to what the drive says."""
+    """Writes *stop* ten times a second, and judges what the drive reports."""
 
     def __init__(self) -> None:
         self.now, self.obedience, self.faults = 0.0, Obedience("there"), set[str]()
-        # Of each time that it was left: when, and why; it lasts 6 s.
+        # When and why it was left each time; a silence lasts 6 s.
         self.left: list[tuple[float, str]] = []
 
     def listen(
         self, seconds: float, speed: Callable[[float], float | None], *, remote: bool = True
     ) -> None:
-        """Go on with a drive of a speed that depends on the time; None cannot be read."""
+        """Continue with a drive whose speed depends on the time; None cannot be read."""
         until = self.now + seconds
         while self.now < until:
             self.now += 0.1
@@ -531,7 +531,7 @@ class Stopping:
                 self.leave(str(error))
 
     def lose(self) -> None:
-        """Lose a connection, and wait for 1 s for the next."""
+        """Lose a connection; the next one comes after 1 s."""
         why = self.obedience.lost(True, self.now)
         self.now += 1.0
         if why is not None:
@@ -546,12 +546,12 @@ class Stopping:
 @pytest.mark.parametrize(
     ("speed", "left", "why"),
     [
-        # A ramp of 1 % in 9 s, however slow that is; then noise at rest.
+        # A ramp of 1 % in 9 s, which is slow but falls; then noise at rest.
         (lambda now: max(0.019, 1.0 - 0.01 * (now // 9)), [], ""),
-        # Not for 10 s, which can be seen for 2 s; left for 6 s; and again after a minute.
+        # Has not fallen for 10 s, observed for 2 s; left for 6 s; and again after a minute.
         (lambda _now: 0.5, [12.3, 78.4, 144.5], "has not fallen for 10 s (it is 50.0%)"),
-        # From 5.1 s on a connection is lost each 1.1 s: at 16.1 s that is more than 10 s, and known
-        # 1 s later; after the silence, until 23.1 s, and a minute at 83.7 s.
+        # From 5.1 s on a connection is lost every 1.1 s: at 16.1 s that is over 10 s, noticed 1 s
+        # later; after the silence until 23.1 s, again a minute later, at 83.7 s.
         (lambda now: 0.0 if now < 5 else None, [17.1, 84.7, 152.3], "; its speed cannot be read"),
     ],
     ids=["obeys", "runs on", "speed not read"],
@@ -591,7 +591,7 @@ def test_one_that_stood_or_was_run_or_is_a_persons_begins_again(way: str) -> Non
 
 
 def test_a_stop_that_is_refused_on_two_connections_one_after_the_other() -> None:
-    """A connection on which nothing could be sent counts for neither."""
+    """A connection on which nothing could be sent counts neither way."""
     obedience = Obedience("there")
     ends = [obedience.lost(stopped, 0.0) for stopped in (False, True, False, None, False, False)]
     assert [bool(why) for why in ends] == [False, False, False, False, True, True]
@@ -620,7 +620,7 @@ def test_what_somebody_changes_at_the_panel_is_noticed(
 
 
 def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Schneider: at 725 rpm of 1450 half of rated speed; of 2900 a quarter."""
+    """Schneider: 725 rpm is half of a rated speed of 1450 rpm, and a quarter of 2900 rpm."""
     monkeypatch.setattr(exchange, "SETTINGS_S", 0.2)
     monkeypatch.setattr(exchange, "STILL_S", 0.2)
     with closing(Bench(read_drive_file(find_drive_file("schneider_atv630")))) as bench:
@@ -633,7 +633,7 @@ def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
         bench.until_said(lambda status: status.speed == pytest.approx(0.25))
 
 
-# --- where time is not real -----------------------------------------------------------------------
+# --- not at real time -----------------------------------------------------------------------------
 
 
 SIMULATOR = bytes.fromhex("2b0e0101000002") + b"\0\x0dgreenroof_ros\1\x0fdrive simulator"
@@ -643,10 +643,10 @@ SIMULATOR = bytes.fromhex("2b0e0101000002") + b"\0\x0dgreenroof_ros\1\x0fdrive s
 def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so(
     bench: Bench, simulated: bool
 ) -> None:
-    """Though it ran: one that takes the simulator's place, and one that does not say what it is.
+    """Even if it ran: a drive in the simulator's place, and one that does not identify itself.
 
-    *Run* is written once more at most, in the round that is under way; which takes longer where the
-    question is not answered in it. Each connection may lead to another one.
+    *Run* is written at most once more, in the round that is under way; that round takes longer if
+    the question is not answered in it. Each connection can lead to another drive.
     """
 
     def answer(request: bytes) -> Answer:
@@ -676,7 +676,7 @@ def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so
 
 
 def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
-    """The first names the host in another way."""
+    """Although the first names the host differently."""
     port = bench.wire.port
     first = DriveLock(PlacedDrive(ABB, parse_address(f"tcp://localhost:{port}")))
     first.take()
@@ -685,7 +685,7 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
     wait(lambda: f"process {os.getpid()} of this machine" in bench.now.problem)
     time.sleep(0.3)
     assert not bench.now.connected and bench.now.errors == 1
-    # The supervisor's stop goes by, where that one is its own.
+    # The supervisor's stop ignores the lock of its own driver.
     at = PlacedDrive(ABB, parse_address(bench.wire.at))
     with pytest.raises(DriveInUseError, match=f"process {os.getpid()} of this machine"):
         stop_drive(at, driver=1)
@@ -716,7 +716,7 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
     second.release()
 
 
-# --- what must not happen -------------------------------------------------------------------------
+# --- unexpected errors ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -725,7 +725,7 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
 def test_whatever_fails_the_next_step_begins_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, owner: type, method: str
 ) -> None:
-    """No file descriptor is left, for instance."""
+    """For instance, no file descriptor is left over."""
     bench.run()
     original, errors, problems = getattr(owner, method), [OSError("torn out")], set[str]()
 
@@ -740,15 +740,15 @@ def test_whatever_fails_the_next_step_begins_again(
     bench.wire.drop()
     wait(lambda: not errors and bench.now.connected)
     bench.until_half()
-    if method == "connect":  # that one is seen at the next attempt
+    if method == "connect":  # this error is seen at the next attempt
         assert "talking to the drive failed: OSError('torn out')" in problems
 
 
-# --- how it is left -------------------------------------------------------------------------------
+# --- leaving a drive ------------------------------------------------------------------------------
 
 
 def falls_for(drive: Registers, seconds: float) -> None:
-    """Have it turn at rated speed, and ramp down from the first *stop* on."""
+    """Let the drive turn at rated speed, and ramp down from the first *stop* on."""
     began: list[float] = []
 
     def falls(_address: int, _word: int) -> None:
@@ -764,7 +764,7 @@ def falls_for(drive: Registers, seconds: float) -> None:
 def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, seconds: float, stands: bool
 ) -> None:
-    """For as long as LEAVE_S, here 2 s: longer than a drive is left that does not slow down."""
+    """For LEAVE_S, here 2 s: longer than a drive may fail to slow down before it is left alone."""
     monkeypatch.setattr(exchange, "LEAVE_S", 2.0)
     monkeypatch.setattr(exchange, "STILL_S", 1.0)
     second = acs880()
@@ -784,7 +784,7 @@ def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
 def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off_meanwhile(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The supervisor's stop, and the exchange's end; that it runs on is seen after 1 s here."""
+    """By the supervisor's stop and at the exchange's end; "runs on" is judged after 1 s here."""
     monkeypatch.setattr(exchange, "STILL_S", 1.0)
     bench.drive.values.update({3: 0x1137, 4: 20000})
     bench.drive.on_write = lambda _address, _word: None
@@ -793,7 +793,7 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
         stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(bench.wire.at)))
         wait(lambda: bench.wire.seen)
         bench.exchange.start()
-        wait(lambda: "runs this drive already" in bench.now.problem)
+        wait(lambda: "already runs this drive" in bench.now.problem)
         at_end = stop.result()
     assert time.monotonic() - began < 2.0
     wait(lambda: bench.now.connected)
@@ -813,9 +813,9 @@ def test_a_stop_that_is_not_taken_is_tried_three_times(bench: Bench) -> None:
 
 
 def test_the_waits_fit_into_those_of_the_pump_control_bringup_and_the_service() -> None:
-    """The control waits 15 s (follow_time); the node says by UNREAD_S that a drive must stand.
+    """The control waits 15 s (follow_time); the node infers from UNREAD_S that a drive stands.
 
-    Then the pump node's end; the supervisor's stop, while another may be at work; the others.
+    Then the pump node's end; the supervisor's stop, perhaps after another one; the other nodes.
     """
     from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
     from greenroof_ros.graph.supervisor import ENDING_S, KILLING_S, PUMP_ENDING_S
@@ -827,7 +827,7 @@ def test_the_waits_fit_into_those_of_the_pump_control_bringup_and_the_service() 
     assert LONGEST_RAMP_S < leave < leave + exchange.LONGEST_WAIT_S < PUMP_ENDING_S
     service = (CHECKOUT / "examples/greenroof.service").read_text()
     (line,) = (line for line in service.splitlines() if line.startswith("TimeoutStopSec="))
-    others_end = 2 * (ENDING_S + KILLING_S)  # those, and the recorder
+    others_end = 2 * (ENDING_S + KILLING_S)  # the other nodes, and the recorder
     assert float(line.partition("=")[2]) > max(
         PUMP_ENDING_S + KILLING_S + leave, 2 * leave
     ) + others_end

@@ -32,7 +32,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mosquitto]:
 
 @contextmanager
 def reading(broker: Mosquitto, **changed: object) -> Iterator[MqttReader]:
-    """Hear a sensor that says metres up to 6 m, without a filter."""
+    """Subscribe to a sensor that publishes metres, up to 6 m, without a filter."""
     values: dict[str, object] = {
         "address": f"{broker.address}/{TOPIC}", "scale": 1.0, "low": 0.0, "high": 6.0, "median": 1,
         "max_age": 30.0,
@@ -46,7 +46,7 @@ def reading(broker: Mosquitto, **changed: object) -> Iterator[MqttReader]:
 
 
 def after(reader: MqttReader, talker: Talker, *messages: str) -> list[float | str | None]:
-    """Return what comes of each message: the value, or what is said instead."""
+    """Return the result of each message: the value, or the problem that is reported instead."""
     results: list[float | str | None] = []
     for message in messages:
         before = reader.snapshot
@@ -58,7 +58,7 @@ def after(reader: MqttReader, talker: Talker, *messages: str) -> list[float | st
 
 
 def begin(reader: MqttReader, talker: Talker, message: str) -> None:
-    """Say something again and again until it is heard: the subscription takes a moment."""
+    """Repeat a message until it is received: the subscription takes a moment."""
     before = reader.snapshot
 
     def is_heard() -> bool:
@@ -67,43 +67,43 @@ def begin(reader: MqttReader, talker: Talker, message: str) -> None:
         return reader.snapshot is not before
 
     until(is_heard, 20)
-    time.sleep(0.1)  # what was said meanwhile
+    time.sleep(0.1)  # lets pending messages arrive
 
 
 # --- a message ------------------------------------------------------------------------------------
 
-# By the message, and what is special of the sensor: the level, or what is said.
+# By the message and the sensor's special keys: the level, or the problem.
 MESSAGES: list[tuple[str, dict[str, object], float | str]] = [
     ("2.31", {}, 2.31),
     (" 2310\n", {"scale": 0.001, "offset": -0.5}, 1.81),
-    # Tasmota's message, and a gateway's with several sensors.
+    # A Tasmota message, and one from a gateway with several sensors.
     ('{"Time": "2026-06-01T12:00:00", "ANALOG": {"Range1": 1234}}',
      {"value": "ANALOG.Range1", "scale": 0.001}, 1.234),
     ('{"sensors": [{"distance": 9}, {"distance": 350}]}',
      {"value": "sensors[1].distance", "scale": -0.001, "offset": 0.6}, 0.25),
     ("[[1, 2], [3, 4]]", {"value": "[1][0]"}, 3.0),
     # Not a number.
-    ("true", {}, "says 'True', which is no number"),
-    ("null", {}, "says 'None', which is no number"),
-    ('"2.31"', {}, "says '2.31', which is no number"),
-    ("[2.31]", {}, "says '[2.31]', which is no number"),
-    ("NaN", {}, "says nan, which is no number"),
-    ("-Infinity", {}, "says -inf, which is no number"),
-    ("1e999", {}, "says inf, which is no number"),
+    ("true", {}, "says 'True', which is not a number"),
+    ("null", {}, "says 'None', which is not a number"),
+    ('"2.31"', {}, "says '2.31', which is not a number"),
+    ("[2.31]", {}, "says '[2.31]', which is not a number"),
+    ("NaN", {}, "says nan, which is not a number"),
+    ("-Infinity", {}, "says -inf, which is not a number"),
+    ("1e999", {}, "says inf, which is not a number"),
     ("9" * 400, {}, "says a number that is too large"),
-    ("1e308", {"scale": 100.0}, "says 1e+308, which is no number"),
+    ("1e308", {"scale": 100.0}, "says 1e+308, which is not a number"),
     # Out of range.
     ("6.01", {}, "says 6.01 m (raw 6.01), which is not from 0 to 6 m"),
     ("-0.01", {}, "says -0.01 m (raw -0.01), which is not from 0 to 6 m"),
     # Malformed, or of another form.
-    ("", {}, "says b'', which is no JSON"),
-    ("2,31", {}, "says b'2,31', which is no JSON"),
-    ('{"level": 2.3', {"value": "level"}, "says b'{\"level\": 2.3', which is no JSON"),
+    ("", {}, "says b'', which is not JSON"),
+    ("2,31", {}, "says b'2,31', which is not JSON"),
+    ('{"level": 2.3', {"value": "level"}, "says b'{\"level\": 2.3', which is not JSON"),
     ('{"level": 2.3}', {"value": "depth"}, "says b'{\"level\": 2.3}', which has no depth"),
     ('{"level": 2.3}', {"value": "level.m"}, "says b'{\"level\": 2.3}', which has no level.m"),
     ('{"level": []}', {"value": "level[0]"}, "says b'{\"level\": []}', which has no level[0]"),
     ('{"a": 1}', {"value": "a[0]"}, "says b'{\"a\": 1}', which has no a[0]"),
-    ("[" * 60_000, {}, f"says {b'[' * 40!r}, which is no JSON"),
+    ("[" * 60_000, {}, f"says {b'[' * 40!r}, which is not JSON"),
     ("1" + " " * 65_536, {}, "a message of 65537 bytes, which is more than 65536"),
 ]
 
@@ -120,7 +120,7 @@ def test_what_a_message_says(
 
 
 def test_a_refused_message_empties_the_filter(shared: Mosquitto) -> None:
-    """The lower median of up to three: of 1, 5, 2 it is 2; after a refused one 4 alone counts."""
+    """Lower median of up to three: for 1, 5, 2 it is 2; after a refused value only 4 counts."""
     with reading(shared, median=3) as reader, Talker(shared) as talker:
         begin(reader, talker, "7")
         results = after(reader, talker, "1", "5", "2", "7", "4", "3")
@@ -131,11 +131,11 @@ def test_a_refused_message_empties_the_filter(shared: Mosquitto) -> None:
 
 
 def test_what_the_broker_kept_is_no_reading(shared: Mosquitto) -> None:
-    """A retained message may be of last year; one that comes now counts, whatever its flag."""
+    """A retained message can be a year old; a live one counts, whatever its retain flag."""
     with Talker(shared) as talker:
         talker.say(TOPIC, "1.5", retain=True)
         with reading(shared) as reader:
-            until(lambda: "what the broker kept may be old" in reader.snapshot.problem, 20)
+            until(lambda: "the retained message may be old" in reader.snapshot.problem, 20)
             assert reader.snapshot.value is None
             talker.say(TOPIC, "1.6", retain=True)
             until(lambda: reader.snapshot.value == 1.6, 20)
@@ -149,54 +149,54 @@ def test_a_sensor_that_says_nothing_is_lost(shared: Mosquitto) -> None:
         until(lambda: reader.snapshot.value == 2.0, 20)
         lasted = until(lambda: reader.snapshot.value is None, 20)
         assert 0.3 < lasted < 2.0
-        assert reader.snapshot.problem.endswith(f"{TOPIC}: has said nothing for 0.5 s")
+        assert reader.snapshot.problem.endswith(f"{TOPIC}: has sent nothing for 0.5 s")
         assert after(reader, talker, "3") == [3.0]
 
 
 def test_nothing_of_before_a_suspend_counts_after_it(
     shared: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The machine slept for an hour: what comes within a second may have waited."""
-    # Asked for when nothing is heard yet, and with each message.
+    """The machine was suspended for an hour: messages within a second after it may be old."""
+    # Called once before the first message, and with each message.
     slept = chain([0.0] * 3, repeat(3600.0))
     monkeypatch.setattr(readings, "suspended_time", lambda: next(slept))
     with reading(shared, median=3) as reader, Talker(shared) as talker:
         time.sleep(0.5)  # until it has subscribed
         assert after(reader, talker, "1", "1") == [1.0, 1.0]
-        slept_for = "may have said this before the machine was suspended"
+        slept_for = "this message may be from before the suspend"
         assert after(reader, talker, "1", "1") == [slept_for, slept_for]
         time.sleep(1.1)
         assert after(reader, talker, "4", "5") == [4.0, 4.0]
 
 
-# --- whether the sensor, and the broker, is there -------------------------------------------------
+# --- whether sensor and broker are there ----------------------------------------------------------
 
 
 def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
     shared: Mosquitto
 ) -> None:
-    """Unlike a value, that is known from what the broker kept."""
+    """Unlike a value, the availability may be a retained message."""
     with reading(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
-        unknown = "is not there: roof/LWT has not said 'Online'"
+        unknown = "is offline: roof/LWT has not said 'Online'"
         begin(reader, talker, "1")
         assert after(reader, talker, "1") == [unknown]
         talker.say("roof/LWT", "Online", retain=True)
-        until(lambda: "is there, and has said nothing yet" in reader.snapshot.problem, 20)
+        until(lambda: "is online, but has not sent a reading yet" in reader.snapshot.problem, 20)
         assert after(reader, talker, "1") == [1.0]
         talker.say("roof/LWT", "Online", retain=True)
         talker.say("roof/LWT", "Offline", retain=True)
-        until(lambda: "is not there: roof/LWT says b'Offline'" in reader.snapshot.problem, 20)
+        until(lambda: "is offline: roof/LWT says b'Offline'" in reader.snapshot.problem, 20)
         assert reader.snapshot.value is None
         assert after(reader, talker, "2") == [unknown]
         talker.say("roof/LWT", "Online", retain=True)
-        until(lambda: "is there, and" in reader.snapshot.problem, 20)
+        until(lambda: "is online, but" in reader.snapshot.problem, 20)
     with reading(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
-        until(lambda: "is there, and" in reader.snapshot.problem, 20)
+        until(lambda: "is online, but" in reader.snapshot.problem, 20)
         assert after(reader, talker, "3") == [3.0]
 
 
 def test_a_broker_that_is_killed_or_stops_answering_comes_back_by_itself(tmp_path: Path) -> None:
-    """It is said at once that it is lost; one that hangs, within 15 s."""
+    """A lost connection is reported at once, a broker that hangs within 15 s."""
     with mosquitto(tmp_path) as broker, reading(broker, max_age=1.0) as reader:
 
         def talk(message: str) -> None:
@@ -213,7 +213,7 @@ def test_a_broker_that_is_killed_or_stops_answering_comes_back_by_itself(tmp_pat
         until(lambda: reader.snapshot.code == "sensor_lost", 20)
         talk("2")
         broker.pause()
-        until(lambda: "has said nothing for 1 s" in reader.snapshot.problem, 5)
+        until(lambda: "has sent nothing for 1 s" in reader.snapshot.problem, 5)
         until(lambda: reader.snapshot.code == "broker_lost" and reader.snapshot.problem, 15)
         broker.go_on()
         until(lambda: reader.snapshot.code == "sensor_lost", 20)
@@ -231,11 +231,11 @@ def test_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
             until(lambda: "nobody answers at" in reader.snapshot.problem, 20)
             assert reader.snapshot.code == "broker_lost"
             broker.start()
-            until(lambda: "has said nothing yet" in reader.snapshot.problem, 20)
+            until(lambda: "has sent nothing yet" in reader.snapshot.problem, 20)
 
 
 def test_login_and_encryption(tmp_path: Path) -> None:
-    """A broker with a password, and a certificate of the test's own."""
+    """A broker with a password, and a certificate made by the test."""
     key, certificate, passwords = (tmp_path / name for name in ("key.pem", "ca.pem", "passwords"))
     for command in (
         ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out",
@@ -279,12 +279,12 @@ def test_login_and_encryption(tmp_path: Path) -> None:
 
 
 def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mosquitto) -> None:
-    """A gauge of 0.2 mm a tip, which says its total in mm."""
+    """A gauge of 0.2 mm per tip, which publishes its total in mm."""
     with reading(shared, counts=True, scale=0.001, high=0.01) as reader, Talker(shared) as talker:
         begin(reader, talker, "no JSON")
 
         def rate(total: str, pause: float) -> tuple[float, float]:
-            """Return the rate, and how long it was since the total before."""
+            """Return the rate, and the time since the previous total."""
             time.sleep(pause)
             nonlocal at
             before, at = at, time.monotonic()
@@ -304,7 +304,7 @@ def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mos
         value, passed = rate("0.6", 0.5)
         assert value == pytest.approx(0.4e-3 / passed, rel=0.2)
         assert "which is not from 0 to 0.01 m" in str(after(reader, talker, "900")[0])
-        # What was refused is nothing to count from.
+        # A refused total is no start for a difference.
         assert after(reader, talker, "901") == [None]
 
 
@@ -335,7 +335,7 @@ def test_the_shipped_file_is_read() -> None:
          "level_limit"),
         ("cistern/status ", "+/status ", 17, "cistern.available = '+/status': must be a topic "
          "without"),
-        ("cistern/status ", "cistern/sensor/level/state ", 17, "must be another topic"),
+        ("cistern/status ", "cistern/sensor/level/state ", 17, "must differ from the topic"),
         ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml", 18, "cistern.login = "
          "'broker.yaml': must be an absolute path"),
         ("# login:", "authority: /ca.pem #", 10, "certificates are for mqtts://"),
@@ -344,9 +344,9 @@ def test_the_shipped_file_is_read() -> None:
          "for a flow meter or a rain gauge"),
         ("0.0001               ", "0.1 ", 35, "rain_gauge.high = 0.1: must be at most 0.001 m/s"),
         ("  high: 0.0001    ", "  # high: 0.0001 ", 30, "rain_gauge.high: is missing"),
-        ("median: 1", "median: 3", 32, "rain_gauge.counts = True: goes with median: 1"),
+        ("median: 1", "median: 3", 32, "rain_gauge.counts = True: needs median: 1"),
         ("roof/temperature", "roof/rain", 40, "thermometer.address = 'mqtt://127.0.0.1:1883/roof/"
-         "rain': is the rain gauge's: both"),
+         "rain': is also the rain gauge's: both"),
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(

@@ -33,7 +33,7 @@ pytestmark = needs_mosquitto
 
 MAKES = ("shelly_gen2", "tasmota")
 TIMER_S = 3.0
-# What a busy machine may add.
+# Time that a busy machine may add.
 SLACK_S = 1.0
 
 
@@ -44,7 +44,7 @@ def placed(make: str, address: str) -> PlacedRelay:
 
 
 class Wiretap:
-    """Hears everything on a broker."""
+    """Receives all messages on a broker."""
 
     def __init__(self, address: str) -> None:
         self.heard: list[tuple[float, str, str, bool]] = []
@@ -106,7 +106,7 @@ class Bench:
 
     @property
     def closed(self) -> bool:
-        """Whether the contact is."""
+        """Whether the contact is closed."""
         return self.relay.speed() == 1.0
 
     def connect(self) -> None:
@@ -143,7 +143,7 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
 
 
 def test_it_is_switched_renewed_and_left_off(bench: Bench) -> None:
-    """Off first; on is renewed within a third of the timer; nothing that is published is kept."""
+    """Off first; *on* is renewed within a third of the timer; no message is retained."""
     with closing(Wiretap(bench.broker.address)) as tap:
         bench.connect()
         now = bench.now
@@ -164,7 +164,7 @@ def test_it_is_switched_renewed_and_left_off(bench: Bench) -> None:
         assert wait(lambda: not bench.closed) < SLACK_S
         bench.speed = 1.0
         wait(lambda: bench.closed, 5)
-        bench.ask_no_more()  # as a node that hangs
+        bench.ask_no_more()  # like a node that hangs
         assert wait(lambda: not bench.closed) < 1.0 + SLACK_S
         bench.exchange.close()
         assert bench.now.status is not None and bench.now.status.stands
@@ -178,10 +178,10 @@ def test_it_is_switched_renewed_and_left_off(bench: Bench) -> None:
     ("make", "fault", "note"),
     [
         ("tasmota", "timer_off", r"^PulseTime1.Set is 0: off$"),
-        ("shelly_gen2", "timer_off", r"^auto off: result.auto_off is false, and must be true$"),
-        ("tasmota", "power_up_on", r"^the state after power-up: PowerOnState is 3, and must be 0$"),
-        ("shelly_gen2", "power_up_on", r"initial_state is on, and must be off$"),
-        ("shelly_gen2", "auto_on", r"^auto on: result.auto_on is true, and must be false$"),
+        ("shelly_gen2", "timer_off", r"^auto off: result.auto_off is false, but must be true$"),
+        ("tasmota", "power_up_on", r"^the state after power-up: PowerOnState is 3, but must be 0$"),
+        ("shelly_gen2", "power_up_on", r"initial_state is on, but must be off$"),
+        ("shelly_gen2", "auto_on", r"^auto on: result.auto_on is true, but must be false$"),
         ("tasmota", "timer_long=2", r"PulseTime1.Set is 20, which is 2 s: less than 3 s cannot"),
         ("shelly_gen2", "timer_long=2", r"auto_off_delay is 2, which is 2 s: less than 3 s cannot"),
     ],
@@ -189,7 +189,7 @@ def test_it_is_switched_renewed_and_left_off(bench: Bench) -> None:
 def test_one_that_nothing_would_switch_off_is_not_switched_on(
     make: str, fault: str, note: str, tmp_path: Path
 ) -> None:
-    """Whoever asks for it."""
+    """Even if the node asks for it."""
     with bench_of(make, tmp_path, "--fault", fault) as bench, closing(
         Wiretap(bench.broker.address)
     ) as tap:
@@ -197,12 +197,12 @@ def test_one_that_nothing_would_switch_off_is_not_switched_on(
         assert bench.now.timeout_s is None and bench.now.timeout_known
         assert re.search(note, bench.now.timeout_note), bench.now.timeout_note
         bench.speed = 1.0
-        wait(lambda: "its own timer does not guard" in bench.now.problem, 5)
+        wait(lambda: "its own timer is not effective" in bench.now.problem, 5)
         assert not tap.switched(on=True) and not bench.closed
 
 
 def test_a_long_timer_is_read_as_it_is_encoded(tmp_path: Path) -> None:
-    """PulseTime counts from 112 in seconds, and 100 more: 220 is 2 min."""
+    """From 112 on, PulseTime is in seconds plus 100: 220 is 2 min."""
     with bench_of("tasmota", tmp_path, "--fault", "timer_long=120") as bench:
         bench.connect()
         assert bench.now.timeout_s == 120.0
@@ -232,7 +232,7 @@ def test_a_broker_that_is_killed_leaves_the_relay_to_its_timer(bench: Bench) -> 
 
 
 def test_a_broker_that_stalls_is_given_up_and_delivers_no_on_afterwards(bench: Bench) -> None:
-    """Each *on* needs an answer before it, so that none is left waiting, but for one by chance."""
+    """Each *on* requires an answer before it, so at most one can be left waiting."""
     bench.run()
     bench.broker.pause()
     took = wait(lambda: not bench.closed, 20)
@@ -246,7 +246,7 @@ def test_a_broker_that_stalls_is_given_up_and_delivers_no_on_afterwards(bench: B
 
 
 def closed_for(bench: Bench, seconds: float) -> float:
-    """Return for how much of a time the contact is closed (s)."""
+    """Return how long the contact is closed during a period (s)."""
     closed, ended = [], time.monotonic() + seconds
     while time.monotonic() < ended:
         closed.append(bench.closed)
@@ -255,7 +255,7 @@ def closed_for(bench: Bench, seconds: float) -> float:
 
 
 def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Bench) -> None:
-    """With which the connection was given up; otherwise it would last for the relay's timer."""
+    """Giving up the connection sends the *off*; otherwise *on* would last for the relay's timer."""
     with closing(Wiretap(bench.broker.address)) as tap:
         bench.connect()
         relay = bench.at.connection()
@@ -275,32 +275,32 @@ def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Be
 
 @pytest.mark.parametrize("fault", ["silence", "garbage", "late"])
 def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fault: str) -> None:
-    """Silence obeys every message, so the end of a connection switches it off at once."""
+    """A silent relay still obeys, so the end of the connection switches it off at once."""
     bench.run()
     bench.relay.inject(fault)
     took = wait(lambda: not bench.closed, 20)
     assert took < TIMER_S + SLACK_S
     wait(lambda: not bench.now.connected, 10)
-    expected = "that can be understood" if fault == "garbage" else "no answer to the question"
+    expected = "no valid answer to" if fault == "garbage" else "no answer to the question"
     assert expected in bench.now.problem
     bench.relay.inject("none")
     wait(lambda: bench.closed, 60)
 
 
 def test_one_that_switches_by_its_timer_alone_is_noticed_and_left_off(bench: Bench) -> None:
-    """As where renewals come too late: it drops out, which is no start from now on."""
+    """As if renewals came too late: it drops out; from then on that is not a start."""
     bench.run()
     bench.relay.inject("deaf")
     took = wait(lambda: not bench.closed, 20)
     assert took < TIMER_S + SLACK_S
     wait(lambda: bench.now.second_master, 5)
-    assert "its timer has passed" in bench.now.second_master
+    assert "its timer has expired" in bench.now.second_master
     bench.relay.inject("none")
     assert wait(lambda: bench.closed, 30) > 8.0  # the pause after a second master is 10 s
 
 
 def test_a_power_cut_is_noticed(bench: Bench) -> None:
-    """By what the relay says then, or where its answers have no number, by one that is missing."""
+    """By the relay's message or, if its answers are not numbered, by a missing answer."""
     bench.run()
     bench.relay.power_cycle()
     wait(lambda: bench.now.second_master or not bench.now.connected, 10)
@@ -309,7 +309,7 @@ def test_a_power_cut_is_noticed(bench: Bench) -> None:
 
 
 def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
-    """Where *off* is just on its way, it answers a hand before anybody has asked: noticed later."""
+    """If *off* is on its way, it reverses the hand before a query: a later try is noticed."""
     bench.connect()
     for _ in range(20):
         bench.relay.take_over(True)
@@ -320,7 +320,7 @@ def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
 
 
 def test_one_that_does_not_switch_on_says_so_and_is_not_switched_again(bench: Bench) -> None:
-    """Not before off was asked for: whoever does that keeps the least time off."""
+    """Not before off was asked for: the caller is responsible for the least time off."""
     with closing(Wiretap(bench.broker.address)) as tap:
         bench.connect()
         bench.relay.inject("deaf")
@@ -335,7 +335,7 @@ def test_one_that_does_not_switch_on_says_so_and_is_not_switched_again(bench: Be
 
 @pytest.mark.parametrize("make", MAKES)
 def test_the_topics_that_the_broker_must_let_through(make: str, tmp_path: Path) -> None:
-    """The rules that doc/reference/relays.md lists; the relay and this are anonymous."""
+    """The rules in doc/reference/relays.md; the relay and the driver connect anonymously."""
     page = (CHECKOUT / "doc/reference/relays.md").read_text(encoding="utf-8")
     block = page.partition(f"# {make}\n")[2].partition("\n\n")[0].partition("```")[0]
     topics = [line.split() for line in block.splitlines() if line.startswith("topic ")]
@@ -354,7 +354,7 @@ def test_the_topics_that_the_broker_must_let_through(make: str, tmp_path: Path) 
 
 
 def test_a_retained_message_is_no_answer(tmp_path: Path) -> None:
-    """Retained by whomever: a Tasmota with PowerRetain, or an old bridge."""
+    """Whoever retained it: a Tasmota with PowerRetain, or an old bridge."""
     with bench_of("tasmota", tmp_path) as bench, closing(Wiretap(bench.broker.address)) as tap:
         tap.publish("stat/roof/STATUS11", '{"StatusSTS": {"POWER": "ON"}}', retain=True)
         bench.relay.inject("silence")
@@ -371,7 +371,7 @@ def test_the_supervisor_stops_one_whose_driver_was_killed(bench: Bench) -> None:
 
 
 def test_only_the_simulator_at_loopback_is_one(bench: Bench) -> None:
-    bench.connect()  # the simulator may have been started just before
+    bench.connect()  # the simulator may have started just now
     relay = bench.at.connection()
     try:
         relay.line.connect()
@@ -383,7 +383,7 @@ def test_only_the_simulator_at_loopback_is_one(bench: Bench) -> None:
 
 
 def test_another_relay_is_none(tmp_path: Path) -> None:
-    """It answers as a real one does: with its release."""
+    """It answers like a real relay, with its release."""
     with mosquitto(tmp_path) as broker, closing(Wiretap(broker.address)) as tap:
         relay = placed("tasmota", f"{broker.address}/roof").connection()
         try:
@@ -418,7 +418,7 @@ def test_nobody_there_or_nobody_let_in(tmp_path: Path) -> None:
 def test_a_speed_that_is_none_is_refused() -> None:
     relay: Relay = placed("tasmota", "mqtt://127.0.0.1/roof").connection()
     for speed in (0.0, 1.1, float("nan")):
-        with pytest.raises(ValueError, match="is no speed at which a relay is on"):
+        with pytest.raises(ValueError, match="is not a speed at which a relay is on"):
             relay.run(speed)
 
 
@@ -432,12 +432,12 @@ SHELLY = (CONFIG / "drives" / "shelly_gen2.yaml").read_text(encoding="utf-8")
         (TASMOTA, "state: {question: state,", "state: {question: status,",
          "state.question = 'status': must be one of questions: state, timer, power_up, restart"),
         (TASMOTA, "payload: \"ON\"}", "payload: $on}",
-         "switch_on.payload = '$on': has another $ than $device, $me, $id, $seconds"),
-        (TASMOTA, 'is_off: "OFF"', 'is_off: "ON"', "state.is_off = 'ON': must be another value"),
+         "switch_on.payload = '$on': may contain only these $ names: $device, $me, $id, $seconds"),
+        (TASMOTA, 'is_off: "OFF"', 'is_off: "ON"', "state.is_off = 'ON': must differ from is_on"),
         (TASMOTA, "{low: 1, high: 111,", "{low: 112, high: 111,", "must be at most high, 111"),
-        (TASMOTA, "unverified: []", "unverified: [clock]", "names no key of this file"),
+        (TASMOTA, "unverified: []", "unverified: [clock]", "is not a key of this file"),
         (SHELLY, '{"id": $id, "src": "$me", "method": "Shelly.GetDeviceInfo"}', "{}",
-         "number = 'id': is of questions whose payload has $id"),
+         "number = 'id': needs $id in the payload of every question"),
         (SHELLY, "protocol: mqtt", "protocol: coap", "protocol = 'coap': must be one of mqtt"),
     ],
 )

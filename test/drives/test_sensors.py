@@ -1,4 +1,4 @@
-"""The file of sensors, and a client on Modbus that refuses what cannot be a level."""
+"""The sensor file, and a Modbus client that refuses values that cannot be a level."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHIPPED = (CONFIG / "sensors.yaml").read_text()
 
 
 def sensor(at: str, **changed: object) -> ModbusSensor:
-    """A sensor of 0.1 mm per count up to 6 m, without a filter."""
+    """A sensor with 0.1 mm per count, up to 6 m, without a filter."""
     values: dict[str, object] = {
         "address": at, "device_id": 1, "register": 16, "kind": "input", "type": "uint16",
         "scale": 1e-4, "low": 0.0, "high": 6.0, "median": 1, "period": 0.05,
@@ -31,7 +31,7 @@ def sensor(at: str, **changed: object) -> ModbusSensor:
 
 
 def levels(readings: list[str], **changed: object) -> list[float | str]:
-    """Return what comes of the data of answers to function 04: levels, or what is said instead."""
+    """Return the result of each answer to function 04: levels, or the problem reported instead."""
     remaining = list(readings)
 
     def answer(request: bytes) -> Answer:
@@ -68,11 +68,11 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
         ("0BB8", {"scale": 0.001, "offset": -0.5, "kind": "holding"}, 2.5),
         ("FF9C", {"type": "int16", "scale": 0.01, "offset": 3.0}, 2.0),  # -100
         ("0000 4020", {"type": "float32", "word_order": "low first", "scale": 1.0}, 2.5),
-        # What cannot be a level is refused with why.
+        # A value that cannot be a level is refused with the reason.
         ("EA61", {}, "says 6.0001 m (raw 60001), which is not from 0 to 6 m"),
-        ("FFFF", {"missing": 0xFFFF}, "says 0xFFFF, which means that there is no reading"),
+        ("FFFF", {"missing": 0xFFFF}, "says 0xFFFF, which means 'no reading'"),
         ("7FC0 0000", {"type": "float32", "word_order": "high first", "scale": 1.0},
-         "says nan, which is no number"),
+         "says nan, which is not a number"),
     ],
 )
 def test_scale_offset_type_and_word_order(
@@ -85,13 +85,13 @@ def test_scale_offset_type_and_word_order(
 def test_the_median_leaves_single_wrong_readings_out_and_starts_again_after_a_refused_one() -> None:
     """Of three: 1, 1 (of 1, 9: the lower), 1, 2 | 3 alone, then 3 (of 3, 4)."""
     data = ["2710", "EA60", "2710", "4E20", "FFFF", "7530", "9C40"]  # 1, 6, 1, 2, -, 3, 4 m
-    no_reading = "says 0xFFFF, which means that there is no reading"
+    no_reading = "says 0xFFFF, which means 'no reading'"
     assert levels(data, median=3, missing=0xFFFF) == [1.0, 1.0, 1.0, 2.0, no_reading, 3.0, 3.0]
 
 
 def test_no_level_of_before_a_suspend_counts_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The machine slept for an hour between the third reading and the fourth."""
-    slept = chain([0.0] * 4, repeat(3600.0))  # the first is asked for when nothing is read yet
+    """The machine was suspended for an hour between the third reading and the fourth."""
+    slept = chain([0.0] * 4, repeat(3600.0))  # the first call is before any reading
     monkeypatch.setattr(readings, "suspended_time", lambda: next(slept))
     assert levels(["2710"] * 3 + ["9C40"] * 2, median=3) == [1.0, 1.0, 1.0, 4.0, 4.0]
 
@@ -122,7 +122,7 @@ def test_a_sensor_that_comes_and_goes_is_read_again_by_itself() -> None:
 
 
 def test_no_error_ends_the_reading_for_good() -> None:
-    """A host's name with an empty part is a UnicodeError: it is said, and tried again."""
+    """A host name with an empty part gives a UnicodeError: it is reported, and tried again."""
     with closing(ModbusReader(sensor("tcp://no..where:502"), "m", timeout_s=0.2)) as exchange:
         exchange.start()
         until(lambda: "tcp://no..where:502: reading failed: Unicode" in exchange.snapshot.problem)
@@ -145,21 +145,21 @@ def test_the_shipped_file_is_read() -> None:
     [
         (["tcp://127.0.0.1:5030", "127.0.0.1"], 11, "cistern.address = '127.0.0.1': must be tcp"),
         (["  median: 5", "  median: 4"], 21, "cistern.median = 4: must be odd"),
-        (["  median: 5", "  median: 99"], 21, "cistern.median = 99: is late by 49 s"),
+        (["  median: 5", "  median: 99"], 21, "cistern.median = 99: delays the value by 49 s"),
         (["high: 6.0 ", "high: -6.0 "], 19, "cistern.high = -6.0: must be above low, 0 m"),
         (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot give 0 to 6 m"),
-        (["5031", "5030"], 27, "roof.register = 0: is the cistern's: both sensors would be"),
-        # One process for each sensor, and one alone can open the line, by whichever of its names.
+        (["5031", "5030"], 27, "roof.register = 0: is also the cistern's: both sensors would be"),
+        # Each sensor has its own process, and only one can open the line, by whichever name.
         (
             ["tcp://127.0.0.1:5030", "/dev/ttyS0", "tcp://127.0.0.1:5031", "LINK"], 25,
-            "is the cistern's serial line, which one program alone can open",
+            "is the cistern's serial line, which only one program can open",
         ),
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(
     tmp_path: Path, changes: list[str], line: int, message: str
 ) -> None:
-    """What any file may have wrong, as an unknown key, test_drive_files.py shows."""
+    """Errors common to all files, such as an unknown key, are in test_drive_files.py."""
     link, text = tmp_path / "line", SHIPPED
     link.symlink_to("/dev/ttyS0")
     for old, new in zip(changes[::2], changes[1::2], strict=True):

@@ -1,8 +1,8 @@
 """The driver's bytes against requests written out by hand from the makers' manuals.
 
-A line of a dialogue: a word, function 03 (address, count) or 06 (address, word), the answer (none:
-the request repeated, as to a write), a remark. `modbus_wire.script` puts the head of Modbus TCP
-before each. The manual's number of each register and what each word means stand beside them.
+A line of a dialogue: a word, function 03 (address, count) or 06 (address, word), the answer (if
+missing, the request repeated, as after a write), a remark. `modbus_wire.script` adds the Modbus TCP
+header. The manual's number of each register and the meaning of each word stand beside them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Task = Callable[[Drive], Any]
 
 
 def talk(name: str, wire: str, task: Task, timeout_s: float = 0.3) -> Any:
-    """Do something with a drive behind an address."""
+    """Call a function with a drive behind an address."""
     file = read_drive_file(find_drive_file(name))
     drive = Drive(file, parse_drive_address(wire, "at"), timeout_s)
     drive.line.connect()
@@ -36,7 +36,7 @@ def talk(name: str, wire: str, task: Task, timeout_s: float = 0.3) -> Any:
 
 
 def follow(name: str, dialogue: str, task: Task, *, gateway: bool = False) -> Any:
-    """Do something; every request must be the dialogue's, byte for byte."""
+    """Call a function; every request must be the dialogue's, byte for byte."""
     requests, answer = script(dialogue)
     with closing(Wire(answer)) as wire:
         try:
@@ -46,7 +46,7 @@ def follow(name: str, dialogue: str, task: Task, *, gateway: bool = False) -> An
 
 
 def against(answer: Callable[[bytes], Answer], task: Task, timeout_s: float = 0.3) -> Any:
-    """Do something with an ABB drive that answers so."""
+    """Call a function with an ABB drive that gives these answers."""
     with closing(Wire(answer)) as wire:
         return talk("abb_acs880", wire.at, task, timeout_s)
 
@@ -202,7 +202,7 @@ def test_start_stop_and_reset(name: str) -> None:
     ],
 )
 def test_another_ones_run_is_noticed(name: str, register: str, runs: str, stops: str) -> None:
-    """Where the word that was written has been read back, and then it is *run*."""
+    """Noticed when the control word that is read back is not the one written, but *run*."""
     read_back = "".join(f"\n: 03 {register} 0001 -> 03 02 {word}" for word in (runs, stops, runs))
 
     def stop_and_look(drive: Drive) -> list[str]:
@@ -210,10 +210,10 @@ def test_another_ones_run_is_noticed(name: str, register: str, runs: str, stops:
         return [drive.intruder() for _ in range(3)]
 
     results = follow(name, STOPS[name].rstrip() + read_back, stop_and_look)
-    assert results[:2] == ["", ""] and f"word is 0x{runs}, and 0x{stops} was" in results[2]
+    assert results[:2] == ["", ""] and f"word is 0x{runs}, but 0x{stops} was" in results[2]
 
 
-# --- what it says ---------------------------------------------------------------------------------
+# --- what a drive reports -------------------------------------------------------------------------
 
 READS: list[tuple[str, str, dict[str, Any]]] = [
     ("abb_acs880", """
@@ -241,7 +241,7 @@ READS: list[tuple[str, str, dict[str, Any]]] = [
 400004        : 03 0003 0001 -> 03 02 1231
 400005        : 03 0004 0001 -> 03 02 E0C0 : -8000
 """, {"speed": -0.4, "fault": "the pump turns backwards (speed -40.0%)", "stands": False}),
-    # The alarm word, bit by bit, high word first; there is another fault besides the timeout.
+    # The alarm word bit by bit, high word first; there is another fault besides the timeout.
     ("danfoss_fc202", """
 50200         : 03 C417 0001 -> 03 02 060B : trip
 16-90         : 03 4203 0002 -> 03 04 4000 0010 : bits 4 and 30
@@ -270,7 +270,7 @@ def test_what_it_says(name: str, dialogue: str, expected: dict[str, Any]) -> Non
 
 
 def test_that_its_own_timeout_has_passed_is_that_of_the_port_in_use() -> None:
-    """By ABB's code, and by Danfoss's bit 4 where no other is set."""
+    """By ABB's code, and by Danfoss's bit 4 if no other bit is set."""
     (abb, code, _), (danfoss, bits, _) = READS[1], READS[4]
     for name, dialogue in ((abb, code), (danfoss, bits.replace("4000 0010", "0000 0010"))):
         assert follow(name, dialogue, Drive.read, gateway=True).timed_out
@@ -301,16 +301,16 @@ TIMEOUTS = [
     # 58.16 = 3.0 s, 58.14 = 1, fault, 58.15 = 2, a write of control word or reference (p. 435).
     ("abb_acs880", 3.0, ABB_3_S, "58.14 : 03 16B5 0001 -> 03 02 0001",
      "58.15 : 03 16B6 0001 -> 03 02 0002"),
-    # 58.15 = 1, any message: somebody else who reads keeps it running.
+    # 58.15 = 1, any message: another client that only reads would keep it running.
     ("abb_acs880", None, ABB_3_S, "58.14 : 03 16B5 0001 -> 03 02 0001",
      "58.15 : 03 16B6 0001 -> 03 02 0001"),
-    # 58.14 = 3, safe speed: it would run on.
+    # 58.14 = 3, safe speed: the drive would run on.
     ("abb_acs880", None, ABB_3_S, "58.14 : 03 16B5 0001 -> 03 02 0003"),
     # 8-04 = [2] stop: the next valid control word starts it again. [5] is stop and trip.
     ("danfoss_fc202", None, DANFOSS_5_S, "8-04 : 03 1F67 0001 -> 03 02 0002 : [2]"),
     ("danfoss_fc202", 5.0, DANFOSS_5_S, "8-04 : 03 1F67 0001 -> 03 02 0005 : [5]"),
     ("grundfos_cim500", None, "00012 : 03 000B 0001 -> 03 02 0000 : off"),
-    # TTO 10.0 s, SLL 1 freewheel stop: as delivered.
+    # TTO 10.0 s, SLL 1 freewheel stop: factory settings.
     ("schneider_atv630", 10.0, ATV_10_S, "SLL : 03 1B62 0001 -> 03 02 0001"),
     # EAV64332, sheet Parameters: the embedded Ethernet port has TTOB 64415 (0xFB9F) and ETHL 7021
     # (0x1B6D), the serial port TTO and SLL. The CIM 500 is an Ethernet module.
@@ -324,7 +324,7 @@ TIMEOUTS = [
     (interface, expected, "\n".join(lines)) for interface, expected, *lines in TIMEOUTS
 ])
 def test_own_timeout(interface: str, expected: float | None, dialogue: str) -> None:
-    """Behind a gateway, at its serial port, unless it is said to be at an Ethernet port."""
+    """Behind a gateway the serial port's timeout is read, otherwise the Ethernet port's."""
     name, _, port = interface.partition(" ")
     seconds, note = follow(name, dialogue, Drive.timeout, gateway=port != "tcp")
     assert seconds == (None if expected is None else pytest.approx(expected))
@@ -333,14 +333,14 @@ def test_own_timeout(interface: str, expected: float | None, dialogue: str) -> N
 
 @pytest.mark.parametrize("name", ["abb_acs880", "danfoss_fc202"])
 def test_no_timeout_of_an_ethernet_port_is_known(name: str) -> None:
-    with pytest.raises(DriveError, match=rf"{name}.yaml tells of none .* \(timeout.tcp\)"):
+    with pytest.raises(DriveError, match=rf"{name}.yaml has no .*timeout .*\(timeout.tcp\)"):
         follow(name, "", Drive.timeout)
 
 
 # --- serial line ----------------------------------------------------------------------------------
 
 def test_start_on_a_serial_line() -> None:
-    """The same words as over TCP, between slave address and check."""
+    """The same words as over TCP, between slave address and CRC."""
     requests, answer = script(ABB_START)
 
     def over_line(_request: bytes) -> bytes:
@@ -363,7 +363,7 @@ def test_a_frame_with_a_wrong_check_is_no_answer() -> None:
 # --- wrong answers --------------------------------------------------------------------------------
 
 def first(*answers: tuple[float, bytes]) -> Callable[[bytes], Answer]:
-    """Answer the first request so, every other one as a good drive."""
+    """Answer the first request in this way, and every other one like a good drive."""
     remaining = iter([list(answers)])
 
     def answer(request: bytes) -> Answer:
@@ -382,7 +382,7 @@ def first(*answers: tuple[float, bytes]) -> Callable[[bytes], Answer]:
         ([(0, frame("0001 0000 0005 07 03 02 1337"))], "connection", "no valid answer"),
         ([(0, frame("0001 DEAD 0005 01 03 02 1337"))], "connection", "no valid answer"),
         ([(0, frame("0001 0000 0005 01 04 02 1337"))], "answer", "function 4, not 3"),
-        ([(0, frame("0001 0000 0007 01 03 04 1337 0000"))], "answer", "2 registers came, not 1"),
+        ([(0, frame("0001 0000 0007 01 03 04 1337 0000"))], "answer", "2 registers, not 1"),
         ([(0, bytes(range(255, 0, -1)) * 4)], "connection", ""),
         ([], "connection", "no valid answer within 0.3 s"),
     ],
@@ -397,14 +397,14 @@ def test_wrong_answers_have_a_name_and_a_time(
         assert time.monotonic() - began < 1.0
         assert raised.value.kind == kind and message in str(raised.value)
         assert f":{wire.port}, device 1: reading register 3" in str(raised.value)
-        assert len(wire.seen) == 1  # nothing is asked for twice
+        assert len(wire.seen) == 1  # no request is repeated
 
 
 def test_a_late_answer_is_not_taken_for_the_next() -> None:
     def go(drive: Drive) -> DriveStatus:
         with pytest.raises(DriveError, match="no valid answer"):
             drive.read()
-        # The server is still busy with the first; it answers both, one after the other.
+        # The server is still busy with the first request; it answers both, one after the other.
         return drive.read()
 
     late = first((0.5, frame("0001 0000 0005 01 03 02 0008")))
@@ -426,7 +426,7 @@ def test_a_write_is_not_taken_for_done(answer: Answer, kind: str, message: str) 
 
 
 def test_a_connection_without_an_answer_is_reset() -> None:
-    """So that a drive with one socket has it free at once; RFC 9293, section 3.10.7.4."""
+    """So that a drive with only one socket has it free at once; RFC 9293, section 3.10.7.4."""
     with closing(Wire(lambda _request: [])) as wire:
         with pytest.raises(DriveError, match="no valid answer"):
             talk("abb_acs880", wire.at, Drive.read)
@@ -447,12 +447,12 @@ no speed      : 06 0001 0000
 400004        : 03 0003 0001 -> 03 02 1337
 400005        : 03 0004 0001 -> 03 02 7FFF
 """, Drive.read, "answer", r"register 400005\) is 32767: 1.63835 share"),
-    # NSP 9604 (0x2584) of 1 rpm would make any speed the least, of 65535 rpm the greatest.
+    # With NSP 9604 (0x2584) = 1 rpm any speed would be the least, with 65535 rpm the greatest.
     *(("schneider_atv630", f"""
 ETA           : 03 0C81 0001 -> 03 02 0627 : enabled
 RFRD          : 03 219C 0001 -> 03 02 02EE : 750
 NSP           : 03 2584 0001 -> 03 02 {rpm:04X}
-""", Drive.read, "answer", f"NSP.*is {rpm}: .*believable are 300 to 7200")
+""", Drive.read, "answer", f"NSP.*is {rpm}: .*believable values are 300 to 7200")
       for rpm in (299, 7201)),
 ]
 
@@ -467,7 +467,7 @@ def test_what_cannot_be_done_or_believed(
 
 
 def test_a_word_that_the_register_cannot_hold_is_not_written(tmp_path: Path) -> None:
-    """90 % of 40000 rpm is 36000, in 16 bits with a sign -29536: full speed backwards."""
+    """90 % of 40000 rpm is 36000, as signed 16 bits -29536: full speed backwards."""
     file = tmp_path / "fast.yaml"
     text = find_drive_file("schneider_atv630").read_text()
     file.write_text(text.replace("high: 7200", "high: 60000"))
@@ -492,7 +492,7 @@ def test_local_control_is_named() -> None:
 
 
 def test_giving_up_in_the_middle_of_a_start() -> None:
-    """Off asked for while the drive does not get ready: no wait, no speed, no run."""
+    """Off is asked for while the drive does not get ready: no wait, no speed, no run."""
     answers = iter([True, False])
     follow("abb_acs880", """
               : 03 0003 0001 -> 03 02 1270
@@ -503,5 +503,5 @@ def test_giving_up_in_the_middle_of_a_start() -> None:
 
 @pytest.mark.parametrize("speed", [-0.1, 1.01, float("nan")])
 def test_no_speed(speed: float) -> None:
-    with pytest.raises(ValueError, match="no share"):
+    with pytest.raises(ValueError, match="not a share"):
         follow("abb_acs880", "", lambda drive: drive.run(speed))

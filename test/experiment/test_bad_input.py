@@ -18,12 +18,12 @@ from greenroof_ros.weather.reading import read_weather
 
 HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day]"
 MEMBERS = "issued,time,member,precipitation [mm/h]"
-# Beginnings of hours.
+# Starts of hours.
 H0, H1, H2, H3 = (f"2021-07-07T0{hour}:00-05:00" for hour in range(4))
 HALF = "2021-07-07T00:30-05:00"
 
-# Options, and what is said of them. Of each rule there is one case; what files are refused,
-# test_site.py, test_weather.py and FORECASTS have.
+# Options and their errors: one case for each rule. Wrong files are in test_site.py, test_weather.py
+# and FORECASTS.
 OPTIONS = {
     "--controller pid": "controller = 'pid'",
     "--controller onoff --weight 0.1": "the parameters of onoff are --fraction",
@@ -48,7 +48,7 @@ OPTIONS = {
     "--forecast-seed 1": "errors and ensemble",
     "--forecast errors --forecast-skill large": "real, worse",
 }
-# Lines of a file of forecasts, which of them is wrong, and what is said of it.
+# The lines of a forecast file, the number of the wrong line, and the error.
 FORECASTS = [
     ([HEADER.replace("mm/day", "mm/h"), f"{H0},{H0},0,2"], 1, "'evapotranspiration [mm/day]'"),
     (["issued,time", f"{H0},{H0}"], 1, "'precipitation [mm/h]'"),
@@ -75,7 +75,7 @@ def test_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
     options: str,
 ) -> None:
-    """It is said what is wrong, where, and what would be right; and nothing is left."""
+    """The error says what is wrong, where, and what would be right; no files are left."""
     (tmp_path / "full" / "something").mkdir(parents=True)
     for name, hour in (("half.csv", HALF), ("late.csv", H3)):
         (tmp_path / name).write_text(f"{HEADER}\n{hour},{hour},0.0,2.0\n")
@@ -95,7 +95,7 @@ def test_refused(
     ("options", "domain_id", "words"),
     [
         ("--controller pid", None, "controller = 'pid'"), ("--hours 0.0001", None, "--hours"),
-        # An input, too.
+        # The environment is input, too.
         ("--hours 0.01", "abc", "ROS_DOMAIN_ID = 'abc'"),
         ("--hours 0.01", "300", "ROS_DOMAIN_ID = '300'"),
     ],
@@ -103,7 +103,7 @@ def test_refused(
 def test_bringup_refuses_the_same(
     unused_domain: int, tmp_path: Path, options: str, domain_id: str | None, words: str
 ) -> None:
-    """What the controller's name and the run itself refuse; and it leaves nothing."""
+    """Errors in the controller's name and in the run itself; no files are left."""
     given = environment(unused_domain)
     given["ROS_DOMAIN_ID"] = domain_id or given["ROS_DOMAIN_ID"]
     done = run_command("bringup", *options.split(), cwd=tmp_path, env=given)
@@ -115,7 +115,7 @@ def test_bringup_refuses_the_same(
 
 
 def test_weather_without_evapotranspiration(tmp_path: Path) -> None:
-    """It is neither there nor can it be computed."""
+    """It is not in the file and cannot be computed."""
     (tmp_path / "FILE.csv").write_text(f"time,precipitation [mm/h]\n{H0},0.0\n{H1},0.0\n")
     with pytest.raises(ConfigurationError, match=r"FILE\.csv.*evapotranspiration \[mm/day\]"):
         read_weather([tmp_path / "FILE.csv"], PAPER_SITE)
@@ -123,7 +123,7 @@ def test_weather_without_evapotranspiration(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("lines", "line", "words"), FORECASTS)
 def test_refused_forecasts(tmp_path: Path, lines: list[str], line: int, words: str) -> None:
-    """Of what only a file of forecasts has; test_records.py has the rules of all CSV."""
+    """Rules that only forecast files have; test_records.py has the rules of all CSV."""
     file = tmp_path / "FILE.csv"
     file.write_text("\n".join([*lines, ""]))
     with pytest.raises(ConfigurationError) as refused:
@@ -133,7 +133,7 @@ def test_refused_forecasts(tmp_path: Path, lines: list[str], line: int, words: s
 
 
 def test_output_that_nobody_reads(tmp_path: Path) -> None:
-    """As behind '| head': no message, and the run's directory is whole."""
+    """As with '| head': no message, and the run's directory is complete."""
     process = subprocess.Popen(
         [sys.executable, "-m", "greenroof_ros.simulate", "--hours", "0.01", "--json",
          "--output", "run"],

@@ -1,4 +1,4 @@
-"""The clairvoyant bound: never above what a run costs, and close to what its plan costs."""
+"""The clairvoyant bound: never above the cost of a run, and close to the cost of its plan."""
 
 from __future__ import annotations
 
@@ -41,27 +41,27 @@ DRY_HOUR = [(0.0, 0.0, False)]
 
 
 class Given:
-    """A controller whose commands are given, and repeat."""
+    """A controller with given commands, which repeat."""
 
     def __init__(self, commands: Sequence[float]) -> None:
         self._commands = commands
         self._asked = -1
 
     def command(self, *_: object) -> float:
-        """Return the next of them."""
+        """Return the next command."""
         self._asked += 1
         return self._commands[self._asked % len(self._commands)]
 
     def skip(self) -> None:
-        """Keep the next for when it is asked."""
+        """Keep the next command for the next call."""
 
 
 def least_sum(c: Sequence[float], most: Sequence[float]) -> float:
     """Minimise sum |c_k + P_k| over P_0 = 0 and 0 <= P_{k+1} - P_k <= most_k, exactly.
 
-    The cost of the best way to each P is a convex, piecewise linear function. Its corners left of
-    the minimum are in one heap, those on the right in another; a tick moves the right ones by
-    what can be pumped, and |c_k + P| adds a corner to each.
+    The least cost to reach each P is a convex, piecewise linear function. Its corners left of
+    the minimum are in one heap, those on the right in another; a tick shifts the right ones by
+    the volume that can be pumped, and |c_k + P| adds a corner to each.
     """
     left, right, moved = [0.0] * len(c), [0.0] * len(c), 0.0
     total = abs(c[0])
@@ -96,7 +96,7 @@ def least_cost(run: Run) -> float:
     ],
 )
 def test_known_windows(options: tuple[str, ...], expected: float) -> None:
-    """The optimum of each second, solved exactly in another way, lies between bound and plan."""
+    """The optimum for each second, exact by another method, lies between bound and plan."""
     run = paper_run(*options)
     exact = least_cost(run)
     bound = clairvoyant_bound(run)
@@ -135,9 +135,9 @@ def test_no_run_is_below(
     site: Site, hours: Hours, cistern: float, roof: float, max_command: float,
     shares: list[float], tau: float,
 ) -> None:
-    """Any commands, the plan's among them, in any weather: dry roofs, draining ones, frost.
+    """Any commands, including the plan's, in any weather: dry roofs, draining ones, frost.
 
-    In a tick of an hour a lot happens at once.
+    Also with ticks of an hour, in which much happens at once.
     """
     site = replace(site, tau=tau)
     run = run_of_hours(hours, cistern * site.a1, roof * site.z_cap, site)
@@ -165,10 +165,10 @@ def test_no_run_is_below(
 def test_in_frost_the_bound_is_the_run(
     site: Site, hours: Hours, cistern: float, roof: float
 ) -> None:
-    """There is but one, as the roof dries out, drains and fills by itself.
+    """In frost only one run is possible: the roof dries out, drains and fills by itself.
 
-    Only on the very edge of draining by Eq. (4), a rounding away, does the bound leave open which
-    it is.
+    Only within a rounding of the drainage limit, Eq. (4), does the bound leave open which side
+    it is on.
     """
     site = replace(site, tau=30.0)
     frozen = [(rain, evapotranspiration, True) for rain, evapotranspiration, _ in hours]
@@ -186,9 +186,9 @@ def test_in_frost_the_bound_is_the_run(
 
 @pytest.mark.parametrize("start", ["2021-07-07T02:00", "2021-07-08T05:00"])
 def test_the_bound_of_a_measured_roof_is_close(start: str, tmp_path: Path) -> None:
-    """Twelve hours of the roof of Neubrandenburg: drizzle on a roof being filled, and a storm.
+    """Twelve hours of the Neubrandenburg roof: drizzle while the roof is filled, and a storm.
 
-    The recursion keeps the soil as it is: of the drizzle its plan is better than the program's.
+    The recursion keeps the soil's equations: for the drizzle its plan beats the program's.
     """
     site = site_file(tmp_path, base="site_neubrandenburg.yaml", tau=10.0)
     run = paper_run("--site", str(site), "--start", start, "--hours", "12")
@@ -201,7 +201,7 @@ def test_the_bound_of_a_measured_roof_is_close(start: str, tmp_path: Path) -> No
         assert recursion < bound.plan_m3
 
 
-# One tick at full flow from 75 m3, Table I: b sqrt(3 + 55.2 - 16), of 10 s.
+# One tick of 10 s at full flow from 75 m3, Table I: b sqrt(3 + 55.2 - 16).
 FULL = 10 * exact_flows(PAPER_SITE, 75, 0, 1)[1]
 
 
@@ -227,12 +227,12 @@ def test_five_ticks_without_weather(
     run = run_of_hours([(0.0, 0.0, frost)], x1, PAPER_SITE.x2_star - below * FULL, steps=5)
     bound = clairvoyant_bound(run, max_command, 1)
     assert bound.bound_m3 == pytest.approx(expected * FULL, rel=1e-6)
-    # The real flow falls a little with the cistern's level.
+    # The real flow falls slightly with the cistern's level.
     assert bound.bound_m3 * (1 - 1e-6) <= bound.plan_m3 < bound.bound_m3 * (1 + 1e-3)
 
 
 def test_a_cistern_at_the_suction_level_gives_one_tick() -> None:
-    """The last tick may draw below it: 3.5, 2.5, 2.5, 2.5, 2.5, 2.5 of that flow."""
+    """The last tick can draw below it: 3.5, 2.5, 2.5, 2.5, 2.5, 2.5 of that flow."""
     full = 10 * exact_flows(PAPER_SITE, 18.75, 0, 1)[1]
     run = run_of_hours(DRY_HOUR, 18.75, PAPER_SITE.x2_star - 3.5 * full, steps=5)
     bound = clairvoyant_bound(run, block=1)
@@ -242,7 +242,7 @@ def test_a_cistern_at_the_suction_level_gives_one_tick() -> None:
 
 
 def test_before_frost_the_roof_is_filled_above_the_target() -> None:
-    """Pumping stops at z_veg, but the last tick before may carry the roof above it."""
+    """Pumping stops at z_veg, but the last tick before it can take the roof above it."""
     hours = [(0.0, 10.0, False)] * 2 + [(0.0, 10.0, True)] * 24
     bound = clairvoyant_bound(run_of_hours(hours, 75.0, PAPER_SITE.x2_star), block=6)
     assert bound.gap is not None
@@ -250,7 +250,7 @@ def test_before_frost_the_roof_is_filled_above_the_target() -> None:
 
 
 def test_a_bound_of_zero_has_no_gap() -> None:
-    """A roof on target, and no weather."""
+    """A roof at its target, and no weather."""
     bound = clairvoyant_bound(run_of_hours(DRY_HOUR, 75.0, PAPER_SITE.x2_star))
     assert bound.bound_m3 == 0
     assert bound.gap is None
@@ -258,7 +258,7 @@ def test_a_bound_of_zero_has_no_gap() -> None:
 
 @pytest.mark.parametrize("max_command", [1.0, 0.02])
 def test_the_recursions_plan_is_a_run(max_command: float, tmp_path: Path) -> None:
-    """Not below the bound, nor above on/off."""
+    """It is not below the bound, nor above on/off."""
     site = site_file(tmp_path, tau=10.0)
     run = paper_run("--controller", "onoff", "--site", str(site), "--hours", "12")
     plan = recursion_plan(run, max_command)
@@ -269,7 +269,7 @@ def test_the_recursions_plan_is_a_run(max_command: float, tmp_path: Path) -> Non
 
 
 def call(monkeypatch: pytest.MonkeyPatch, *options: str) -> object:
-    """Give the command these options and return its exit code."""
+    """Run the command with these options and return its exit code."""
     monkeypatch.setattr(sys, "argv", ["bound", *options])
     with pytest.raises(SystemExit) as ended:
         main()
@@ -277,7 +277,7 @@ def call(monkeypatch: pytest.MonkeyPatch, *options: str) -> object:
 
 
 def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """The table and the JSON say the same."""
+    """The table and the JSON have the same values."""
     assert call(monkeypatch, "--hours", "0.5", "--block", "30", "--json") == 0
     result = json.loads(capsys.readouterr().out)
     assert result["block_s"] == 30
@@ -304,7 +304,7 @@ def test_wrong_options(
 def test_no_optimum(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The solver's own words, and exit code 1."""
+    """The solver's own message, and exit code 1."""
     monkeypatch.setattr(
         "scipy.optimize.linprog",
         lambda *_, **__: SimpleNamespace(status=4, message="numbers too large"),
@@ -320,7 +320,7 @@ def test_no_optimum(
 def test_a_slow_one_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """On standard error, so that the JSON stays alone."""
+    """On standard error, so standard output has only the JSON."""
     monkeypatch.setattr(module, "_PATIENCE_S", 0.0)
     assert call(monkeypatch, "--hours", "0.1", "--json") == 0
     captured = capsys.readouterr()

@@ -1,9 +1,9 @@
-"""The paper's runs, against its authors' published MATLAB code run under GNU Octave.
+"""The paper's runs, compared with its authors' published MATLAB code run under GNU Octave.
 
-That code is github.com/catherineyeh/sustech2021-2; ``data/README.md`` says what is in the files.
-It agrees with this package but for one thing: in the last second of an hour its roof loses up to
+That code is github.com/catherineyeh/sustech2021-2; ``data/README.md`` describes the files.
+It agrees with this package with one exception: in the last second of an hour its roof loses up to
 8e-6 m3 more or less than the hour's evapotranspiration, which adds up to 1.2e-5 m3 in 12 h. The
-tolerances below leave room for that and for the digits of the files, and for nothing else.
+tolerances below allow only for that and for the digits of the files.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def test_each_of_the_papers_runs(papers: Path, row: dict[str, str]) -> None:
     ("controller", "parameter", "command"), [("mpc", "0.001", 2e-7), ("onoff", "1", 0.0)]
 )
 def test_trajectory(papers: Path, controller: str, parameter: str, command: float) -> None:
-    """State and command on the way, from low-low; 2e-5 m3 move the MPC's command by 2e-7."""
+    """State and command during the run, from low-low; 2e-5 m3 move the MPC's command by 2e-7."""
     _, ticks = run_of(papers, "low-low", controller, parameter)
     rows = rows_of(DATA / f"trajectory_low-low_{controller}_{parameter}.csv")
     times = [int(row["t_s"]) for row in rows]

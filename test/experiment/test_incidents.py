@@ -1,4 +1,4 @@
-"""What is an incident, from what nodes say of their parts; and what is read back of it."""
+"""What counts as an incident, from nodes' reports on their parts; and how it is read back."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from greenroof_ros.experiment.incidents import INCIDENTS, Incident, IncidentLog,
 
 
 def report_of(node: str, code: str = "a_code", **parts: str) -> dict[str, dict[str, Any]]:
-    """Return a node's report in which each of these parts is at a level, and says why."""
+    """Return a node's report with these parts, each at a level with a reason."""
     diagnoses = {
         part: {"level": level, "message": f"{part} {level}", "code": "" if level == "OK" else code}
         for part, level in parts.items()
@@ -26,7 +26,7 @@ def report_of(node: str, code: str = "a_code", **parts: str) -> dict[str, dict[s
 
 
 def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With ticks and wall time, kept at each change; what lasts has no end."""
+    """With ticks and wall time, written at each change; a present incident has no end."""
     now = datetime(2026, 11, 23, 20, 0, tzinfo=timezone.utc)
     monkeypatch.setattr(incidents, "wall_time", lambda: now.isoformat())
     messages: list[str] = []
@@ -68,14 +68,14 @@ def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     ],
 )
 def test_what_counts_at_once(part: str, level: str, counts: bool) -> None:
-    """A pump that is held, frost and limits are no loss; a sensor may miss one reading."""
+    """A pump that is held, frost and limits are not losses; a sensor may miss one reading."""
     log = IncidentLog(lambda _: None)
     log.look(report_of("node", **{part: level}))
     assert log.count == counts
 
 
 def test_a_sensor_is_lost_after_three_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And then since the start; a reading between begins the time again."""
+    """It is then lost since the start; a reading in between restarts the time."""
     now = 100.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
     log = IncidentLog(lambda _: None)
@@ -89,7 +89,7 @@ def test_a_sensor_is_lost_after_three_seconds(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_what_follows_from_a_loss_is_none_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Levels that are refused while a sensor is lost; but they are, alone, after half a minute."""
+    """Refused levels while a sensor is lost do not count; alone, they do after half a minute."""
     clock = iter(range(1000))
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     log = IncidentLog(lambda _: None)
@@ -107,7 +107,7 @@ def test_what_follows_from_a_loss_is_none_of_its_own(monkeypatch: pytest.MonkeyP
 
 
 def test_a_forecast_that_is_lost_is_one_incident(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Said by the weather node, and by the controller only where that says nothing."""
+    """Reported by the weather node; by the controller only if the weather node reports nothing."""
     clock = iter(range(1000))
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     log = IncidentLog(lambda _: None)
@@ -135,7 +135,7 @@ def test_what_has_not_come_yet_is_not_lost() -> None:
 
 
 def test_a_disk_that_is_full_stops_nobody(tmp_path: Path) -> None:
-    """A directory stands in the place of the file: it cannot be written, and that is said."""
+    """With a directory in place of the file, it cannot be written, and this is reported."""
     messages: list[str] = []
     (tmp_path / INCIDENTS).mkdir()
     log = IncidentLog(messages.append, tmp_path / INCIDENTS)
@@ -146,7 +146,7 @@ def test_a_disk_that_is_full_stops_nobody(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_read_back(tmp_path: Path) -> None:
-    """The last line may be cut short by a crash; anything else that is no incident is said."""
+    """A crash can cut the last line short; any other invalid line is reported."""
     line = json.dumps(asdict(Incident(1, "pump", "drive", "gone", "2026-11-23T20:55:01+00:00")))
     path = tmp_path / INCIDENTS
     path.write_text(f"{line}\n{line[:40]}")
@@ -174,7 +174,7 @@ def test_what_never_came_is_missing_since_the_start(monkeypatch: pytest.MonkeyPa
 
 
 def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
-    """Numbers go on; what lasted ended by then at the latest; a line that was cut is dropped."""
+    """Numbers continue; older incidents have ended by then at the latest; a cut line is dropped."""
     first = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
     for level in ("OK", "ERROR", "OK", "ERROR"):
         first.look(report_of("pump", drive=level))

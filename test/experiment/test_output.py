@@ -1,4 +1,4 @@
-"""Where a command's output goes: a directory of its own, and streams that may be full or closed."""
+"""A command's output: a separate directory, and streams that can be full or closed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from greenroof_ros.experiment.run_directory import make_run_directory
 
 
 def run_in_shell(command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run a line of a shell, in which $SIMULATE is a short run, and return what it printed."""
+    """Run a shell line, in which $SIMULATE is a short run, and return its output."""
     return subprocess.run(
         command, shell=True, cwd=cwd, capture_output=True, text=True, timeout=60, check=False,
         env={"SIMULATE": f"{sys.executable} -m greenroof_ros.simulate --hours 0.01 --output run",
@@ -48,14 +48,14 @@ def test_summary_that_cannot_be_printed(
 
 
 def test_progress_that_cannot_be_shown(tmp_path: Path) -> None:
-    """As after the end of the terminal: the run goes on, and its summary is printed."""
+    """As after the end of the terminal: the run continues, and its summary is printed."""
     done = run_in_shell("$SIMULATE 2>/dev/full", tmp_path)
     assert done.returncode == 0
     assert f"written to {tmp_path / 'run'}\n" in done.stdout
 
 
 def test_help_that_cannot_be_printed(tmp_path: Path) -> None:
-    """argparse says nothing of it."""
+    """argparse alone would not report it."""
     done = run_in_shell("$SIMULATE --help >/dev/full", tmp_path)
     assert done.returncode == 1
     assert done.stderr.startswith("error: standard output cannot be written: ")
@@ -63,7 +63,7 @@ def test_help_that_cannot_be_printed(tmp_path: Path) -> None:
 
 
 def test_runs_of_one_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Started at once, without --output: each has a directory of its own."""
+    """Started at the same time, without --output: each has a separate directory."""
     monkeypatch.chdir(tmp_path)
     count = 16
     together = Barrier(count)

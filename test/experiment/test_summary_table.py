@@ -1,4 +1,4 @@
-"""The table at the end of a run: sentences for people, whatever the summary holds."""
+"""The table at the end of a run: readable sentences, whatever the summary holds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from greenroof_ros.model.metrics import Metrics
 
 
 def test_no_raw_data() -> None:
-    """No dictionary, list or None in any row of a run in which everything happened."""
+    """No dictionary, list or None in any row, for a run in which everything happened."""
     run = paper_run(
         "--hours", "0.1", "--forecast", "ensemble", "--roof-noise", "0.001", "--minimum-on", "60",
         "--weight", "0.01",
@@ -43,7 +43,7 @@ def test_no_raw_data() -> None:
     assert not set("{}[]'").intersection(text) and "None" not in text
     rows = [" ".join(line.replace("│", " ").split()) for line in text.splitlines()]
     assert any(row.startswith("sensor and pump ") and "minimum_on 60" in row for row in rows)
-    # In capitals above its limit, and left out where it should be 0 and is.
+    # In capitals above its limit, and left out if it is 0 as it should be.
     assert any(row.startswith("TOO MANY STARTS 2 pump starts beyond ") for row in rows)
     assert not any(row.lower().startswith("limited ticks") for row in rows)
     assert "REFUSED 39 values: 37 on /pump/flow, 2 on /roof/level" in rows

@@ -1,4 +1,4 @@
-"""Trajectories of long runs: every tick, or one every so many seconds."""
+"""Trajectories of long runs: every tick, or one sample per interval."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COLUMNS = ("time", "cistern", "roof", "precipitation", "command", "pump_flow", "
 
 
 def test_every_so_many_ticks_and_the_last() -> None:
-    """Of 1,000 ticks each 300th is kept, and the last: the same by both ways."""
+    """Of 1,000 ticks each 300th is kept, and the last: the same in both ways."""
     run = paper_run("--controller", "onoff", "--hours", "0.2777777777777778")
     assert run.steps == 1000
     every_tick = record(run, closed_loop(run, run.make_controller(), Metrics()))
@@ -35,7 +35,7 @@ def test_every_so_many_ticks_and_the_last() -> None:
 
 
 def test_csv(tmp_path: Path) -> None:
-    """The rows of the whole file that fall on a minute, and the last."""
+    """The rows of the complete file at full minutes, and the last."""
     options = ["--controller", "onoff", "--hours", "0.05", "--trajectory"]
     for name, more in (("all.csv", []), ("some.csv", ["--trajectory-every", "60"])):
         done = run_command("simulate", *options, name, *more, cwd=tmp_path, env=environment(0))
@@ -46,7 +46,7 @@ def test_csv(tmp_path: Path) -> None:
 
 
 def test_results_do_not_depend_on_it(tmp_path: Path) -> None:
-    """A study's run without a trajectory, with one of each tick, and with one every 100 s."""
+    """A study's run without a trajectory, with each tick, and with one every 100 s."""
     (tmp_path / "grid.yaml").write_text(edited("0.25", "0.1"))
     case = read_grid(tmp_path / "grid.yaml")[-1]
     outcomes = [run_case(case, "inprocess", every) for every in (None, 0.0, 100.0)]

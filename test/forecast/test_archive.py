@@ -1,4 +1,4 @@
-"""Archives of forecasts: from when an issue is known, and how a run carries them along."""
+"""Archives of forecasts: when an issue becomes known, and how a run carries them along."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ def weather_from(first: datetime, hours: int = 48) -> Weather:
 def test_an_issue_is_known_when_it_is_available(
     tmp_path: Path, delay: float | None, late: int
 ) -> None:
-    """Hours after its nominal time, and used from the hour on that then begins.
+    """It is known hours after its nominal time, and used from the next full hour on.
 
-    Its leads still count from the nominal time: of what is known late the first hours are past.
+    Its leads still count from the nominal time: when it is known late, its first hours are past.
     """
     first = datetime.fromisoformat("2021-07-07T06:00+00:00")
     archive = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, delay)
     model = FileModel(archive, weather_from(first), False)
     for hour in range(24):
-        since = hour + 12 - late  # the first run is of 18:00 of the day before
+        since = hour + 12 - late  # the first run is at 18:00 the day before
         number, lead = since // 6, since % 6 + late
         expected = [number + (lead + ahead) / 100 for ahead in range(3)]
         assert model.known(hour, 3)[0][0].tolist() == pytest.approx(expected, abs=1e-12)
 
 
 def test_hours_of_records_and_issues(tmp_path: Path) -> None:
-    """They begin together, in any time zone; before the first issue is known there is none."""
+    """They start together, in any time zone; before the first issue is known there is none."""
     archive = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, 0.0)
     first = datetime.fromisoformat("2021-07-07T11:30+05:30")
     model = FileModel(archive, weather_from(first), False)
@@ -57,7 +57,7 @@ def test_hours_of_records_and_issues(tmp_path: Path) -> None:
 
 
 def test_late_rain(tmp_path: Path) -> None:
-    """Beside records whose rain is an hour late an issue is, too, but for evapotranspiration.
+    """With records whose rain is an hour late, an issue's rain is, too; evapotranspiration is not.
 
     Run n has n.LL mm/h of rain and 10 + n.LL mm/day of evapotranspiration at its lead LL.
     """
@@ -70,20 +70,20 @@ def test_late_rain(tmp_path: Path) -> None:
     late = replace(weather, rain_late=1)
     model = FileModel(archive, late, False)
     for hour in range(24):
-        since = hour + 12 - 3  # as of runs that are known after three hours, not two
+        since = hour + 12 - 3  # like runs that are known after three hours, not two
         number, lead = since // 6, since % 6 + 3
         rain, evapotranspiration = model.known(hour, 3)
         expected = np.array([number + (lead + ahead) / 100 for ahead in range(3)])
         assert rain[0] == pytest.approx(expected - 0.01, abs=1e-12)
         assert evapotranspiration == pytest.approx(expected + 10, abs=1e-12)
-    # The last run is of 12:00 of the 8th, 30 h after the first hour, and has 48 h.
+    # The last run is of 12:00 on the 8th, 30 h after the first hour, and has 48 h.
     assert FileModel(runs, late, False).repeats_from(33, 46) is None
     end = datetime.fromisoformat("2021-07-10T13:00+00:00")
     assert FileModel(runs, late, False).repeats_from(33, 47) == end
 
 
 def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
-    """A file of an archive without the column that the others have is named."""
+    """The error names a file of an archive that differs from the others in this column."""
     for day, column in ((7, ""), (8, ",evapotranspiration [mm/day]")):
         (tmp_path / f"{day}.csv").write_text(
             f"issued,time,precipitation [mm/h]{column}\n"
@@ -94,7 +94,7 @@ def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
 
 
 def test_a_study_by_an_archive(tmp_path: Path) -> None:
-    """A directory is one file there; its delay, that of its kind, stays the same."""
+    """A study stores the directory as one file, with the delay of its kind."""
     write_runs(tmp_path / "runs")
     grid = tmp_path / "grid.yaml"
     grid.write_text(

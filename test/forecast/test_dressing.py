@@ -1,4 +1,4 @@
-"""Analogs: as by definition, and climatology without skill; files."""
+"""Analogs as defined, climatology without skill, and files."""
 
 from __future__ import annotations
 
@@ -75,10 +75,10 @@ def learnt() -> Dressing:
 
 
 def by_definition(issues: dict[int, Array], rain: Array, start: int, hours: int) -> list[Array]:
-    """Return the members of an issue, one step after the other."""
+    """Return the members of an issue by the definition, step by step."""
     edges = [*(edge for edge in (0, 6, 12, 24, 48, 72, 120) if edge < hours), hours]
     blocks = list(itertools.pairwise(edges))
-    # Nothing that was forecast, and nothing that fell, within five days of the issue's own hours.
+    # Nothing that was forecast or fell within five days of the issue's own hours.
     past = [at for at in issues if abs(at - start) >= hours + 120 and at + hours <= len(rain)]
     said = {at: [issues[at][:, a:b].sum(axis=1).mean() for a, b in blocks] for at in issues}
     fell = {at: [rain[at + a : at + b].sum() for a, b in blocks] for at in past}
@@ -102,7 +102,7 @@ def test_analogs_are_as_by_definition() -> None:
     """Lines, distances, choice and corrected members of an ensemble's issues."""
     rain = showers(120 * 24, 1)
     single, second = (forecasts(rain, 12, 60, seed, skill=0.6) for seed in (2, 3))
-    # No two are alike: which of such are taken is a lot.
+    # No two are alike; equal ones would be drawn by lot.
     rng = np.random.default_rng(4)
     issues = {
         start: np.vstack([rain, second[start]]) + rng.uniform(0, 0.01, (2, 60))
@@ -117,7 +117,7 @@ def test_analogs_are_as_by_definition() -> None:
 
 
 def test_no_skill_is_climatology() -> None:
-    """Forecasts that are always the same are as good as all that fell; ties are drawn by lot."""
+    """Constant forecasts are as good as everything that fell; ties are drawn by lot."""
     rain = showers(700 * 24, 9)
     given = archive({at: np.full((1, 48), 0.2) for at in range(0, 698 * 24, 24)})
     dressing = learn(given, record(rain), 48)
@@ -129,7 +129,7 @@ def test_no_skill_is_climatology() -> None:
 
 
 def test_gaps_and_ends() -> None:
-    """Twelve missing hours are bridged, thirteen are in no member; short issues are not learned."""
+    """Gaps of 12 h are bridged, of 13 h are in no member; short issues are not learned."""
     rain = np.ones(90 * 24)
     rain[600:612] = np.nan
     rain[612] = 2.0
@@ -142,18 +142,18 @@ def test_gaps_and_ends() -> None:
     assert [at for at in issues if at not in starts] == [48, 1176, 1200, 2136]
     row = dressing.fell[starts.index(600)]
     np.testing.assert_allclose(row[:12], 1 + np.arange(1, 13) / 13)
-    # What follows the forecast's end is as it was, and a short issue has as many hours.
+    # Beyond the forecast's end rain is as it fell, and a short issue gets as many hours.
     assert dressing.edges == (0, 6, 12, 24)
     short = Issue(FIRST + 48 * HOUR, Path("live.csv"), None, np.ones((1, 5)), np.arange(5.0))
     dressed = dress_issue(short, dressing)
     assert dressed.rain.shape == (MEMBERS, 36)
     assert dressed.evapotranspiration is not None
-    day = [*range(5), *[4] * 19]  # an hour that the issue lacks is as its last
+    day = [*range(5), *[4] * 19]  # an hour that the issue lacks is like its last
     assert dressed.evapotranspiration.tolist() == [*day, *day][:36]
 
 
 def test_rain_that_stands_an_hour_late() -> None:
-    """What fell is taken by when it fell; the record's first hour was the one before it."""
+    """Rain is used when it fell; the record's first hour is that before its first time."""
     rain = np.arange(60.0 * 24)
     late = replace(record(rain), rain_late=1)
     dressing = learn(archive({at: np.ones((1, 24)) for at in (0, 24, 48)}), late, 24)
@@ -161,7 +161,7 @@ def test_rain_that_stands_an_hour_late() -> None:
 
 
 def test_a_file_is_read_as_written(tmp_path: Path) -> None:
-    """All but the last digits."""
+    """Except for the last digits."""
     dressing = learnt()
     path = tmp_path / "dressed.csv"
     path.write_text(dressing_text(dressing))
@@ -183,7 +183,7 @@ def test_a_file_is_read_as_written(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_files(tmp_path: Path, old: str, new: str, words: str) -> None:
-    """File, line, value and what would be right."""
+    """The error has file, line, value and what would be right."""
     text, path = dressing_text(learnt()), tmp_path / "dressed.csv"
     assert old in text
     path.write_text(text.replace(old, new, 1))
@@ -191,10 +191,10 @@ def test_wrong_files(tmp_path: Path, old: str, new: str, words: str) -> None:
 
 
 def test_hour_by_hour_as_all_at_once(tmp_path: Path) -> None:
-    """A live site that adds issues and hours knows in the end what a whole record would teach it.
+    """A live site that adds issues and hours ends with what a complete record would teach it.
 
-    On the way a gap of twelve hours is bridged, but for issues that begin or end in it, and one of
-    thirteen makes issues be forgotten. What is unfinished is in no member, and outlives the file.
+    On the way a gap of twelve hours is bridged, except for issues that begin or end in it; one of
+    thirteen hours drops issues. Unfinished issues are in no member, and survive in the file.
     """
     rain = showers(120 * 24, 21)
     rain[2000:2012] = np.nan
@@ -231,7 +231,7 @@ def test_hour_by_hour_as_all_at_once(tmp_path: Path) -> None:
 
 
 def test_a_clock_that_goes_back() -> None:
-    """What is known stays known; where nothing is left, what was read has as many hours."""
+    """Known hours stay known; with no issues left, the number of hours is kept."""
     dressing = again = learnt()
     for hour in range(24 * 10, 24 * 15):
         again = again.with_hour(hours_since_1970(FIRST) + hour, math.nan if hour % 3 else 7.0)
@@ -244,7 +244,7 @@ def test_a_clock_that_goes_back() -> None:
 
 
 def test_issues_that_teach_nothing() -> None:
-    """One too short for the blocks, or less than six hours after the last."""
+    """An issue too short for the blocks, or less than six hours after the last."""
     dressing = learnt()
     last = FIRST + (dressing.issued[-1] - hours_since_1970(FIRST)) * HOUR
 
@@ -256,7 +256,7 @@ def test_issues_that_teach_nothing() -> None:
 
 
 def test_too_few_issues() -> None:
-    """It says how many there are, and of which issue; records of another time have none."""
+    """The error says how many there are, and in which file; records of another time have none."""
     rain = showers(25 * 24, 15)
     given = archive(forecasts(rain, 24, 24, 16))
     refusal(dress, given, learn(given, record(rain), 24), match="has only 8 issues that are two")

@@ -1,4 +1,4 @@
-"""Forecasts that are as good and as bad as real ones: by theory, and by figures of services."""
+"""Forecasts as good and as bad as real ones: by theory, and by figures of services."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from greenroof_ros.verification.fitting import fit_climate
 
 Array = NDArray[np.float64]
 REAL = read_skill("real")
-# Nothing wrong always, so that what comes is like one more member; the amount makes up for peaks
-# that are shorter than the climate's correlation has them (doc/explanation/forecasts.md).
+# No constant error, so what comes is like one more member; the amount makes up for peaks shorter
+# than the climate's correlation gives (doc/explanation/forecasts.md).
 FAIR = replace(REAL, errors=replace(REAL.errors, wetness=0.0, amount=1.3))
 
 
@@ -49,9 +49,9 @@ def rain() -> dict[int, Array]:
 
 
 def test_the_climate_is_torontos(rain: dict[int, Array]) -> None:
-    """The file's constants are those that the fit finds, and their rain is that of the records.
+    """The fit finds the file's constants, and their rain agrees with the records.
 
-    Its mean, and what the greatest tenth and hundredth of the wet hours exceed; by the records
+    Its mean, and what the greatest tenth and hundredth of the wet hours exceed; from the records
     themselves, and by integration.
     """
     fitted, climate = fit_climate(list(rain.values()), TIP), REAL.climate
@@ -71,7 +71,7 @@ def test_the_climate_is_torontos(rain: dict[int, Array]) -> None:
 
 
 def test_what_dry_hours_hide(rain: dict[int, Array]) -> None:
-    """Normal, at most the threshold, correlated as the climate says; wet hours are themselves."""
+    """Normal, at most the threshold, correlated like the climate; wet hours are reproduced."""
     climate = REAL.climate
     normal = np.array([
         NormalRecords(climate, season, hours_since_1970(begin(year))).at(np.arange(len(season)))
@@ -88,9 +88,9 @@ def test_what_dry_hours_hide(rain: dict[int, Array]) -> None:
 
 
 def test_where_the_records_begin_does_not_matter(rain: dict[int, Array]) -> None:
-    """A month alone has the same z as in its season, but for three weeks at its ends; so have gaps.
+    """A month alone has the same z as in its season, except for three weeks at its ends.
 
-    What is missing is drawn, too, wet or dry.
+    Missing hours are also drawn, wet or dry.
     """
     season, first = rain[2018].copy(), hours_since_1970(begin(2018))
     season[3000:3003] = np.nan
@@ -105,7 +105,7 @@ def test_where_the_records_begin_does_not_matter(rain: dict[int, Array]) -> None
 
 
 def test_coherence() -> None:
-    """All is known at once, less later, of short showers first; a name is a multiple of leads."""
+    """All is known at once, later less, short showers first; a name is a multiple of leads."""
     leads, frequencies = np.array([0.0, 1, 6, 24, 72, 240]), np.array([0.0, 0.02, 0.1, 0.5])
     coherence = REAL.coherence(leads, frequencies)
     assert (coherence[0] == 1).all()
@@ -120,7 +120,7 @@ def test_coherence() -> None:
 
 
 def skill_file(directory: Path, old: str, new: str) -> Path:
-    """Write the package's own file with something else in it."""
+    """Write the package's file with a replaced part."""
     text = (shared_directory() / "config" / "forecasts" / "skill.yaml").read_text()
     assert text.count(old) == 1
     path = directory / "skill.yaml"
@@ -129,7 +129,7 @@ def skill_file(directory: Path, old: str, new: str) -> Path:
 
 
 def test_skill_files(tmp_path: Path) -> None:
-    """A file's numbers count, and no multiple of them; what is wrong where, and what is right."""
+    """A file's numbers count as they are; errors say where, what is wrong and what is right."""
     skill = read_skill(str(skill_file(tmp_path, "persistence: 4", "persistence: 1")))
     assert skill.errors.persistence < REAL.errors.persistence
     assert replace(skill, errors=REAL.errors) == REAL
@@ -145,9 +145,9 @@ def test_skill_files(tmp_path: Path) -> None:
 
 
 def test_the_hour_of_issue_is_known(rain: dict[int, Array]) -> None:
-    """By all members of every skill; if the next are wet, less, the worse skill and lead are.
+    """All members of every skill know it; the later hours less, the worse the skill and the lead.
 
-    Without skill nothing is known of the next hour, and of later ones as little.
+    Without skill nothing is known of the next hour, nor of later ones.
     """
     weather = season_weather(2018, rain[2018])
     wrong = []
@@ -167,11 +167,11 @@ def test_the_hour_of_issue_is_known(rain: dict[int, Array]) -> None:
 
 
 def test_what_comes_is_like_one_more_member(rain: dict[int, Array]) -> None:
-    """Without wetness it rains in nine members, a day ahead, as often and as much as it did.
+    """Without wetness, nine members a day ahead have rain as often and as much as it fell.
 
     A few storms make the amount, which scatters by more than 10 %. Among the members what comes is
-    equally likely to have any rank, wherever one of the ten has rain. Equal amounts, such as none,
-    are ranked by lot. The days' sums are nearly independent: each rank has its tenth of them,
+    equally likely to have any rank, if one of the ten has rain. Equal amounts, such as zeros,
+    are ranked by lot. The days' sums are nearly independent: each rank has a tenth of them,
     within four standard errors.
     """
     years = []
@@ -199,7 +199,7 @@ def observed(rain: dict[int, Array]) -> Array:
 
 @pytest.fixture(scope="module")
 def ahead(rain: dict[int, Array]) -> dict[int, Array]:
-    """What two members of ``real`` forecast of these hours, by days ahead."""
+    """What two members of ``real`` forecast for these hours, by days ahead."""
     days = (1, 2, 3, 4, 5)
     ahead = [days_ahead(year, season, REAL, 1, days, 2) for year, season in rain.items()]
     return {day: np.concatenate([season[day] for season in ahead], axis=1) for day in days}
@@ -208,7 +208,7 @@ def ahead(rain: dict[int, Array]) -> dict[int, Array]:
 def test_as_good_as_services(observed: Array, ahead: dict[int, Array]) -> None:
     """r, POD and FAR of sums over 1, 6, 12 and 24 h, one to five days ahead: skill ``real``.
 
-    Within the spread of the services, or so far from it as doc/explanation/forecasts.md says.
+    Within the spread of the services, or as far from it as doc/explanation/forecasts.md says.
     """
     spread = services()
     for day in (1, 2, 3, 5):
@@ -226,8 +226,8 @@ def test_long_sums_are_no_better_known_than_services_know_them(
     """Sums over 72 and 120 h: two members agree about as well as two services.
 
     Services agree to r of 0.72 to 0.89, which needs no gauge. If members of ``real`` agreed better,
-    its sums over days would be too well known, since it takes what comes for one more member. They
-    agree less, by 0.2 at most. Both know sums of days better than half days.
+    its sums over days would be too well known, because it treats what comes as one more member.
+    They agree less, by at most 0.2. Both know sums of days better than of half days.
     """
     for day in (2, 5):
         short = of_members(ahead[day], observed, 12, 2).pairs.mean()
@@ -240,7 +240,7 @@ def test_long_sums_are_no_better_known_than_services_know_them(
 
 
 def test_none_knows_nothing_and_is_as_wet_as_services(rain: dict[int, Array]) -> None:
-    """A day ahead r is that of chance; it rains as often as in the climate, and no less."""
+    """A day ahead r is random; it rains as often as in the climate, and no less."""
     years, none = (2017, 2021), read_skill("none")
     observed = np.concatenate([rain[year] for year in years])
     members = np.concatenate(
@@ -256,9 +256,9 @@ def test_none_knows_nothing_and_is_as_wet_as_services(rain: dict[int, Array]) ->
 
 
 def test_issues_agree_as_real_ones_do(ahead: dict[int, Array]) -> None:
-    """r between what was forecast so many days before: within 0.1 of the services' spread.
+    """r between forecasts of different days ahead: within 0.1 of the services' spread.
 
-    Sums over 12 h, of test/data/previous_runs_agreement.csv.
+    Sums over 12 h, from test/data/previous_runs_agreement.csv.
     """
     real: dict[tuple[int, int], list[float]] = {}
     agreements = table("previous_runs_agreement.csv").filter(pl.col("sum_hours") == 12)
@@ -272,7 +272,7 @@ def test_issues_agree_as_real_ones_do(ahead: dict[int, Array]) -> None:
 
 
 def test_r_of_a_mean_without_the_records() -> None:
-    """From each one's r and their covariances, as of the services: it is that of the means."""
+    """Each r and the covariances, as known for the services, give the r of the means."""
     chance = np.random.default_rng(3)
     rain = chance.gamma(0.3, size=(4, 240))
     rain[1:] = rain[0] + np.array([[0.5], [1.0], [3.0]]) * rain[1:]
@@ -284,7 +284,7 @@ def test_r_of_a_mean_without_the_records() -> None:
 
 
 def test_the_same_in_any_order(rain: dict[int, Array]) -> None:
-    """Whoever asks for whatever first, with a long horizon or a short one; by the seed alone."""
+    """In any order of calls, with a long or a short horizon; only the seed matters."""
     weather = season_weather(2020, rain[2020])
     long, short = ErrorModel(weather, 9, REAL, 4), ErrorModel(weather, 9, REAL, 4)
     asked = (500, 3000, 777, 511)
@@ -297,7 +297,7 @@ def test_the_same_in_any_order(rain: dict[int, Array]) -> None:
 
 
 def test_evapotranspiration(rain: dict[int, Array]) -> None:
-    """Right on the whole, known at once, and wrong by up to the skill's share with the lead."""
+    """Right on average, known at once; the error grows with the lead up to the skill's share."""
     factors = np.array([
         ErrorModel(season_weather(2016, rain[2016][:700]), seed, REAL).known(301, 241)[1] / 2
         for seed in range(150)
@@ -309,7 +309,7 @@ def test_evapotranspiration(rain: dict[int, Array]) -> None:
 
 
 def test_believable(rain: dict[int, Array]) -> None:
-    """500 mm/h and 50 mm/day at most, which are within the topics' ranges."""
+    """At most 500 mm/h and 50 mm/day, which are within the topics' ranges."""
     weather = season_weather(2016, np.full(300, 400.0))
     weather.values["evapotranspiration"] = np.full(300, 49.0)
     known = [ErrorModel(weather, seed, REAL).known(61, 200) for seed in range(20)]

@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 
 
 def both(forecast: Forecast, tick: int) -> list[bytes]:
-    """Return what is forecast of rain and evapotranspiration at a tick, bit for bit."""
+    """Return the forecast rain and evapotranspiration at a tick, as bytes."""
     ahead = (forecast.precipitation(tick), forecast.evapotranspiration(tick))
     return [np.array(series).tobytes() for series in ahead]
 
@@ -52,19 +52,19 @@ def both(forecast: Forecast, tick: int) -> list[bytes]:
 
 
 class Drawn:
-    """A model whose forecasts are any numbers, other than the records."""
+    """A model with arbitrary forecasts, different from the records."""
 
     def __init__(self, rain: Array, evapotranspiration: Array) -> None:
         self._rain = rain
         self._evapotranspiration = evapotranspiration
 
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
-        """Another forecast every hour."""
+        """Return a new forecast every hour."""
         index = (np.arange(hour, hour + hours) + 7 * hour) % self._rain.shape[1]
         return self._rain[:, index], self._evapotranspiration[index]
 
     def repeats_from(self, hour: int, hours: int) -> None:
-        """They go on for ever."""
+        """Return None: the forecasts go on for ever."""
 
 
 @settings(max_examples=40)
@@ -78,7 +78,7 @@ class Drawn:
 def test_means_are_those_of_every_second(
     seed: int, tau: int, offset: int, horizon: float, data: st.DataObject
 ) -> None:
-    """Every step of every member against the mean of its seconds, one by one."""
+    """Every step of every member equals the mean of its seconds, one by one."""
     chance = np.random.default_rng(seed)
     weather = weather_of(chance.uniform(0, 20, 6), chance.uniform(0, 9, 6))
     rain = chance.uniform(0, 20, (2, 30)) * (chance.random((2, 30)) < 0.5)
@@ -99,7 +99,7 @@ def test_means_are_those_of_every_second(
             means = [part.mean() for part in np.split(rates, edges[1:-1].astype(int))]
             got = forecast.precipitation(tick)[member]
             assert list(got) == pytest.approx([mean / 3.6e6 for mean in means], rel=1e-9)
-            assert min(got) >= 0.0  # not below it by rounding, which the nodes would refuse
+            assert min(got) >= 0.0  # rounding must not give less, which the nodes would refuse
         rates = np.where(
             lead > 0, evapotranspiration[lead], weather.evapotranspiration[present]
         )
@@ -119,7 +119,7 @@ def drawn(hours: int) -> Weather:
     ("tau", "horizon", "members"), [(0.7, 0.0, 1), (1.0, 47.3, 3), (613.0, 12.0, 1)]
 )
 def test_any_order(tau: float, horizon: float, members: int) -> None:
-    """One tick after another, back, and by leaps: bit for bit what a new forecast gives."""
+    """Tick by tick, backwards and in leaps: bit for bit the same as a new forecast."""
     site, weather = site_with(tau=tau), drawn(80)
     start, steps = MIDNIGHT + timedelta(minutes=37), int(12 * 3600 / tau)
     choice = ForecastChoice("ensemble", members=members) if members > 1 else ForecastChoice()
@@ -136,7 +136,7 @@ def test_any_order(tau: float, horizon: float, members: int) -> None:
 
 @pytest.mark.parametrize("tau", [0.7, 613.0])
 def test_perfect_forecast_is_the_series(tau: float) -> None:
-    """M ticks of it from each tick on, and its own each time: who changes it changes no other."""
+    """M ticks from each tick on, each a separate copy: changing one changes no other."""
     site, steps, weather = site_with(tau=tau), int(12 * 3600 / tau), drawn(30)
     start = MIDNIGHT + timedelta(minutes=37)
     series = WeatherSeries(weather, site, start, steps)
@@ -163,7 +163,7 @@ def test_perfect_forecast_is_the_series(tau: float) -> None:
     ],
 )
 def test_issued_every_six_hours(first: str, issues: list[int]) -> None:
-    """The newest changes at 00, 06, 12 and 18 UTC, in the first whole hour that is after it."""
+    """The newest changes at the first whole hour after 00, 06, 12 and 18 UTC."""
     model = ErrorModel(
         weather_of([1.0] * 60, first=datetime.fromisoformat(first)), 1, read_skill("real")
     )
@@ -177,7 +177,7 @@ def test_issued_every_six_hours(first: str, issues: list[int]) -> None:
 
 
 def test_errors_are_known_as_late_as_a_services() -> None:
-    """Six hours after the issue, as the figures of services have it, or as asked for."""
+    """Six hours after the issue, as in the services' figures, or as requested."""
     weather = weather_of(np.random.default_rng(4).uniform(0, 9, 90))
 
     def model(delay: float | None) -> ForecastModel:
@@ -187,17 +187,17 @@ def test_errors_are_known_as_late_as_a_services() -> None:
     at_once = model(0.0)
     for late, delayed in ((6, model(None)), (3, model(2.25))):
         for hour in (11, 12, 17):
-            # Known since: the hour late, of which that is the newest, and its leads go on.
+            # Known late since the issue's hour; its leads go on.
             known = at_once.known(hour - late, 24 + late)
             for before, now in zip(known, delayed.known(hour, 24), strict=True):
                 assert before[..., late:].tobytes() == now.tobytes()
 
 
 def test_persistence_by_hand() -> None:
-    """ET of hour h is h/10 mm/day; at 08:00 of the next day the newest issue is of 06:00, hour 30.
+    """ET of hour h is h/10 mm/day; at 08:00 the next day the newest issue is of 06:00, hour 30.
 
-    Hour 54 is 24 h after the issue and has what hour 30 had. Hour 55 is at 07:00, the last of which
-    that was known at the issue is hour 7.
+    Hour 54 is 24 h after the issue and has the value of hour 30. Hour 55 is at 07:00, and the last
+    07:00 known at the issue is hour 7.
     """
     weather = weather_of(np.arange(100) / 7, np.arange(100) / 10)
     rain, evapotranspiration = PersistenceModel(weather).known(32, 30)
@@ -207,7 +207,7 @@ def test_persistence_by_hand() -> None:
 
 
 def test_persistence_without_a_day_before() -> None:
-    """In the records' first day it is that of the hour of issue; so it is in place of a gap."""
+    """On the records' first day the hour of issue counts; it also stands in for a gap."""
     gap = np.arange(40) / 10
     gap[[7, 8]] = np.nan
     model = PersistenceModel(weather_of(np.arange(40), gap))
@@ -220,9 +220,9 @@ def test_persistence_without_a_day_before() -> None:
 
 
 def test_missing_rain_is_not_guessed() -> None:
-    """A run is refused before it begins, though only a forecast would have needed the hour.
+    """A run is refused before it begins, even if only a forecast would have needed the hour.
 
-    Rain that is missing after the run counts for those forecasts only that are made of it.
+    Missing rain after the run matters only for forecasts that are made from it.
     """
     rain = np.ones(40)
     rain[[6, 20]] = np.nan
@@ -244,7 +244,7 @@ def test_missing_rain_is_not_guessed() -> None:
 
 
 def test_who_gets_which_members() -> None:
-    """Member 0 alone, flat, or all of them as rows."""
+    """Member 0 alone, flat, or all members as rows."""
     options = (
         "--controller", "anticipating_onoff", "--horizon", "12", "--forecast-seed", "9",
         "--start", "2021-07-07T09:00",
@@ -258,7 +258,7 @@ def test_who_gets_which_members() -> None:
         assert both(run.forecast, tick) == both(single.forecast, tick)
         members = everything.precipitation(tick)
         assert np.shape(members) == (4, len(run.forecast.precipitation(tick)))
-        # As it comes out of a message: numpy's sums follow the order in memory.
+        # Contiguous as from a message: numpy's sums follow the order in memory.
         assert isinstance(members, np.ndarray) and members.flags.c_contiguous
         assert [members[0].tobytes(), both(everything, tick)[1]] == both(run.forecast, tick)
         assert tick == 5000 or len({member.tobytes() for member in members}) == 4
@@ -281,7 +281,7 @@ FORECASTS = (
 
 
 def test_read_back(tmp_path: Path) -> None:
-    """The numbers as written; each issue from its time on, and past its end no rain."""
+    """The numbers as written; each issue from its time on, and no rain past its end."""
     file = tmp_path / "archive.csv"
     file.write_text("\n".join(FORECASTS))
     first, second = read_forecasts(file)
@@ -306,7 +306,7 @@ def test_read_back(tmp_path: Path) -> None:
 
 
 def one_issue(issued: datetime, *series: Array) -> Archive:
-    """Return an archive of a single issue."""
+    """Return an archive with a single issue."""
     issue = Issue(issued, Path("archive.csv"), None, *series)
     return Archive(issue.file, "own form", (issue,), 0.0, (issue,))
 
@@ -322,7 +322,7 @@ def test_past_its_end_a_day_is_like_the_last() -> None:
 
 
 def test_file_without_evapotranspiration() -> None:
-    """That of the records counts as known, and is repeated past their end."""
+    """The records' values count as known, and are repeated past their end."""
     own = one_issue(MIDNIGHT, np.full((1, 9), 0.5))
     weather = weather_of([0.1] * 6, np.arange(6.0))
     model = FileModel(own, weather, True)
@@ -349,7 +349,7 @@ def archive(directory: Path, hours: int) -> Path:
 
 
 def test_a_true_file_is_as_good_as_perfect(tmp_path: Path) -> None:
-    """The records as a file of forecasts: the same numbers, bit for bit, and nothing repeated."""
+    """The records as a forecast file: the same numbers, bit for bit, and nothing repeated."""
     options = ("--controller", "anticipating_onoff", "--horizon", "12", "--hours", "24")
     perfect = paper_run(*options)
     filed = paper_run(*options, "--forecast", str(archive(tmp_path, 30)))
@@ -362,7 +362,7 @@ def test_a_true_file_is_as_good_as_perfect(tmp_path: Path) -> None:
 
 
 def test_end_of_the_records() -> None:
-    """Perfect forecasts and errors repeat the last record then; persistence needs none of them."""
+    """Perfect forecasts and errors then repeat the last record; persistence needs none of them."""
     options = ("--start", "2021-07-09T00:00", "--hours", "13", "--controller", "anticipating_onoff")
     end = "2021-07-10 00:00:00-05:00"
     for model in ("perfect", "errors"):
@@ -373,7 +373,7 @@ def test_end_of_the_records() -> None:
 
 
 def test_choices(tmp_path: Path) -> None:
-    """Names and their options; files by their ending, directories by being there or by a slash."""
+    """Names and their options; files by their suffix, directories if they exist or by a slash."""
     for text in ("a.csv", "a.JSON", "b/a.nc", "later/", str(tmp_path)):
         choice = choose(text)
         assert (choice.model, choice.file, choice.options()) == ("file", Path(text), {})
@@ -390,7 +390,7 @@ def test_choices(tmp_path: Path) -> None:
 
 
 def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
-    """Return the numbers of each message of a topic in a bag, their bytes."""
+    """Return the numbers of each message of a topic in a bag, as bytes."""
     from mcap.reader import make_reader
 
     with bag_file(run).open("rb") as stream:
@@ -415,9 +415,9 @@ def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
 def test_the_graph_is_given_the_same(
     domain: int, tmp_path: Path, options: str, carried: str, summary: dict[str, object]
 ) -> None:
-    """Over an issue, at 06:00 UTC; in the bag is, bit for bit, what was forecast.
+    """Over an issue at 06:00 UTC; the bag has, bit for bit, what was forecast.
 
-    The run carries its files, directories, too, and the graph reads these.
+    The run carries its files and directories, and the graph reads the copies.
     """
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     write_runs(tmp_path / "runs")

@@ -1,4 +1,4 @@
-"""A live site's file of forecasts: replaced, broken, removed, too old; and what follows from it."""
+"""A live site's forecast file: replaced, broken, removed, too old; and what follows from it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def write(
     path: Path, issued: datetime, rain: list[float], temperature: float = 15.0,
     header: str = HEADER,
 ) -> None:
-    """Write a file with one issue of some hours, and put it in place as one should."""
+    """Write a file with one issue of some hours, and rename it into place as one must."""
     lines = [header]
     for hour, depth in enumerate(rain):
         time = issued + timedelta(hours=hour)
@@ -47,7 +47,7 @@ def write(
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    """The site's file, which is not there yet."""
+    """The site's file, which does not exist yet."""
     return tmp_path / "forecast.csv"
 
 
@@ -59,9 +59,9 @@ def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecas
 
 
 def test_the_present_hour_and_the_look_ahead(file: Path) -> None:
-    """At 07:59:57 three of the ten seconds are of the second hour, the rest of the third.
+    """At 07:59:57 three of the ten seconds are in the second hour, the rest in the third.
 
-    3.6 mm/h are 1e-6 m/s; 3 and 4 mm/day off 68.8 m2 are 2.3889e-6 and 3.1852e-6 m3/s.
+    3.6 mm/h are 1e-6 m/s; 3 and 4 mm/day from 68.8 m2 are 2.3889e-6 and 3.1852e-6 m3/s.
     """
     write(file, SIX, [0.0, 3.6, 7.2, 0.0])
     outlook = live(file).at(SIX + timedelta(hours=1, minutes=59, seconds=57))
@@ -76,10 +76,10 @@ def test_the_present_hour_and_the_look_ahead(file: Path) -> None:
 
 
 def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(file: Path) -> None:
-    """Hours ahead, too, a simulated run is given what a live site is, whose gauge reads the rain.
+    """A simulated run is given the same forecasts as a live site whose gauge reads the rain.
 
-    Both take that reading for the rest of the hour, and the issue for all hours after it. Records
-    are hourly, so that in a run the reading never changes within the hour: what that is worth is in
+    Both use that reading for the rest of the hour, and the issue for all later hours. Records
+    are hourly, so in a run the reading never changes within the hour; the value of that is in
     doc/reference/issued-forecasts.md.
     """
     chance = np.random.default_rng(4)
@@ -109,7 +109,7 @@ def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(file: Path) -> N
     ],
 )
 def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -> None:
-    """Too old, too short, of the future; a moment before, each is one."""
+    """Too old, too short, from the future; a moment before, each is a forecast."""
     write(file, SIX, [0.0] * 4)
     forecast = live(file, horizon)
     with pytest.raises(NoForecastError, match=words):
@@ -118,7 +118,7 @@ def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -
 
 
 def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
-    """By another one, in place, or within the resolution of its time: once each."""
+    """By another file, in place, or within the resolution of its time: it is read once each."""
     write(file, SIX, [0.0] * 4)
     forecasts = ForecastFile(file)
     assert forecasts.look() and not forecasts.look()
@@ -132,7 +132,7 @@ def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
 
 
 def test_a_broken_or_removed_file_keeps_the_old_one(file: Path) -> None:
-    """The problem names file and line, and is over with the next good file."""
+    """The error names file and line, and disappears with the next good file."""
     write(file, SIX, [0.0] * 4)
     forecasts = ForecastFile(file)
     forecasts.look()
@@ -151,7 +151,7 @@ def test_a_broken_or_removed_file_keeps_the_old_one(file: Path) -> None:
 
 
 def test_columns_that_may_be_left_out(file: Path) -> None:
-    """Temperature may; evapotranspiration may not, of which a live site has no other record."""
+    """Temperature is optional; evapotranspiration is not, as a live site has no record of it."""
     forecasts = ForecastFile(file)
     assert not forecasts.look()
     assert "cannot be read" in forecasts.problem and forecasts.issues == []
@@ -174,7 +174,7 @@ def test_columns_that_may_be_left_out(file: Path) -> None:
 def dressed(
     directory: Path, all_members: bool = True, days: int = 100
 ) -> tuple[Path, LiveForecast, LiveDressing]:
-    """Return forecasts that are dressed by days in early 2026: each issue came true."""
+    """Return forecasts dressed by days in early 2026, when each issue came true."""
     file, record = directory / "forecast.csv", directory / "dressed.csv"
     issued = hours_since_1970(SIX) - 24 * 200 + 24 * np.arange(days)
     fell = np.arange(1.0 * days)[:, None] / 10 * np.ones(3)
@@ -185,23 +185,23 @@ def dressed(
 
 
 def test_a_dressed_forecast(tmp_path: Path) -> None:
-    """Members are what fell after issues like it; temperature and evapotranspiration stay."""
+    """Members are what fell after similar issues; temperature and evapotranspiration are kept."""
     file, forecasts, _ = dressed(tmp_path)
     write(file, SIX, [5.0, 5.0, 5.0])
     forecasts.file.look()
     outlook = forecasts.at(SIX + timedelta(minutes=30))
-    # The ten nearest that are two days apart, each multiplied to mean as much rain: 5 mm/h.
+    # The ten nearest, two days apart, each scaled to the same mean rain: 5 mm/h.
     assert np.array(outlook.rain)[:, 0] == pytest.approx([5e-3 / 3600] * 10)
     assert outlook.temperature == 15.0
     assert np.array(outlook.evapotranspiration)[0] == pytest.approx(2.0 / 1000 / 86400 * 68.8)
 
 
 def test_a_record_stands_for_a_forecast(tmp_path: Path) -> None:
-    """Without an issue that counts, members are spells of the record, the same all day."""
+    """Without a usable issue, members are spells of the record, the same all day."""
     _, forecasts, _ = dressed(tmp_path)
     with pytest.raises(NoForecastError):
         forecasts.at(SIX)
-    usual = 3.0 / 1000 / 86400 * 68.8  # 3 mm/day off the bed
+    usual = 3.0 / 1000 / 86400 * 68.8  # 3 mm/day from the bed
     rains = []
     for hours in (0, 5, 24):
         outlook = forecasts.of_record(SIX + timedelta(hours=hours), usual)
@@ -215,13 +215,13 @@ def test_a_record_stands_for_a_forecast(tmp_path: Path) -> None:
     assert np.array_equal(rains[0], rains[1])
     assert not np.array_equal(rains[0], rains[2])
     assert forecasts.of_record(SIX, None) is None
-    # One member alone would be a draw of a single spell.
+    # A single member would be a draw of one spell.
     _, forecasts, _ = dressed(tmp_path, all_members=False)
     assert forecasts.of_record(SIX, usual) is None
 
 
 def test_a_live_site_learns(tmp_path: Path) -> None:
-    """An issue and the hours after it are in the file; an hour whose gauge failed is not known."""
+    """The file has an issue and the hours after it; an hour without a working gauge is unknown."""
     file, forecasts, dressing = dressed(tmp_path)
     write(file, SIX, [5.0, 5.0, 5.0])
     forecasts.file.look()
@@ -240,12 +240,12 @@ def test_a_live_site_learns(tmp_path: Path) -> None:
     # Each hour is known when the next begins.
     assert fell[1] == pytest.approx([2.0, math.nan, math.nan], nan_ok=True)
     assert fell[2] == pytest.approx([2.0, math.nan, math.nan], nan_ok=True)
-    # Whole: the gap is bridged.
+    # Complete: the gap is bridged.
     assert fell[3] == pytest.approx([2.0, 5.0, 8.0])
 
 
 def test_too_few_to_dress(tmp_path: Path) -> None:
-    """An issue is then used as it was issued, is learned from all the same, and it is said."""
+    """Then an issue is used as issued, it is still learned from, and this is reported."""
     file, forecasts, dressing = dressed(tmp_path, days=5)
     write(file, SIX, [5.0, 5.0, 5.0])
     forecasts.file.look()
@@ -260,7 +260,7 @@ def test_too_few_to_dress(tmp_path: Path) -> None:
 
 
 def test_one_site_adds_to_a_file(tmp_path: Path) -> None:
-    """Another one reads it, says so, and writes nothing; nor is a file written without an issue."""
+    """Another one reads it, reports this, and writes nothing; no issue, no file."""
     _, _, dressing = dressed(tmp_path)
     before = (tmp_path / "dressed.csv").read_bytes()
     other = LiveDressing(tmp_path / "dressed.csv", PAPER_SITE.tau)

@@ -1,4 +1,4 @@
-"""Forecasts of the internet: what a service answers, in each way in which it can be bad."""
+"""Forecasts from the internet: what a service answers, in each way in which this can go wrong."""
 
 import re
 import subprocess
@@ -60,14 +60,14 @@ def test_each_hour_has_the_rain_and_temperature_that_are_forecast_for_it(server)
     now = _now()
     issue = _service(server).fetch(now)
     assert issue.issued == now.replace(minute=0, second=0, microsecond=0)
-    # The records at the time that is now, hour by hour; the file has them again after its end.
+    # The records from the present time on, hour by hour; the file starts again after its end.
     begin = round((START - RECORDS.first + (issue.issued - now)) / HOUR)
     index = (begin + np.arange(issue.hours)) % RECORDS.hours
     assert issue.rain.shape == (1, issue.hours)
     assert issue.rain[0].tolist() == RECORDS.values[PRECIPITATION][index].round(2).tolist()
     assert issue.temperature.tolist() == RECORDS.values[TEMPERATURE][index].round(2).tolist()
     assert 6 * 24 <= issue.hours <= 7 * 24
-    # July in Toronto: the noons are dry enough for some mm in a day, the nights for next to none.
+    # July in Toronto: noons are dry enough for some mm a day, nights for almost none.
     assert 3 < issue.evapotranspiration.max() < 20
     assert 0 <= issue.evapotranspiration.min() < 0.5
 
@@ -113,7 +113,7 @@ def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypa
 
 @contextmanager
 def _answering(answer):
-    """Serve what a function makes of each request's headers: status, headers and body."""
+    """Serve what a function returns for a request's headers: status, headers and body."""
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self):
             status, headers, body = answer(self.headers)
@@ -136,7 +136,7 @@ def _answering(answer):
 
 
 def test_an_answer_that_is_no_forecast_is_asked_for_again(server, tmp_path):
-    """It was cut short on the way, and has the tag of the whole: 304 would be said for good."""
+    """A truncated answer had the ETag of the whole one, so 304 would be answered for ever."""
     whole = server.answer({"hourly": [",".join(VARIABLES.values())]}, 1)
     bodies = iter([whole[: len(whole) // 2], whole])
 
@@ -160,7 +160,7 @@ def test_a_service_is_left_alone_for_a_day_at_most(tmp_path, asks):
 
 
 def test_what_is_new_in_any_hour_and_quantity_is_kept():
-    """No rain in the hours of before, and some after them, is another forecast."""
+    """The same values count as unchanged, although the first hours passed; any new value counts."""
     issued = _now().replace(minute=0, second=0, microsecond=0)
     before = Issue(issued, Path(), None, np.zeros((1, 48)), np.ones(48), np.ones(48))
     later = replace(

@@ -1,7 +1,7 @@
-"""CaSPAr's NetCDF, made here by its conventions: what is read of the header of its files.
+"""CaSPAr's NetCDF, written here by its conventions: what is read from the header of its files.
 
-The header is that of 2024010100.nc of HRDPS (PAVICS, HRDPS_P_PR_SFC) and of a member of an
-ensemble, 2018030100_000.nc; what is missing at the first hour has the fill value of NetCDF.
+The header is copied from 2024010100.nc of HRDPS (PAVICS, HRDPS_P_PR_SFC) and from a member of an
+ensemble, 2018030100_000.nc; a missing value at the first hour has NetCDF's fill value.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from refusals import refusal
 from greenroof_ros.formats.reading import read_archive
 
 TORONTO = replace(PAPER_SITE, latitude=43.63, longitude=-79.40)
-# A rotated grid of 2.5 km about the site, whose point [1, 2] is the nearest.
+# A rotated grid of 2.5 km about the site; its point [1, 2] is the nearest.
 LATITUDES = np.array([[43.60, 43.61, 43.62, 43.63], [43.61, 43.62, 43.633, 43.65],
                       [43.65, 43.66, 43.67, 43.68]])
 LONGITUDES = np.array([[-79.47, -79.44, -79.41, -79.38], [-79.46, -79.43, -79.398, -79.36],
@@ -35,7 +35,7 @@ def write(
     file: Path, sums: Sequence[float] = SUMS, hours: Sequence[int] | None = None,
     product: str = "HRDPS", edit: Callable[[netCDF4.Dataset], None] = lambda dataset: None,
 ) -> Path:
-    """Write a file as CaSPAr does; elsewhere than at the point it rains 50 mm/h."""
+    """Write a file as CaSPAr does; everywhere except at the point it rains 50 mm/h."""
     hours = list(range(len(sums))) if hours is None else list(hours)
     name = f"{product}_P_PR_SFC"
     issued = f"{file.stem[:4]}-{file.stem[4:6]}-{file.stem[6:8]} {file.stem[8:10]}:00:00"
@@ -71,7 +71,7 @@ def write(
 
 
 def test_hours_are_differences_of_the_nearest_points_sums(tmp_path: Path) -> None:
-    """In mm; the sum before the first hour is 0, though its value is missing."""
+    """In mm; the sum before the first hour counts as 0, although its value is missing."""
     archive = read_archive(write(tmp_path / "2021070800.nc"), TORONTO)
     assert (archive.kind, archive.delay, archive.members) == ("CaSPAr, HRDPS", 5.0, 1)
     (issue,) = archive.issues
@@ -85,7 +85,7 @@ def test_hours_are_differences_of_the_nearest_points_sums(tmp_path: Path) -> Non
 
 
 def test_members_and_steps_of_three_and_six_hours(tmp_path: Path) -> None:
-    """A file a member, control first; each hour between two sums has its share."""
+    """One file per member, control first; each hour between two sums has its share."""
     for number in range(3):
         for issue in ("2021070800", "2021070812"):
             sums = [np.nan, 0.003 * number, 0.003 * number + 0.012]
@@ -100,7 +100,7 @@ def test_members_and_steps_of_three_and_six_hours(tmp_path: Path) -> None:
 
 
 def test_longitudes_to_the_east_and_axes_of_their_own(tmp_path: Path) -> None:
-    """A grid by latitude and longitude; 280.6 degrees east are 79.4 west."""
+    """A grid by latitude and longitude; 280.6 degrees east is 79.4 west."""
     def regular(dataset: netCDF4.Dataset) -> None:
         for name in ("lat", "lon"):
             dataset[name].delncattr("standard_name")
@@ -113,12 +113,12 @@ def test_longitudes_to_the_east_and_axes_of_their_own(tmp_path: Path) -> None:
 
 
 def attribute(variable: str, name: str, value: str) -> Callable[[netCDF4.Dataset], None]:
-    """Return what gives a variable another attribute."""
+    """Return a function that sets an attribute of a variable."""
     return lambda dataset: dataset[variable].setncattr(name, value)
 
 
 def instead(variable: str, values: Any, *dimensions: str) -> Callable[[netCDF4.Dataset], None]:
-    """Return what puts a variable of other dimensions in another's place, with its attributes."""
+    """Return a function that replaces a variable by one of other dimensions, same attributes."""
     def edit(dataset: netCDF4.Dataset) -> None:
         attributes = dict(dataset[variable].__dict__)
         for name in attributes:
@@ -167,11 +167,11 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"hours": [0, 1, 2, 3, 4, 28]},
         "time: must have more hours, each 1 to 6 after the one before, not 0, 1, 2, 3, 4, 28",
     ),
-    "longer time": (  # of a dimension of its own: the last sums would be those of the first hours
+    "longer time": (  # of a separate dimension: the last sums would be taken for the first hours
         {"edit": instead("time", range(9), "later")},
         f"{PLACES}(rlat, rlon) and longitude (rlat, rlon), not (time, rlat, rlon) with times of ",
     ),
-    "places turned": (  # as many points, in another order
+    "places turned": (  # the same number of points, in another order
         {"edit": lambda dataset: [
             instead(name, degrees.T, "rlon", "rlat")(dataset)
             for name, degrees in (("lat", LATITUDES), ("lon", LONGITUDES))
@@ -184,14 +184,14 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_files(tmp_path: Path, name: str) -> None:
-    """Refused with the file, variable or attribute, and what would be right, before any warning."""
+    """Refused, before any warning, with file, variable or attribute, and what would be right."""
     changes, reason = WRONG[name]
     file = write(tmp_path / "2021070800.nc", **changes)
     assert refusal(read_archive, file, TORONTO).startswith(f"{file}: {reason}")
 
 
 def test_files_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Damaged ones, other names, a site without a place; without the reader what to install."""
+    """Damaged files, other names, a site without a place; without the reader, what to install."""
     file = write(tmp_path / "2021070800.nc")
     whole = file.read_bytes()
     for length in (4, len(whole) // 3):
@@ -207,7 +207,7 @@ def test_files_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_members_that_are_missing(tmp_path: Path) -> None:
-    """All of an issue must be there, of one length and one product."""
+    """An issue must have all members, of equal length and of one product."""
     for number in (0, 2):
         write(tmp_path / f"2021070800_{number:03}.nc", product="REPS")
     refusal(read_archive, tmp_path, TORONTO, match="has members 0, 2; they must be 0, 1, 2 and")

@@ -28,7 +28,7 @@ COLUMNS = [
 
 
 def row(hour: int, **changes: str) -> list[str]:
-    """Return an hour of a summer's day, with other cells where given (by column)."""
+    """Return an hour of a summer's day, with changed cells (by column)."""
     cells = dict.fromkeys(COLUMNS, "") | {
         "Longitude (x)": "-79.4", "Latitude (y)": "43.63", "Station Name": "MADE UP, THE",
         "Date/Time (LST)": f"2021-07-01 {hour}:00", "Year": "2021", "Temp (°C)": f"{15 + hour / 2}",
@@ -39,7 +39,7 @@ def row(hour: int, **changes: str) -> list[str]:
 
 
 def write(directory: Path, rows: list[list[str]]) -> Path:
-    """Write a file as the service does, with a byte order mark; only commas are quoted."""
+    """Write a file as the service does: byte order mark, only cells with commas quoted."""
     path = directory / "en_climate_hourly.csv"
     lines = [
         ",".join(f'"{text}"' if "," in text else text for text in line) for line in [COLUMNS, *rows]
@@ -54,7 +54,7 @@ def day(**changes: dict[str, str]) -> list[list[str]]:
 
 
 def run(weather: Weather, start: str, hours: int) -> WeatherSeries:
-    """Lay a file out for a run of an hour's ticks, which need no second resolution here."""
+    """Lay out a file for a run with ticks of ten minutes; seconds are not needed here."""
     site = replace(TORONTO, tau=600.0, M=1)
     return WeatherSeries(weather, site, datetime.fromisoformat(start), 6 * hours)
 
@@ -73,7 +73,7 @@ def test_quirks(tmp_path: Path) -> None:
 
 
 def test_value_beside_a_missing_flag_is_none(tmp_path: Path) -> None:
-    """The service repeats the last value there: 12.5 for ever is no dew point."""
+    """The service repeats the last value there: a constant 12.5 is not a dew point."""
     stale = {"Dew Point Temp (°C)": "3.0", "Dew Point Temp Flag": "M"}
     weather = read_weather([write(tmp_path, day(h7=stale))], TORONTO)
     assert weather.values["dew point"][7] == 12.5  # between 12.5 and 12.5
@@ -94,7 +94,7 @@ def test_value_beside_a_missing_flag_is_none(tmp_path: Path) -> None:
 def test_gaps_are_filled_up_to_so_many_hours(
     tmp_path: Path, column: str, quantity: str, longest: int
 ) -> None:
-    """Rain is never guessed. A gap at an end, or an hour longer, is refused by who needs it."""
+    """Rain is never guessed. A gap at an end, or longer by an hour, is refused if it matters."""
     hours = [hour for hour in range(48) if not 6 <= hour < 6 + longest]
     rows = [row(hour % 24, **{"Date/Time (LST)": f"2021-07-0{1 + hour // 24} {hour % 24}:00"} | (
         {} if hour in hours else {column: ""}
@@ -114,7 +114,7 @@ def test_gaps_are_filled_up_to_so_many_hours(
 
 
 def test_short_rows_are_missing_hours(tmp_path: Path) -> None:
-    """The service ends a row before its first observation where it has none of an hour."""
+    """If the service has no observations of an hour, it ends the row before the first."""
     index = COLUMNS.index("Temp (°C)")
     rows = day()
     rows[9], rows[10] = rows[9][:index], rows[10][:index]
@@ -128,7 +128,7 @@ def test_short_rows_are_missing_hours(tmp_path: Path) -> None:
 
 
 def test_frost(tmp_path: Path) -> None:
-    """0.0 degC is frost, 0.1 is not; what fell in it is added up."""
+    """0.0 degC is frost, 0.1 is not; precipitation in frost is summed up."""
     changes = {f"h{hour}": {"Temp (°C)": "-3.0"} for hour in range(5)}
     changes["h5"] = {"Temp (°C)": "0.0", "Precip. Amount (mm)": "1.5"}
     changes["h6"] = {"Temp (°C)": "0.1", "Precip. Amount (mm)": "4.0"}
@@ -149,7 +149,7 @@ def test_frost(tmp_path: Path) -> None:
     ],
 )
 def test_refused(tmp_path: Path, rows: list[list[str]], reason: str) -> None:
-    """Named with the line, the service's own column, and the value; what the site lacks."""
+    """The error has the line, the service's column and the value, or what the site lacks."""
     path = write(tmp_path, rows)
     assert refusal(read_weather, [path], TORONTO).startswith(f"{path}, {reason}")
     nowhere = replace(TORONTO, utc_offset=None)
@@ -162,13 +162,13 @@ def test_the_authors_evapotranspiration_is_of_their_72_hours_alone(tmp_path: Pat
 
 
 def test_july_2021() -> None:
-    """744 hours; what the service flags as missing is filled and named, hour by hour."""
+    """744 hours; values flagged as missing by the service are filled and named, hour by hour."""
     weather = read_weather([DATA / "en_climate_hourly_07-2021.csv"], TORONTO)
     assert len(weather.precipitation) == 744
     assert weather.first.isoformat() == "2021-07-01T00:00:00-05:00"
     assert weather.end.isoformat() == "2021-08-01T00:00:00-05:00"
     filled = {name: int(marks.sum()) for name, marks in weather.filled.items() if marks.any()}
-    # Counted in the file by eye and by grep: rows whose flag is M.
+    # Counted in the file by eye and by grep: rows with flag M.
     assert filled == {
         "temperature": 6, "dew point": 32, "wind speed": 1, "station pressure": 6
     }
@@ -181,24 +181,24 @@ def test_july_2021() -> None:
         "2021-07-20T13:00-05:00 to 2021-07-20T17:00-05:00 (5 hours)", "2021-07-21T11:00-05:00"
     ]
     assert series.repeats_from == weather.end  # tick N is the first after the last hour
-    # The hours of the paper's window, as its own 72 hours have them.
+    # The hours of the paper's window, compared with its own 72 hours.
     packaged = read_weather(
         [shared_directory() / "config" / "weather" / "toronto_2021-07.csv"], TORONTO, "fao56"
     )
     assert weather.precipitation[144:216].tolist() == packaged.precipitation.tolist()
-    # The first night's clouds are those of the evening before, which the 72 hours do not have.
+    # The first night has the clouds of the evening before, which the 72 hours do not have.
     assert weather.evapotranspiration[149:216] == pytest.approx(
         packaged.evapotranspiration[5:], rel=1e-12
     )
-    # Toronto's July has some 4 to 5 mm of reference evapotranspiration a day.
+    # Toronto's July has about 4 to 5 mm of reference evapotranspiration a day.
     assert 3.5 < weather.evapotranspiration.mean() < 5.5
 
 
 def test_rain_is_of_the_hour_before_its_time() -> None:
-    """By the service's own weather at each full hour, in two Julys.
+    """Shown by the service's own weather at each full hour, in two Julys.
 
-    It is raining oftenest at both ends of an hour with rain: at a wet row's time and an hour before
-    it, and less often an hour further off on either side.
+    Rain is reported most often at both ends of an hour with rain: at the time of a wet row and an
+    hour before it, and less often an hour further away on either side.
     """
     raining = np.zeros(4)  # from two hours before a wet row to one after it
     for year in (2021, 2022):
@@ -215,7 +215,7 @@ def test_rain_is_of_the_hour_before_its_time() -> None:
 
 
 def test_march_2021() -> None:
-    """Another year's form, quoted and padded; 203 hours of frost."""
+    """The form of another year, quoted and padded; 203 hours of frost."""
     weather = read_weather([DATA / "en_climate_hourly_03-2021.csv"], TORONTO)
     assert len(weather.precipitation) == 744
     assert weather.frost is not None

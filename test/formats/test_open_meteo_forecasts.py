@@ -37,7 +37,7 @@ def saved(file: Path) -> dict[datetime, list[float]]:
 
 
 def in_service_csv(rows: dict[datetime, list[float]]) -> str:
-    """Return the same as the service writes it for a place an hour east of Greenwich, in inches."""
+    """Return it as the service writes it, for a place an hour east of Greenwich, in inches."""
     header = ",".join(f"precipitation_previous_day{day} (inch)" for day in range(1, 6))
     lines = [
         "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation",
@@ -60,7 +60,7 @@ def answer(times: list[str], **columns: list[float | None]) -> dict[str, Any]:
 
 
 def in_service_json(rows: dict[datetime, list[float]]) -> str:
-    """Return the same as the service's JSON."""
+    """Return it as the service's JSON."""
     return json.dumps(answer(
         [(start + HOUR).strftime("%Y-%m-%dT%H:%M") for start in rows],
         **{
@@ -73,7 +73,7 @@ def in_service_json(rows: dict[datetime, list[float]]) -> str:
 
 
 def alike(archive: Archive, known: Archive) -> bool:
-    """Whether two archives have the same issues, to the rounding of units."""
+    """Return whether two archives have the same issues, to the rounding of units."""
     pairs = [*zip(archive.issues, known.issues, strict=True),
              *zip(archive.verified, known.verified, strict=True)]
     return all(
@@ -88,10 +88,10 @@ def alike(archive: Archive, known: Archive) -> bool:
 
 @pytest.mark.parametrize("file", [GEM, KNMI])
 def test_issues_of_previous_runs(file: Path) -> None:
-    """At 00, 06, 12 and 18 UTC each later hour is of the newest value that was old enough.
+    """At 00, 06, 12 and 18 UTC each later hour has the newest value that was old enough.
 
-    A value of N days is at least 24 N hours old at the end of its hour. Where one is missing, an
-    older one was known, too; an issue ends where none was.
+    A value of N days is at least 24 N hours old at the end of its hour. If one is missing, an
+    older one was known, too; an issue ends where none was known.
     """
     rows = saved(file)
     archive = read_archive(file, BUDVA)
@@ -117,7 +117,7 @@ def test_issues_of_previous_runs(file: Path) -> None:
 
 
 def test_previous_runs_day_by_day() -> None:
-    """What is verified has each value of the file once, in the day that it stands for."""
+    """Verification uses each value of the file once, for the day that it stands for."""
     by_day: dict[tuple[datetime, int], float] = {}
     for issue in read_archive(KNMI, BUDVA).verified:
         assert issue.issued.hour == 0
@@ -149,11 +149,11 @@ def test_the_same_in_all_forms(tmp_path: Path) -> None:
         assert alike(read_archive(tmp_path / name, BUDVA), known), name
     (tmp_path / "parts").mkdir()
     in_two_files(tmp_path / "parts")
-    assert alike(read_archive(tmp_path / "parts", BUDVA), known)  # none ends where a file does
+    assert alike(read_archive(tmp_path / "parts", BUDVA), known)  # no issue ends at a file's end
 
 
 def test_only_some_days(tmp_path: Path) -> None:
-    """Two and four days alone: nothing is newer than two days, and none older than four."""
+    """With only days two and four nothing is newer than two days, and nothing older than four."""
     times = [f"2024-03-{day:02}T{hour:02}:00" for day in range(1, 7) for hour in range(24)]
     file = tmp_path / "some.json"
     file.write_text(json.dumps(answer(
@@ -174,7 +174,7 @@ TIMES = [f"2024-06-01T{hour:02}:00" for hour in range(12, 18)]
 def test_single_run(tmp_path: Path) -> None:
     """It begins at its run; the rain at that time fell before it, and is left out.
 
-    So are the days before it, which an answer has that was asked for them.
+    So are earlier days that the answer has on request.
     """
     file = tmp_path / "gem_2024060112.json"
     file.write_text(json.dumps(answer(TIMES, precipitation=[None, 0.5, 1.5, 0.0, 2.5, None])))
@@ -182,7 +182,7 @@ def test_single_run(tmp_path: Path) -> None:
     assert (archive.kind, archive.delay, archive.members) == ("Open-Meteo, runs", 6.0, 1)
     (issue,) = archive.issues
     assert issue.issued.isoformat() == "2024-06-01T12:00:00+00:00"
-    assert issue.rain.tolist() == [[0.5, 1.5, 0.0, 2.5]]  # beyond its horizon there is nothing
+    assert issue.rain.tolist() == [[0.5, 1.5, 0.0, 2.5]]  # there is nothing beyond its horizon
     later = tmp_path / "gem-2024-06-01T13.json"
     file.rename(later)
     (issue,) = read_archive(later, BUDVA).issues
@@ -191,7 +191,7 @@ def test_single_run(tmp_path: Path) -> None:
 
 
 def test_ensemble_of_runs(tmp_path: Path) -> None:
-    """Control and members, in the order of their numbers, a file a run, named by it."""
+    """Control and members in the order of their numbers; one file per run, with its name."""
     for hour, factor in (("12", 1.0), ("18", 2.0)):
         (tmp_path / f"gem_20240601{hour}.json").write_text(json.dumps(answer(
             [f"2024-06-0{1 + hours // 24}T{hours % 24:02}:00" for hours in range(24)],
@@ -213,7 +213,7 @@ def test_ensemble_of_runs(tmp_path: Path) -> None:
 
 
 def run_of(day: int = 1, **columns: list[Any]) -> str:
-    """Return the JSON of a run of a day of June."""
+    """Return the JSON of a run on a day of June."""
     times = [time.replace("06-01", f"06-{day:02}") for time in TIMES]
     return json.dumps(answer(times, **{"precipitation": [0.0] * 6, **columns}))
 
@@ -229,7 +229,7 @@ WRONG = {
         ": is not a forecast but the service's refusal: Daily API request limit exceeded.",
     ),
     "daily.json": ('{"hourly": null}', ": hourly: must be a mapping, as in hourly answers"),
-    "huge.json": (  # too large for a float, as an integer and as a decimal alike
+    "huge.json": (  # too large for a float, both as an integer and as a decimal
         run_of(precipitation=[0.0, 0.0, 10**400, 0.0, 0.0, 0.0]),
         f": hourly.precipitation[2] = '1{'0' * 400}': must be a number from 0 to 500 mm, or empty",
     ),
@@ -283,7 +283,7 @@ def test_wrong_files(tmp_path: Path, name: str) -> None:
 
 
 def test_wrong_directories(tmp_path: Path) -> None:
-    """An archive has one format, one kind, each issue once, and as many members in each."""
+    """An archive has one format, one kind, each issue once, and equally many members in each."""
     refusal(read_archive, tmp_path, BUDVA, match="must contain files of forecasts")
     (tmp_path / "a_2024060112.json").write_text(run_of(1))
     for name, text, wrong in (

@@ -25,8 +25,8 @@ HEADER = (
     "time,temperature_2m (°C),precipitation (mm),dew_point_2m (°C),wind_speed_10m (km/h),"
     "surface_pressure (hPa),shortwave_radiation (W/m²)"
 )
-# Six hours from 10:00 on: rain 0.1, 0.2, ... mm and radiation 100, 110, ... W/m2 in each hour
-# before its time; 20, 20.5, ... degC at it.
+# Six hours from 10:00 on: rain 0.1, 0.2, ... mm and radiation 100, 110, ... W/m2 in the hour before
+# each time; 20, 20.5, ... degC at the time.
 HOURS = [
     f"2021-07-07T{10 + i}:00,{20 + i / 2:.1f},{(i + 1) / 10:.2f},{12 + i / 10:.1f},{9 + i}.0,"
     f"100{i}.5,{100 + 10 * i}.0"
@@ -45,15 +45,15 @@ def write(
 
 
 def edited(line: int, old: str, new: str) -> list[str]:
-    """Return the hours with other text in one of them."""
+    """Return the hours with a replaced text in one of them."""
     assert old in HOURS[line]
     return [hour.replace(old, new, 1) if i == line else hour for i, hour in enumerate(HOURS)]
 
 
 def test_rain_and_radiation_are_of_the_hour_before(tmp_path: Path) -> None:
-    """What stands at 11:00 fell from 10:00 to 11:00; temperature stands at its time.
+    """The value at 11:00 fell from 10:00 to 11:00; temperature is that at its time.
 
-    So the five hours 10:00 to 15:00 are known whole: of 9:00 there is no temperature, and of 15:00
+    So only the five hours 10:00 to 15:00 are complete: 9:00 has no temperature, and 15:00
     no rain.
     """
     weather = read_weather([write(tmp_path)], TORONTO)
@@ -76,7 +76,7 @@ def test_rain_and_radiation_are_of_the_hour_before(tmp_path: Path) -> None:
 
 
 def test_order_of_columns_and_further_variables(tmp_path: Path) -> None:
-    """Columns are found by name; what no run needs is not read; radiation may be absent."""
+    """Columns are found by name; unneeded ones are not read; radiation may be absent."""
     def cells(line: str) -> str:
         parts = line.split(",")[:-1]
         return ",".join([parts[0], *reversed(parts[1:]), "no number"])
@@ -86,7 +86,7 @@ def test_order_of_columns_and_further_variables(tmp_path: Path) -> None:
     assert weather.precipitation.tolist() == [0.2, 0.3, 0.4, 0.5, 0.6]
     assert weather.values["temperature"].tolist() == [20, 20.5, 21, 21.5, 22]
     assert weather.shifted == ("precipitation",)
-    assert np.isnan(weather.evapotranspiration).all()  # which then needs whole days
+    assert np.isnan(weather.evapotranspiration).all()  # needs whole days without radiation
 
 
 def test_one_offset_over_a_change_of_daylight_saving_time(tmp_path: Path) -> None:
@@ -115,14 +115,14 @@ def test_units(
     tmp_path: Path, unit: str, theirs: str, line: int, cells: tuple[str, str], quantity: str,
     expected: float,
 ) -> None:
-    """All that the service has are converted."""
+    """All units of the service are converted."""
     path = write(tmp_path, edited(line, *cells), HEADER.replace(unit, theirs))
     values = read_weather([path], TORONTO).values
     assert values[quantity][0] == pytest.approx(expected, rel=1e-12)
 
 
 def test_missing_cells(tmp_path: Path) -> None:
-    """Rain and radiation are never filled; the run that needs them says which are missing."""
+    """Rain and radiation are never filled; a run that needs them names the missing hours."""
     for line, cell, needed in (
         (2, ",0.30,", r"precipitation is missing at 2021-07-07T11:"),
         (2, ",120.0", r"missing: solar radiation at 2021-07-07T11:"),
@@ -149,7 +149,7 @@ def test_missing_cells(tmp_path: Path) -> None:
     ],
 )
 def test_refused_files(tmp_path: Path, line: int, old: str, new: str, reason: str) -> None:
-    """Named with file, line, key and value."""
+    """The error has file, line, key and value."""
     path = write(tmp_path)
     text = path.read_text()
     assert old in text
@@ -158,9 +158,9 @@ def test_refused_files(tmp_path: Path, line: int, old: str, new: str, reason: st
 
 
 def test_places(tmp_path: Path) -> None:
-    """An elevation that the service does not know is NaN; a site without a place is near any.
+    """An unknown elevation of the service is NaN; a site without a place is near any place.
 
-    179.9 degrees east and west are 0.2 degrees from each other. A file is of one place.
+    179.9 degrees east and west are 0.2 degrees apart. A file must have one place.
     """
     path = write(tmp_path, values=VALUES.replace("77.0", "NaN"))
     assert read_weather([path], TORONTO).method == "fao56"
@@ -177,7 +177,7 @@ def test_places(tmp_path: Path) -> None:
 
 
 def test_shifted_files_join_without_a_gap(tmp_path: Path) -> None:
-    """The rain of one file's last hour stands at the next one's first time."""
+    """The rain of one file's last hour is at the next file's first time."""
     both = [
         write(tmp_path, HOURS[3:], name="later.csv"), write(tmp_path, HOURS[:3], name="early.csv")
     ]

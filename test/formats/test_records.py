@@ -1,4 +1,4 @@
-"""What all formats in CSV share: one case for each rule; of JSON what differs."""
+"""What all CSV formats share, one case for each rule; and what differs for JSON."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ ROWS = ["2021-07-07T03:00-05:00, 0.2,20", "2021-07-07T04:00-05:00,3.0,21"]
 
 
 def table(*rows: str, header: str = HEADER) -> Table:
-    """Return a table of rows whose first is in line 4."""
+    """Return a table with its first row in line 4."""
     return table_of(FILE, numbered_lines(header + "\n".join(rows) + "\n"))
 
 
 def test_cells_numbers_and_times() -> None:
-    """Comments and empty lines may stand anywhere; cells have no space around them."""
+    """Comments and empty lines may be anywhere; cells are stripped of spaces."""
     read = table(ROWS[0], "# gauge read", "", ROWS[1])
     assert read.header == ["time", "rain [mm/h]", "temperature"]
     assert read.lines == [4, 7]
@@ -35,7 +35,7 @@ def test_cells_numbers_and_times() -> None:
 
 
 def test_what_is_no_table() -> None:
-    """Named with file and line."""
+    """The error has file and line."""
     for rows, reason in (
         ([ROWS[0], "2021-07-07T04:00-05:00,3.0"],
          ", line 5: must have 3 cells, like the header, not 2"),
@@ -51,7 +51,7 @@ def test_what_is_no_table() -> None:
 
 @pytest.mark.parametrize("text", ["M", "", "-0.1", "500.1", "nan"])
 def test_numbers_that_are_not_believed(text: str) -> None:
-    """Named with file, line, column and value, and the range that would be right."""
+    """The error has file, line, column and value, and the range that would be right."""
     read = table(ROWS[0], f"2021-07-07T04:00-05:00,{text},1")
     assert refusal(read.numbers, "rain [mm/h]", RAIN) == (
         f"{FILE}, line 5: rain [mm/h] = {text!r}: must be a number from 0 to 500 mm/h"
@@ -59,7 +59,7 @@ def test_numbers_that_are_not_believed(text: str) -> None:
 
 
 def test_missing_values_and_other_units() -> None:
-    """What stands for none is NaN; the range is said in the unit of the file."""
+    """A missing value is NaN; the range is given in the unit of the file."""
     read = table("2021-07-07T03:00Z,1,68", "2021-07-07T04:00Z,,NaN", "2021-07-07T05:00Z,1,200")
     limits, unit = ("degC", -90.0, 60.0), Unit("°F", 1.8, 32.0)
     assert refusal(read.numbers, "temperature", limits, unit, ("", "NaN")) == (
@@ -76,19 +76,19 @@ def test_missing_values_and_other_units() -> None:
         ("07/07/2021 04:00", "must be a time such as 2021-07-07T02:00-05:00, 1971 to 2037"),
         ("2021-07-07T05:00-05:00", "must be 2021-07-07T04:00-05:00: the records must have consec"),
         ("2021-07-07T04:00:01-05:00", "must be 2021-07-07T04:00-05:00: the records must have con"),
-        # In the offset of the record that is wrong.
+        # In the offset of the wrong record.
         ("2021-07-07T04:00-04:00", "must be 2021-07-07T05:00-04:00: the records must have consec"),
     ],
 )
 def test_times_that_are_wrong(time: str, reason: str) -> None:
-    """Named likewise, with the hour that is due."""
+    """The same error, with the hour that is due."""
     read = table(ROWS[0], f"{time},1,1")
     said = refusal(read.first_hour, "time")
     assert said.startswith(f"{FILE}, line 5: time = {time!r}: {reason}")
 
 
 def test_times_of_a_clock() -> None:
-    """In a zone, which they must not say themselves."""
+    """In a zone, which they must not have themselves."""
     parse = partial(parse_local_time, zone=timezone(timedelta(hours=-5)))
     first = table("2021-07-01 0:00,1,1").first_hour("time", parse, "2021-07-01 0:00")
     assert first.isoformat() == "2021-07-01T00:00:00-05:00"
@@ -97,7 +97,7 @@ def test_times_of_a_clock() -> None:
 
 
 def test_columns_that_must_be_there() -> None:
-    """Each once."""
+    """Each exactly once."""
     read = table(ROWS[0], header="time,a,a\n")
     assert refusal(read.require, ["b"], "such files") == (
         f"{FILE}, line 1: must have a column 'b', as such files have"
@@ -108,7 +108,7 @@ def test_columns_that_must_be_there() -> None:
 
 
 def test_cells_of_json_are_named_by_their_key() -> None:
-    """There are no lines."""
+    """JSON has no lines."""
     read = Table(Path("a.json"), ["rain (mm)"], {"rain (mm)": ["1", "wet"]}, key="hourly.")
     assert refusal(read.numbers, "rain (mm)", RAIN) == (
         "a.json: hourly.rain[1] = 'wet': must be a number from 0 to 500 mm/h"

@@ -1,7 +1,7 @@
-"""A node of the tests: no ROS, but the socket, signals and ends of one.
+"""A small node for the tests: without ROS, but with socket, signals and exit of a real node.
 
-Its first argument says what it does; ``marks`` in its second, a directory, are files by which a
-test sees and steers it.
+Its first argument says what it does. Its second is the directory ``marks`` with files by which a
+test observes and controls it.
 """
 
 from __future__ import annotations

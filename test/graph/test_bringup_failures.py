@@ -39,12 +39,12 @@ def started(
 
 
 def assert_gone(nodes: dict[str, int]) -> None:
-    """No process of the run stays behind."""
+    """No process of the run is left."""
     assert not [name for name, pid in nodes.items() if alive(pid)]
 
 
 def assert_ended_early(process: Process, status: str, reason: str) -> None:
-    """The run says how it ended and where, and how what there is of it is opened."""
+    """The run says how and where it ended, and how to open what was recorded."""
     run = process.cwd / "run"
     summary = summary_of(run)
     assert summary["status"] == status
@@ -55,8 +55,8 @@ def assert_ended_early(process: Process, status: str, reason: str) -> None:
     commands = [line for line in process.stderr().splitlines() if line.startswith("  greenroof")]
     if (run / "bag" / "metadata.yaml").exists():
         ticks = len(messages_of(run)["/clock"])
-        # The last tick was begun. The recorder may be behind, by as much as the plant's messages
-        # are kept for it; a busy machine shows that.
+        # The last tick was begun. On a busy machine the recorder can lag by as many messages as the
+        # plant keeps for it.
         assert ticks - 1 <= summary["last_tick"] <= ticks + 64
         assert f"ticks in {run / 'bag'}: {ticks};" in process.stderr()
         assert f"  ros2 bag info {run / 'bag'}\n" in process.stderr()
@@ -69,10 +69,10 @@ def assert_ended_early(process: Process, status: str, reason: str) -> None:
     "cause", ["ctrl-c", "sigterm under nohup", "plant", "weather", "controller"]
 )
 def test_what_ends_a_run(domain: int, tmp_path: Path, cause: str) -> None:
-    """A signal, or kill -9 of a node: at once, with its name, no traceback, and nothing left.
+    """A signal or kill -9 of a node: at once, with its name, no traceback, and nothing left.
 
-    By a signal the exit code is 130, and the bag is closed. What is ignored, as under nohup and in
-    a shell's background, ends nothing. The recorder is killed in test_recorder.py.
+    After a signal the exit code is 130, and the bag is closed. Ignored signals, as under nohup and
+    in a shell's background, end nothing. The recorder is killed in test_recorder.py.
     """
     ignored = (signal.SIGHUP, signal.SIGINT) if cause == "sigterm under nohup" else ()
     process, nodes = started(domain, tmp_path, ignored=ignored)
@@ -96,7 +96,7 @@ def test_what_ends_a_run(domain: int, tmp_path: Path, cause: str) -> None:
 
 @pytest.mark.parametrize("victims", [["recorder"], ["plant", "weather"]], ids="-".join)
 def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
-    """Nodes stopped for longer than the limit end the run soon after it, with their names."""
+    """Nodes stopped for longer than the limit end the run soon afterwards, with their names."""
     process, nodes = started(domain, tmp_path, "--peer-limit", "5")
     for victim in victims:
         os.kill(nodes[victim], signal.SIGSTOP)
@@ -104,7 +104,7 @@ def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
     assert process.wait(300) == 1
     assert time.monotonic() - stopped > 2
     for victim in victims:
-        # The supervisor says it, or the plant, which waits for what the victim publishes.
+        # Reported by the supervisor, or by the plant, which waits for the victim's messages.
         name = NODES[victim]
         reported = [f"node {name} (stopped) has not answered for 5 s", f" from {name}"]
         assert any(text in process.stderr() for text in reported), process.stderr()
@@ -115,7 +115,7 @@ def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
 def test_pause_shorter_than_the_limit_changes_nothing(
     domain: int, tmp_path: Path, recorded: Path
 ) -> None:
-    """Each node stopped for a while, the recorder longest: the bag equals an undisturbed one."""
+    """Each node is stopped for a while, the recorder longest: the bag equals an undisturbed one."""
     process = Process(
         domain, "bringup", "--output", "run", "--hours", "0.1", "--speed", "40", cwd=tmp_path
     )
@@ -133,7 +133,7 @@ def test_pause_shorter_than_the_limit_changes_nothing(
 
 @pytest.mark.parametrize("delay", [0.0, 0.7])
 def test_interrupted_while_starting(domain: int, tmp_path: Path, delay: float) -> None:
-    """Ctrl-C at any moment ends the run, and a second and third do not disturb its end."""
+    """Ctrl-C at any moment ends the run; a second and a third do not disturb the end."""
     process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
     wait_for((tmp_path / "run" / "log").exists, 60, "the start of the nodes")
     time.sleep(delay)
@@ -159,11 +159,11 @@ def test_bringup_that_is_killed(domain: int, tmp_path: Path) -> None:
 
 
 def test_a_graph_of_its_own(domain: int, tmp_path: Path) -> None:
-    """A second bringup in the namespace is exit code 3 with advice, and the first goes on.
+    """A second bringup in the namespace exits with code 3 and advice, and the first continues.
 
-    It listens on 127.0.0.1 alone, and uses none of the shared memory that others could lock. What
-    another process left there, killed while it made a port (it has its size, but nothing in it
-    yet), is nothing to it either; the ports of the domain's first participants are at
+    It listens only on 127.0.0.1, and uses no shared memory that others could lock. It also ignores
+    a port there left by a process that was killed while making it (full size, but still empty). The
+    ports of the domain's first participants are at
     7411 + 250 domain + 2 number (RTPS 2.5, 9.6.2.4).
     """
     ports = [
@@ -193,9 +193,9 @@ def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
     """Bringup starts no second graph beside nodes that were started by hand."""
     weather = Process(domain, "nodes.weather", cwd=tmp_path)
     wait_for(lambda: udp_addresses_of(weather.process.pid), 60, "the start of the node")
-    time.sleep(0.5)  # until it has said its name
+    time.sleep(0.5)  # until it has announced its name
     refused = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
     assert refused.wait(300) == 3
-    assert "ROS_DOMAIN_ID" in refused.stderr()  # by bringup, or by the node that meets it
+    assert "ROS_DOMAIN_ID" in refused.stderr()  # from bringup, or from the node that detects it
     weather.process.kill()
     weather.process.wait()

@@ -1,4 +1,4 @@
-"""The lock that keeps two bringups out of one namespace, transport, and the executor."""
+"""The lock that keeps two bringups out of one namespace, the transport, and the executor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from greenroof_ros.graph.domain import only_bringup
 def test_a_lock_that_is_a_link_is_not_followed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another user could lay it there, and have a file of this user's emptied."""
+    """Otherwise another user could place a link there to have a file of this user emptied."""
     monkeypatch.setattr(domain, "_LOCKS", tmp_path)
     monkeypatch.setenv("ROS_DOMAIN_ID", "84")
     with only_bringup("/site1"):
@@ -34,7 +34,7 @@ def test_a_lock_that_is_a_link_is_not_followed(
 
 
 def test_files_of_profiles_differ_only_in_what_they_are_for() -> None:
-    """Fast DDS reads one file, on loopback alone or not; its version 3 has two new names."""
+    """Fast DDS reads one file, on loopback only or not; in version 3 two names are new."""
     files = {
         name: ElementTree.parse(CONFIG / f"{name}.xml").getroot()
         for name in ("fastdds", "fastdds_loopback", "fastdds3", "fastdds3_loopback")
@@ -56,7 +56,7 @@ def test_files_of_profiles_differ_only_in_what_they_are_for() -> None:
 
 
 def test_an_rclpy_without_the_fast_executor(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The slow one does the same."""
+    """The slow executor is used instead."""
     rclpy = pytest.importorskip("rclpy", reason="it is about ROS 2")
     from rclpy.executors import SingleThreadedExecutor
 

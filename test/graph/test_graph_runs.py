@@ -1,4 +1,4 @@
-"""The graph gives the in-process run's numbers bit for bit, loses nothing, and minds no other."""
+"""The graph gives the in-process run's numbers bit for bit, loses nothing, ignores other graphs."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ COLUMNS = {
 
 
 def assert_same(directory: Path) -> list[dict[str, str]]:
-    """The bag in run/ has each bit of run.csv, and its summary each figure of inprocess/'s.
+    """The bag in run/ has each bit of run.csv, and its summary has each figure of inprocess/'s.
 
     Returns:
         The rows of run.csv.
@@ -75,7 +75,7 @@ def assert_same(directory: Path) -> list[dict[str, str]]:
 
 
 def simulate(domain: int, directory: Path, *options: str) -> None:
-    """Do the run in one process; it leaves ``run.csv``."""
+    """Do the run in one process; it writes ``run.csv``."""
     done = run_command(
         "simulate", *options, "--trajectory", "run.csv", "--output", "inprocess", cwd=directory,
         env=environment(domain),
@@ -87,12 +87,12 @@ def simulate(domain: int, directory: Path, *options: str) -> None:
 def test_same_bits_at_a_wet_site(
     domain: int, tmp_path: Path, controller: str, hours: str
 ) -> None:
-    """Graph and simulate: equal in every bit of every value, over the change of the hour.
+    """Graph and simulate are equal in every bit of every value, across a change of the hour.
 
-    Simulated they agree with the authors' published code: see test_fidelity.py.
+    In simulation they agree with the authors' published code: see test_fidelity.py.
 
-    The site has a drainage layer and its own initial state, and a catchment of which a part
-    arrives in a cistern that drains by itself.
+    The site has a drainage layer, its own initial state, and a catchment with a runoff coefficient
+    below 1; a low outlet drains the cistern.
     """
     file = site_file(
         tmp_path, base="site_neubrandenburg.yaml", a_in=100.0, runoff_coefficient=0.9,
@@ -151,7 +151,7 @@ def test_same_bits_of_sensor_and_pumps_that_are_not_perfect(domain: int, tmp_pat
 
 @pytest.mark.parametrize("controller", ["onoff", "lookahead"])
 def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path, controller: str) -> None:
-    """One minute of three is quiet, to the second, by the clock of Toronto in summer.
+    """One minute of three is quiet, to the second, by Toronto's clock in summer.
 
     On/off skips it; lookahead decides in it, and plans when it begins and ends.
     """
@@ -160,7 +160,7 @@ def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path, controller: str) 
         "extends: site.yaml\nquiet_hours: ['03:01-03:02']\ntime_zone: America/Toronto\n"
     )
     own_options = ("--fraction", "0.1") if controller == "onoff" else ("--days-after", "0")
-    own_options += ("--minimum-on", "50")  # which quiet hours end, as they do of a real pump
+    own_options += ("--minimum-on", "50")  # quiet hours end a minimum time on, as with a real pump
     options = (
         "--controller", controller, *own_options, "--site", str(file),
         "--start", "2021-07-07T02:00-05:00", "--hours", "0.05",
@@ -180,7 +180,7 @@ def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path, controller: str) 
 
 
 def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None:
-    """Of lookahead, with noise of the sensor in its commands; the frost ends with a new issue.
+    """With lookahead, and sensor noise that affects its commands; the frost ends with a new issue.
 
     The bag has each byte of the plans that the controller makes in this process.
     """
@@ -206,14 +206,14 @@ def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None
     assert len(rows) == 181 and set(rows[120:]) == {0, 10}
 
 
-# --- side by side, each in a namespace of its own -------------------------------------------------
+# --- side by side, each in a separate namespace ---------------------------------------------------
 
 
 def test_two_at_once(domain: int, tmp_path: Path) -> None:
     """Each in its namespace, with its parameters; the bag equals a lone run's, byte for byte.
 
-    So it has beside a third with a node that is killed: its run ends, whole, though Ctrl-C comes
-    again and again.
+    This also holds beside a third run with a killed node: that run ends with a readable bag, even
+    after repeated Ctrl-C.
     """
 
     def options(site: str, controller: str, parameter: str) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What a node makes of a run that it hears of behind the last tick."""
+"""What a node does when it hears of its run only after the run's last tick."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from greenroof_ros.graph.messages import LockstepError
 
 @pytest.mark.parametrize("second", [0, 1, 2])
 def test_a_run_that_is_heard_behind_its_last_tick(second: int) -> None:
-    """Topics come in any order: a message after the last tick fails the run all the same."""
+    """Topics come in any order: a message after the last tick fails the run in any case."""
     lockstep = Lockstep("onoff", lambda: None, lambda: None)
     publishers = SimpleNamespace(names=list)
 
@@ -32,7 +32,7 @@ def test_a_run_that_is_heard_behind_its_last_tick(second: int) -> None:
     frost(b"")
     run = array("d", [7.0, 0.0, 0.0])  # its last tick is 0
     if second:
-        for receive in (level, frost)[:second]:  # of both the node acts once too often
+        for receive in (level, frost)[:second]:  # with both messages the node acts once too often
             receive(b"")
         with pytest.raises(LockstepError, match="/roof/level came twice in tick 1"):
             lockstep.hear_run(run)

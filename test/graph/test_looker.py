@@ -1,4 +1,4 @@
-"""What looks at a graph from outside has the pump stopped; what it hears is in watch/test_feed."""
+"""A graph's pump is stopped from outside; for what is heard see watch/test_feed.py."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def place(domain: int) -> Iterator[int]:
 
 
 class Pump(Peer):
-    """A pump node's stop service, which answers as the test says."""
+    """A pump node's stop service, with the answer that a test sets."""
 
     def __init__(self, domain: int) -> None:
         super().__init__(domain, "pump")
@@ -56,7 +56,7 @@ class Pump(Peer):
 
 
 def test_stop(place: int) -> None:
-    """The pump node's words come back; where it does not say that it holds, that is an error."""
+    """The pump node's message is returned; if it does not say that it holds, that is an error."""
     looker = Looker("", lambda *_: None)
     with pytest.raises(StopFailedError, match="no pump node"):
         looker.stop_pump()

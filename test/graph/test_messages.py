@@ -1,4 +1,4 @@
-"""Messages as bytes, equal to the generated code's bit for bit; and what a node takes of them."""
+"""Messages as bytes, equal to the generated code's bit for bit; what a node accepts of them."""
 
 from __future__ import annotations
 
@@ -54,12 +54,11 @@ VALUES = [0.0, -0.0, 1.0, -1 / 3, 5e-324, 1.7976931348623157e308, math.inf, -mat
     ],
 )
 def test_bytes_of_the_generated_code(kind: str, value: Any, message: Any) -> None:
-    """What is written is what the generated code writes, and is read back bit for bit."""
+    """The bytes equal the generated code's, and are read back bit for bit."""
     written = encoder(kind)(value)
     generated = serialize_message(message)
     if kind == NUMBERS:
-        # Between the length and the numbers are four bytes of padding, which are 0 in ours and
-        # whatever was in memory there.
+        # Between the length and the numbers are four padding bytes: 0 in ours, arbitrary in theirs.
         assert written[16:20] == bytes(4)
         generated = generated[:16] + bytes(4) + generated[20:]
     assert written == generated
@@ -73,7 +72,7 @@ def test_bytes_of_the_generated_code(kind: str, value: Any, message: Any) -> Non
 
 @pytest.mark.parametrize("values", [array("d", [1e-7, 2e-7, 3e-7]), np.arange(6.0).reshape(2, 3)])
 def test_what_stands_in_front_is_skipped_by_the_layout(values: Any) -> None:
-    """A forecast's issue and the ends of its steps: ROS reads them, and a node the rest alone."""
+    """A forecast's issue and the ends of its steps: ROS reads them, a node only the rest."""
     front = array("d", [1_625_641_200.0, 10.0, 20.0, 60.0])
     written = encoder(NUMBERS, ENSEMBLE)(WithFront(front, values))
     message = deserialize_message(written, Float64MultiArray)
@@ -86,11 +85,11 @@ def test_what_stands_in_front_is_skipped_by_the_layout(values: Any) -> None:
 
 
 def test_members_travel_in_the_layout() -> None:
-    """Rows of an ensemble: dimensions, sizes and strides as Float64MultiArray means them.
+    """Rows of an ensemble: dimensions, sizes and strides as defined by Float64MultiArray.
 
-    Each byte is the generated code's, but where that leaves what was in memory: behind the
-    header of four bytes the labels' ends, at 19 and 37, are padded to whole fours, and the numbers
-    begin at a whole eight. One row alone has no layout.
+    Each byte is the generated code's, except where that leaves arbitrary memory: after the
+    header of four bytes the labels' ends, at 19 and 37, are padded to multiples of four, and the
+    numbers begin at a multiple of eight. A single row has no layout.
     """
     values = np.arange(6.0).reshape(2, 3)
     written = encoder(NUMBERS, ENSEMBLE)(values)
@@ -112,7 +111,7 @@ def test_members_travel_in_the_layout() -> None:
 
 
 def test_plans_travel_with_their_own_labels() -> None:
-    """Rows and columns by the interface; no rows, or one, are numbers without a layout."""
+    """Rows and columns are labelled as in the interface; one row, or none, has no layout."""
     topic = read_topics()["/controller/plan"]
     encode = encoder(topic.type, topic.dimensions)
     message = deserialize_message(encode(np.ones((2, 3))), Float64MultiArray)
@@ -122,7 +121,7 @@ def test_plans_travel_with_their_own_labels() -> None:
 
 
 def test_layout_that_does_not_fit() -> None:
-    """A message whose layout says more than it holds ends the run by name, not in numpy."""
+    """A message with a layout larger than its data ends the run with its name, not in numpy."""
     message = deserialize_message(encoder(NUMBERS, ENSEMBLE)(np.ones((2, 3))), Float64MultiArray)
     message.layout.dim[0].size = 4
     with pytest.raises(LockstepError, match="6 values"):
@@ -138,19 +137,19 @@ def test_layout_that_does_not_fit() -> None:
     ],
 )
 def test_big_endian(kind: str, message: bytes, value: Any) -> None:
-    """A publisher on another kind of machine is understood, too."""
+    """A publisher on a big-endian machine is understood, too."""
     decoded = decoder(kind)(message)
     assert list(decoded) == value if kind == NUMBERS else decoded == value
 
 
-# --- what a node takes of its inputs, and what it calls those who publish them --------------------
+# --- what a node accepts as input, and what it calls the publishers -------------------------------
 
 
 def test_a_node_whose_name_never_came_is_called_so_in_words() -> None:
-    """The name is rmw_dds_common's for a participant that it has no node of."""
+    """rmw_dds_common has this name for a participant without a known node."""
     assert call_node("mpc") == "mpc"
     assert call_node("_NODE_NAME_UNKNOWN_") == (
-        "a node whose name is not known, perhaps because it was killed"
+        "a node of unknown name, perhaps because it was killed"
     )
 
 
@@ -181,7 +180,7 @@ def test_what_a_publisher_offers_less_than_is_required(
     required: Qos, offered: tuple[ReliabilityPolicy, DurabilityPolicy, float | None],
     lacking: list[str],
 ) -> None:
-    """DDS connects who offers as much as is asked for, or more; a shorter lease is more."""
+    """DDS connects a publisher that offers at least what is required; a shorter lease is more."""
     reliability, durability, lease_s = offered
     profile = QoSProfile(depth=1, reliability=reliability, durability=durability)
     profile.liveliness_lease_duration = Infinite if lease_s is None else Duration(seconds=lease_s)
@@ -204,7 +203,7 @@ def test_requirements_in_words() -> None:
      (math.nan, False), (math.inf, False)],
 )
 def test_the_ends_of_a_range_belong_to_it(value: float, good: bool, rows: int) -> None:
-    """Of a number, of a row, and of each member of an ensemble; what is refused acts as 0."""
+    """For a number, a row, and each member of an ensemble; a refused value acts as 0."""
     topics = read_topics()
     for name, message in (
         ("/pump/command", value), ("/forecast/precipitation", np.full((rows, 4), value)),
@@ -217,14 +216,14 @@ def test_the_ends_of_a_range_belong_to_it(value: float, good: bool, rows: int) -
 
 
 def test_a_refusal_names_the_first_wrong_number_and_the_limits_with_their_unit() -> None:
-    """The unit of a plain number, which is 1, is not written."""
+    """The unit 1 of a plain number is not written."""
     topics = read_topics()
     for name, value, words in (
-        ("/roof/level", 1e9, "/roof/level was refused: 1000000000.0, and must be from 0 to 100 m"),
+        ("/roof/level", 1e9, "/roof/level was refused: 1000000000.0; it must be from 0 to 100 m"),
         ("/pump/command", -2.0,
-             "/pump/command was refused: -2.0, and must be finite and at least 0"),
+             "/pump/command was refused: -2.0; it must be finite and at least 0"),
         ("/forecast/precipitation", array("d", [0.0, -1.0, math.inf]),
-         "/forecast/precipitation was refused: -1.0, and must be from 0 to 0.001 m/s"),
+         "/forecast/precipitation was refused: -1.0; it must be from 0 to 0.001 m/s"),
     ):
         topic = topics[name]
         entry = Input(SimpleNamespace(topic=topic, full_name=name), get_logger("test"))
@@ -234,7 +233,7 @@ def test_a_refusal_names_the_first_wrong_number_and_the_limits_with_their_unit()
 
 
 def test_what_a_subscriber_takes_of_a_plan() -> None:
-    """Rows and emptiness are good; what was not decided is refused, as any NaN, and acts as 0."""
+    """Rows and an empty plan are good; an undecided plan is refused like any NaN, and acts as 0."""
     topic = read_topics()["/controller/plan"]
     encode = encoder(topic.type, topic.dimensions)
     publishers = SimpleNamespace(topic=topic, full_name=topic.name)
@@ -247,7 +246,7 @@ def test_what_a_subscriber_takes_of_a_plan() -> None:
 
 
 def test_root_causes_of_the_interface() -> None:
-    """Who waits for whom, as the plant sees it."""
+    """Which node the plant is really waiting for."""
     topics, inputs = read_topics(), Inputs("plant")
     for name in (
         "/weather/precipitation", "/weather/evapotranspiration", "/pump/command", "/pump/flow"

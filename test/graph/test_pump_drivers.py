@@ -1,4 +1,4 @@
-"""Pump drivers that know nothing of this package: the example, in a run and under the check."""
+"""Pump drivers independent of this package: the example, in a run and under the check."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from std_msgs.msg import Float64
 
 DRIVER = CHECKOUT / "examples" / "pump_driver.py"
 EXAMPLE = DRIVER.read_text()
-# Of each broken driver what is changed in the example: each change breaks one rule, and only the
-# checks of these rules must fail, and say so.
+# The changes that break the example: each breaks one rule, and exactly the checks of these rules
+# must fail, with this message.
 BROKEN = {
     "obeys_too_much": [
         (
@@ -67,7 +67,7 @@ BROKEN = {
         ),
         (
             "    publisher.publish(flow)\n", "    publisher.publish(flow)\n" * 2,
-            "exactly one flow", r"[2-9] flows where 1 must come",
+            "exactly one flow", r"[2-9] flows instead of 1,",
         ),
     ],
     "volatile": [
@@ -87,7 +87,7 @@ def changed(text: str, old: str, new: str) -> str:
 
 
 def start(domain: int, directory: Path, name: str, source: str) -> subprocess.Popen[bytes]:
-    """Start a driver in a namespace of its own; its pump is faster than the example's."""
+    """Start a driver in a separate namespace; its pump is faster than the example's."""
     source = changed(source, "0.008, 30.0, 1.0", "0.008, 4.0, 1.0")
     source = changed(source, "SILENCE = 3.0", "SILENCE = 1.0; last = [0.0]")
     file = directory / f"{name}.py"
@@ -106,7 +106,7 @@ def check(domain: int, directory: Path, name: str) -> Process:
 
 
 def failures(output: str) -> dict[str, str]:
-    """Return the checks of a table that failed, each with what was wrong."""
+    """Return the failed checks of a table, each with what was wrong."""
     rows: list[list[str]] = []
     for line in output.splitlines():
         if line.startswith("│"):
@@ -124,7 +124,7 @@ def source_of(name: str) -> str:
 
 
 def wrong_verdicts(domain: int, directory: Path) -> list[str]:
-    """Check drivers side by side, and return what was wrong with which verdict."""
+    """Check drivers side by side, and return the verdicts that are wrong, with the reason."""
     directory.mkdir()
     names = ("example", *BROKEN)
     drivers = {name: start(domain, directory, name, source_of(name)) for name in names}
@@ -144,10 +144,10 @@ def wrong_verdicts(domain: int, directory: Path) -> list[str]:
             if not right:
                 wrong.append(f"{name}: exit code {code}, {failed}")
         output = checks["example"].stdout()
-        assert "are the only witness" in output and ("22 of 22 checks passed" in output or wrong)
+        assert "are the only evidence" in output and ("22 of 22 checks passed" in output or wrong)
         # All checks, and no terminal: a line every ten seconds.
         assert "check " in checks["example"].stderr()
-        # The check is gone, and so is the controller: a driver ends its run in good order.
+        # Check and controller are gone: a driver then ends its run normally.
         assert drivers["example"].wait(300) == 0
     finally:
         for driver in drivers.values():
@@ -159,9 +159,9 @@ def wrong_verdicts(domain: int, directory: Path) -> list[str]:
 def test_example_passes_and_broken_drivers_fail_for_what_is_broken(
     domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A driver is checked in real time: where the machine stood still, it is checked again.
+    """A driver is checked in real time; as the machine can stall, a failed check is repeated.
 
-    The example is short, and needs nothing of this package.
+    The example is short, and needs nothing from this package.
     """
     assert "greenroof" not in EXAMPLE
     code = EXAMPLE.split('"""', 2)[2]
@@ -180,22 +180,22 @@ def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(domain: int, tmp_
         assert absent.wait(300) == 2
         assert "no node pumpe publishes /pump/flow" in absent.stderr()
         assert check_again.wait(300) == 3
-        assert "/taken/pump/command has a publisher already (pump)" in check_again.stderr()
+        assert "/taken/pump/command already has a publisher (pump)" in check_again.stderr()
     finally:
         driver.terminate()
-        assert driver.wait(300) == 0  # no traceback, and no failure, at SIGTERM
+        assert driver.wait(300) == 0  # no traceback and no failure at SIGTERM
 
 
 def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Path) -> None:
-    """One line on the console and in the log: who, what it is, and all that it must be."""
+    """One line on the console and in the log: the node, its settings, and all that are required."""
     logs = tmp_path / "run" / "log"
     with in_domain(domain), closing(Peer(domain, "pump")) as driver:
-        driver.node.create_publisher(Float64, "/pump/flow", 10)  # with rclpy's own settings
+        driver.node.create_publisher(Float64, "/pump/flow", 10)  # with rclpy's default settings
         process = Process(domain, "bringup", "--pump", "external", "--output", "run", cwd=tmp_path)
         wait_for(lambda: "warning" in process.stderr(), 60, "a warning")
         warning = (
             "/pump/flow has a publisher that cannot be heard (pump): it is volatile and has no "
-            "liveliness lease, and must be reliable, transient local, keep last 64, with a "
+            "liveliness lease, but must be reliable, transient local, keep last 64, with a "
             "liveliness lease of 1 s (doc/real-pump.md); change it, or end it"
         )
         log = logs / "plant.log"

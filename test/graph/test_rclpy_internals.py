@@ -1,4 +1,4 @@
-"""The private parts of rclpy that are used: each does here what it is used for, or is missing."""
+"""The private parts of rclpy in use: each still does what it is used for, or it is missing."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from graphs import wait_for
 
 rclpy = pytest.importorskip("rclpy", reason="it is about ROS 2")
-pytestmark = pytest.mark.graph  # the next ROS 2 runs them, too
+pytestmark = pytest.mark.graph  # also run with the next ROS 2
 
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
@@ -58,7 +58,7 @@ def small(domain: int) -> Iterator[Small]:
 
 
 class Unclocked(NoClockSubscription, Node):
-    """A node that sets its clock by itself."""
+    """A node that sets its clock itself."""
 
 
 @pytest.mark.parametrize(("kind", "subscriptions"), [(Node, 1), (Unclocked, 0)])
@@ -73,7 +73,7 @@ def test_a_node_in_simulated_time_need_not_subscribe_to_the_clock(
 
 
 class Deaf:
-    """An executor that hears nothing of the messages that came before it listened."""
+    """An executor that misses all messages that came before it listened."""
 
     def add_node(self, node: Node) -> None:
         pass
@@ -83,9 +83,9 @@ class Deaf:
 
 
 def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
-    """rclpy's fast executor misses some of them, once in 7,000 times; they are handed on.
+    """rclpy's fast executor misses some of them, once in 7,000 times; they are passed on.
 
-    Each has the number that its publisher gave it.
+    Each has its publisher's sequence number.
     """
     profile = qos_profile(read_topics()["/roof/level"].qos)
     values: list[float] = []
@@ -111,7 +111,7 @@ def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
 
 
 def test_a_transition_that_the_state_lacks_is_refused(small: Small) -> None:
-    """Where rclpy alone raises in its executor; the state is read, and the next one is made."""
+    """rclpy alone would raise in its executor; the state can be read, and the next one is made."""
     client = small.create_client(ChangeState, "/small/change_state")
     executor = SingleThreadedExecutor(context=small.context)
     executor.add_node(small)

@@ -31,7 +31,7 @@ TOO_LONG_S = 60
 
 
 class Site:
-    """A supervisor with what its nodes and drive have done."""
+    """A supervisor, and a record of what its nodes and drive have done."""
 
     def __init__(self, directory: Path, silence_s: float = 5.0, restarts: int = 9) -> None:
         """Begin without a node."""
@@ -57,7 +57,7 @@ class Site:
             self.supervisor.add(NodeStart(node, "small_node", (node, str(self.marks))))
 
     def until(self, condition: Callable[[], object], seconds: float = TOO_LONG_S) -> None:
-        """Supervise until something holds."""
+        """Supervise until a condition holds."""
 
         def step() -> bool:
             self.supervisor.listen()
@@ -71,7 +71,7 @@ class Site:
         self.until(lambda: self.supervisor.all_ready and not self.supervisor.inhibit)
 
     def during(self, seconds: float) -> None:
-        """Supervise for so long."""
+        """Supervise for this long (s)."""
         ended = time.monotonic() + seconds
         self.until(lambda: time.monotonic() > ended)
 
@@ -100,7 +100,7 @@ class Site:
 def site(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> Iterator[Site]:
-    """A site, whose supervisor's limits a test may choose."""
+    """A site; a test can set its supervisor's limits."""
     monkeypatch.setenv("PYTHONPATH", f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}")
     site = Site(tmp_path, **getattr(request, "param", {}))
     yield site
@@ -108,15 +108,15 @@ def site(
 
 
 def limits(**limit_values: float) -> pytest.MarkDecorator:
-    """Return the mark of a test that chooses them."""
+    """Return a mark that sets the limits for a test."""
     return pytest.mark.parametrize("site", [limit_values], indirect=True, ids=[""])
 
 
 @limits(silence_s=4.0)
 def test_a_node_that_died_or_hangs_is_started_again(site: Site) -> None:
-    """The pump may not run until it is there, and hears why.
+    """The pump may not run until the node is back; the pump node gets the reason.
 
-    Nothing of the one before is left open: months are long.
+    Nothing is left open from its predecessor: a site runs for months.
     """
     before = _open_files()
     site.add("weather", "controller", "pump")
@@ -130,7 +130,7 @@ def test_a_node_that_died_or_hangs_is_started_again(site: Site) -> None:
     site.until(lambda: not site.supervisor.inhibit)
     assert site.starts("controller")[-1][1] - died >= 1
     assert site.pid("controller") != killed
-    # Against what was open before: what other tests left may be closed at any time.
+    # Relative to what was open: files left by other tests can be closed at any time.
     assert (_open_files() - before).total() == nodes.total() > 0
     site.until(lambda: site.permits()[-1]["inhibit"] == "")
     inhibits = [permit["inhibit"] for permit in site.permits()]
@@ -138,8 +138,8 @@ def test_a_node_that_died_or_hangs_is_started_again(site: Site) -> None:
     assert set(later) == {"", "controller is missing", "controller is starting"}
     times = [float(str(permit["at"])) for permit in site.permits()]
     assert median(after - before for before, after in pairwise(times)) < 1.0
-    assert 0 <= boot_time() - times[-1] < TOO_LONG_S  # of the same clock
-    # One that hangs forbids the pump when it is silent for 2 s, and is killed at the limit.
+    assert 0 <= boot_time() - times[-1] < TOO_LONG_S  # the same clock
+    # A node that hangs inhibits the pump after 2 s of silence, and is killed at the limit.
     hung = site.pid("weather")
     os.kill(hung, signal.SIGSTOP)
     site.until(lambda: site.supervisor.inhibit == "weather is silent")
@@ -159,7 +159,7 @@ def test_a_node_that_died_or_hangs_is_started_again(site: Site) -> None:
 
 
 def test_the_drive_is_stopped_for_a_pump_node_that_cannot(site: Site) -> None:
-    """Once, and before the node is started again; also where it is dead when the site is ended."""
+    """Once, before the node is restarted; also if it is dead when the site is ended."""
     site.add("weather", "pump")
     site.until_ready()
     os.kill(site.pid("pump"), signal.SIGKILL)
@@ -189,7 +189,7 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(site: Site) -> None:
 def test_a_pump_that_turns_on_is_stopped_once_more(
     site: Site, monkeypatch: pytest.MonkeyPatch, state: str, did: str
 ) -> None:
-    """Longer than any ramp after it was forbidden, or where the node does not obey; once."""
+    """Stopped once: longer than any ramp after it was forbidden, or if the node does not obey."""
     monkeypatch.setattr(supervisor, "LONGEST_RAMP_S", 1.0)
     site.add("weather", "pump")
     site.until_ready()
@@ -209,7 +209,7 @@ def test_a_pump_that_turns_on_is_stopped_once_more(
 
 
 def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(site: Site) -> None:
-    """By what it says of the pump, not by the words of its state: an *off* may not be heard."""
+    """What it says of the pump counts, not its state's words: an *off* may not reach the drive."""
     (site.marks / "pump-says").write_text("off: no connection to the drive")
     site.add("pump")
     for stands, limit in ((True, 5), (False, 2)):
@@ -234,7 +234,7 @@ def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(site: Site) -> 
 def test_a_node_that_fails_again_and_again_is_given_up(
     site: Site, kind: str, code: int, tried: int, reason: str
 ) -> None:
-    """After 1 and 2 s; the third end is the last, and says so. A wrong parameter stays wrong."""
+    """Restarted after 1 and 2 s; the third end is final. A wrong parameter is never retried."""
     site.add("weather")
     site.until(lambda: site.starts("weather"))
     site.add(kind)
@@ -256,7 +256,7 @@ def test_a_node_that_fails_again_and_again_is_given_up(
 def test_a_node_that_the_pump_does_not_need_ends_nothing(
     site: Site, name: str, besides: str
 ) -> None:
-    """It is tried again, ever more seldom; the pump waits for what others wait for, not for it."""
+    """It is tried again, at growing intervals; the pump does not wait for it."""
     (site.marks / "weather-waits").touch()
     site.add("weather", "pump")
     site.supervisor.add(NodeStart(name, "small_node", ("wrong", str(site.marks))))
@@ -277,7 +277,7 @@ def _open_files() -> Counter[str]:
     """Return what this process has open, and how often."""
     counts: Counter[str] = Counter()
     for file in Path("/proc/self/fd").iterdir():
-        with suppress(FileNotFoundError):  # the listing's own
+        with suppress(FileNotFoundError):  # the listing itself
             counts[str(file.readlink())] += 1
     return counts
 
@@ -286,10 +286,10 @@ def _open_files() -> Counter[str]:
 def test_a_log_that_cannot_be_written_delays_nobody(site: Site) -> None:
     """The permit is given all the time; what was printed meanwhile is in the log afterwards.
 
-    A supervisor that was stopped itself blames nobody: what it did not hear is no silence.
+    A supervisor that was itself stopped blames no node: what it missed is not a silence.
     """
     log = site.directory / "weather.log"
-    os.mkfifo(log)  # who opens it to write waits until somebody reads
+    os.mkfifo(log)  # opening it for writing blocks until somebody reads
     site.add("weather", "pump")
     site.until_ready()
     site.during(3)
@@ -308,7 +308,7 @@ def test_a_log_that_cannot_be_written_delays_nobody(site: Site) -> None:
 
 @contextmanager
 def few_files_left(number: int) -> Iterator[None]:
-    """Let this process open no more files than so many."""
+    """Let this process open only this many more files."""
     opened = []
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
@@ -327,9 +327,9 @@ def few_files_left(number: int) -> Iterator[None]:
 
 @pytest.mark.parametrize("files", range(7))
 def test_a_start_for_which_there_are_too_few_files(site: Site, files: int) -> None:
-    """Wherever in it they run out: it is an error that can be handled, and leaves nothing open."""
+    """Wherever they run out, it is an error that can be handled, and nothing is left open."""
     nodes = Supervisor(site.directory, [], "", None, print)
-    gc.collect()  # what an earlier test left open is not closed in between
+    gc.collect()  # close now what earlier tests left open
     before = _open_files()
     with few_files_left(files), pytest.raises(OSError, match="Too many open files"):
         nodes.start(NodeStart("weather", "small_node", ("weather", str(site.marks))))
@@ -339,7 +339,7 @@ def test_a_start_for_which_there_are_too_few_files(site: Site, files: int) -> No
 def test_a_node_that_cannot_be_started_again_for_now(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is said once and tried on; the pump may not run."""
+    """It is reported once and retried; the pump may not run."""
     monkeypatch.setattr(supervisor, "_LONGEST_WAIT_S", 1.0)
     site.add("weather", "pump")
     site.until(lambda: site.supervisor.last.keys() == {"weather", "pump"})
@@ -358,7 +358,7 @@ def test_a_node_that_cannot_be_started_again_for_now(
     ]
 
 
-# What a node of another version may say, or one that is broken.
+# What a node of another version, or a broken one, may report.
 _STRANGE = [
     [], 7, "ready", {}, {"state": "flying"}, {"state": ["ready"]},
     *(
@@ -372,7 +372,7 @@ _STRANGE = [
 
 
 def test_what_a_node_of_another_version_says() -> None:
-    """Whoever reads it goes on, and shows what can be read."""
+    """Readers continue, and show what can be read."""
     shown: list[str] = []
     log, start = IncidentLog(shown.append), _Start("")
     for strange in _STRANGE:
@@ -390,14 +390,14 @@ def test_what_a_node_of_another_version_says() -> None:
 # --- the permit that bringup gives the pump node --------------------------------------------------
 
 NONE, LATE = "bringup has given no permit yet", "bringup has given no permit for 2 s"
-# By what came: why the pump may not run, at 100 s and 101.9 s, and at 102.1 s and an hour later.
+# By line: why the pump may not run at 100 s and 101.9 s, and at 102.1 s and an hour later.
 PERMITS = {
     '{"inhibit": "", "at": 100.0}': ("", LATE),
     '{"inhibit": "weather is silent", "at": 100.0}': ("weather is silent", LATE),
-    # Of no time, as of a bringup with another clock, which then hangs: it would never lapse.
+    # With an impossible time, as from another clock: if bringup then hung, it would never lapse.
     **{f'{{"inhibit": "", "at": {at}}}': (LATE, LATE)
        for at in ("1e9", "NaN", "Infinity", "-Infinity", "-1.0")},
-    # As of a bringup of another version.
+    # As from a bringup of another version.
     **dict.fromkeys(
         ("", "{}", "[]", "null", '{"at": 100.0}', '{"inhibit": ""}', "x"), (NONE, NONE)
     ),
@@ -406,7 +406,7 @@ PERMITS = {
 
 @pytest.mark.parametrize("line", PERMITS)
 def test_what_comes_for_a_permit(monkeypatch: pytest.MonkeyPatch, line: str) -> None:
-    """It lapses after two seconds; what is no permit does not count; the next permit does."""
+    """It lapses after two seconds; an invalid line does not count; the next valid permit does."""
     ours, theirs = os.pipe()
     monkeypatch.setenv(SOCKET, str(ours))
     with os.fdopen(ours), os.fdopen(theirs, "wb", buffering=0) as end:

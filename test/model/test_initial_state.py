@@ -1,4 +1,4 @@
-"""Initial volumes: those that a place can hold, and no others."""
+"""Initial volumes: only those that a place can hold."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ KEYS = ("--cistern", "--roof")
 
 
 def test_what_rain_makes_of_a_full_roof_is_taken(caplog: pytest.LogCaptureFixture) -> None:
-    """34.4 m3 and 1.825 m on 68.8 m2, the most rain of a day: a run may begin there, not above."""
+    """34.4 m3 plus 1.825 m on 68.8 m2, a day's greatest rain: a run may start there, not above."""
     check_volumes(PAPER_SITE, 399.9, 159.9, KEYS)
     with pytest.raises(ConfigurationError, match=r"--roof = 160.0: must be at most 159.96 m3"):
         check_volumes(PAPER_SITE, 60.0, 160.0, KEYS)
 
 
 def test_above_the_soil_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
-    """45.7 may be the target in mm: what does not fit into the soil is taken with a warning."""
+    """45.7 may be the target in mm: more than the soil holds is accepted with a warning."""
     for _ in range(3):
         check_volumes(PAPER_SITE, 60.0, 45.7, KEYS)
     (message,) = caplog.messages
@@ -33,11 +33,11 @@ def test_above_the_soil_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_a_sites_own_state_is_what_a_run_begins_in(tmp_path: Path) -> None:
-    """Unless the command line says another, by name or by volumes."""
+    """Unless the command line gives another one, by name or by volumes."""
     options = ("--site", str(site_file(tmp_path, initial_cistern=70.0, initial_roof=1.5)))
     run = paper_run(*options)
     assert (run.initial, run.x1, run.x2) == ("site", 70.0, 1.5)
-    # Table II: a1 z_o and a2 z_veg, over 1.3 or times it.
+    # Table II: a1 z_o and a2 z_veg, divided or multiplied by 1.3.
     for name, cistern, roof in (
         ("low-low", 75 / 1.3, 3.14416 / 1.3), ("high-low", 75 * 1.3, 3.14416 / 1.3),
         ("high-high", 75 * 1.3, 3.14416 * 1.3),

@@ -18,8 +18,8 @@ from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site, read_site
 
 MEASURED = replace(read_site(CONFIG / "site_neubrandenburg.yaml"), tau=10.0)
-# Rain (m/s), evapotranspiration (m3/s), a command, and the flow of a pump driver (m3/s) that
-# may do as it likes, or None where the command decides.
+# Rain (m/s), evapotranspiration (m3/s), a command, and the flow of an arbitrary pump driver (m3/s),
+# or None if the command decides.
 TICKS = st.lists(
     st.tuples(
         st.floats(0, 1e-3) | st.just(0.0),
@@ -42,10 +42,10 @@ TICKS = st.lists(
 def test_each_tank_changes_by_what_flows(
     site: Site, cistern: float, roof: float, ticks: list[tuple[float, float, float, float | None]]
 ) -> None:
-    """Each tick, to 1e-9 m3; what would overdraw a tank is limited, and only that.
+    """Each tick, to 1e-9 m3; flows are limited only if they would overdraw a tank.
 
-    Of a measured roof substrate and drainage layer count together. Both outlets of the cistern are
-    in its outflow, Eq. (2) of each.
+    A measured roof counts with its substrate and drainage layer together. The cistern's outflow
+    includes both outlets, Eq. (2) for each.
     """
     plant = Plant(site, cistern * site.a1, roof * site.z_cap)
     assert plant.layer == site.initial_layer
@@ -69,7 +69,7 @@ def test_each_tank_changes_by_what_flows(
         assert plant.layer <= site.layer_storage * (1 + 1e-12)
         assert flows.evapotranspiration <= evaporated
 
-        # What would be left without a limit, in a cistern and then in a roof.
+        # What would be left without a limit, in the cistern and then on the roof.
         left_1 = x1 + tau * (into_cistern - demand[0] - pump)
         if left_1 > 1e-9:
             assert (flows.outflow, flows.pump) == pytest.approx((demand[0], pump), rel=1e-9)
@@ -89,7 +89,7 @@ def test_each_tank_changes_by_what_flows(
 
 
 def assert_balance(run: Run) -> None:
-    """Hold a run's sums against its first and last volumes, each tank to 1e-9 m3."""
+    """Check a run's sums against its first and last volumes, each tank to 1e-9 m3."""
     site, metrics = run.site, Metrics()
     controller = run.controller.make(site, run.parameters)
     ticks = list(closed_loop(run, controller, metrics))
@@ -127,5 +127,5 @@ def assert_balance(run: Run) -> None:
 def test_any_run_balances(
     hours: list[tuple[float, float, bool]], x1: float, x2: float, v: float, site: Site
 ) -> None:
-    """Random hours, from drought to the worst believable rain, in ticks of 10 s."""
+    """Random hours, from drought to the worst plausible rain, in ticks of 10 s."""
     assert_balance(run_of_hours(hours, x1, x2, site, fraction=v))

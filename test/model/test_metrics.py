@@ -1,4 +1,4 @@
-"""Metrics: by hand, and with the same bits in whatever blocks they are added up."""
+"""Metrics: by hand, and with the same bits whatever the blocks in which they are summed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ STILL = Flows(0.0, 0.0, 0.0, 0.0, False)
 
 
 def metrics_of(site: Site, ticks: Ticks) -> Metrics:
-    """Return the metrics of ticks; the last is the end of the run."""
+    """Return the metrics of ticks; the last tick is the end of the run."""
     metrics = Metrics()
     for x1, x2, command, rain, flows in ticks[:-1]:
         metrics.observe(site, x1, x2)
@@ -49,7 +49,7 @@ def metrics_of(site: Site, ticks: Ticks) -> Metrics:
 
 @pytest.mark.parametrize(("days", "weeks"), [(14, 2), (34, 5)])
 def test_weeks(days: int, weeks: int) -> None:
-    """Each week's deviation by hand, across blocks; the last tick counts in the last."""
+    """Each week's deviation by hand, across blocks; the last tick counts in the last week."""
     site = replace(PAPER_SITE, tau=600.0)
     ticks = drawn(days * 144 + 1, seed=days)
     expected = [0.0] * weeks
@@ -61,7 +61,7 @@ def test_weeks(days: int, weeks: int) -> None:
 
 
 def test_sums_by_hand() -> None:
-    """Two ticks of 2 s and the end; the target is 3.14416 m3, a band of 0.157208 m3 is near it.
+    """Two ticks of 2 s and the end; the target is 3.14416 m3, and 0.157208 m3 from it is near.
 
     The cistern's inlet has 0.305^2 pi = 0.2922467 m2, the bed 68.8 m2.
     """
@@ -89,7 +89,7 @@ def test_sums_by_hand() -> None:
     ("gap", "busiest"), [(1800, 20), (1799, 21)]
 )
 def test_an_hour_holds_its_first_start_no_more(gap: int, busiest: int) -> None:
-    """Twenty starts 180 s apart fill it; the next comes as the first leaves it. Ticks of 0.1 s."""
+    """Twenty starts 180 s apart fill it; the next comes as the first leaves. Ticks of 0.1 s."""
     site = site_with(tau=0.1)
     metrics = Metrics()
     for tick in range(30 * gap):
@@ -101,10 +101,10 @@ def test_an_hour_holds_its_first_start_no_more(gap: int, busiest: int) -> None:
 
 
 def test_energy_and_starts_by_hand() -> None:
-    """At 3 m the pumps lift 0.00842205 m3/s over L = phi = 55.2 - 5.78e5 0.00842205^2 = 14.2 m.
+    """At 3 m the pumps deliver 0.00842205 m3/s at L = phi = 55.2 - 5.78e5 0.00842205^2 = 14.2 m.
 
-    Half of it needs 13 m and a quarter of the 1.2 m of friction, with 9810 N/m3. Of the electric
-    energy a quarter becomes hydraulic.
+    Half the flow needs 13 m plus a quarter of the 1.2 m of friction, with 9810 N/m3. A quarter of
+    the electric energy becomes hydraulic.
     """
     full = 0.00842205211502804
     head = 55.2 - 5.78e5 * full**2
@@ -122,7 +122,7 @@ def test_energy_and_starts_by_hand() -> None:
 def test_mains_water_by_hand() -> None:
     """Five ticks of 2 s, with a valve of 0.001 m3/s open in the first three; then the end.
 
-    The run ends below the valve's level of 1 m, 25 m3: there nothing flows any more.
+    The run ends below the valve's level of 1 m, 25 m3, but nothing flows after the end.
     """
     site = site_with(tau=2.0, mains_level=1.0, mains_flow=0.001)
     volumes = (24.0, 20.0, 24.999, 25.0, 60.0, 24.0)
@@ -157,11 +157,11 @@ def test_stress_is_that_of_the_soil() -> None:
     volumes = (12.0, 6.8801, 6.8799, 3.0, 0.0)
     metrics = metrics_of(site, [(50.0, x2, 0.0, 0.0, STILL) for x2 in (*volumes, 12.0)])
     assert metrics["stress_hours"] == sum(soil_of(site).water_stress(x2) < 1 for x2 in volumes) == 3
-    assert "evapotranspiration_ratio" not in metrics.results()  # nothing was asked for
+    assert "evapotranspiration_ratio" not in metrics.results()  # there was no demand
 
 
 def hourly(site: Site, hours: int, **amounts: dict[int, float]) -> Ticks:
-    """Return ticks of hours in which so much rains, is pumped and drains (m3)."""
+    """Return ticks of hours with these amounts of rain, pumping and drainage (m3)."""
     def rate(name: str, hour: int) -> float:
         return amounts.get(name, {}).get(hour, 0.0) / 3600
 
@@ -178,13 +178,13 @@ def test_rain_kept_by_hand() -> None:
     """Three days on 100 m2: 30 mm in an hour, 4 mm a day later, and 6 and 5 mm the day after.
 
     - Hour 10: 3 m3 fall, 0.6 drain in the hour and 0.9 in the next.
-    - Hour 35: what drains is of nothing that came in six hours.
+    - Hour 35: this drainage follows nothing that came within six hours.
     - Hour 36: 0.4 m3 fall, 0.1 drain.
-    - Hour 41: 0.6 m3 are pumped, 0.5 drain: 0.4 of it, 0.2 m3, is of the rain of hour 36.
-    - Hour 60: 0.6 m3 fall, as much as was pumped in hour 55: half of the 0.2 that drain is of rain.
+    - Hour 41: 0.6 m3 are pumped, 0.5 drain: 0.4 of it, 0.2 m3, comes from the rain of hour 36.
+    - Hour 60: 0.6 m3 fall, as much as was pumped in hour 55: half of the 0.2 drained is rain.
     - Hour 61: 0.5 m3 fall.
 
-    Of 4.5 m3 of rain 1.9 drain. Hours 0 to 33 and 38 to 71 are in 24 with more than 10 mm: of
+    Of 4.5 m3 of rain 1.9 drain. Hours 0 to 33 and 38 to 71 are in 24 h with more than 10 mm: of
     4.1 m3 in these 1.8 drain.
     """
     site = site_with(a2=100.0, tau=600.0)
@@ -199,14 +199,14 @@ def test_rain_kept_by_hand() -> None:
 
 @pytest.mark.parametrize(("depth", "expected"), [(20.0, False), (20.1, True)])
 def test_a_storm_has_more(depth: float, expected: bool) -> None:
-    """An hour with 20 mm has not more; of one with more nothing is kept where more drains."""
+    """An hour with 20 mm is not a storm; with more it is, and if more drains, nothing is kept."""
     site = site_with(a2=100.0, tau=0.1)
     results = metrics_of(site, hourly(site, 2, rain={1: depth / 10}, drained={1: 5.0})).results()
     assert results.get("rain_kept_share_hour") == (0.0 if expected else None)
 
 
 def test_every_bit_whatever_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four days of 5 min with storms of ten hours; a tick, 7 and 1000 a block."""
+    """Four days of 5 min with storms of ten hours; in blocks of 1, 7 and 1000 ticks."""
     site, results = site_with(tau=300.0, starts_per_hour=3.0), []
     ticks = [
         (x1, x2, command, 3 * rain * (k // 120 % 3 == 0), flows)

@@ -23,13 +23,13 @@ from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
 
 MEASURED = read_site(CONFIG / "site_neubrandenburg.yaml")
-# Its thresholds are binary fractions, so that tests hit them to the bit: the target at
-# x2 = 4 m3, the soil's capacity at 32 m3; the suction level stays at 18.75 m3.
+# Its thresholds are binary fractions, so tests can hit them exactly: the target at x2 = 4 m3, the
+# soil's capacity at 32 m3; the suction level stays at 18.75 m3.
 ROUND_SITE = site_with(a2=64.0, z_veg=0.0625, z_soil=0.5)
 
 
 def drainage_flow(site: Site, x2: float) -> float:
-    """Return q_drain; neither what arrives nor the tick matters to it."""
+    """Return q_drain, which depends neither on what arrives nor on the tick."""
     return soil_of(site).drained(x2, 0.01, site.tau)
 
 
@@ -44,7 +44,7 @@ def just_above(value: float) -> float:
 
 
 LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
-"""1/5 of the main outlet's radius, 1/25 of its area."""
+"""1/5 of the main outlet's radius, 1/25 of its area"""
 OUT = 0.1326322799584
 
 
@@ -54,20 +54,20 @@ OUT = 0.1326322799584
         # A head of 1 m gives 0.61 pi 0.125^2 sqrt(2 9.81); a head of 1/4 m half of it.
         (PAPER_SITE, 100.0, OUT), (PAPER_SITE, 81.25, OUT / 2),
         (PAPER_SITE, 75.0, 0.0), (PAPER_SITE, 0.0, 0.0),
-        # At 4 m, with 1 m above the main outlet, both take water.
+        # At 4 m, 1 m above the main outlet, both take water.
         (LOW_OUTLET, 50.0, OUT / 25), (LOW_OUTLET, 31.25, OUT / 50), (LOW_OUTLET, 25.0, 0.0),
         (LOW_OUTLET, 100.0, (25 + math.sqrt(3)) * OUT / 25),
     ],
 )
 def test_outlet_flow_by_hand(site: Site, x1: float, flow: float) -> None:
-    """Eq. (2): > z_o. The least bit above 75 m3, or 25 m3, flows already, at about 3e-9 m3/s."""
+    """Eq. (2): > z_o. The smallest step above 75 m3, or 25 m3, already gives about 3e-9 m3/s."""
     assert outlet_flow(site, x1) == pytest.approx(flow, rel=1e-12)
     if not flow and x1:
         assert 0 < outlet_flow(site, just_above(x1)) < 1e-8
 
 
 WEAK = replace(PAPER_SITE, c_hat=15.0)
-"""15 m of head against 16 m of height lift nothing from less than 1 m of water."""
+"""15 m of head against 16 m of height deliver nothing from less than 1 m of water"""
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_pumps_run_between_the_thresholds_only(x1: float, x2: float, runs: bool)
 
 @pytest.mark.parametrize("site", [PAPER_SITE, MEASURED])
 def test_the_command_to_a_volume_leads_there(site: Site) -> None:
-    """A litre more in a tick, in rain and sun; 0 where it comes by itself, or nothing is lifted."""
+    """A litre more in a tick, in rain and sun; 0 if it comes by itself or pumps are too weak."""
     plant, weather = Plant(site, 75.0, 0.5 * site.x2_star), (1e-6, 2e-6)
     state = site, soil_of(site), plant.x1, plant.x2
     target = plant.x2 + 1e-3
@@ -113,7 +113,7 @@ def test_the_command_to_a_volume_leads_there(site: Site) -> None:
 
 
 def test_drainage_by_hand() -> None:
-    """Eq. (4): 0 if x2 < z_cap; at x2/a2 = z_soil it is 2 K a2, and 0.6 m deep 2.2 K a2."""
+    """Eq. (4): 0 if x2 < z_cap; at x2/a2 = z_soil it is 2 K a2, and at 0.6 m it is 2.2 K a2."""
     assert drainage_flow(PAPER_SITE, PAPER_SITE.z_cap) == pytest.approx(1.077408e-5, rel=1e-12)
     assert drainage_flow(PAPER_SITE, 41.28) == pytest.approx(1.1851488e-5, rel=1e-12)
     assert drainage_flow(ROUND_SITE, just_below(32.0)) == 0.0
@@ -127,14 +127,14 @@ def test_drainage_by_hand() -> None:
     command=st.floats(0, 3),
 )
 def test_flows_are_the_papers(site: Site, cistern: float, roof: float, command: float) -> None:
-    """Eqs. (2)-(4) written a second time, at random states of random sites."""
+    """Eqs. (2)-(4) written independently, at random states of random sites."""
     x1, x2 = cistern * site.a1, roof * site.a2
     flows = outlet_flow(site, x1), pump_flow(site, x1, x2, command), drainage_flow(site, x2)
     assert flows == pytest.approx(exact_flows(site, x1, x2, command), rel=1e-9, abs=1e-12)
 
 
 def test_step_by_hand() -> None:
-    """From (80, 2) m3 at half the flow, 3.0 mm/h of rain and 1.22675507 mm/day off the bed.
+    """From (80, 2) m3 at half the flow, 3.0 mm/h of rain and 1.22675507 mm/day from the bed.
 
     A second moves the cistern by 8.3333e-7 0.29225 - 0.0593150 - 0.0042210 m3 and the roof by
     8.3333e-7 68.8 + 0.0042210 - 9.7686e-7 m3; a tick of two seconds moves them twice as far.
@@ -150,13 +150,13 @@ def test_step_by_hand() -> None:
 
 
 DRAINS = 1.077408e-5
-"""Eq. (4) at 34.4 m3."""
+"""Eq. (4) at 34.4 m3"""
 
 
 @pytest.mark.parametrize(
     ("x1", "x2", "inputs", "expected"),
     [
-        # 1 m3 and 0.1 m3/s of rain meet a wish of 2.2 m3/s: half of it flows.
+        # 1 m3 and 0.1 m3/s of rain, with a demand of 2.2 m3/s: half of it flows.
         (1.0, 0.0, (0.1 / PAPER_SITE.a_in, 0.0, 2.2), (0.0, 1.1, 0.0, 0.0)),
         # OUT m3/s to the sewer and 200 - OUT m3/s pumped make 200 from 100 m3: half of each.
         (100.0, 0.0, (0.0, 0.0, 200 - OUT), (OUT / 2, 100 - OUT / 2, 0.0, 0.0)),
@@ -177,7 +177,7 @@ def test_a_tank_that_holds_too_little_shares_it_out(
 
 
 def test_exactly_what_a_tank_holds_is_no_limit() -> None:
-    """1 m3 pumped from 1 m3, and 1 m3 evaporated from the 1 m3 pumped, leave nothing over."""
+    """1 m3 pumped from 1 m3, and 1 m3 evaporated from the 1 m3 pumped, leave nothing."""
     plant = Plant(PAPER_SITE, 1.0, 0.0)
     flows = plant.flows(0.0, 1.0, 1.0)
     assert flows == Flows(0.0, 1.0, 0.0, 1.0, False)

@@ -1,4 +1,4 @@
-"""The affinity laws on the site's curve: worked by hand with Table I, and held to the equations."""
+"""The affinity laws on the site's curve: by hand with Table I, and by the equations."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WEAK = replace(PAPER_SITE, c_hat=15.0)
 @pytest.mark.parametrize(
     ("site", "share", "level", "speed"),
     [
-        # From 3 m: s^2 = (share^2 42.2 + 13) / 55.2, as 42.2 m of 55.2 m drive the whole flow.
+        # From 3 m: s^2 = (share^2 42.2 + 13) / 55.2, as 42.2 m of 55.2 m drive the full flow.
         (PAPER_SITE, 0.0, 3.0, 0.0), (PAPER_SITE, 0.1, 3.0, 0.4931046),
         (PAPER_SITE, 0.5, 3.0, 0.6531695), (PAPER_SITE, 1.0, 3.0, 1.0), (WEAK, 1.0, 0.5, 0.0),
     ],
@@ -37,7 +37,7 @@ def test_speed_by_hand(site: Site, share: float, level: float, speed: float) -> 
         # 13 m of lift need sqrt(13 / 55.2) = 0.48529 of the speed.
         (PAPER_SITE, 0.4852, 3.0, 0.0), (PAPER_SITE, 0.4854, 3.0, 9.913047e-5),
         (WEAK, 1.0, 0.5, 0.0),
-        # At rest nothing flows, not even from 20 m of water over a roof at 16 m.
+        # At rest nothing flows, not even from 20 m of water to a roof at 16 m.
         (PAPER_SITE, 0.0, 3.0, 0.0), (PAPER_SITE, 0.0, 20.0, 0.0),
     ],
 )
@@ -51,11 +51,11 @@ def test_flow_by_hand(site: Site, speed: float, level: float, flow: float) -> No
     share=st.floats(1e-3, 1),
 )
 def test_flow_and_speed_are_inverse(site: Site, above_suction: float, share: float) -> None:
-    """The speed for a share gives that share of the maximum flow, and no speed is above 1."""
+    """The speed for a share gives that share of the maximum flow, and no speed exceeds 1."""
     level = site.suction_level + above_suction
     assume(level <= site.d)
     speed = speed_for(site, share, level)
     assert 0 < speed <= 1 + 1e-12
     most = maximum_pump_flow(site, level * site.a1)
-    # Near no flow a rounding of s^2 by 2e-16 is one of q^2 by d 2e-16.
+    # Near zero flow, rounding s^2 by 2e-16 changes q^2 by d 2e-16.
     assert flow_at(site, speed, level) == pytest.approx(share * most, rel=1e-6, abs=1e-7 * most)

@@ -1,4 +1,4 @@
-"""Quiet hours are of the clock on the wall, on the days too on which it is changed.
+"""Quiet hours follow the local clock, also on days on which it changes.
 
 Times in UTC are worked out by hand: Toronto is 5 h behind UTC in winter, 4 h in summer; in 2026 its
 clocks went from 02:00 to 03:00 on 8 March, and from 02:00 back to 01:00 on 1 November.
@@ -27,7 +27,7 @@ def ns(utc: str) -> int:
 
 
 def changes(hours: QuietHours, day: str) -> list[str]:
-    """Return at which minutes of a day in UTC it becomes quiet (+) or not (-)."""
+    """Return the minutes of a day in UTC at which quiet hours begin (+) or end (-)."""
     begin = datetime.fromisoformat(f"{day}T00:00+00:00")
     changes = []
     before = hours.quiet_at(epoch_ns(begin) - 1)
@@ -76,7 +76,7 @@ def test_an_interval_has_its_first_second_and_not_its_last() -> None:
 
 
 def test_when_they_end() -> None:
-    """Over midnight, over the change of the clocks, and of intervals that meet."""
+    """Over midnight, over a change of the clocks, and for adjoining intervals."""
     hours = QuietHours(["22:00-06:00", "06:00-06:45"], TORONTO)
     for utc, end in (
         ("2026-07-15T03:10", "2026-07-15T06:45-04:00"),
@@ -87,14 +87,14 @@ def test_when_they_end() -> None:
 
 
 def test_the_share_of_steps_in_which_the_pump_may_run() -> None:
-    """From 21:30 on, steps of 15 min, 1 h, 7 h, 6 h and two days of 16 h each."""
+    """From 21:30 on, steps of 15 min, 1 h, 7 h, 6 h and two days with 16 h each."""
     hours = QuietHours(["22:00-06:00"], TORONTO)
     ends = np.cumsum([0.0, 0.25, 1.0, 7.0, 6.0, 48.0]) * 3600
     shares = hours.pumping_shares(ns("2026-07-16T01:30"), ends)
-    # 06:00 is 8.5 h after, and 0.25 h behind the third step's end.
+    # 06:00 is 8.5 h later, 0.25 h after the third step's end.
     assert shares == pytest.approx([1.0, 0.25, 0.0, 5.75 / 6, 32 / 48], abs=1e-9)
     assert shares[2] == 0.0
-    # The night of the change in spring has an hour less.
+    # The night of the change in spring is an hour shorter.
     (night,) = hours.pumping_shares(ns("2026-03-08T03:00"), np.array([0.0, 8.0]) * 3600)
     assert night == pytest.approx(1 / 8, abs=1e-9)
 

@@ -1,4 +1,4 @@
-"""A level sensor that errs and pumps with minimum times: by hand, by statistics, and by rule."""
+"""A level sensor with errors and pumps with minimum times: by hand, by statistics, by rule."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ EMPTY, FULL = 0.0, PAPER_SITE.a2 * PAPER_SITE.z_veg
 
 
 def readings(errors: SensorPumpErrors, ticks: Sequence[int], level: float) -> list[float]:
-    """Return what a new sensor reads at some ticks."""
+    """Return the readings of a new sensor at these ticks."""
     sensor = RoofSensor(errors)
     return [sensor.reading(tick, level) for tick in ticks]
 
 
 def test_noise_is_normal_and_independent() -> None:
-    """Mean, spread, shape and correlation of 200,000 readings, each within five of its errors."""
+    """Mean, spread, shape and correlation of 200,000 readings, each within five standard errors."""
     count, noise = 200_000, 0.001
     imperfect = SensorPumpErrors(roof_noise=noise, roof_offset=0.002, noise_seed=7)
     errors = (np.array(readings(imperfect, range(count), 0.045)) - 0.047) / noise
@@ -45,7 +45,7 @@ def test_noise_is_normal_and_independent() -> None:
 
 
 def test_noise_follows_from_seed_and_tick_alone() -> None:
-    """In any order, asked twice, or by another sensor; and no two seeds have the same."""
+    """In any order, read twice, or by another sensor; no two seeds have the same noise."""
     imperfect = SensorPumpErrors(roof_noise=0.001, noise_seed=3)
     ticks = [0, 1, 4095, 4096, 5, 100_000, 4096, 0]
     expected = {tick: readings(imperfect, [tick], 0.045)[0] for tick in ticks}
@@ -59,7 +59,7 @@ def test_noise_follows_from_seed_and_tick_alone() -> None:
 
 
 def test_offset_by_hand() -> None:
-    """0.5 m read as 0.75 m, or as 0.25 m; 0.125 m less 0.25 m is 0, as a sensor ends there."""
+    """0.5 m read as 0.75 m, or as 0.25 m; 0.125 m less 0.25 m is 0, the sensor's end."""
     assert readings(SensorPumpErrors(roof_offset=0.25), [0, 5000], 0.5) == [0.75, 0.75]
     assert readings(SensorPumpErrors(roof_offset=-0.25), [0, 5000], 0.5) == [0.25, 0.25]
     assert readings(SensorPumpErrors(roof_offset=-0.25), [0], 0.125) == [0.0]
@@ -87,12 +87,12 @@ def commands_let_through(
 @pytest.mark.parametrize(
     ("on", "off", "commands", "expected"),
     [
-        # A short command is drawn out, a pause is, and the rest is let through.
+        # A short command is extended, a short pause, too; the rest passes unchanged.
         (
             3, 2, [0, 0.5, 0, 0, 0, 0, 1, 1, 1, 1, 0, 1, 0, 1, 0.25, 0, 0],
             [0, 0.5, 0.5, 0.5, 0, 0, 1, 1, 1, 1, 0, 0, 0, 1, 0.25, 0.25, 0],
         ),
-        # The pumps may start in the first tick: they have been off for long enough.
+        # The pumps may start in the first tick: they have been off long enough.
         (3, 0, [1, 0, 0, 0, 1, 0, 1, 1], [1, 1, 1, 0, 1, 1, 1, 1]),
         (0, 4, [1, 0, 0, 0, 1, 0, 1, 1], [1, 0, 0, 0, 0, 0, 1, 1]),
     ],
@@ -115,14 +115,14 @@ def test_minimum_times_last_whole_ticks(seconds: float, tau: float, ticks: int) 
 
 
 def test_a_full_roof_stops_them_and_begins_a_time_off() -> None:
-    """Eq. (3a) goes by the true level; what stopped the flow has switched the pumps off."""
+    """Eq. (3a) uses the true level; a flow that stops because of it counts as switched off."""
     times = SensorPumpErrors(minimum_on=10, minimum_off=3)
     roofs = [EMPTY, EMPTY, FULL, EMPTY, EMPTY, EMPTY, FULL]
     assert commands_let_through(times, [1] * 7, roofs=roofs) == [1, 1, 0, 0, 0, 1, 0]
 
 
 def test_an_empty_cistern_stops_them() -> None:
-    """Held on, they deliver nothing from below the suction level, 18.75 m3."""
+    """While held on, they deliver nothing from below the suction level, 18.75 m3."""
     pump = Pump(SensorPumpErrors(minimum_on=10), 1.0)
     assert pump.flow(Plant(PAPER_SITE, 20.0, EMPTY), 1.0, False) > 0
     assert pump.flow(Plant(PAPER_SITE, 18.7, EMPTY), 0.0, False) == 0
@@ -130,7 +130,7 @@ def test_an_empty_cistern_stops_them() -> None:
 
 
 def test_frost_switches_off_at_once() -> None:
-    """Long before the minimum time on is over; and the time off is kept after it."""
+    """Long before the end of the minimum time on; then the minimum time off is kept."""
     times = SensorPumpErrors(minimum_on=100, minimum_off=3)
     frost = [False, False, True, True, False, False, False]
     commands = [1, 1, 0, 0, 1, 1, 1]
@@ -139,14 +139,14 @@ def test_frost_switches_off_at_once() -> None:
 
 
 def ticks_of(run: Run) -> tuple[list[Tick], Metrics]:
-    """Run it."""
+    """Run it, and return its ticks and metrics."""
     metrics = Metrics()
     controller = run.make_controller()
     return list(closed_loop(run, controller, metrics)), metrics
 
 
 def test_the_controller_sees_the_reading_and_the_sums_the_truth() -> None:
-    """On/off under a sensor that reads 4 mm too much stops 4 mm too early, 0.2752 m3."""
+    """If the sensor reads 4 mm too high, on/off stops 4 mm too early, 0.2752 m3."""
     options = ("--controller", "onoff", "--hours", "0.2")
     exact, _ = ticks_of(paper_run(*options))
     ticks, metrics = ticks_of(paper_run(*options, "--roof-offset", "0.004"))

@@ -21,7 +21,7 @@ MEASURED = {
     "field_capacity": 0.6, "wilting_point": 0.05, "depletion_fraction": 0.5,
     "drainage_storage": 0.01, "drainage_time": 600.0,
 }
-"""A measured roof."""
+"""parameters of a measured roof"""
 
 
 def write(directory: Path, *extra: str, **changes: object) -> Path:
@@ -34,25 +34,25 @@ def write(directory: Path, *extra: str, **changes: object) -> Path:
 
 
 def refusal(path: Path) -> str:
-    """Return what is said of a site file that must not be taken."""
+    """Return the error for an invalid site file."""
     with pytest.raises(ConfigurationError) as caught:
         read_site(path)
     return str(caught.value)
 
 
 def test_packaged_site_is_table_i() -> None:
-    """Every row with the paper's value, and no row more."""
+    """Every row has the paper's value, and there is no other row."""
     site = asdict(read_site(shared_directory() / "config" / "site.yaml"))
     assert {key: site[key] for key in TABLE_I} == pytest.approx(TABLE_I, rel=1e-15)
-    # The paper's soil drains by Eq. (4), nobody tops its cistern up, it has one outlet, all rain on
-    # its inlet arrives, and a run begins in one of Table II's states.
+    # The paper's soil drains by Eq. (4), its cistern has no top-up and one outlet, all rain on its
+    # inlet arrives, and a run begins in one of Table II's states.
     absent = {
         *MEASURED, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius",
         "initial_cistern", "initial_roof", "quiet_hours", "time_zone", "greatest_dose",
     }
     assert {key for key, value in site.items() if value is None} == absent
     assert (site["initial_layer"], site["runoff_coefficient"]) == (0, 1)
-    # What fao56 makes of the records of Toronto: 125 mm in July, 0.8 m in a year.
+    # What fao56 gives for Toronto's records: 125 mm in July, 0.8 m in a year.
     climate = site["monthly_evapotranspiration"]
     assert 31 * climate[6] == pytest.approx(125, abs=1)
     assert sum(climate) / 12 * 365 == pytest.approx(804, abs=5)
@@ -78,7 +78,7 @@ def test_constants_by_hand() -> None:
 def test_any_consistent_site_is_read_back(
     tmp_path_factory: pytest.TempPathFactory, site: Site
 ) -> None:
-    """To the bit; also numbers such as 1e-05, which YAML 1.1 takes for a text."""
+    """Exactly; also numbers such as 1e-05, which YAML 1.1 reads as text."""
     directory = tmp_path_factory.mktemp("site")
     assert read_site(write(directory, **asdict(site))) == site
 
@@ -87,7 +87,7 @@ MONTHS = [0.0, 1, *[2.5] * 9, 20.0]
 
 
 def test_site_climate(tmp_path: Path) -> None:
-    """Of the whole bed, with its crop; 2.5 mm/day off 68.8 m2 are 172 litres a day."""
+    """Of the whole bed, with its crop; 2.5 mm/day from 68.8 m2 are 172 litres a day."""
     path = write(tmp_path, monthly_evapotranspiration=MONTHS, crop_coefficient=0.5)
     site = read_site(path)
     assert site.monthly_evapotranspiration == tuple(MONTHS)
@@ -108,20 +108,20 @@ def test_wrong_site_climates(tmp_path: Path, months: object) -> None:
     assert "must be twelve numbers in brackets, January to December, each from 0 to 20" in message
 
 
-# What follows from other rows of Table I.
+# Derived from other rows of Table I.
 COMPUTED = ("x2_star", "z_cap")
 
 
 @pytest.mark.parametrize("key", [key for key in TABLE_I if key not in COMPUTED])
 def test_missing(tmp_path: Path, key: str) -> None:
-    """Named with the file."""
+    """The error has the file."""
     path = write(tmp_path, **{key: None})
     assert refusal(path) == f"{path}: {key}: is missing"
 
 
 @pytest.mark.parametrize(("key", "wrong"), [("z_H", "-1e-300"), ("M", "10.5")])
 def test_what_is_no_number_of_its_range(tmp_path: Path, key: str, wrong: str) -> None:
-    """Nor is what is not finite."""
+    """Nor is a value that is not finite."""
     for value in (wrong, "1e10", ".nan", ".inf", "-.inf", "1e400"):
         assert f" {key} = " in refusal(write(tmp_path, **{key: value}))
     for value in ("three", "true", "", "[3]", "2021-07-07"):
@@ -139,11 +139,11 @@ LAYER: dict[str, object] = {"drainage_storage": 0.01, "drainage_time": 600.0}
 @pytest.mark.parametrize(
     ("base", "changes", "key", "reason"),
     [
-        # Beyond its range: with a unit, without one, and of a whole number.
+        # Out of range: with a unit, without one, and a whole number.
         (PAPERS, {"a2": "-68.8"}, "a2", "from 1e-12 to 1e+09 (m2, bottom surface area of the roof"),
         (PAPERS, {"k_L": "-1.0e-9"}, "k_L", "from 0 to 1e+09 (minor loss coefficient of the pipe)"),
         (PAPERS, {"M": "1001"}, "M", "a whole number from 1 to 1000 (ticks, look-ahead"),
-        # One that another contradicts.
+        # A value that contradicts another.
         (PAPERS, {"x2_star": 3.145}, "x2_star", "a2 z_veg = 3.14416 m3"),
         (PAPERS, {"z_cap": 34.5}, "z_cap", "a2 z_soil = 34.4 m3; leave this line out and it is"),
         (PAPERS, {"z_o": 300}, "z_o", "at most 76.92 m, since levels above 100 m are refused"),
@@ -178,7 +178,7 @@ LAYER: dict[str, object] = {"drainage_storage": 0.01, "drainage_time": 600.0}
 def test_wrong_values(
     tmp_path: Path, base: dict[str, object], changes: dict[str, object], key: str, reason: str
 ) -> None:
-    """Named with file, line, key and value, and what would be right."""
+    """The error has file, line, key and value, and what would be right."""
     path = write(tmp_path, **{**base, **changes})
     [line] = [
         number for number, text in enumerate(path.read_text().splitlines(), start=1)
@@ -190,7 +190,7 @@ def test_wrong_values(
 
 
 def test_what_follows_is_computed(tmp_path: Path) -> None:
-    """To the last digit what Table I says; and after the area, where that is another."""
+    """To Table I's last digit; and with another area, from that area."""
     written = read_site(write(tmp_path))
     assert read_site(write(tmp_path, x2_star=None, z_cap=None)) == written
     larger = read_site(write(tmp_path, a2=120.0, x2_star=None, z_cap=None))
@@ -202,13 +202,13 @@ def test_what_follows_is_computed(tmp_path: Path) -> None:
 
 
 def test_what_earlier_versions_had(tmp_path: Path) -> None:
-    """The sites that older runs keep are still read; these two changed no number."""
+    """The sites kept by older runs can still be read; these two keys changed no number."""
     older = write(tmp_path, pumps_in_series=1, pumps_in_parallel=2)
     assert read_site(older) == read_site(write(tmp_path))
 
 
 def test_a_mistyped_key(tmp_path: Path) -> None:
-    """Named with what it may stand for; all of them only where nothing is like it."""
+    """The error suggests similar keys, and lists all only if none is similar."""
     path = write(tmp_path, a2=None, a3=68.8)
     assert refusal(path).endswith("a3: is not a parameter of a site; did you mean a1 or a2?")
     path = write(tmp_path, "pi: 3.14")
@@ -223,7 +223,7 @@ def test_what_may_be_zero(tmp_path: Path) -> None:
 
 
 def test_a_site_that_extends_another(tmp_path: Path) -> None:
-    """It says what differs, and so may the one that it extends; its text stands by itself."""
+    """It has only what differs, and so may its base; its text is complete by itself."""
     write(tmp_path)
     (tmp_path / "roof.yaml").write_text(
         "extends: my site.yaml\na2: 100.0  # m2\n   # measured\ninitial_layer: 0.0\n"
@@ -250,14 +250,14 @@ def test_a_site_that_extends_another(tmp_path: Path) -> None:
         for values in ({}, {"a1": 100 / 3, "z_o": 2.5}):
             written.write_text(edited(child, values))
             assert read_site(written) == replace(site, **values), form
-    # One of this package's needs no copy beside.
+    # A site of this package needs no copy beside the file.
     child.write_text("extends: site_neubrandenburg.yaml\na1: 50.0\n")
     measured = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml")
     assert read_site(child) == replace(measured, a1=50.0)
 
 
 def test_what_cannot_be_extended(tmp_path: Path) -> None:
-    """Itself, in a circle, what is no file; what is wrong in a file is named with that file."""
+    """Itself, a circle, a missing file; an error in a base has the name of that file."""
     child = tmp_path / "child.yaml"
     for base, reason in (
         ("child.yaml", "child.yaml, line 1: extends = 'child.yaml': must be the name of another"),
@@ -273,7 +273,7 @@ def test_what_cannot_be_extended(tmp_path: Path) -> None:
 
 
 def test_a_run_and_a_study_keep_the_whole_site(tmp_path: Path) -> None:
-    """Elsewhere the file that it extends is not beside it."""
+    """In another directory the base file is not beside it."""
     file = tmp_path / "mine.yaml"
     file.write_text("extends: site_catchment.yaml\na1: 50.0\ninitial_cistern: 42.5\n")
     run = paper_run("--controller", "onoff", "--hours", "1", "--site", str(file))

@@ -46,19 +46,19 @@ def states(draw: st.DrawFn, site: Site) -> tuple[float, float]:
 def test_linear_model_equals_complex_steps(
     data: st.DataObject, site: Site, command: float, rain: float, evaporated: float
 ) -> None:
-    """A, B, C and b of Eq. (10) at random states of random sites, to 1e-9 of each's largest."""
+    """A, B, C and b of Eq. (10) at random states of random sites, to 1e-9 of each one's largest."""
     point = (*data.draw(states(site)), command, rain, evaporated)
     model = linearise(site, *point)
     slope, B, C, b = linear_model(site, *point)
     computed = np.array(model.A) - np.eye(2)
     # The identity costs A's entries up to two units in the last place of 1.
     np.testing.assert_allclose(computed, slope, rtol=0, atol=1e-9 * np.abs(slope).max() + 5e-16)
-    # Complex steps lose their digits where a derivative is near the least of all numbers.
+    # Complex steps lose digits if a derivative is near the smallest float.
     np.testing.assert_allclose(model.B, B, rtol=0, atol=1e-9 * np.abs(B).max() + 1e-250)
-    # Of a measured roof 1 - S^2 cancels.
+    # On a measured roof 1 - S^2 cancels.
     cancels = 0.0 if site.field_capacity is None else 1e-15 * site.tau * site.a2 + 1e-250
     np.testing.assert_allclose(model.C, C, rtol=1e-12, atol=cancels)
-    # The terms of f cancel; what is left is right to 1e-9 of the terms.
+    # The terms of f cancel; the rest is right to 1e-9 of the terms.
     terms = np.abs(C) @ np.abs(point[3:]) + np.abs(B * point[2]) + np.abs(b)
     np.testing.assert_allclose(model.b, b, rtol=0, atol=1e-9 * terms.max())
 

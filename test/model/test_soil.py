@@ -17,8 +17,8 @@ from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import MeasuredSoil, soil_of
 
-# 100 m2 and 100 mm of substrate: 2 m3 at the wilting point, 6 m3 at field capacity, stress below
-# 4 m3. Its layer holds 1 m3 and then loses 1 m3 in 100 s.
+# 100 m2 and 100 mm of substrate: 2 m3 at the wilting point, 6 m3 at field capacity, stress below 4
+# m3. Its layer holds 1 m3 and then loses 1 m3 in 100 s.
 ROOF = replace(
     site_with(a2=100.0, z_soil=0.1, z_veg=0.045), z_cap=6.0,
     field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5,
@@ -49,14 +49,14 @@ def test_shares_by_hand(x2: float, filled: float, kept: float, stress: float) ->
 
 
 def test_percolation_by_hand() -> None:
-    """At 5 m3 9/16 of what arrives; above field capacity all of it, and the excess in a tick."""
+    """At 5 m3 9/16 of what arrives; above field capacity all of it, plus the excess, in a tick."""
     assert SOIL.drained(5.0, 0.01, 10.0) == pytest.approx(0.005625, rel=1e-12)
     for percolation in (SOIL.drained, SOIL.mean_percolation):
         assert percolation(6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
 
 
 def solved(rate: Callable[[float], float], x2: float, seconds: float) -> float:
-    """Return what dx/dt = rate(x) makes of a volume (m3), by scipy."""
+    """Return the volume (m3) after dx/dt = rate(x), by scipy."""
     steps = solve_ivp(
         lambda _, x: [rate(float(x[0]))], (0, seconds), [x2], rtol=1e-9, atol=1e-12,
         max_step=seconds / 50,
@@ -66,7 +66,7 @@ def solved(rate: Callable[[float], float], x2: float, seconds: float) -> float:
 
 @pytest.mark.parametrize("x2", [1.0, 2.0, 4.0, 5.9, 5.9999])
 def test_water_to_fill(x2: float) -> None:
-    """What has arrived, m3 for m3, until the soil, solved by scipy, has come to x2."""
+    """The water that must arrive, m3 for m3, until the soil, solved by scipy, is at x2."""
     needed = SOIL.water_to_fill(x2)
     assert solved(lambda x: 1 - SOIL.drained(x, 1.0, 1e-9), 0.0, needed) == pytest.approx(
         x2, rel=1e-5
@@ -76,7 +76,7 @@ def test_water_to_fill(x2: float) -> None:
 
 
 def test_a_step_by_hand() -> None:
-    """5 m3 on the roof, 0.01 m3/s of rain for 2 s, 1e-3 m3/s asked: 7/16 stays, all evaporates."""
+    """5 m3 on the roof, 0.01 m3/s of rain for 2 s, demand 1e-3 m3/s: 7/16 stays, all evaporates."""
     plant = Plant(replace(ROOF, tau=2.0), 50.0, 5.0)
     flows = plant.flows(1e-4, 1e-3, 0.0)
     assert flows.evapotranspiration == 1e-3
@@ -92,11 +92,11 @@ BARE = replace(ROOF, drainage_storage=None, drainage_time=None)
 @pytest.mark.parametrize(
     ("site", "layer", "inflow", "seconds", "outflow"),
     [
-        # Without inflow V / (1 + k V t): what is full has half of it after the time constant.
+        # Without inflow V / (1 + k V t): a full layer has half of it after the time constant.
         (ROOF, 1.0, 0.0, 100.0, 0.005), (ROOF, 1.0, 0.0, 1e9, 1e-9),
-        # It holds 1 m3: 10 m3 that arrive in a second are gone, but for it.
+        # It holds 1 m3; the rest of 10 m3 that arrive in a second is gone.
         (ROOF, 0.0, 10.0, 1.0, 9.0), (ROOF, 1.0, 10.0, 1.0, 10.0),
-        # No layer lets all through at once.
+        # Without a layer everything passes at once.
         (BARE, 0.0, 0.125, 1.0, 0.125),
     ],
 )
@@ -136,7 +136,7 @@ def test_the_layer_follows_its_equation(
 def test_free_changes_follow_their_equations(
     x2: float, rain: float, potential: float, seconds: float
 ) -> None:
-    """First dx/dt = (1 - S^2) i, then dx/dt = -K_s e, by scipy; one step, or of many roofs."""
+    """First dx/dt = (1 - S^2) i, then dx/dt = -K_s e, by scipy; one step, or several roofs."""
     volume = solved(lambda x: SOIL.kept_share(x) * rain * ROOF.a2, x2, seconds)
     volume = solved(lambda x: -SOIL.water_stress(x) * potential, volume, seconds)
     (change,) = SOIL.free_changes(x2, np.array([rain]), np.array([potential]), np.array([seconds]))
@@ -160,7 +160,7 @@ def test_what_percolates_in_a_long_step_follows_its_equation(
 
 
 def lasting(x2: float, rain_m3: list[float], asked_m3: list[float]) -> list[float]:
-    """Return the share that lasts, of hours with so much rain and evapotranspiration."""
+    """Return the share that lasts over hours with this rain and evapotranspiration."""
     rain = np.array(rain_m3) / 3600 / ROOF.a2
     hours = np.full(len(rain_m3), 3600.0)
     weather = rain, np.array(asked_m3) / 3600, hours
@@ -183,7 +183,7 @@ def test_what_lasts_of_water_on_a_roof_in_rain() -> None:
 
 
 def test_what_lasts_of_water_on_a_roof_that_dries() -> None:
-    """All of it while plants lack nothing; below 4 m3 exp(-e/2) of it, e being asked for."""
+    """All of it while there is no stress; below 4 m3 exp(-e/2) of it, with a demand e."""
     assert lasting(4.4, [0.0] * 2, [0.1] * 2) == pytest.approx([1.0, 1.0], rel=1e-9)
     dry = MeasuredSoil(replace(ROOF, z_veg=0.035, x2_star=3.5))
     weather = np.zeros(1), np.array([2.0 / 3600]), np.array([3600.0])
@@ -202,7 +202,7 @@ def test_what_lasts_of_water_on_a_roof_that_dries() -> None:
 def test_what_is_followed_is_what_the_plant_did(
     site: Site, x2: float, ticks: list[tuple[float, float]]
 ) -> None:
-    """From the substrate's volumes alone: bit for bit."""
+    """From the substrate's volumes alone, bit for bit."""
     plant = Plant(site, 0.0, x2 * site.z_cap)
     states, flows = [], []
     for rain, potential in ticks:

@@ -1,4 +1,4 @@
-"""A node of the test's own, and the site that it plays; without ROS 2 there is nothing to test."""
+"""A node of the test, and the site that it simulates; without ROS 2 these tests are skipped."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from ros_rig import Observer, Site
 
 collect_ignore_glob = ["test_*.py"] if find_spec("rclpy") is None else []
-if find_spec("pymodbus") is None:  # drives and sensors are on Modbus
+if find_spec("pymodbus") is None:  # drives and sensors use Modbus
     collect_ignore_glob += ["test_pump_node.py", "test_live_bringup.py"]
 
 

@@ -1,4 +1,4 @@
-"""/diagnostics as ROS tools read it: names, hardware, stamps, numbers; the aggregator's groups."""
+"""/diagnostics as ROS tools read it: names, hardware, stamps, values; the aggregator's groups."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ SENSORS = [quantity.node for quantity in QUANTITIES.values()]
 
 
 def check(arrays: list[DiagnosticArray]) -> None:
-    """Compare every message with what tools rely on: a name is one thing and no other.
+    """Check in every message what tools rely on: each name belongs to one thing only.
 
-    Also by those that show names without their slashes, or make codes of them.
+    This also holds for tools that show names without slashes, or make codes of them.
     """
     names = set()
     for array in arrays:
@@ -43,7 +43,7 @@ def check(arrays: list[DiagnosticArray]) -> None:
             assert status.message
             values = {entry.key: entry.value for entry in status.values}
             assert len(values) == len(status.values)
-            # What is not well, or waits, has a code for programs; a node's own values are JSON.
+            # A status that is not OK, or waits, has a code; a node's own values are JSON.
             code, since = (values.get(key, "").strip('"') for key in ("code", "since"))
             waits = ": " not in status.name and status.level == OK and status.message == "starting"
             has_code = code in read_conditions() and bool(since)
@@ -54,7 +54,7 @@ def check(arrays: list[DiagnosticArray]) -> None:
 
 
 def test_every_node_has_its_group() -> None:
-    """And only one: controllers of this package, both recorders, what is simulated or live."""
+    """Exactly one: controllers of this package, both recorders, simulated and live nodes."""
     groups = read_yaml(CONFIG / "diagnostics" / "aggregator.yaml")["analyzers"]["ros__parameters"]
     assert groups.pop("path") == "Greenroof"
     names = ["plant", "weather", "recorder", "pump", *SENSORS, *BUILT_IN]
@@ -64,16 +64,16 @@ def test_every_node_has_its_group() -> None:
         assert group["type"] == "diagnostic_aggregator/GenericAnalyzer"
         for name in counts:
             counts[name] += f"/{name}: inputs".startswith(tuple(group["startswith"]))
-        # What never comes is stale: all that is expected is there in any graph.
+        # An expected name that never comes is stale, so only names that any graph has are expected.
         assert set(group.get("expected", [])) <= {f"/{name}" for name in names}
     assert counts == {**dict.fromkeys(names, 1), "camera": 0}
 
 
 def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
-    """All nodes are well while it runs, say the numbers that a watcher needs, and its time.
+    """All nodes are OK while it runs, and report the numbers that a watcher needs, in its time.
 
-    The graph is in a namespace; a clock on /clock, a day later, is not its own. Its parameter file
-    has ``/**:`` and a whole number, as most have: of that the node makes a double.
+    The graph is in a namespace; a foreign clock on /clock, a day later, is ignored. Its parameter
+    file has ``/**:`` and a whole number, as most files do: the node converts it to a double.
     """
     start, ticks = 1_625_641_200, 720  # 2021-07-07T02:00-05:00 in seconds since 1970
     names = [f"/site1/{name}" for name in ("plant", "weather", "mpc", "recorder")]
@@ -113,7 +113,7 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
             array.header.stamp.sec for array in arrays
             if name in {status.name for status in array.status}
         ]
-        # The system's time until the first tick; then it moves with the run, to its end.
+        # The system's time until the first tick; then it moves with the run until its end.
         first = next(i for i, stamp in enumerate(stamps) if stamp < began - 1)
         assert all(began - 1 < stamp < time.time() for stamp in stamps[:first]), name
         moved = [stamp - start for stamp in stamps[first:]]
@@ -122,9 +122,9 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
 
 
 def test_failure_of_a_node(observer: Observer) -> None:
-    """The last word of a plant whose controller was never started is an error that names it.
+    """A plant with a missing controller reports, as its last status, an error that names it.
 
-    Its process is in its values. The weather ends with it.
+    Its process is in its values. The weather node ends as well.
     """
     arrays = observer.hear("/diagnostics", lambda message: message)
 

@@ -1,7 +1,7 @@
-"""Nodes of a live graph, with sensors that the test plays: inputs that stop the pump, the weather.
+"""Nodes of a live graph, with sensors that the test simulates: bad inputs, the weather.
 
-A tick is 0.2 s here, and the limits are of seconds, so that a failure and its end take few. Each
-rule of an input by itself is in test_input_rules.py.
+A tick is 0.2 s here, and the limits are seconds, so a failure and its end take few seconds.
+The rules of an input are tested separately in test_input_rules.py.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ from greenroof_ros.weather.series import FILL
 
 
 def test_a_bad_input_stops_the_pump(site: Site) -> None:
-    """Command 0 within the bound, the input and the rule on /diagnostics, and good again.
+    """Command 0 within the bound, input and rule on /diagnostics, and recovery.
 
-    That it has no forecast is nothing to on/off, nor is one that is refused.
+    On/off does not care that there is no forecast, or that one is refused.
     """
     arrays = site.watcher.hear("/diagnostics", lambda message: message)
     commands = site.be_dry()
@@ -76,7 +76,7 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
         recovery_time=recovery, frozen_movement=3e-4, jump_tolerance=0.02,
     ) as process:
         site.until(lambda: newest(commands) == 0.5, LATE, "a command")
-        # A live node must be in time, beside whatever computes; one of a simulation need not.
+        # A live node must be on time, whatever else computes; a node of a simulation need not.
         assert policies(process.pid) == {os.SCHED_OTHER}
         assert site.watcher.values("/onoff")["site"] == str(site.cwd / "site.yaml")
         for change, level, *words in (
@@ -88,7 +88,7 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
             changed = {**good, **change}
             site.values = {name: value for name, value in changed.items() if value is not None}
             stops(level, *words)
-            assert site.says("/onoff", OK)()  # what is not well is a part of it
+            assert site.says("/onoff", OK)()  # only the part is not OK
             site.values = dict(good)
             mended = time.monotonic()
             recovers()
@@ -106,19 +106,19 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
         assert newest(commands) == 0.0
         intruder.destroy_node()
         recovers()
-        # The flow that is heard counts, not the command: a held pump freezes no level.
+        # The received flow counts, not the command: a pump that is held freezes no level.
         site.values["/pump/flow"] = 0.0
         site.during(2)
         site.said.clear()
         site.values["/cistern/level"] = cistern(time.monotonic())
         site.during(4)
-        # Nor does a pump that has fallen silent, for longer than flow_limit: it may stand.
+        # Nor does a pump that has been silent for longer than flow_limit: it may be at rest.
         del site.values["/pump/flow"]
         site.during(9)
-        # A command 0 for another reason, as when this process stood still, passes.
+        # A command 0 for another reason, e.g. this process was paused, is only temporary.
         assert not [text for text in site.said if "frozen" in text]
         site.until(lambda: newest(commands) == 0.5, LATE, "a command")
-        # A tick is a tick: none twice, and none left out but where the machine is busy.
+        # One command per tick: none twice, and none left out unless the machine is busy.
         times = [now for now, _ in commands]
         assert len(times) < 1.1 * (times[-1] - times[0]) / TAU + 10
         gaps = [after - before for before, after in pairwise(times)]
@@ -127,8 +127,7 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
     check(arrays)
 
 
-# What a forecast of rain may be, and what is said of it: too long, with a value far ahead that
-# cannot be, and none at all.
+# Bad rain forecasts, and what is reported: too long, an impossible value far ahead, none.
 BAD_FORECASTS: dict[str, tuple[list[float] | None, str]] = {
     "long": ([0.0] * 2000, "was refused"),
     "not finite": ([*[0.0] * 9, math.nan], "was refused: nan"),
@@ -137,7 +136,7 @@ BAD_FORECASTS: dict[str, tuple[list[float] | None, str]] = {
 
 
 def test_onoff_commands_without_a_forecast(site: Site) -> None:
-    """And says so, with reason and time; a level or frost that is not known stops it as ever."""
+    """It reports this with reason and time; unknown level or frost stops the pump as always."""
     commands = site.be_dry()
     good = dict(site.values)
     rain = "/forecast/precipitation"
@@ -156,7 +155,7 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
             site.until(degraded, LATE, case)
             since = re.search(r"since (\S+ \S+), ", site.diagnoses["/mpc: forecast"].message)
             assert since and began <= datetime.fromisoformat(since[1]) <= datetime.now(UTC)
-            # Command after command, also where the controller is asked again and refuses again.
+            # All commands are on/off's, even if the controller is asked again and refuses again.
             commands_before = len(commands)
             site.during(1)
             assert {value for _, value in commands[commands_before:]} == {1.0}
@@ -170,7 +169,7 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
             site.until(lambda: newest(commands) == 1.0, LATE, f"on/off after {change}")
         site.values = dict(good)
         site.until(lambda: 0 < newest(commands) <= 0.4, LATE, "mpc again")
-        # A wrong layout ends a simulated run; a live node refuses it, as too many members.
+        # A wrong layout ends a simulated run; a live node refuses it, like too many members.
         del site.values[rain]
         for sizes, count, why in (((3, 5), 4, "layout is [3, 5]"), ((2, 10), 20, "has 2 members")):
             dimensions = [MultiArrayDimension(size=size) for size in sizes]
@@ -214,14 +213,14 @@ class Gauged(Waiting):
 
 @pytest.mark.parametrize("forecasts", [True, False])
 def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> None:
-    """In quiet hours now the command is 0, without a forecast too; in later ones it is not."""
+    """During present quiet hours the command is 0, also without a forecast; in later ones not."""
     commands = site.be_dry()
     if not forecasts:
         for name in FORECASTS:
             del site.values[name]
     (site.cwd / "mine.py").write_text(MINE)
     now, file = datetime.now(UTC), site.cwd / "quiet.yaml"
-    # Without a forecast it is on/off that commands.
+    # Without a forecast on/off commands.
     expected = ("inputs", OK) if forecasts else ("forecast", WARN, "on/off commands since")
     for begins, quiet in ((-1, True), (6, False)):
         begin, end = (now + timedelta(hours=hours) for hours in (begins, begins + 3))
@@ -242,7 +241,7 @@ def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> Non
 
 
 def test_classes_of_a_users_own(site: Site) -> None:
-    """Without a forecast it leaves it to on/off, and begins again; no command is 0, and said."""
+    """Without a forecast on/off takes over, then it starts again; an invalid command acts as 0."""
     commands = site.be_dry()
     good = dict(site.values)
     without = {name: value for name, value in good.items() if name not in FORECASTS}
@@ -259,7 +258,7 @@ def test_classes_of_a_users_own(site: Site) -> None:
         site.until(lambda: newest(commands) != 1.0, LATE, "its commands again")
         first = next(value for _, value in commands[before:] if value != 1.0)
         assert first == pytest.approx(0.501)
-    # Of a roof that waits for rain: a moment without a forecast has on/off start no pump.
+    # A roof that waits for rain: if the forecast is missing for a moment, on/off starts no pump.
     commands.clear()
     with site.live("controller --controller mine:Waiting", recovery_time=2.0):
         site.until(site.says("/waiting: forecast", OK), LATE, "a forecast")
@@ -267,7 +266,7 @@ def test_classes_of_a_users_own(site: Site) -> None:
         site.until(site.says("/waiting: forecast", WARN, "was refused"), LATE, "the refusal")
         site.values = good
         site.until(site.says("/waiting: forecast", OK), LATE, "a forecast again")
-        # A command that is none is 0; the forecast is good, and so no on/off in its place.
+        # An invalid command acts as 0; as the forecast is good, on/off does not take over.
         answer = Parameter("answer", value=1.5).to_parameter_msg()
         site.call(SetParameters, "/waiting/set_parameters", parameters=[answer])
         broken = site.says("/waiting: command", ERROR, "must be a finite number")
@@ -275,7 +274,7 @@ def test_classes_of_a_users_own(site: Site) -> None:
         site.during(2)
         assert {value for _, value in commands} == {0.0}
         assert site.says("/waiting: forecast", OK)()
-    # One that can do without commands on, and says that what comes is of no use to it.
+    # A controller that needs no forecast continues, and reports that it has none.
     commands.clear()
     with site.live("controller --controller lookahead", recovery_time=0.2):
         without = site.says("/lookahead: forecast", WARN, "commands without a forecast")
@@ -284,7 +283,7 @@ def test_classes_of_a_users_own(site: Site) -> None:
 
 
 def test_a_class_that_asks_for_it_knows_the_rain_of_the_gauge(site: Site) -> None:
-    """Without a forecast, too; 0 while nothing is measured."""
+    """Also without a forecast; 0 while nothing is measured."""
     commands = site.be_dry()
     for name in FORECASTS:
         del site.values[name]
@@ -298,9 +297,9 @@ def test_a_class_that_asks_for_it_knows_the_rain_of_the_gauge(site: Site) -> Non
 
 
 def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:
-    """Its commands grow by a thousandth each time: here on/off takes over, there it is ended.
+    """Its commands grow by a thousandth each time, across on/off's turn and across a restart.
 
-    From a file that says nothing of it, it begins again.
+    With a file that does not have its values, it starts from the beginning.
     """
     commands = site.be_dry()
     good = dict(site.values)
@@ -321,24 +320,24 @@ def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: 
         site.values = dict(good)
         site.until(lambda: len(its_own()) > 0, LATE, "its commands again")
         assert its_own()[0] > last
-    site.during(0.5)  # what it said last is heard
+    site.during(0.5)  # its last messages are received
     last = max(its_own())
     commands.clear()
     with site.live("controller --controller mine:Learner", **limits):
         site.until(lambda: len(its_own()) > 0, LATE, "its commands in the next life")
-        assert its_own()[0] > last  # by the commands, too, that came while it ended
+        assert its_own()[0] > last  # includes the commands that came while it ended
     file.write_text('{"another": 3.0}')
-    site.during(0.5)  # what the node before said last is heard
+    site.during(0.5)  # the last messages of the previous node are received
     commands.clear()
     with site.live("controller --controller mine:Learner", **limits):
         site.until(lambda: len(its_own()) > 0, LATE, "its first command")
-        assert its_own()[0] == pytest.approx(0.101, abs=0.002)  # the first may not be heard
+        assert its_own()[0] == pytest.approx(0.101, abs=0.002)  # the first may be missed
 
 
 def test_no_command_of_what_was_before_a_suspend(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In which the clock stands still by which a process otherwise tells how old a value is."""
+    """During a suspend the clock that normally gives a value's age stands still."""
     (site.cwd / "sitecustomize.py").write_text(SUSPENDED)
     monkeypatch.setenv("PYTHONPATH", str(site.cwd))
     commands = site.be_dry()
@@ -349,16 +348,16 @@ def test_no_command_of_what_was_before_a_suspend(
             (site.cwd / when).touch()
             site.until(lambda: newest(commands) == 0.0, LATE, "no command")
             site.until(
-                lambda: any("stood still for 3600 s" in message for message in site.said),
+                lambda: any("was paused for 3600 s" in message for message in site.said),
                 LATE, "why",
             )
         site.until(lambda: newest(commands), LATE, "a command of what is new")
 
 
 def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
-    """The node is stopped for 3 s while the roof gets wet; a dry roof's command never follows.
+    """The node is stopped for 3 s while the roof gets wet; no command of the dry roof follows.
 
-    The limits are far longer, and there is no time to recover: its own pause is what it must see.
+    The limits are far longer and the recovery time is 0: the node must notice its own pause.
     """
     commands = site.be_dry()
     with site.live(
@@ -366,11 +365,11 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
         jump_tolerance=1.0,
     ) as process:
         site.until(lambda: newest(commands), LATE, "a command")
-        # What it says is heard, too, before it is stopped: discovery may take seconds.
+        # Its diagnostics must be received before it is stopped: discovery can take seconds.
         site.until(site.says("/onoff: inputs", OK), LATE, "all well")
         before = len(commands)
         site.until(lambda: len(commands) > before, LATE, "the end of a decision")
-        site.during(0.3)  # it waits for the next
+        site.during(0.3)  # it waits for the next tick
         os.kill(process.pid, signal.SIGSTOP)
         site.during(1.0)
         before = len(commands)
@@ -380,7 +379,7 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
         site.values["/roof/level"] = lambda now: dry(now) + 0.04
         site.during(0.5)
         os.kill(process.pid, signal.SIGCONT)
-        site.until(site.says("/onoff: inputs", ERROR, "this node itself stood still"), LATE, "why")
+        site.until(site.says("/onoff: inputs", ERROR, "this node itself was paused"), LATE, "why")
         site.until(site.says("/onoff: inputs", OK), LATE, "all well")
         site.during(0.5)
         after = [value for _, value in commands[before:]]
@@ -390,7 +389,7 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
 
 
 def test_live_weather(site: Site) -> None:
-    """A file that is replaced and broken, gauges that come and go, an issue too old."""
+    """A file that is replaced and broken, gauges that come and go, an issue that is too old."""
     file = site.cwd / "forecast.csv"
     write_forecast(file, timedelta(minutes=1), 3.6, 15.0)
     rain = site.listen("/weather/precipitation")
@@ -399,7 +398,7 @@ def test_live_weather(site: Site) -> None:
     forecast = site.listen("/forecast/precipitation")
 
     def expect(rain_now: float, frost_now: float, *expected: tuple[Any, ...]) -> None:
-        """See rain, frost, and what is said of parts of the node, each with level and words."""
+        """Wait for rain, frost, and the reports on parts of the node, each with level and words."""
         site.until(
             lambda: newest(rain) == pytest.approx(rain_now, rel=1e-9)
             and newest(frost) == pytest.approx(frost_now, nan_ok=True),
@@ -414,7 +413,7 @@ def test_live_weather(site: Site) -> None:
         site.until(lambda: rain and forecast and evapotranspiration, LATE, "the weather")
         expect(1e-6, 0.0, ("forecast", OK, "issued"))  # 3.6 mm/h
         assert list(newest(forecast)) == pytest.approx([1e-6] * 10)
-        # 2 mm/day off 68.8 m2.
+        # 2 mm/day from 68.8 m2.
         assert newest(evapotranspiration) == pytest.approx(0.002 * 68.8 / 86400)
         write_forecast(file, timedelta(0), 7.2, -1.0)
         expect(2e-6, 1.0)
@@ -445,7 +444,7 @@ def test_live_weather(site: Site) -> None:
 
 
 def test_live_weather_that_is_dressed(site: Site) -> None:
-    """An ensemble of what fell after such forecasts; without one, of the record, and it is said."""
+    """An ensemble of what fell after such forecasts; without one, of past weather and a warning."""
     file, record = site.cwd / "forecast.csv", site.cwd / "dressed.csv"
     issued = hours_since_1970(datetime.now(UTC)) - 24 * 200 + 24 * np.arange(100)
     fell = np.arange(100.0)[:, None] / 10 * np.ones(12)
@@ -469,9 +468,9 @@ def test_live_weather_that_is_dressed(site: Site) -> None:
 
 
 def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> None:
-    """The forecast comes from a service, and is kept; why there is none is said.
+    """The forecast comes from a service, and is kept; the reason for a missing one is reported.
 
-    Without one unknown_frost_may_pump makes frost 0. A record of forecasts that is no use is said,
+    Without one, unknown_frost_may_pump makes frost 0. A useless record of forecasts is reported,
     and does no harm.
     """
     paper = read_site(CONFIG / "site.yaml")
@@ -492,10 +491,10 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
         site.until(site.says(part, WARN, "503 Service Unavailable"), LATE, "why there is none")
         site.until(site.says("/weather: forecast", ERROR, f"{file}: cannot be read"), LATE, "none")
         site.until(lambda: newest(frost) == 0.0, LATE, "no frost")
-        site.until(site.says("/weather: frost", WARN, "may run all the same"), LATE, "a warning")
+        site.until(site.says("/weather: frost", WARN, "may run anyway"), LATE, "a warning")
         useless = "/weather: record of forecasts", WARN, "as they are issued", str(record)
         site.until(site.says(*useless), LATE, "why")
-        # It is ready once it has said what it lacks, not before it has looked.
+        # It is ready after it has reported what it lacks, not before it has looked.
         for array in arrays:
             messages = {status.name: status.message for status in array.status}
             assert messages.get("/weather") != "ready" or "/weather: frost" in messages

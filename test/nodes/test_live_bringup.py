@@ -1,4 +1,4 @@
-"""A live site by bringup: levels and weather from the test's own nodes, real processes, systemd."""
+"""A live site by bringup: levels and weather from the test's node, real processes, systemd."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def flows(bag: Path) -> list[tuple[float, float]]:
 
 
 class Systemd:
-    """What a service manager hears, with the time of each datagram."""
+    """What a service manager receives, with the time of each datagram."""
 
     def __init__(self, path: Path) -> None:
         self.heard: list[tuple[float, list[str]]] = []
@@ -68,7 +68,7 @@ class Systemd:
 def live(
     domain: int, cwd: Path, *arguments: str, code: int = 0, stderr: int | None = None
 ) -> Iterator[Process]:
-    """Bring a site up; it must end as it should when it is asked to, with all of its nodes."""
+    """Bring up a site; on request it must end as expected, together with all of its nodes."""
     process = Process(
         domain, "bringup.live", "--state", "run", *arguments, cwd=cwd, stderr=stderr,
     )
@@ -83,14 +83,14 @@ def live(
 def test_a_site_is_kept_up_and_systemd_told(
     domain: int, tmp_path: Path, site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ready when the sensors are there, alive all the time, and a killed controller comes back.
+    """Ready when the sensors are there, alive all the time; a killed controller is restarted.
 
     The start does not wait for a forecast that is too old: on/off pumps, and the loss is one
     incident until it ends.
     """
     systemd = Systemd(tmp_path / "notify")
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
-    # As a user of a service has none.
+    # A service's user has no home.
     monkeypatch.setenv("HOME", "/proc/nohome")
     commands = site.listen("/pump/command")
     (tmp_path / "nodes.yaml").write_text(QUICK)
@@ -108,7 +108,7 @@ def test_a_site_is_kept_up_and_systemd_told(
         site.values = {**LEVELS, "/gauge/temperature": 8.0}
         site.until(lambda: "READY=1" in systemd.lines(), 60, "READY=1")
         site.until(lambda: newest(commands) == 1.0, 90, "on/off")
-        # Levels alone: command and pump are of other moments yet.
+        # Only the levels: command and pump state may still be of other moments.
         running = "\nrunning: cistern 2.400 m, roof 0.0300 m\n"
         site.until(lambda: running in process.stderr(), 90, "the end of the start")
         first_line = "incident 1: weather: since the start: the newest forecast, issued at "
@@ -145,7 +145,7 @@ def test_a_site_is_kept_up_and_systemd_told(
     assert incident["began"] < incident["ended"]
     printed = process.stderr()
     assert "all nodes are here" in printed
-    # Neither a start at which nothing is wrong nor a return, whose inputs count after a while.
+    # No warning for a normal start, nor for a return, although its inputs first have to recover.
     assert "warning" not in printed
     assert printed.endswith("are stopped\ndone, with 2 incidents\n")
     with AnyReader([tmp_path / "run" / "bag"]) as reader:
@@ -165,14 +165,14 @@ PUMPING = ("--initial", "high-low", "--controller", "onoff")
 
 
 class Hardware(SimulatedDrive):
-    """A drive, and where they are wanted tanks and level sensors, simulated by programs."""
+    """A drive and, on request, tanks with level sensors, simulated by programs."""
 
     def __init__(self, domain: int, cwd: Path, speed: str = "1") -> None:
         super().__init__(domain, cwd, pace=("--ramp", "1", "--speed", speed))
         self.file = guarding("abb_acs880", cwd)
 
     def be_a_site(self, parameters: str = "") -> tuple[str, ...]:
-        """Return the options of bringup at a site whose sensors and forecast are yet to come."""
+        """Return bringup's options for a site without sensors and with an old forecast."""
         cistern, roof = free_ports(2)
         text = (CONFIG / "sensors.yaml").read_text()
         (self.cwd / "sensors.yaml").write_text(
@@ -196,7 +196,7 @@ class Hardware(SimulatedDrive):
         write_forecast(self.cwd / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
 
     def in_the_loop(self, *options: str, output: str = "run", stderr: int | None = None) -> Process:
-        """Start a simulated run with the drive, whose pump need not be off for long."""
+        """Start a simulated run with the drive and a short least time off."""
         (self.cwd / "pump.yaml").write_text("/**/pump:\n  ros__parameters:\n    least_off: 1.0\n")
         return Process(
             self.domain, "bringup", "--output", output, "--drive", self.file, "--drive-at",
@@ -204,7 +204,7 @@ class Hardware(SimulatedDrive):
         )
 
     def speed(self) -> float:
-        """Return the pump's true speed, share of the rated one; each call takes 0.1 s."""
+        """Return the pump's true speed (share of rated); each call takes 0.1 s."""
         time.sleep(0.1)
         return super().speed()
 
@@ -212,7 +212,7 @@ class Hardware(SimulatedDrive):
         wait_for(lambda: self.speed() > 0.9, seconds, "the pump")
 
     def speeds_for(self, seconds: float) -> list[float]:
-        """Return the pump's speeds from now on."""
+        """Return the pump's speeds during this time (s)."""
         until, speeds = time.monotonic() + seconds, []
         while time.monotonic() < until:
             speeds.append(self.speed())
@@ -221,7 +221,7 @@ class Hardware(SimulatedDrive):
 
 @needs_mosquitto
 def test_a_live_site_with_sensors_on_mqtt(domain: int, tmp_path: Path, site: Site) -> None:
-    """No forecast, but a thermometer. A broker that is killed stops the pump, and comes back.
+    """A thermometer, but no forecast. A killed broker stops the pump; after its return it runs.
 
     It rains at 36 mm/h, 1e-5 m/s, which the gauge counts.
     """
@@ -251,7 +251,7 @@ def test_a_live_site_with_sensors_on_mqtt(domain: int, tmp_path: Path, site: Sit
             broker.kill()
             lasted = time.monotonic()
             site.until(lambda: hardware.speed() == 0, 60, "the stop without levels")
-            # level_limit, a tick, and the ramp; and what a busy machine takes.
+            # level_limit, a tick and the ramp, plus what a busy machine takes.
             assert time.monotonic() - lasted < 20
             process.until_said("cistern_sensor: mqtt://127.0.0.1:")
             process.until_said("no connection to the broker")
@@ -260,10 +260,10 @@ def test_a_live_site_with_sensors_on_mqtt(domain: int, tmp_path: Path, site: Sit
 
 
 def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: Site) -> None:
-    """The controller pumps and the roof rises; a pump node that hangs is stopped, and goes on.
+    """The controller pumps and the roof rises; a pump node that hangs is killed and restarted.
 
-    What is missing at the start has a line each, with what to do, and the list shrinks as things
-    arrive. In a namespace; and the drive's own timeout is off, so that it stops nothing here.
+    Everything missing at the start has a line with what to do, and the list shrinks as things
+    arrive. In a namespace; the drive's own timeout is off, so it stops nothing here.
     """
     hardware = Hardware(domain, tmp_path)
     hardware.inject("timeout_off")
@@ -280,7 +280,7 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
             "is older than 2 h. There is no forecast for now, so the roof is watered by its level",
         ):
             process.until_said(reason)
-        # What only follows from these is not in it, nor a drive that is there.
+        # It lists neither consequences of these nor a drive that is there.
         lacking = {line.partition(":")[0] for line in missing().splitlines()}
         assert lacking <= {"  cistern_sensor", "  roof_sensor", "  weather"}
         write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
@@ -290,14 +290,14 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
         site.until(lambda: hardware.speed() > 0.9, 60, "the pump")
         assert levels[0] == pytest.approx(0.0457 / 1.3, abs=1e-3)  # the paper's low roof
         site.until(lambda: levels[-1] > levels[0] + 0.0005, 60, "a roof that rises")
-        # A pump node that hangs: it keeps the drive running, and nobody but bringup stops it.
+        # A pump node that hangs keeps the drive running, and only bringup can stop it.
         os.kill(process.nodes()["pump"], signal.SIGSTOP)
         site.until(lambda: hardware.speed() == 0, 60, "the stop of a pump node's that hangs")
         site.until(lambda: hardware.speed() > 0.9, 60, "the pump after that")
         hardware.inject("refused")
     assert hardware.speed() > 0.9
     printed = process.stderr()
-    assert "waiting for the pump to stand" in printed
+    assert "waiting for the pump to come to rest" in printed
     assert "error: interrupted by SIGTERM; bringup could not stop the drive: " in printed
     assert "THE PUMP MAY BE RUNNING" in printed
     summary = summary_of(tmp_path / "run")
@@ -306,7 +306,7 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
         (incident["node"], incident["cause"]) for incident in summary["incidents"]
         if incident["part"] == "process"
     ]
-    stopped = r"could not stop the drive; .*told the drive to stop, which said then: speed [01]\."
+    stopped = r"could not stop the drive; .*ordered the drive to stop; it then reported: speed [01]"
     for (node, cause), (expected, pattern) in zip(causes[:2], [
         ("pump", r"had not answered for 2 s \(stopped\): killed; starts"),
         ("pump", stopped),
@@ -323,9 +323,9 @@ HANG_S = 30
 def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
     domain: int, tmp_path: Path
 ) -> None:
-    """While nothing can be written or said the pump turns on, and no node ends.
+    """While nothing can be written or printed, the pump keeps running, and no node ends.
 
-    What came meanwhile waits in memory, and is in the bag afterwards, with its times.
+    Messages wait in memory, and are in the bag afterwards with their times.
     """
     hardware = Hardware(domain, tmp_path)
     options = hardware.be_a_site()
@@ -346,7 +346,7 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
                 ), 60, "the end of the hang",
             )
             began = time.monotonic()
-        # The nodes' end, and 2 s at most for what nobody reads.
+        # The nodes' end, and at most 2 s for output that nobody reads.
         assert time.monotonic() - began < 30
         summary = summary_of(run)
         stamps = [stamp for stamp, _ in flows(run / "bag")]
@@ -359,9 +359,9 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
 
 
 def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) -> None:
-    """After a power cut nobody is there to make room; what was written before is not removed.
+    """After a power cut nobody is there to make room; existing files are not removed.
 
-    That nothing is recorded is an alarm, and no end of the recorder.
+    A missing recording is an alarm, and does not end the recorder.
     """
     disk = tmp_path / "run"
     old = disk / "configuration" / "site" / "old.yaml"
@@ -383,24 +383,24 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
 
 
 def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
-    """At real time unless an option says otherwise; the drive stands at the end, be that early.
+    """At real time unless an option says otherwise; the drive stands at the end, even an early one.
 
-    A terminal that takes nothing stops no pump: the permit is given by who draws the bar.
+    A blocked terminal stops no pump, although the permit is given by the process that prints.
     """
     hardware = Hardware(domain, tmp_path, "20")
     with full_pipe() as (reading, full):
         early = hardware.in_the_loop(*PUMPING, "--hours", "1", output="early", stderr=full)
         hardware.until_it_pumps(120)
         assert min(hardware.speeds_for(4)) > 0.9
-        os.read(reading, 1 << 20)  # from here on it takes what is said
+        os.read(reading, 1 << 20)  # from here on the terminal takes output
         os.kill(early.nodes()["pump"], signal.SIGKILL)
         assert early.wait(300) == 1
-        assert b"bringup told the drive to stop" in os.read(reading, 1 << 20)
+        assert b"bringup ordered the drive to stop" in os.read(reading, 1 << 20)
     wait_for(lambda: hardware.speed() == 0, 60, "the pump's stop")
     summary = summary_of(tmp_path / "early")
     assert summary["reason"] == "node pump ended (SIGKILL)"
     assert 1 < summary["last_tick"] < 3600
-    # A fault is the drive's: it stops the pump in the next run, and bringup says so, and where.
+    # A fault belongs to the drive: it stops the next run's pump, and bringup says so and where.
     (state,) = (Path(os.environ["XDG_STATE_HOME"]) / "greenroof_ros").glob("*.json")
     ledger = Ledger(state, time.time)
     ledger.fault("the drive reports: overload", "drive_fault")
@@ -421,7 +421,7 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
 
 
 def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> None:
-    """On/off pumps as soon as a thermometer says that there is no frost; nothing is lost."""
+    """On/off pumps as soon as a thermometer shows that there is no frost; without incidents."""
     commands, rain = site.listen("/pump/command"), site.listen("/weather/precipitation")
     evapotranspiration = site.listen("/weather/evapotranspiration")
     (tmp_path / "nodes.yaml").write_text(f"{QUICK}    gauge_limit: 1.0\n")
@@ -431,7 +431,7 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
     )
     with live(domain, tmp_path, *options) as process:
         site.values = dict(LEVELS)
-        frost = "  weather: frost: the temperature is unknown, and so whether there is frost"
+        frost = "  weather: frost: the temperature is unknown, so there may be frost"
         site.until(lambda: frost in process.stderr(), 60, "what is missing")
         assert "publish /gauge/temperature" in process.stderr()
         site.until(lambda: len(commands) > 4, 60, "commands")
@@ -449,7 +449,7 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
 
 
 def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
-    """And the next one goes on in the same directory, with a file of its own in the bag."""
+    """The next bringup continues in the same directory, with a new file in the bag."""
     with live(domain, tmp_path, *NOBODY) as process:
         wait_for(lambda: len(process.nodes()) == 2, 60, "nodes")
         wait_for((tmp_path / "run" / "bag" / "bag_0.mcap").exists, 60, "a bag")

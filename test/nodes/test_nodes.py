@@ -34,7 +34,7 @@ def parameter(observer: Observer, node: str, name: str) -> ParameterValue:
 
 
 def set_weight(observer: Observer, value: float) -> Any:
-    """Ask mpc for a weight, and return the answer; a whole number goes as one, as by ros2 param."""
+    """Set mpc's weight, and return the answer; integers stay integers, as with ros2 param."""
     weight = Parameter("weight", value=value).to_parameter_msg()
     return observer.call(SetParameters, "/mpc/set_parameters", parameters=[weight]).results[0]
 
@@ -48,7 +48,7 @@ def test_bad_command_acts_as_zero_and_is_counted(observer: Observer) -> None:
     plant = observer.start("plant", popen={"stderr": subprocess.PIPE, "text": True}, run_length=20)
     observer.start("weather")
     observer.until(lambda: "metrics" in observer.values("/plant"), 60, "the end of the run")
-    # The report may come before the last flow, which is another topic.
+    # The report can come before the last flow, which is another topic.
     observer.until(lambda: len(flows) >= 21, 60, "the last flow")
     report = observer.values("/plant")
     assert report["refused"] == {"/pump/command": 21}
@@ -59,7 +59,7 @@ def test_bad_command_acts_as_zero_and_is_counted(observer: Observer) -> None:
 
 
 def test_bad_level_or_frost_stops_the_pump(observer: Observer) -> None:
-    """A level that no sensor can have measured is not a dry roof; frost and bad frost pump not."""
+    """A level that no sensor can measure is not a dry roof; frost and bad frost stop the pump."""
     commands = observer.hear("/pump/command")
     publish = {
         name: observer.publisher(name)
@@ -81,7 +81,7 @@ def test_bad_level_or_frost_stops_the_pump(observer: Observer) -> None:
         for name in FORECASTS:
             publish[name].publish(Float64MultiArray(data=[0.0] * 10))
         observer.until(lambda tick=tick: len(commands) == tick + 1, 60, f"command {tick}")
-    # A node of a simulation lets the others go on; one of a live site must be in time.
+    # A simulation's node gives way to others; a live node must be on time.
     assert policies(process.pid) == {os.SCHED_BATCH}
     assert all(command > 0 for command in commands[::2])
     assert commands[1::2] == [0.0] * 5
@@ -92,7 +92,7 @@ def test_bad_level_or_frost_stops_the_pump(observer: Observer) -> None:
     ids=["destroy_node", "end of the process"],
 )
 def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path, when: str) -> None:
-    """A teardown that hangs, and lets no Python run: the node ends all the same."""
+    """Even if the teardown hangs and no Python can run, the node ends."""
     hangs = (
         "import ctypes; from rclpy.node import Node; from greenroof_ros.nodes.weather import main; "
         f"hang = lambda: ctypes.PyDLL(None).sleep(60); {when}; main()"
@@ -104,7 +104,7 @@ def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path, when: 
 
 
 def test_who_sets_and_commands(domain: int, tmp_path: Path, observer: Observer) -> None:
-    """A weight is set in the run, and a wrong one is refused; a second master ends it."""
+    """The weight can be set during the run, wrong values are refused; a second master ends it."""
     clock = observer.hear("/clock", lambda message: message.clock.sec)
     process = Process(domain, "bringup", "--speed", "10", "--output", "run", cwd=tmp_path)
     observer.until(lambda: clock and clock[-1] >= START + 20, 60, "20 ticks")
@@ -118,7 +118,7 @@ def test_who_sets_and_commands(domain: int, tmp_path: Path, observer: Observer) 
     assert process.wait(300) == 1
     assert "/pump/command has 2 publishers (mpc, observer)" in process.stderr()
     assert "Traceback" not in process.stderr()
-    # What is known of a run is written also where it fails, with the words of the node.
+    # A failed run's summary has all that is known, with the node's message.
     summary = summary_of(tmp_path / "run")
     assert "/pump/command has 2 publishers (mpc, observer)" in summary["reason"]
     first, second = summary["parameter_changes"]
@@ -128,7 +128,7 @@ def test_who_sets_and_commands(domain: int, tmp_path: Path, observer: Observer) 
 
 
 def test_a_run_whose_nodes_cannot_be_started_has_failed(domain: int, tmp_path: Path) -> None:
-    """Whatever ends bringup, the summary says so: here the interpreter is gone meanwhile."""
+    """Whatever ends bringup, the summary says so: here the interpreter is removed."""
     python = tmp_path / "python"
     python.symlink_to(sys.executable)
     process = subprocess.Popen(
@@ -146,7 +146,7 @@ def test_a_run_whose_nodes_cannot_be_started_has_failed(domain: int, tmp_path: P
 
 
 DRIVE = "--ros-args -p drive:=abb_acs880 -p address:=tcp://127.0.0.1:1"
-# By the command what is said; the sites and sensors are made below.
+# The message by command; the sites and sensors are made below.
 REFUSED = {
     "plant --nonsense": ("--nonsense",),
     "controller --controller pid --help": ("pid", "mpc", "package.module:Class"),
@@ -156,11 +156,11 @@ REFUSED = {
     "plant --ros-args -p pump:=outside": ("pump", "outside", "external"),
     "plant --ros-args -p speed": ("-p speed",),
     "weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
-    # A model of forecasts is made of records, which a live site does not have.
+    # A forecast model is made from records, which a live site does not have.
     "weather --ros-args -p live:=true -p forecast:=persistence":
         ("forecast of weather = 'persistence': must be a",),
     "recorder --ros-args -p directory:=.": ("directory", "exists"),
-    # A level counts for 5 s (level_limit), and two readings must fit into that.
+    # A level counts for 5 s (level_limit), which must cover two readings.
     "sensor --of cistern --ros-args -p sensors_file:=sensors.yaml":
         ("line 22: cistern.period = 2.6: must be at most 2.5 s",),
     "sensor --of cistern --ros-args -p sensors_file:=sensors_mqtt.yaml -p level_limit:=4.0":
@@ -178,7 +178,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("command", REFUSED)
 def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
-    """Exit code 2 and one clear line: who supervises it need not start it again."""
+    """Exit code 2 and one clear line: a supervisor need not restart it."""
     for file, name, old, new in (
         ("site.yaml", "slow.yaml", "tau: 1.0 ", "tau: 3.0 "),
         ("sensors.yaml", "sensors.yaml", "period: 1.0", "period: 2.6"),
@@ -189,17 +189,17 @@ def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
         (tmp_path / name).write_text((CONFIG / file).read_text().replace(old, new))
     done = run_command(*f"nodes.{command}".split(), cwd=tmp_path, env=environment(domain))
     assert done.returncode == 2, done.stderr
-    # Which parameters there are is known when there is a node, which may have said something.
+    # The parameters are known only after the node exists, which may have logged something.
     (line,) = [line for line in done.stderr.splitlines() if not line.startswith("[INFO]")]
     assert line.startswith("error: ")
     assert all(word in line for word in REFUSED[command]), line
 
 
-# --- help: nothing is started, and what it says is what the started node has ----------------------
+# --- help: it starts nothing, and matches the started node ----------------------------------------
 
 
 def help_of(cwd: Path, command: str) -> str:
-    """Return a node's help, which starts nothing: after domain 232 no node can be made."""
+    """Return a node's help, which starts no node: with a domain above 232 none can be made."""
     done = run_command(*f"nodes.{command} --help".split(), cwd=cwd, env=environment(1000))
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith(f"usage: python -m greenroof_ros.nodes.{command.split()[0]} ")
@@ -208,7 +208,7 @@ def help_of(cwd: Path, command: str) -> str:
 
 
 def section(text: str, heading: str) -> dict[str, str]:
-    """Return the entries of a section of a help, each with its explanation on one line."""
+    """Return the entries of a section of the help, each with its explanation on one line."""
     match = re.search(rf"^{heading}.*:\n((?:  .*\n)*)", text, re.MULTILINE)
     assert match, text
     entries = re.findall(r"^  (\S+) .*\n((?:      .*\n)*)", match[1], re.MULTILINE)
@@ -216,14 +216,14 @@ def section(text: str, heading: str) -> dict[str, str]:
 
 
 def test_the_greatest_age_of_what_a_sensor_says_is_its_readers() -> None:
-    """Who checks the sensor file names the parameter that the readers of the topic have."""
+    """The sensor file's check and the readers of the topic use the same parameter."""
     assert {quantity.topic_name: quantity.limit for quantity in QUANTITIES.values()} == {
         quantity.topic_name: LIMITS[quantity.topic_name].name for quantity in QUANTITIES.values()
     }
 
 
 def parameters_of(watcher: Observer, node: str) -> dict[str, str]:
-    """Return the description of each parameter of a started node, but rclpy's own."""
+    """Return the description of each parameter of a started node, without rclpy's own."""
     names = [
         name for name in watcher.call(ListParameters, f"/{node}/list_parameters").result.names
         if name not in ("use_sim_time", "start_type_description_service")
@@ -236,7 +236,7 @@ def parameters_of(watcher: Observer, node: str) -> dict[str, str]:
 
 
 def test_help_is_what_the_nodes_have(domain: int, tmp_path: Path, observer: Observer) -> None:
-    """Parameters of the nodes, each started by its example as typed; help itself starts none."""
+    """It lists the parameters of each node, started by the help's example; help starts none."""
     for command in ("live_recorder", "controller", "sensor"):
         assert "[--ros-args ...]" in help_of(tmp_path, command)
     weights = re.findall(r"^    (\w+):", (CONFIG / "mpc.yaml").read_text(), re.MULTILINE)

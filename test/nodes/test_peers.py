@@ -1,4 +1,4 @@
-"""Nodes started by hand: whom they wait for, who went, and the end of the run."""
+"""Nodes started by hand: which peers they wait for, which have gone, and the end of the run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Nodes:
         self.started: dict[str, Process] = {}
 
     def node(self, name: str, **parameters: object) -> Process:
-        """Start one; a controller by its own name."""
+        """Start a node; a controller by its own name."""
         which = ["controller", "--controller", name] if name in ("mpc", "onoff") else [name]
         self.started[name] = Process(
             self.domain, f"nodes.{which[0]}", *which[1:], *ros_arguments(**parameters),
@@ -41,9 +41,9 @@ class Nodes:
         return self.started[name].stderr()
 
     def code(self, name: str) -> int:
-        """Wait for the end of a node by itself and return its exit code."""
+        """Wait until a node ends by itself, and return its exit code."""
         code = self.started[name].wait(60)
-        # Where the middleware takes long to go, the kernel ends a node that has said all.
+        # If the middleware is slow to end, the kernel ends the node, which has logged everything.
         return int("FATAL" in self.log(name)) if code == -signal.SIGALRM else code
 
 
@@ -55,7 +55,7 @@ def nodes(domain: int, tmp_path: Path) -> Nodes:
 def test_started_by_hand_gives_the_bag_of_bringup(
     tmp_path: Path, nodes: Nodes, recorded: Path
 ) -> None:
-    """Equal in every byte, each node started when the others wait for it, by name.
+    """Equal in every byte; each node starts while the others wait for it, by name.
 
     All end by themselves with exit code 0.
     """
@@ -79,7 +79,7 @@ def test_started_by_hand_gives_the_bag_of_bringup(
 def test_plant_that_is_killed_ends_the_others(
     nodes: Nodes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By name, with exit code 1; the bag is closed. ROS knows the plant for 6 s more, not 20."""
+    """They name it, with exit code 1; the bag is closed. ROS drops it after 6 s instead of 20."""
     monkeypatch.setenv(LEASE, "6")
     nodes.node("weather")
     nodes.node("onoff")
@@ -97,7 +97,7 @@ def test_plant_that_is_killed_ends_the_others(
 
 
 def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
-    """The weather: not the controller that waits for its forecast."""
+    """It names the weather, not the controller that waits for the weather's forecast."""
     nodes.node("weather")
     nodes.node("onoff")
     nodes.node("plant", run_length=40_000, speed=100.0, peer_limit=4.0)
@@ -107,13 +107,13 @@ def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
     assert nodes.code("plant") == 1
     (fatal,) = [text for text in nodes.log("plant").splitlines() if "FATAL" in text]
     assert fatal.endswith(
-        "nothing came within 4 s on /weather/precipitation, /weather/evapotranspiration from "
+        "no message within 4 s on /weather/precipitation, /weather/evapotranspiration from "
         "weather"
     )
 
 
 def test_a_plant_that_stood_still_makes_up_for_nothing(nodes: Nodes, observer: Observer) -> None:
-    """A real pump's least times, which are counted in ticks, would pass faster than they do."""
+    """Otherwise a real pump's least times, which are counted in ticks, would pass too fast."""
     times = observer.times("/roof/level")
     nodes.node("weather")
     nodes.node("onoff")
@@ -132,20 +132,20 @@ def test_a_plant_that_stood_still_makes_up_for_nothing(nodes: Nodes, observer: O
     assert after()[8] - after()[0] > 8 / 4 - 0.5
 
 
-# What the test's own node says to one under test: topics, each with a value.
+# What the test's node sends to the node under test: topics, each with a value.
 Said = list[tuple[str, Any]]
 LEVEL = ("/cistern/level", 2.5)
 INPUTS: Said = [
     LEVEL, ("/roof/level", 0.03), ("/weather/frost", 0.0), *((name, [0.0]) for name in FORECASTS)
 ]
 RUN = ("/run", [7.0, 0.0, 0.0])
-# One of each topic that is recorded of mpc, the recorder's default.
+# One message of each topic recorded with mpc, the recorder's default.
 RECORDED: Said = [
     (name, [0.0] if "Array" in topic.type else dict(INPUTS).get(name, 0.0))
     for name, topic in read_topics().items() if name in MPC_TOPICS
 ]
-COUNT = "of each topic 1 messages should have come; messages were lost or came twice: /cistern/"
-# The node, its messages, those after its first command, its exit code, and what it says.
+COUNT = "expected 1 messages of each topic; some were lost or arrived twice: /cistern/"
+# The node, its messages, those after its first command, its exit code, and its message.
 WRONG: dict[str, tuple[str, Said, Said, int, str]] = {
     "a level twice before the run": (
         "onoff", [LEVEL, LEVEL], [], 3, "/cistern/level came twice in tick 0 ("),
@@ -168,7 +168,7 @@ WRONG: dict[str, tuple[str, Said, Said, int, str]] = {
 
 @pytest.mark.parametrize("case", WRONG)
 def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer, case: str) -> None:
-    """By name: exit code 3 before the run, 1 in it."""
+    """The error names the cause; the exit code is 3 before the run, 1 during it."""
     node, before, then, code, words = WRONG[case]
     names = {"/clock", *(topic for topic, _ in before + then)}
     publishers = {topic: observer.publisher(topic) for topic in names}
@@ -183,7 +183,7 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
     nodes.node(node, **({"peer_limit": 0.5} if node == "recorder" else {}))
     if then:
         observer.until(lambda: commands, 60, "a command")
-        for publisher in publishers.values():  # a reader that joins now would hear the newest alone
+        for publisher in publishers.values():  # a later reader would get only the newest
             observer.until(publisher.get_subscription_count, 60, "its reader")
             assert publisher.wait_for_all_acked(Duration(seconds=60))
         time.sleep(0.5)
@@ -193,7 +193,7 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
 
 
 def test_a_second_publisher_before_the_run(nodes: Nodes, observer: Observer) -> None:
-    """As nodes that were started by hand find it: bringup looks before it starts any."""
+    """For nodes started by hand; bringup checks this before it starts any."""
     publishers = [observer.publisher(LEVEL[0]) for _ in range(2)]
     nodes.node("onoff")
     assert len(publishers) == 2 and nodes.code("onoff") == 3

@@ -1,6 +1,6 @@
 """The pump node against a simulated drive: whatever goes wrong, the motor stands soon after.
 
-What the motor does is read at the simulator's workbench, not from the node.
+The motor's state is read at the simulator's workbench, not from the node.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def rig(observer: Observer) -> PumpRig:
 
 
 def test_lifecycle(rig: PumpRig) -> None:
-    """Every transition, possible or not; a command is answered in every state."""
+    """Every transition, possible or not; each command is answered in every state."""
     (port,) = free_ports(1)
     node = rig.start(f"gateway://127.0.0.1:{port}", autostart="false")
     rig.join()
@@ -73,11 +73,11 @@ def test_lifecycle(rig: PumpRig) -> None:
     assert rig.change("deactivate")
     rig.until_it_stands(5)
     wait_for(lambda: rig.change("cleanup"), 20, "the end of the ramp")
-    assert rig.drive.speed() == 0.0  # it lets go of a drive that stands
+    assert rig.drive.speed() == 0.0  # it releases a drive only at rest
     assert rig.lifecycle_state() == "unconfigured"
     assert rig.tick(0.5) == 0.0
     wait_for(lambda: rig.change("configure"), 20, "the drive")
-    # A cleanup that fails is refused, soon: ask again; at last the node is unconfigured and lives.
+    # A failed cleanup is refused quickly, to be retried; finally the node is unconfigured.
     assert rig.change("activate")
     rig.run()
     assert rig.change("deactivate")
@@ -88,7 +88,7 @@ def test_lifecycle(rig: PumpRig) -> None:
     assert rig.lifecycle_state() == "inactive"
     assert not rig.change("activate")
     rig.tick(0.5)  # answered by the flow of a pump that still turns
-    assert "it is being let go of; clean up first" in rig.state
+    assert "it is being released; clean up first" in rig.state
     wait_for(
         lambda: not rig.change("cleanup") and rig.lifecycle_state() == "unconfigured", 40,
         "the end of the attempt",
@@ -110,13 +110,13 @@ GUARDS = Snapshot(timeout_known=True, timeout_s=3.0)
     [
         ("abb_acs880", "gateway://127.0.0.1", GUARDS, {}, None),
         ("abb_acs880", "gateway://127.0.0.1", Snapshot(timeout_known=True, timeout_s=10.5), {},
-         "is 10.5 s, and must be at most 10 s (drive_timeout_limit); to set it: "),
+         "is 10.5 s, but must be at most 10 s (drive_timeout_limit); to set it: "),
         ("abb_acs880", "gateway://127.0.0.1", Snapshot(timeout_known=True, timeout_note="0"), {},
-         "does not guard (0); to set it: "),
+         "is not effective (0); to set it: "),
         ("abb_acs880", "tcp://127.0.0.1", Snapshot(timeout_note="no timeout.tcp"), {},
          "could not be read (no timeout.tcp)"),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, {},
-         "and say so (local_settings_stop_the_pump: true); to set it: "),
+         "and confirm that (local_settings_stop_the_pump: true); to set it: "),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, {"local_settings_stop_the_pump": True},
          None),
     ],
@@ -134,14 +134,14 @@ def test_a_timeout_that_does_not_guard(
 
 
 def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> None:
-    """Refused with the reason; the parameter of the long name overrules that.
+    """Refused with the reason; only the parameter with the long name overrides that.
 
-    Then, with no supervisor either, nothing but the node's own watchdog stops the pump.
+    Then, without a supervisor, only the node's own watchdog stops the pump.
     """
     rig.simulate("--fault", "timeout_off")
     node = rig.start()
     rig.join()
-    rig.until_said("drive timeout", ERROR, "does not guard", "58.")
+    rig.until_said("drive timeout", ERROR, "is not effective", "58.")
     rig.tick_until(0.5, lambda: rig.lifecycle_state() == "inactive", LATE, "configuring")
     for _ in range(10):
         assert rig.tick(0.5) == 0.0
@@ -153,20 +153,20 @@ def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> No
         activate_without_drive_timeout="true", popen={"stderr": subprocess.PIPE, "text": True}
     )
     rig.run()
-    assert rig.says("drive timeout", WARN, "does not guard")
-    # It counts steady time; the clock topic stands with the commands.
+    assert rig.says("drive timeout", WARN, "is not effective")
+    # The watchdog uses the steady clock; the clock topic stops with the commands.
     began = time.monotonic()
     rig.observer.until(lambda: rig.drive.speed() == 0.0, 6, "the watchdog")
     assert 2.5 < time.monotonic() - began < 4.5
     rig.observer.until(lambda: rig.says("command", STALE, "command_limit"), LATE, "the reason")
-    assert rig.tick(0.5) == 0.0  # a first command after a silence finds a pump at rest
+    assert rig.tick(0.5) == 0.0  # after a silence the first command finds the pump at rest
     rig.run()
-    words = "was not heard at the end", "nothing but its own panel stops it now"
+    words = "was not heard at the end", "only its own panel can stop it now"
     ends_in_words(rig, node, "silence", *words)
 
 
 def test_what_the_drive_file_says(rig: PumpRig) -> None:
-    """That it guards some time after power-up, and its least speed.
+    """Its time after power-up without guarding, and its least speed.
 
     0.4 of the flow from 3 m is a speed of 0.60, s^2 = (0.16 42.2 + 13) / 55.2: below 0.9.
     """
@@ -178,10 +178,10 @@ def test_what_the_drive_file_says(rig: PumpRig) -> None:
     began = time.monotonic()
     rig.start(drive=str(file))
     rig.join()
-    rig.tick_until(0.4, lambda: "does not guard for 4 s" in rig.state, 20, "the reason")
+    rig.tick_until(0.4, lambda: "is not effective for 4 s" in rig.state, 20, "the reason")
     rig.until_code("drive timeout", "drive_guards_later", 0.4)
     assert rig.lifecycle_state() == "active"
-    while time.monotonic() - began < 4:  # it connected later than that began
+    while time.monotonic() - began < 4:  # it connected after this began
         assert rig.tick(0.4) == 0.0
     rig.tick_until(0.4, lambda: rig.drive.speed() > 0.89, 60, "a pulse at the least speed")
     assert "a pulse" in rig.state
@@ -192,11 +192,11 @@ def test_the_motor_stands_when_the_node_goes(rig: PumpRig) -> None:
     """SIGTERM: off and read back; kill -9 and SIGSTOP: the drive's own timeout of 1.5 s."""
     node = rig.start()
     rig.run()
-    assert policies(node.pid) == {os.SCHED_OTHER}  # it must be in time, also in the loop
+    assert policies(node.pid) == {os.SCHED_OTHER}  # it must be on time, also in the loop
     began = time.monotonic()
     node.terminate()
     assert node.wait(120) == 0
-    assert rig.drive.speed() == 0.0  # when it ends, not some time after
+    assert rig.drive.speed() == 0.0  # at its end, not later
     assert time.monotonic() - began < 4
     for number in (signal.SIGKILL, signal.SIGSTOP):
         node = rig.start()
@@ -204,16 +204,16 @@ def test_the_motor_stands_when_the_node_goes(rig: PumpRig) -> None:
         node.send_signal(number)
         assert rig.stands_within(4) > 0.5
     node.send_signal(signal.SIGCONT)
-    rig.run()  # nobody has to do anything
-    rig.send_nonsense()  # an error that nobody foresaw
+    rig.run()  # without any help
+    rig.send_nonsense()  # an unexpected error
     assert node.wait(120) == 1
     assert rig.drive.speed() == 0.0
 
 
 def ends_in_words(rig: PumpRig, node: subprocess.Popen[str], fault: str, *words: str) -> None:
-    """A stop that fails at the end is exit code 1, and an error that says what is left to stop it.
+    """If the stop at the end fails, exit code 1 and an error that says what can still stop it.
 
-    The kernel ends the node where the middleware takes its time to go, as on a busy machine.
+    If the middleware is slow to end, as on a busy machine, the kernel ends the node.
     """
     rig.drive.inject(fault)
     node.terminate()
@@ -226,14 +226,14 @@ STOPPED = "held: an operator stopped it"
 
 
 def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
-    """It does not activate, a stop says that it would be forgotten, and it heals.
+    """It does not activate, a stop warns that it would be forgotten, and it recovers.
 
-    What the other program found meanwhile counts, and so does the stop.
+    A fault that the other program recorded meanwhile counts, and so does the stop.
     """
     file = rig.cwd / "pump.json"
     with closing(Ledger(file, time.time)) as holder:
         assert holder.why_not_kept(20.0) == ""
-        words = f"process {os.getpid()} has it already"
+        words = f"process {os.getpid()} already uses it"
         before = file.read_bytes()
         node = rig.start(state_file=file)
         rig.join()
@@ -257,20 +257,20 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
 
 
 def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
-    """A pipe that nobody reads: answered before bringup kills the node, kept when the disk is back.
+    """A pipe without a reader: the stop is answered in time, and written when the disk is back.
 
-    Its reports go on meanwhile.
+    Meanwhile the node keeps reporting.
     """
     file, pipe = rig.cwd / "state.json", rig.cwd / "state.json.new"
     rig.start()
     rig.run()
-    file.unlink()  # it is made again, beside
+    file.unlink()  # it is written again, as state.json.new
     os.mkfifo(pipe)
     began = time.monotonic()
     answer = rig.call(SetBool, "stop", data=True)
     assert time.monotonic() - began < 1.9
     assert not answer.success and answer.message.startswith(STOPPED)
-    assert answer.message.endswith(f"but {file} is not yet on the disk; it is written on")
+    assert answer.message.endswith(f"but {file} is not yet on the disk; writing continues")
     rig.until_it_stands(6)
     rig.until_said("state file", ERROR, "within 2 s")
     assert rig.state.startswith(STOPPED)
@@ -282,7 +282,7 @@ def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
 
 
 def test_commands_that_must_not_pump(rig: PumpRig) -> None:
-    """Not a number, negative, of two, of one that is not heard: off, by name, and it heals."""
+    """NaN, negative, of two publishers, of one not heard: off, with its name, and it recovers."""
     rig.start()
     rig.run()
     for bad in (math.nan, -1.0):
@@ -293,7 +293,7 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     rig.run()
     rig.tick_until(5.0, lambda: rig.drive.speed() > 0.99, LATE, "full speed, and no more")
     rig.until_said("limits", WARN, "taken as 1", command=5.0)
-    # The second calls itself as the first: endpoints count, not names.
+    # The second has the same name as the first: endpoints count, not names.
     name = rig.node.get_name()
     twin = Node(name, context=rig.observer.context, start_parameter_services=False)
     rig.observer.publisher("/pump/command", twin)
@@ -303,7 +303,7 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     rig.until_code("pump", "two_controllers")
     twin.destroy_node()
     rig.run()
-    # One that a graph cannot hear, as by ros2 topic pub: whoever publishes 0 means a stop.
+    # A publisher that the graph cannot hear, as by ros2 topic pub, may be sending 0 to stop it.
     unheard = Node("unheard", context=rig.observer.context)
     unheard.create_publisher(Float64, "/pump/command", 10)
     rig.until_it_stands(6)
@@ -315,14 +315,14 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
 
 
 def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig) -> None:
-    """Connection refused, power cycle: off, said, and running again by itself."""
+    """Connection refused or power cycle: off, reported, and running again by itself."""
     rig.start()
     for fault in ("refused", "power_cycle"):
         rig.run()
         rig.drive.inject(fault)
         rig.until_state("unknown: no connection to the drive", 6)
         assert rig.tick(0.5) == 0.0
-        assert rig.state.endswith("whether the pump stands is not known")  # it may slow down yet
+        assert rig.state.endswith("not known whether the pump is at rest")  # it may still slow down
         rig.until_code("drive", "drive_lost")
         since = rig.observer.values("/pump: drive")["since"]
         assert abs(datetime.fromisoformat(since).timestamp() - time.time()) < 60
@@ -334,18 +334,18 @@ def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig) -> None:
     rig.until_state("local control")
     rig.drive.ask(lambda bench: bench.take_over(False))
     rig.run()
-    # Whoever worked at it meanwhile may have turned its own timeout off.
+    # Somebody who worked on it meanwhile may have turned off its own timeout.
     rig.drive.inject("timeout_off")
     rig.drive.inject("refused")
     rig.until_state("unknown: no connection")
     rig.drive.inject("none")
-    rig.until_state("timeout does not guard")
-    rig.until_said("drive timeout", ERROR, "does not guard")
+    rig.until_state("timeout is not effective")
+    rig.until_said("drive timeout", ERROR, "is not effective")
     rig.stands_within(3)
 
 
 def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: PumpRig) -> None:
-    """Over restarts of the node, too; and a stop that fails at the end is said."""
+    """Also over restarts of the node; a stop that fails at the end is reported."""
 
     def stays_off(state: str) -> None:
         rig.join()
@@ -379,37 +379,37 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     stays_off(STOPPED)
     assert rig.call(SetBool, "stop", data=False).success
     rig.run()
-    words = "does not stand at the end", "its own timeout of 1.5 s has to stop it"
+    words = "is not at rest at the end", "its own timeout of 1.5 s must stop it"
     ends_in_words(rig, node, "stuck_running", *words)
 
 
 def site_with(rig: PumpRig, *lines: str) -> Path:
-    """Write a site file with more lines."""
+    """Write a site file with additional lines."""
     file = rig.cwd / "site.yaml"
     file.write_text("\n".join([f"extends: {CONFIG / 'site.yaml'}", *lines]))
     return file
 
 
 def command(rig: PumpRig, name: str, *options: str) -> tuple[int, str]:
-    """Run a command to its end while the graph ticks; return its exit code and what it printed."""
+    """Run a command while the graph ticks; return its exit code and its output."""
     process = Process(rig.domain, name, *options, cwd=rig.cwd)
     rig.tick_until(0.0, lambda: process.process.poll() is not None, LATE, name)
     return process.wait(1), process.stdout() + process.stderr()
 
 
 def test_quiet_hours_are_of_the_sites_time(rig: PumpRig) -> None:
-    """In a simulation of its own: from 12:01 to 12:02, ticks 60 to 119 of the test's clock."""
+    """In simulated time: from 12:01 to 12:02, ticks 60 to 119 of the test's clock."""
     rig.start(site_file=site_with(rig, 'quiet_hours: ["12:01-12:02"]', "time_zone: UTC"))
     rig.run()
     flows: list[float] = []
     while len(rig.flows) < 130:
         flows.append(rig.tick(0.5))
         if len(rig.flows) == 100:
-            assert rig.state == "held: it is in quiet hours, until 2025-07-01 12:02+00:00"
+            assert rig.state == "held: these are quiet hours, until 2025-07-01 12:02+00:00"
             assert rig.code("pump") == "quiet_hours"
             assert rig.drive.speed() == 0.0
     assert flows[-1] > 0
-    # The clock may come behind the tick that it is of; the ramp takes a few more.
+    # The clock can come after its tick; the ramp takes a few more.
     assert rig.flows[66:119] == [0.0] * 53
     assert min(rig.flows[50:60]) > 0
 
@@ -434,7 +434,7 @@ def test_a_pause_is_kept_over_restarts_and_ends_by_itself(rig: PumpRig) -> None:
     rig.join()
     assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
     assert rig.state.startswith(paused)
-    # A release of a stop releases nothing else.
+    # Releasing a stop does not end a pause.
     assert rig.call(SetBool, "stop", data=False).success
     assert rig.tick(0.5) == 0.0
     assert command(rig, "pause", "--end") == (0, "the pause is over\n")
@@ -447,9 +447,9 @@ def test_a_pause_is_kept_over_restarts_and_ends_by_itself(rig: PumpRig) -> None:
 
 
 def test_a_pause_of_the_parameter_file_waits_for_the_state_file(rig: PumpRig) -> None:
-    """While another program has it the node runs on, with the pump off, and then the pause counts.
+    """While another program has it, the node runs with the pump off; then the pause counts.
 
-    Where it ended the node, the whole site would end with it.
+    If this ended the node, the whole site would end with it.
     """
     file = rig.cwd / "pump.json"
     until = datetime.now().astimezone().replace(microsecond=0) + timedelta(hours=1)
@@ -458,7 +458,7 @@ def test_a_pause_of_the_parameter_file_waits_for_the_state_file(rig: PumpRig) ->
         node = rig.start(state_file=file, pause_until=until.isoformat())
         rig.join()
         rig.tick_until(0.5, lambda: "not activated" in rig.state, 60, "the refusal")
-        rig.until_said("state file", ERROR, "has it already")
+        rig.until_said("state file", ERROR, "already uses it")
     rig.tick_until(
         0.5, lambda: rig.state == f"held: an operator paused it until {to_people(until)}", 60,
         "the pause",
@@ -467,7 +467,7 @@ def test_a_pause_of_the_parameter_file_waits_for_the_state_file(rig: PumpRig) ->
 
 
 def test_a_dose_by_the_command(rig: PumpRig) -> None:
-    """Delivered in full with the controller at 0; refused, and ended by a stop, by exit code 1."""
+    """Delivered in full at the controller's 0; exit code 1 if it is refused or ended by a stop."""
     rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
     rig.run()
     rig.until_it_stands(10, 0.0)
@@ -494,7 +494,7 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
 
 
 def test_a_dose_by_the_page(rig: PumpRig) -> None:
-    """With its token and no other; what was delivered is that volume, once."""
+    """Only with the page's token; it delivers exactly that volume, once."""
     rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
     rig.run()
     rig.until_it_stands(10, 0.0)
@@ -517,13 +517,13 @@ def test_a_dose_by_the_page(rig: PumpRig) -> None:
 
     def is_given() -> bool:
         reply = answer(token)
-        # Else the watcher has not heard it yet.
+        # Otherwise the watcher has not heard the pump node yet.
         assert reply["ok"] or "no pump node" in reply["sentence"], reply
         return bool(reply["ok"])
 
     assert answer("wrong") == {"status": 401}
     wait_for(lambda: "no pump node" not in answer(token, 70.0)["sentence"], LATE, "its pump node")
-    assert "the request is 7" in answer(token, 70.0)["sentence"]  # it was held up on the way
+    assert "the request is 7" in answer(token, 70.0)["sentence"]  # it was delayed on the way
     wait_for(is_given, LATE, "a dose")
     assert "another dose is under way" in answer(token)["sentence"]
     rig.until_it_stands(60, 0.0)
@@ -531,7 +531,7 @@ def test_a_dose_by_the_page(rig: PumpRig) -> None:
 
 
 def test_a_request_for_a_dose_is_no_repetition(rig: PumpRig) -> None:
-    """As a service call by hand: what it lacks, what is old, and what came before."""
+    """For a manual service call: what it lacks, a request that is old, and one that is repeated."""
     rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
     rig.run()
     rig.until_it_stands(10, 0.0)
@@ -543,14 +543,14 @@ def test_a_request_for_a_dose_is_no_repetition(rig: PumpRig) -> None:
 
     now = time.time()
     assert "needs volume" in ask(volume=0.1).reason
-    assert "s old and must be at most 60 s" in ask(volume=0.1, asked_at=now - 61).reason
+    assert "s old, but must be at most 60 s" in ask(volume=0.1, asked_at=now - 61).reason
     assert ask(volume=0.1, asked_at=now).successful
     repeated = ask(volume=0.1, asked_at=now)
     assert not repeated.successful and "before the last one" in repeated.reason
 
 
 def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig: PumpRig) -> None:
-    """Another drive is not run before a plant has said the speed, and then ends it."""
+    """Another drive does not run until the plant publishes its speed; then the node ends."""
     registers = acs880()
     with closing(Wire(registers)) as wire:
         node = rig.start(wire.gateway, popen={"stderr": subprocess.PIPE, "text": True})
@@ -559,14 +559,14 @@ def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig
         run = rig.observer.publisher("/run")
         run.publish(Float64MultiArray(data=[1.0, 1e9, 10.0]))
         _, errors = node.communicate(timeout=60)
-    assert "the plant's speed = '10': is for the drive simulator" in errors
+    assert "the plant's speed = '10': is allowed only with the drive simulator" in errors
     assert node.returncode == 2
     assert registers.written and (0, 0x047F) not in registers.written
     rig.observer.node.destroy_publisher(run)
 
 
 def test_it_runs_only_with_a_fresh_permit_of_bringup(rig: PumpRig) -> None:
-    """Held with a reason, without news for 2 s, and after bringup's end the motor stands."""
+    """Held with a reason, after 2 s without news, and after bringup's end, the motor stands."""
     bringup, of_node = socket.socketpair()
     with bringup:
 
@@ -598,9 +598,9 @@ def test_it_runs_only_with_a_fresh_permit_of_bringup(rig: PumpRig) -> None:
 
 
 def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the node had is of before; that nobody watched over the pump meanwhile is said.
+    """Old inputs do not count; the node reports that nobody watched the pump meanwhile.
 
-    In an hour a low outlet takes 0.5 m: no fault.
+    In an hour a low outlet takes 0.5 m: this is not a fault.
     """
     site = rig.cwd / "site.yaml"
     site.write_text(
@@ -608,7 +608,7 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
         + "\nlow_outlet_level: 1.0\nlow_outlet_radius: 0.025\n"
     )
     (rig.cwd / "sitecustomize.py").write_text(SUSPENDED)
-    rig.simulate()  # which is not suspended
+    rig.simulate()  # the drive is not suspended
     monkeypatch.setenv("PYTHONPATH", str(rig.cwd))
     rig.start(
         live="true", site_file=site, level_limit=1.0, frost_limit=1.0,
@@ -633,7 +633,7 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
 
 
 def test_check_pump_finds_it_right(rig: PumpRig) -> None:
-    """The check plays all peers itself, so the test's own must not be there."""
+    """The check acts as all peers, so the test must not publish."""
     rig.leave()
     rig.simulate("--speed", "20")
     node = rig.start()
@@ -641,11 +641,11 @@ def test_check_pump_finds_it_right(rig: PumpRig) -> None:
     assert check.wait(120) == 0, check.stdout() + check.stderr()
     assert "22 of 22 checks passed" in check.stdout()
     assert rig.drive.speed() == 0.0
-    assert node.wait(60) == 1  # as with the plant of a run
+    assert node.wait(60) == 1  # as when a run's plant ends
 
 
 def test_live(rig: PumpRig) -> None:
-    """A flow every tick of its own; what is too old, unknown, or of two, stops it and heals."""
+    """A flow each tick of its own; an old, unknown or second input stops it, and it recovers."""
     site = rig.cwd / "site.yaml"
     site.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 "))
     rig.start(
@@ -675,7 +675,7 @@ def test_live(rig: PumpRig) -> None:
         runs()
     rig.play({**good, "/weather/frost": math.nan}, lambda: rig.drive.speed() == 0.0, "a stop")
     runs()
-    # A flow meter knows better than the speed.
+    # A flow meter takes precedence over the speed.
     rig.play(good, lambda: rig.says("flow", OK, "computed from the speed"), "the flow's source")
     measured = {**good, "/pump/meter": 0.00321}
     rig.play(measured, lambda: rig.flows[-1] == 0.00321, "the measured flow")

@@ -1,4 +1,4 @@
-"""Bags: other people's readers open them, and a crash costs at most the last 32 ticks."""
+"""Bags: independent readers open them, and a crash costs at most the last 32 ticks."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def test_rosbags_decodes_it(recorded: Path) -> None:
     assert clocks == [(1_625_641_200 + tick) * 10**9 for tick in range(361)]
     assert [time_ns for time_ns, _ in levels] == clocks
     assert levels[0][1] == pytest.approx(0.0457 / 1.3, rel=1e-15)
-    assert windows == [(list(range(1, 11)), 10)] * 361  # when each of ten ticks ends, and its rain
+    assert windows == [(list(range(1, 11)), 10)] * 361  # the end of each of ten ticks, and its rain
 
 
 def test_killed_recorder_costs_at_most_32_ticks(
     domain: int, tmp_path: Path, observer: Observer
 ) -> None:
-    """kill -9 in mid-run: recover restores all but what the plant can be ahead of the file."""
+    """kill -9 during a run: recover restores all but the ticks not yet in the file."""
     process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
     stamps = observer.hear("/clock", lambda message: message.clock.sec)
     process.wait_for_ticks(size=20_000)
@@ -60,7 +60,7 @@ def test_killed_recorder_costs_at_most_32_ticks(
     assert process.wait(300) == 1
     assert "node recorder ended (SIGKILL)" in process.stderr()
     assert "Traceback" not in process.stderr()
-    reached = stamps[-1] - 1_625_641_200  # the tick that the plant had begun
+    reached = stamps[-1] - 1_625_641_200  # the last tick that the plant began
     done = recover(tmp_path / "run")
     assert done.returncode == 0, done.stderr
     with AnyReader([tmp_path / "run" / "bag-recovered"]) as reader:
@@ -70,7 +70,7 @@ def test_killed_recorder_costs_at_most_32_ticks(
     assert ticks > 32
     assert reached - ticks <= 32, f"{reached} ticks begun, {ticks} restored"
     assert done.stdout.startswith(f"{ticks} ticks recovered to ")
-    # A report of the run takes the bag that was recovered.
+    # A report of the run uses the recovered bag.
     trajectory, _ = find_runs([tmp_path / "run"], None).runs[0].load()
     assert len(trajectory.time) == ticks
 

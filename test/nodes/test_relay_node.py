@@ -1,6 +1,6 @@
-"""The pump node with a relay on MQTT: a simulated one, a real broker, and whatever goes wrong.
+"""The pump node with a simulated relay on MQTT and a real broker, and whatever goes wrong.
 
-Whether the contact is closed is read at the simulator's workbench, not from the node.
+The contact's state is read at the simulator's workbench, not from the node.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def broker(observer: Observer) -> Iterator[Mosquitto]:
 
 
 class RelayRig(PumpRig):
-    """A pump on a relay of a make."""
+    """A pump on a relay of this make."""
 
     def __init__(self, observer: Observer, broker: Mosquitto, make: str, *options: str) -> None:
         super().__init__(observer)
@@ -59,7 +59,7 @@ class RelayRig(PumpRig):
 def test_a_command_below_all_is_delivered_in_pulses(
     observer: Observer, broker: Mosquitto, make: str
 ) -> None:
-    """On is the whole flow, 8.4 l/s at most here; a tenth of it takes a tenth of the time."""
+    """*On* is the whole flow, at most 8.4 l/s here; a tenth of it takes a tenth of the time."""
     rig = RelayRig(observer, broker, make)
     rig.begin(least_on=4.0)
     rig.until_closed()
@@ -102,7 +102,7 @@ def test_a_relay_that_drops_out_is_said_and_left_off(
     rig.drive.inject("deaf")
     assert rig.until_open() < TIMER_S + SLACK_S
     rig.until_code("pump", "second_master", command=1.0)
-    assert "its timer has passed" in rig.state
+    assert "its timer has expired" in rig.state
     rig.drive.inject("none")
     rig.until_closed()
 
@@ -110,9 +110,9 @@ def test_a_relay_that_drops_out_is_said_and_left_off(
 @pytest.mark.parametrize(
     ("make", "fault", "words"),
     [
-        ("tasmota", "timer_off", "does not guard (PulseTime1.Set is 0: off)"),
-        ("tasmota", "timer_long=120", "is 120 s, and must be at most 10 s (drive_timeout_limit)"),
-        ("shelly_gen2", "power_up_on", "result.initial_state is on, and must be off"),
+        ("tasmota", "timer_off", "is not effective (PulseTime1.Set is 0: off)"),
+        ("tasmota", "timer_long=120", "is 120 s, but must be at most 10 s (drive_timeout_limit)"),
+        ("shelly_gen2", "power_up_on", "result.initial_state is on, but must be off"),
     ],
 )
 def test_one_that_nothing_would_switch_off_is_refused(
@@ -130,7 +130,7 @@ def test_one_that_nothing_would_switch_off_is_refused(
 def test_a_welded_contact_is_an_alarm_that_latches(
     observer: Observer, broker: Mosquitto
 ) -> None:
-    """By the flow meter, which shows 5 l/s though the relay says that it is off."""
+    """The flow meter shows 5 l/s although the relay reports *off*."""
     rig = RelayRig(observer, broker, "tasmota")
     site = rig.cwd / "site.yaml"
     site.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 "))
@@ -153,7 +153,7 @@ def test_a_welded_contact_is_an_alarm_that_latches(
 
 
 def test_check_pump_finds_it_right(observer: Observer, broker: Mosquitto) -> None:
-    """At the command 1, at which a relay stays on; below it there are pulses."""
+    """At command 1, at which a relay stays on; below it there are pulses."""
     rig = RelayRig(observer, broker, "tasmota")
     rig.leave()
     node = rig.start(drive="tasmota")
@@ -164,11 +164,11 @@ def test_check_pump_finds_it_right(observer: Observer, broker: Mosquitto) -> Non
     assert check.wait(180) == 0, check.stdout() + check.stderr()
     assert "22 of 22 checks passed" in check.stdout()
     assert rig.drive.speed() == 0.0
-    assert node.wait(60) == 1  # as with the plant of a run
+    assert node.wait(60) == 1  # as when a run's plant ends
 
 
 def test_in_the_loop(domain: int, tmp_path: Path) -> None:
-    """In real time, where bringup stops the relay of a killed node at once; and 20 times faster."""
+    """In real time, where bringup at once stops the relay of a killed node; and 20 times faster."""
     with mosquitto(tmp_path) as broker:
         relay = SimulatedDrive(
             domain, tmp_path, "--at", f"{broker.address}/roof", make="tasmota",
@@ -189,10 +189,10 @@ def test_in_the_loop(domain: int, tmp_path: Path) -> None:
         wait_for(lambda: relay.speed() == 0.0, 20, "an open contact")
         assert time.monotonic() - killed < 5.0  # half of the relay's own timer
         assert early.wait(300) == 1
-        assert "bringup told the drive to stop, which said then: speed 0.0%" in early.stderr()
+        assert "bringup ordered the drive to stop; it then reported: speed 0.0%" in early.stderr()
         done = run("done", "--hours", "0.05", "--speed", "20")
         assert done.wait(300) == 0, done.stderr()
-        # To the target, Eq. (3a), and what flows, 8.4 l/s, in the ticks after.
+        # To the target, Eq. (3a), plus 8.4 l/s in the ticks after it.
         summary = summary_of(tmp_path / "done")
         missing = PAPER_SITE.x2_star - summary["initial"]["roof_m3"]
         assert missing < summary["pumped_m3"] < missing + 0.1

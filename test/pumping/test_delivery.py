@@ -1,4 +1,4 @@
-"""The delivery check: what it finds, how soon, and that weather and noise are no alarm."""
+"""The delivery check: what it finds and how soon; weather and noise cause no alarm."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from greenroof_ros.pumping.delivery import DeliveryCheck
 from greenroof_ros.pumping.limits import settings_for
 
 NOISE = 0.005
-"""m, standard deviation of a reading"""
+"""standard deviation of a reading (m)"""
 SLOW: dict[str, Any] = {"tau": 10.0, "noise": 0.0015}
-"""for hours: ticks of 10 s, with a mean as exact as of 5 mm each second"""
+"""for hours: ticks of 10 s, with a mean as exact as for 5 mm each second"""
 
 
 def steps_to_fault(
     site: Site, averaging: float, *, fall: float = 0.0, rise: float = 0.0, wobble: float = 0.0,
     pumped: float = 0.0,
 ) -> tuple[int, str]:
-    """Return after which of 300 steps of a second there is a fault, and which; 301 after none.
+    """Return the step (of 300, 1 s each) with the first fault, and its words; 301 without a fault.
 
-    Levels begin at 2 m and 1 cm; ``fall`` of the cistern, ``rise`` of the roof and what was pumped
-    are of each step, ``wobble`` of the roof's reading of each second one.
+    Levels begin at 2 m and 1 cm. ``fall`` of the cistern, ``rise`` of the roof and ``pumped`` are
+    per step; ``wobble`` is added to every second reading of the roof.
     """
     check = DeliveryCheck(site, settings_for(site, averaging_time=averaging))
     check.step(1.0, 2.0, 0.01, 0.0, 0.0)
@@ -43,7 +43,7 @@ def steps_to_fault(
 
 
 def time_to_fault(rig: Rig, seconds: float, command: float) -> float:
-    """Run until there is a fault, and return how long that took (s); infinite if none came."""
+    """Run until there is a fault, and return how long that took (s); infinite without a fault."""
     begun = rig.now
     decision = rig.run(seconds, command, until=lambda decision: decision.state == "fault")
     return rig.now - begun if decision.state == "fault" else math.inf
@@ -58,15 +58,15 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
 @pytest.mark.parametrize(
     ("site", "averaging", "moves", "steps", "words"),
     [
-        # A pump with 0.01 m3/s and a roof that does not rise, whose reading moves by 1 um:
+        # A pump with 0.01 m3/s and a roof that does not rise, with a reading that moves by 1 um:
         # 0.005 t > 0.4128 + 68.8 2.7778e-7 t after 82.88 s.
         (PAPER_SITE, 1.0, {"fall": 0.0004, "wobble": 1e-6, "pumped": 0.01}, 83,
          "perhaps a burst pipe or a leak behind the pump"),
         # A cistern that loses 0.01 m3/s: 0.01 t > 0.15 + 25 2.7778e-7 t after 15.01 s.
         (PAPER_SITE, 1.0, {"fall": 0.0004}, 16, "or somebody else takes water"),
-        # One that does not fall, though 0.01 m3/s come to the roof: 0.005 t > 0.15 + 25 2.7778e-7 t
-        # after 30.04 s; rain may explain 0.29225/68.8 of the roof's 0.005 t + 68.8 2.7778e-7 t, so
-        # that it is 30.17 s.
+        # One that does not fall, though 0.01 m3/s reach the roof: 0.005 t > 0.15 + 25 2.7778e-7 t
+        # after 30.04 s; rain can explain 0.29225/68.8 of the roof's 0.005 t + 68.8 2.7778e-7 t,
+        # which makes 30.17 s.
         (PAPER_SITE, 1.0, {"rise": 0.01 / 68.8, "pumped": 0.01}, 31,
          "delivery: 0.31 m3 were pumped in 0.5 min and came to the roof, but the cistern's level "
          "changed by +0 mm: perhaps its sensor is stuck or drifts, so that the pump would run dry; "
@@ -77,13 +77,12 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
         # Both: 0.01 t > 0.15 + 25 2.7778e-7 t after 15.01 s.
         (PAPER_SITE, 60.0, {"pumped": 0.01}, 16,
          "an empty pipe or an empty cistern, or both sensors are stuck"),
-        # A cistern alone is none where its inlet is as large as the roof: rain may fill it as fast
-        # as it is emptied.
+        # The cistern alone is no fault if its inlet is as large as the roof: rain can fill it as
+        # fast as the pump empties it.
         (site_with(a_in=68.8), 60.0, {"rise": 0.01 / 68.8, "pumped": 0.01}, 301, ""),
-        # At 2 m, 2 cm more by a wrong sensor, a low outlet takes 0.005305 sqrt(1.02) = 0.005358
-        # m3/s. Twice that may leave. Of 0.02 m3/s 0.009284 are too much: 0.009284 t > 0.15 + 25
-        # 2.7778e-7 t after 16.17 s. Of 0.01 m3/s nothing is: a leak as large as what the outlet
-        # takes is not seen.
+        # At 2 m, read 2 cm too low, a low outlet takes 0.005305 sqrt(1.02) = 0.005358 m3/s. Twice
+        # that is allowed. Of 0.02 m3/s 0.009284 are too much: 0.009284 t > 0.15 + 25 2.7778e-7 t
+        # after 16.17 s. Of 0.01 m3/s nothing is: a leak as large as the outlet's flow is not seen.
         (LOW_OUTLET, 1.0, {"fall": 0.02 / 25}, 17, "or somebody else takes water"),
         (LOW_OUTLET, 1.0, {"fall": 0.01 / 25}, 301, ""),
     ],
@@ -97,7 +96,7 @@ def test_thresholds_by_hand(
 
 
 def test_a_leak_is_seen_when_the_low_outlet_takes_less() -> None:
-    """From 2 m, where it takes 0.0053 m3/s, as much leaves beside it; at 1 m it takes nothing."""
+    """At 2 m outlet and leak take 0.0053 m3/s each; at 1 m the outlet takes nothing."""
     rig = Rig(50.0, 2.0, site=LOW_OUTLET, noise=NOISE)
     rig.run(200, 0.0)
     rig.leak = 0.0053
@@ -106,39 +105,39 @@ def test_a_leak_is_seen_when_the_low_outlet_takes_less() -> None:
     assert 0.97 < rig.plant.x1 / LOW_OUTLET.a1 < 2
 
 
-# An outlet with 1.4 times the area of the file's.
+# An outlet with 1.4 times the area in the site file.
 WIDE = replace(LOW_OUTLET, low_outlet_radius=0.025 * math.sqrt(1.4))
 WELL: list[Any] = [
-    # From 2.8 m down a low outlet, a wide one and one that is clogged, while the pump fills the
-    # roof to its 3.14 m3.
+    # Down from 2.8 m by a low outlet (a wide one, and a clogged one), while the pump fills the roof
+    # to its 3.14 m3.
     *(({"x2": 0.2, "site": LOW_OUTLET}, {"plant": Plant(real, 70.0, 0.2)}, [(1800, 1.0)],
        {"delivered": 2.9})
       for real in (WIDE, PAPER_SITE)),
     # The mains give more than the pump takes, until the roof is filled: 2.1 m3 in 250 s.
     ({"site": MAINS}, {}, [(600, 1.0)], {"x1": 70, "delivered": 2}),
-    # Filled from wilting to its target a roof keeps 0.58 at the end: half an hour long more than
-    # half of what is pumped percolates.
+    # A roof filled from wilting to its target keeps only 0.58 at the end: for half an hour more
+    # than half of the pumped water percolates.
     ({"x2": 0.2, "site": MEASURED}, {}, [(2400, 1.0, 0, 0.4)],
      {"delivered": MEASURED.x2_star + 0.3, "x2": 0.99 * MEASURED.x2_star}),
-    # From 0.5 m above the outlet to its edge, with a sensor that reads too little.
+    # From 0.5 m above the outlet to its edge, with a sensor that reads too low.
     (SLOW | {"x1": 87.5, "x2": 3.2}, {"cistern_offset": -0.015}, [(7200, 0.0)], {"x1": 74.9}),
-    # The pipe is a third worse than the site file says, or the meter reads too little.
+    # The pipe is a third worse than the site file says, or the meter reads too low.
     ({"x2": 0.0}, {"arriving": 2 / 3, "leaving": 2 / 3}, [(400, 1.0)], {"delivered": 2.8}),
     ({"x2": 0.0}, {"change": {"flow": 0.0055}}, [(300, 1.0)], {"delivered": 1.5}),
-    # A cloudburst on a roof that is being watered, and on a cistern that runs over.
+    # A cloudburst on a roof during irrigation, and on a cistern that overflows.
     ({"x1": 76.0, "x2": 1.0}, {}, [(600, 0.15), (1200, 0.15, 100), (1800, 0.15)],
      {"x2": PAPER_SITE.x2_star}),
-    # A heat wave is no burst pipe: then the roof is watered again, and rises.
+    # A heat wave is not a burst pipe; then the roof is watered again, and rises.
     (SLOW | {"x2": 2.0}, {}, [(8 * 3600, 0.0, 0, 2), (150, 1.0)], {"delivered": 1}),
     # An hour's shower into inlets of all sizes, while a pump fills a dry roof.
     *((SLOW | {"x1": 45.0, "x2": 0.2, "site": site_with(a_in=inlet)}, {},
        [(900, command, 0, 0.5), (3600, command, rate, 0.5), (2700, command, 0, 0.5)],
        {"delivered": 300 * 0.0084 * command})
       for inlet in (20.0, 500.0) for command in (1.0, 0.005) for rate in (2.0, 50.0)),
-    # 20 mm/h on 50 m2 of catchment, while little is pumped; then that drains off the roof.
+    # 20 mm/h on 50 m2 of catchment, while little is pumped; then it drains off the roof.
     (SLOW | {"x1": 30.0, "x2": 1.4, "site": site_with(a_in=50.0)}, {},
      [(900, 0.05), (3600, 0.05, 20), (5400, 0.0, 0, 13.3)], {"delivered": 1}),
-    # A gap in the levels, four hours long, in which nothing but weather happened.
+    # A gap of four hours in the levels, during which only weather happened.
     (SLOW | {"x2": 1.0}, {}, [(200, 0.3), (4 * 3600, 0.3, 0, 0.9, "roof_level"), (600, 0.3)],
      {"x2": 2.5}),
 ]
@@ -164,9 +163,9 @@ def test_what_goes_well_is_no_alarm(
 
 
 def test_a_level_that_is_held_is_no_alarm() -> None:
-    """For a day a trickle replaces what evaporates, 0.8 mm/h, to the digit of a sensor.
+    """For a day a trickle replaces the evapotranspiration, 0.8 mm/h, to a sensor's last digit.
 
-    By then 19 mm were pumped, three times the tolerance. Off the bed of 68.8 m2 go 0.055 m3 in an
+    By then 19 mm were pumped, three times the tolerance. The bed of 68.8 m2 loses 0.055 m3 an
     hour, which is 0.00182 of the maximum flow of 0.0084 m3/s. Both sensors read whole millimetres.
     """
     rig = Rig(x2=0.5, tau=10.0)
@@ -183,7 +182,7 @@ def test_a_level_that_is_held_is_no_alarm() -> None:
 
 BURST = "perhaps a burst pipe or a leak behind the pump"
 CLOSED = "perhaps a closed valve, a blocked pump, an empty pipe or an empty cistern"
-RUNS = "perhaps the pump runs although it should stand (a stuck contactor)"
+RUNS = "perhaps the pump runs although it should be off (a stuck contactor)"
 LEAK = "perhaps a leak, or somebody else takes water"
 HALF_DRY = {"x2": 0.5}
 DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
@@ -192,20 +191,20 @@ DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
 @pytest.mark.parametrize(
     ("settings", "before", "broken", "command", "within", "cause"),
     [
-        # Half of 0.0083 m3/s makes 0.413 m3 in 100 s. 1.9e-5 m3/s of that may be
-        # evapotranspiration: a hundredth of the flow needs 18,400 s. Then the mean lags 60 s, and
-        # noise may hide twice its standard deviation of 0.03 m3.
+        # Half of 0.0083 m3/s makes 0.413 m3 in 100 s. 1.9e-5 m3/s of that can be
+        # evapotranspiration: a hundredth of the flow needs 18,400 s. In addition the mean lags by
+        # 60 s, and noise can hide twice its standard deviation of 0.03 m3.
         (HALF_DRY, 0.01, {"arriving": 0.0}, 1.0, 200, BURST),
         (SLOW | HALF_DRY, 0.01, {"arriving": 0.0}, 0.01, 20_500, BURST),
         # Minutes of good pumping hide nothing; a tenth of the flow still arrives.
         ({"x2": 0.0}, 0.3, {"arriving": 0.1}, 0.9, 260, BURST),
-        # No water moves at all, as a meter says, too.
+        # No water moves at all, and the meter agrees.
         (HALF_DRY, 0.01, {"arriving": 0.0, "leaving": 0.0, "change": {"flow": 0.0}}, 1.0, 200,
          CLOSED),
-        # 0.15 m3 in 18 s, and the lag. What is lost is less 7e-6 m3/s that are allowed.
+        # 0.15 m3 in 18 s, plus the lag. An allowed 7e-6 m3/s is subtracted from the loss.
         (HALF_DRY, 0.0, {"contactor_stuck": True}, 0.0, 70, RUNS),
         ({"x2": 3.2}, 0.3, {"leak": 0.01}, 0.3, 65, LEAK),
-        # Between pulses; the readings are noisy, and the guess may be another.
+        # Between pulses; the readings are noisy, and the cause can be another one.
         (HALF_DRY, 0.01, {"leak": 1e-3}, 0.01, 400, "the cistern fell by"),
         # A low outlet takes less than the pump's 0.0084 m3/s, and does not count as a burst pipe.
         ({"site": LOW_OUTLET}, 0.0, {"contactor_stuck": True}, 0.0, 400, RUNS),
@@ -216,7 +215,7 @@ def test_what_breaks_is_found(
     settings: dict[str, Any], before: float, broken: dict[str, Any], command: float, within: float,
     cause: str,
 ) -> None:
-    """After ten minutes that went well; the pump is off then."""
+    """The first ten minutes have no fault."""
     rig = Rig(**({"noise": NOISE} | settings))
     rig.run(600, before)
     assert rig.decisions[-1].state != "fault"
@@ -229,9 +228,9 @@ def test_what_breaks_is_found(
 
 
 def test_a_pump_that_runs_on_without_a_connection() -> None:
-    """For 10 s, until its own timeout stops it, that is no leak: 17 mm of a cistern of 5 m2.
+    """For 10 s, until its own timeout stops it, that is not a leak: 17 mm of a cistern of 5 m2.
 
-    Where that does not stop it, what it takes counts as lost after 15 s.
+    If the timeout does not stop it, its flow counts as lost after 15 s.
     """
     rig = Rig(x1=14.0, x2=0.5, site=site_with(a1=5.0))
     rig.run(200, 0.0)
@@ -270,14 +269,14 @@ def test_a_repaired_pipe() -> None:
     [
         # Of 25 m2 8 mm may be lost in eight hours, and 6 mm more: together 0.35 m3.
         (PAPER_SITE, 0.25 / 28800, 0.0, 69.75, False), (PAPER_SITE, 0.6 / 28800, 0.0, 69.4, True),
-        # From 2.8 m down to its low outlet; a leak that goes on afterwards is found.
+        # From 2.8 m down to its low outlet; a leak that continues afterwards is found.
         (LOW_OUTLET, 0.0, 0.0, 25.0, False), (LOW_OUTLET, 0.0005, 0.0005, 15.6, True),
     ],
 )
 def test_a_suspend_hides_no_leak(
     site: Site, leak: float, after: float, level: float, detected: bool
 ) -> None:
-    """Of eight hours."""
+    """The suspend lasts eight hours."""
     rig = Rig(x2=1.0, site=site, **SLOW)
     rig.run(200, 0.0)
     rig.leak = leak
@@ -289,16 +288,16 @@ def test_a_suspend_hides_no_leak(
 
 
 def test_jumps_of_a_sensor_are_no_water() -> None:
-    """By which they moved the readings, as test_input_rules.py has it.
+    """The check is given the displacements of the readings, see test_input_rules.py.
 
-    The cistern's sensor is set again by 5 cm, 1.25 m3, down and, five minutes later, up again.
+    The cistern's sensor is set lower by 5 cm (1.25 m3) and, five minutes later, back again.
     """
     rig = Rig(x2=0.2, noise=0.002)
     rig.run(200, 0.3)
     for rig.cistern_offset in (-0.05, 0.0):
         rig.change = {"displacements": (rig.cistern_offset, 0.0)}
         assert time_to_fault(rig, 300, 0.3) == math.inf
-    rig = Rig(x2=0.5)  # or the roof's, while it is filled
+    rig = Rig(x2=0.5)  # the same for the roof's sensor, while the roof is filled
     rig.run(100, 1.0)
     for _ in range(150):
         roof = rig.plant.levels()[1] - 0.05
@@ -307,7 +306,7 @@ def test_jumps_of_a_sensor_are_no_water() -> None:
 
 
 def test_a_drift_that_is_over_is_no_fault_later() -> None:
-    """The cistern's reading rises by 5 cm a minute, until it jumps, and is right again."""
+    """The cistern's reading rises by 5 cm a minute, until it jumps back to the right value."""
     rig = Rig(x2=0.2, noise=0.002)
     rig.run(100, 1.0)
     for second in range(45):
@@ -321,16 +320,16 @@ def test_a_drift_that_is_over_is_no_fault_later() -> None:
 @pytest.mark.parametrize(
     ("broken", "command", "within"),
     [
-        # Of 30 s the pump runs for ten, and the 160 s of a burst pipe become 480.
+        # The pump runs for 10 of every 30 s, so the 160 s of a burst pipe become 480.
         ({"arriving": 0.0}, 1.0, 520), ({"arriving": 0.0, "leaving": 0.0}, 1.0, 520),
-        # It falls faster than pump and outlet can, so that it jumps again and again.
+        # The level falls faster than pump and outlet allow, and so jumps again and again.
         ({"leak": 0.02}, 0.0, 120),
     ],
 )
 def test_levels_that_are_unknown_now_and_then_hide_no_fault(
     broken: dict[str, float], command: float, within: int
 ) -> None:
-    """A spike each half minute makes both unknown for the 10 s of recovery."""
+    """A spike every half minute makes both unknown for the 10 s of recovery."""
     rig = Rig(x2=0.5, noise=0.002)
     rig.run(600, 0.01)
     for name, value in broken.items():
@@ -345,7 +344,7 @@ def test_levels_that_are_unknown_now_and_then_hide_no_fault(
 
 
 def test_a_meter_that_says_nothing_hides_no_volume() -> None:
-    """The day has the volume of the speed; and the cistern falls by more than is measured."""
+    """The day counts the volume computed from the speed; the cistern falls more than measured."""
     rig = Rig(x2=0.0, noise=NOISE)
     rig.change = {"flow": 0.0}
     assert time_to_fault(rig, 300, 1.0) < 300
@@ -357,18 +356,18 @@ def test_a_meter_that_says_nothing_hides_no_volume() -> None:
     ("site", "x2", "command", "drift", "dry_for"),
     [
         *((PAPER_SITE, 0.5, command, 0.0, 0) for command in (1.0, 0.02)),
-        # Mains that are shut at what it reads, and a soil that keeps more than at its target.
+        # Mains that are shut at this reading, and a soil that keeps more than at its target.
         (replace(PAPER_SITE, mains_level=0.7, mains_flow=0.009), 0.5, 1.0, 0.0, 0),
         (MEASURED, 0.2, 1.0, 0.0, 0),
-        # At full flow the pump is dry for a minute. Half of that flow would take more than the
-        # drift adds; so the roof has to show it.
+        # At full flow the pump is dry for a minute. Half of that flow would exceed what the drift
+        # adds, so the roof has to show it.
         (PAPER_SITE, 0.5, 1.0, 0.010, 60), (PAPER_SITE, 0.5, 0.2, 0.010, 0),
     ],
 )
 def test_a_cisterns_sensor_that_is_stuck_or_drifts_up_latches_before_the_pump_runs_dry(
     site: Site, x2: float, command: float, drift: float, dry_for: int
 ) -> None:
-    """60 mm above the suction level: stuck but for its noise, or off by more each minute (m)."""
+    """60 mm above the suction level: stuck apart from noise, or with a drift (m per minute)."""
     rig = Rig(x1=site.a1 * (site.suction_level + 0.06), x2=x2, noise=0.0002, site=site)
     stuck_at, dry = rig.plant.x1, 0
     for second in range(3600):
@@ -385,7 +384,7 @@ def test_a_cisterns_sensor_that_is_stuck_or_drifts_up_latches_before_the_pump_ru
 
 
 def test_a_soil_that_drains_is_no_burst_pipe() -> None:
-    """8 cm leave it in six hours; it dries at 0.9 mm/h, and 2 m3 that are pumped all arrive."""
+    """It loses 8 cm in six hours; then it dries at 0.9 mm/h, and 2 m3 are pumped and arrive."""
     check = DeliveryCheck(PAPER_SITE, settings_for(PAPER_SITE))
     roof, problems = 0.15, []
     for change in [0.08 / 360] * 360 + [0.9e-3 / 60] * 45 * 60:
@@ -399,7 +398,7 @@ def test_a_soil_that_drains_is_no_burst_pipe() -> None:
 
 
 def test_the_first_readings_are_no_alarm() -> None:
-    """They may be two standard deviations off; thirty starts of the check."""
+    """They can be two standard deviations off; thirty starts of the check."""
     errors = NOISE * np.random.default_rng(3).standard_normal((30, 120, 2))
     for walk in errors:
         check = DeliveryCheck(PAPER_SITE, settings_for(PAPER_SITE))
@@ -409,7 +408,7 @@ def test_the_first_readings_are_no_alarm() -> None:
 
 
 def test_a_month_is_no_alarm() -> None:
-    """Showers of 60 mm/h, hot days, a pump that replaces what evaporates; means of a minute."""
+    """Showers of 60 mm/h, hot days, a pump that replaces the evapotranspiration; minute means."""
     delivery = DeliveryCheck(PAPER_SITE, settings_for(PAPER_SITE))
     generator = np.random.default_rng(0)
     minutes = 30 * 1440

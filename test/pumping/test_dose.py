@@ -1,4 +1,4 @@
-"""A dose: delivered once and in full, or refused or given up for a reason that is said."""
+"""A dose is delivered once and in full, or it is refused or given up with a stated reason."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def end(rig: Rig) -> tuple[str, str]:
 
 @pytest.mark.parametrize("volume", [0.05, 0.2, 0.5])
 def test_a_dose_is_delivered_once(rig: Rig, volume: float) -> None:
-    """By the plant's own balance, within 3 % and what flows in a tick at the least flow."""
+    """By the plant's balance, within 3 % and what flows in a tick at the least flow."""
     before = rig.plant.x2
     assert ask(rig, volume) == ""
     decision = rig.run(600, 0.0, until=lambda decision: decision.state == "running")
@@ -69,7 +69,7 @@ def refusals() -> Iterator[tuple[str, float, float, str]]:
     yield "nothing", 0.0, 0.0, "must be above 0 and at most 0.5 m3"
     yield "negative", -0.2, 0.0, "must be above 0 and at most 0.5 m3"
     yield "less than a pulse", 0.01, 0.0, "must be at least 0.0"
-    yield "too old", 0.2, 61.0, "61 s old and must be at most 60 s"
+    yield "too old", 0.2, 61.0, "61 s old, but must be at most 60 s"
     yield "of a time to come", 0.2, -10.0, "must be at most 60 s"
     yield "of no time", 0.2, math.nan, "must be at most 60 s"
     yield "before the node was started", 0.2, 30.0, "before the pump node was started"
@@ -96,7 +96,7 @@ def test_before_anything_is_known_none_is_given() -> None:
 
 
 def test_a_request_counts_once(rig: Rig) -> None:
-    """Neither repeated, nor one that was overtaken by a newer one, also of one that was refused."""
+    """Neither a repeated request counts nor an older one, even if the newer one was refused."""
     now = time.time()
     assert rig.control.ask_dose(now, 0.1) == ""
     rig.run(100, 0.0)
@@ -116,7 +116,7 @@ def test_one_at_a_time(rig: Rig) -> None:
 
 
 def test_what_cannot_begin_within_a_minute_expires() -> None:
-    """The least time off is longer. One that waits for less begins."""
+    """The least time off is longer than a minute. A dose that waits for less begins."""
     for least_off, over in ((90.0, "expired"), (40.0, "")):
         rig = Rig(x2=0.5, site=SITE, settings=settings_for(SITE, least_off=least_off))
         rig.run(2, 0.0)
@@ -137,7 +137,7 @@ def test_what_cannot_begin_within_a_minute_expires() -> None:
     ],
 )
 def test_any_interlock_ends_it_for_good(rig: Rig, change: dict[str, object], cause: str) -> None:
-    """Also one of the controller's command, which does not count otherwise."""
+    """Even an interlock from the controller's command, which is ignored otherwise."""
     assert ask(rig, 0.5) == ""
     assert rig.run(5, 0.0).speed is not None
     rig.change = change
@@ -172,13 +172,13 @@ def test_it_ends_at_the_roofs_target() -> None:
     assert ask(rig, 0.5) == ""
     rig.run(200, 0.0, until=lambda decision: "dose" not in decision.why)
     assert end(rig)[0] == "full"
-    assert rig.plant.x2 < SITE.x2_star + 0.06  # what the pump delivers on its way to rest
+    assert rig.plant.x2 < SITE.x2_star + 0.06  # what the pump still delivers until it stands
     assert "the roof is at its target" in rig.control.no_dose
     assert "the roof is at its target" in ask(rig, 0.1)
 
 
 def test_the_limits_of_a_day_and_of_a_run_end_it() -> None:
-    """The controller's 0 does not end the rest of a pump that ran for too long in a dose."""
+    """The controller's 0 does not shorten the rest after a dose that ran too long."""
     day = ready(Rig(x2=0.5, site=SITE, settings=settings_for(SITE, greatest_volume_per_day=0.3)))
     assert ask(day, 0.5) == ""
     day.run(300, 0.0, until=lambda decision: bool(decision.interlocks))
@@ -190,7 +190,7 @@ def test_the_limits_of_a_day_and_of_a_run_end_it() -> None:
 
 
 def test_a_closed_valve_is_no_endless_dose(rig: Rig) -> None:
-    """A meter that reads nothing does not count: the flow that the speed should deliver does."""
+    """A meter that reads 0 is ignored: the flow computed from the speed counts."""
     rig.change, rig.arriving, rig.leaving = {"flow": 0.0}, 0.0, 0.0
     assert ask(rig) == ""
     rig.run(120, 0.0, until=lambda decision: "dose" not in decision.why and decision.speed is None)

@@ -1,4 +1,4 @@
-"""Whether a live input may be acted on: worked by hand, and for any values."""
+"""Whether a live input may be used: cases by hand, and random values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from greenroof_ros.pumping.input_rules import (
     roof_reach,
 )
 
-# A tank whose water rises by at most 1 mm/s and falls by at most 2 mm/s.
+# A tank with water that rises by at most 1 mm/s and falls by at most 2 mm/s.
 TANK = Reach(lambda level: 0.001, lambda level: 0.002, math.inf)
 
 
@@ -29,7 +29,7 @@ def level_rule(frozen: float = 0.01, tolerance: float = 0.02) -> LevelRule:
 
 
 def rule(verdict: Verdict) -> str:
-    """Return the rule that is broken, for codes without their common beginning."""
+    """Return the rule that is broken, for codes without their common prefix."""
     return verdict.code.removeprefix("input_")
 
 
@@ -39,21 +39,21 @@ def rules_of(values: dict[float, float], rules: InputRules) -> list[str]:
 
 
 def test_a_level_in_another_unit_is_refused() -> None:
-    """81 cm are no 81 m, at any time; nor are 457 mm on the roof; what is plausible goes on."""
+    """81 cm is not accepted as 81 m, nor 457 mm on the roof; plausible values continue."""
     cistern = InputRules(0.0, 5.0, 0.0, level=LevelRule(cistern_reach(PAPER_SITE), 0.01, 0.02))
     assert rules_of({0.0: 81.0, 1.0: 0.81, 2.0: 81.0, 3.0: 0.81}, cistern) == [
         "refused", "", "refused", "",
     ]
     why = cistern.came(4.0, 81.0).why
-    assert why == "is 81 m, and here no level is above 9 m: is its unit wrong?"
+    assert why == "is 81 m, but no level here is above 9 m: is its unit wrong?"
     roof = LevelRule(roof_reach(PAPER_SITE), 0.01, 0.02)
     assert rule(roof.came(0.0, 45.7)) == "refused"
     assert roof.came(1.0, 0.0457).good
     assert roof.displacement == 0.0
 
 
-# What happens at which time (s), and the rule that is broken then: of an input with a limit of 5 s
-# and 3 s to recover. Where nothing comes the input is only looked at.
+# What happens at each time (s), and the rule that is then broken, for an input with a limit of 5 s
+# and a recovery of 3 s. None: nothing comes, and the input is only checked.
 COURSES: dict[str, list[tuple[float, str, str]]] = {
     "waited for, then good after the time to recover": [
         (1.0, "", "waiting"), (10.5, "", "silent"), (11.0, "a value", "recovering"),
@@ -94,23 +94,23 @@ def test_courses_of_an_input(name: str) -> None:
 
 
 def test_what_is_said() -> None:
-    """The limit with its parameter, how long a pause was, and from what it recovers."""
+    """The limit with its parameter, the length of a pause, and what it recovers from."""
     rules = InputRules(0.0, limit=5.0, recovery=10.0, limit_name="level_limit")
     rules.came(1.0, 2.0)
     assert rules.judge(6.1).why == "is older than 5 s (level_limit)"
     rules.paused(7.0)
-    assert rules.judge(8.0).why == "is unknown: this node itself stood still for 7 s"
+    assert rules.judge(8.0).why == "is unknown: this node itself was paused for 7 s"
     rules.came(9.0, 0.0, "was refused: nan")
     assert rules.came(10.0, 1.0).why == (
-        "was refused: nan; now it is good, and counts after 10 s of that (recovery_time)"
+        "was refused: nan; now it is good, and counts once it has been so for 10 s (recovery_time)"
     )
     assert rules.refuse(11.0, "was refused: it is too short").why == "was refused: it is too short"
 
 
 def test_frozen() -> None:
-    """The pump must have lowered it by more than 1 cm, and it has not changed once.
+    """Frozen: the pump must have lowered it by more than 1 cm, but it has not changed at all.
 
-    Where in and out are equal, net of rain and pump nothing moves.
+    If inflow and outflow are equal, the net of rain and pump moves nothing.
     """
     level = level_rule(frozen=0.01)
     rules = InputRules(0.0, limit=5.0, recovery=0.0, level=level)
@@ -123,14 +123,14 @@ def test_frozen() -> None:
     level.expect(-0.0001)
     verdict = rules.came(6.0, 1.5)
     assert rule(verdict) == "frozen" and "frozen_movement" in verdict.why
-    assert rule(rules.came(7.0, 1.5)) == "frozen"  # the pump stands now, and so does the level
+    assert rule(rules.came(7.0, 1.5)) == "frozen"  # the pump now stands, and so does the level
     assert rules.came(8.0, 1.4999).good
 
 
 def test_jump() -> None:
-    """It rises by at most 1 mm/s: in 10 s from 1.5 m to 1.51 m, and 2 cm beyond are tolerated.
+    """It rises by at most 1 mm/s: in 10 s from 1.5 m to 1.51 m, plus a tolerance of 2 cm.
 
-    1 mm every 10 ms is 10 cm/s, each step alone within the tolerance: 2 cm, and 0.2 s of water.
+    1 mm every 10 ms is 10 cm/s; each step alone is within the tolerance: 2 cm and 0.2 s of water.
     """
     rules = InputRules(0.0, 60.0, 0.0, level=level_rule())
     assert rules_of({0.0: 1.5, 10.0: 1.531, 11.0: 1.531}, rules) == ["", "jump", ""]
@@ -140,19 +140,19 @@ def test_jump() -> None:
     level = level_rule()
     level.came(0.0, 0.5)
     assert level.came(10.0, 0.459).why == (
-        "jumped: 0.5 m, and 10 s later 0.459 m, where water can be at 0.47 m, give or take 0.01 m "
+        "jumped: 0.5 m, and 10 s later 0.459 m, but water can be at 0.47 m, give or take 0.01 m "
         "(jump_tolerance)"
     )
 
 
 def test_what_jumps_have_moved_the_readings_by() -> None:
-    """A spike that comes back has moved nothing; what stays has, however it came there."""
+    """A spike that comes back displaces nothing; what stays counts, however it got there."""
     for values, moved in (
         ({0.0: 1.5, 1.0: 2.0, 2.0: 1.495}, 0.0),
         ({0.0: 1.5, 1.0: 2.0, 2.0: 1.4}, -0.1),
         ({0.0: 1.5, 1.0: 2.0, 2.0: 2.5}, 1.0),
         ({0.0: 1.5, 1.0: 2.0, 2.0: 1.5, 3.0: 2.0}, 0.5),
-        # After five minutes it may be anywhere: what comes back is water.
+        # After five minutes any level is possible: what comes back is water.
         ({0.0: 1.5, 1.0: 2.0, 301.0: 1.3}, -0.2),
     ):
         level = level_rule()
@@ -181,7 +181,7 @@ def test_true_water_with_noise_never_jumps(
 
 
 def test_speeds_of_the_paper_s_site() -> None:
-    """Half as fast again as Eqs. (2)-(4) and the world's greatest rain allow, by hand.
+    """1.5 times what Eqs. (2)-(4) and the world's greatest rain allow, by hand.
 
     At 3 m in the cistern, the outlet's edge, c_hat - d + 3 = 42.2 m of head; friction and minor
     loss (3.56 * 18.4 / 0.2 + 0.6) / (2 * 9.81 * 0.0314159^2) = 16,945 s2/m5 beside the curve's
@@ -202,14 +202,14 @@ def test_expected_rise() -> None:
     assert (cistern, roof) == (pytest.approx(-0.2e-3), pytest.approx(0.0726744e-3))
     cistern, roof = expected_rise(PAPER_SITE, 0.0, 1e-5, 2.0, 0.03)
     assert (cistern, roof) == (pytest.approx(1e-5 * 0.2922467 / 25), pytest.approx(1e-5))
-    # What spills need not move: the cistern at its outlet (3 m), the roof at 0.5 m of soil.
+    # Water that spills moves no level: the cistern at its outlet (3 m), the roof at 0.5 m of soil.
     assert expected_rise(PAPER_SITE, 0.005, 1e-5, 3.0, 0.5) == (0.0, 0.0)
 
 
 def test_a_measured_roof_rises_by_what_it_keeps() -> None:
-    """At half of what plants can take it keeps 3/4; what is above field capacity falls in a tick.
+    """At half of its available water it keeps 3/4; water above field capacity falls in a tick.
 
-    Of 0.1 m of soil 0.02 is wilted and 0.06 field capacity: half is 0.04 m.
+    Of 0.1 m of soil, wilting is at 0.02 m and field capacity at 0.06 m: half is 0.04 m.
     """
     site = replace(
         PAPER_SITE, z_soil=0.1, z_cap=68.8 * 0.06,
@@ -224,7 +224,7 @@ def test_a_measured_roof_rises_by_what_it_keeps() -> None:
 
 
 def test_mains_raise_the_cistern() -> None:
-    """0.001 m3/s over 25 m2 is 0.04 mm/s, below the valve's level only."""
+    """0.001 m3/s over 25 m2 is 0.04 mm/s, only below the valve's level."""
     site = replace(PAPER_SITE, mains_level=1.5, mains_flow=0.001)
     assert expected_rise(site, 0.0, 0.0, 1.4, 0.03)[0] == pytest.approx(0.04e-3, rel=1e-12)
     assert expected_rise(site, 0.0, 0.0, 1.5, 0.03)[0] == 0.0
@@ -235,8 +235,8 @@ def test_mains_raise_the_cistern() -> None:
 def test_a_low_outlet_lets_the_cistern_fall_and_stand() -> None:
     """At 1 m of head it takes 0.61 pi 0.025^2 sqrt(2 9.81) = 0.00530529 m3/s.
 
-    4e-4 m/s on 50 m2, 0.8 of it arriving, are 0.016 m3/s: 0.01204 may be all that stays, as the
-    outlet may take 1.5 times as much. Nothing is expected of the outlet alone: it may be clogged.
+    4e-4 m/s on 50 m2, 0.8 arriving, are 0.016 m3/s: possibly only 0.00804 stays, because the
+    outlet can take 1.5 times as much. The outlet alone must lower nothing: it can be clogged.
     """
     site = replace(
         PAPER_SITE, a_in=50.0, runoff_coefficient=0.8,
@@ -251,5 +251,5 @@ def test_a_low_outlet_lets_the_cistern_fall_and_stand() -> None:
         assert computed == pytest.approx(rise, rel=1e-12), (flow, rain, level)
     without = cistern_reach(PAPER_SITE).fall(2.0)
     assert cistern_reach(site).fall(2.0) - without == pytest.approx(1.5 * outflow / 25, rel=1e-9)
-    # A cloudburst runs off to the last drop: 500 mm/h on 50 m2.
+    # A cloudburst runs off completely: 500 mm/h on 50 m2.
     assert cistern_reach(site).rise(2.0) == pytest.approx(1.5 * 0.5 / 3600 * 50 / 25, rel=1e-9)

@@ -1,4 +1,4 @@
-"""The table of what keeps the pump off, and who may end it; each row by its cause; all codes."""
+"""The table of interlocks, and who may end each; each row by its cause; all codes."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ CAUSES: dict[str, dict[str, Any]] = {
     "drive_speed_unknown": {"change": {"speed": None}},
     "drive_not_ready": {"change": {"drive_ready": False}},
 }
-"""what of a rig with a pump that runs is other than it should be"""
+"""changes to a rig with a running pump that cause each interlock"""
 
 
 @pytest.mark.parametrize("code", INTERLOCKS)
 def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) -> None:
-    """The state is its kind's. The cause gone, a latched one stands until it is reset.
+    """The state is its kind's. After the cause has gone, a latched one stays until it is reset.
 
-    The least time on, 10 s, does not count here.
+    The least time on, 10 s, does not delay the stop.
     """
     broken = {"command": 0.5, "record": {}} | CAUSES[code]
     rig = Rig(
@@ -119,7 +119,7 @@ def test_they_are_named_in_the_order_of_the_table() -> None:
 
 
 def test_what_follows_is_not_said_beside_its_cause() -> None:
-    """A drive that is lost has no speed, and a node that is not active no command."""
+    """A lost drive has no speed, and a node that is not active has no command."""
     rig = Rig()
     rig.change = {"speed": None, "reasons": {"drive_lost": "no connection"}}
     assert codes(rig.step(None)) == ["drive_lost"]
@@ -130,7 +130,7 @@ def test_what_follows_is_not_said_beside_its_cause() -> None:
 
 @pytest.mark.parametrize("code", ["phase_lost", "frost"])
 def test_a_kept_fault_keeps_the_pump_off_whatever_its_code(code: str) -> None:
-    """A record of another version of this package may have any."""
+    """A record from another version of this package can have any code."""
     rig = Rig()
     rig.ledger.record = Record(fault="it was so", fault_code=code)
     rig.change = {"reasons": dict.fromkeys(NODE, "")}
@@ -141,10 +141,10 @@ def test_a_kept_fault_keeps_the_pump_off_whatever_its_code(code: str) -> None:
 
 
 def test_faults_beside_each_other() -> None:
-    """The first stays, and another one is named beside it while it lasts, but for what follows.
+    """The first stays; another one is named beside it while it lasts, unless it only follows.
 
-    That a drive does not obey a stop, as the exchange finds it, is no fault of its own: a person
-    must stop it, whatever the drive's manual says.
+    A drive that does not obey a stop, as the exchange finds it, is not a separate drive fault: a
+    person must stop it, whatever the drive's manual says.
     """
     rig = Rig()
     rig.ledger.fault("burst pipe", "delivery")
@@ -160,7 +160,7 @@ def test_faults_beside_each_other() -> None:
 
 
 def test_the_table_is_whole() -> None:
-    """Latched first, then inhibits; with advice, and with limits that there are."""
+    """Latched ones first, then inhibits; each has advice, and limits that exist."""
     with pytest.raises(KeyError):
         evaluate({"operator_stops": "x"})
     rows = INTERLOCKS.values()
@@ -181,7 +181,7 @@ def test_the_table_is_whole() -> None:
     assert named <= settings | of_nodes
 
 
-# --- what the page may do: release what it stopped, and clear what nobody has to look at ----------
+# --- what the page may do: release its own stop, and clear a fault that needs no inspection -------
 
 
 def test_the_page_releases_what_it_stopped_and_nothing_else() -> None:
@@ -194,12 +194,12 @@ def test_the_page_releases_what_it_stopped_and_nothing_else() -> None:
     assert codes(rig.step(0.5)) == ["operator_stop"]
     rig.control.stop_on_page(True)
     assert codes(rig.step(0.5)) == ["operator_stop", "page_stop"]
-    rig.control.stop(False)  # at the pump node, whoever it was
+    rig.control.stop(False)  # at the pump node, whoever stopped it
     assert rig.run(60, 0.5).state == "running"
 
 
 def test_the_page_starts_no_pump_sooner_than_it_may() -> None:
-    """Not within 120 s, by a release and by clearing a fault."""
+    """Neither a release nor clearing a fault starts it within 120 s."""
     rig = Rig(x2=0.5, settings=settings_for(PAPER_SITE, least_off=120.0))
     assert rig.run(200, 1.0, until=lambda decision: decision.state == "running").speed is not None
     rig.control.stop_on_page(True)
@@ -213,13 +213,13 @@ def test_the_page_starts_no_pump_sooner_than_it_may() -> None:
 
 @pytest.mark.parametrize("code", [code for code, row in INTERLOCKS.items() if row.kind == LATCHED])
 def test_a_fault_is_cleared_once_in_a_day_and_some_never(code: str) -> None:
-    """All but a speed that was not followed need somebody who has looked."""
+    """Only a speed that was not followed can be cleared; others need somebody who has looked."""
     rig = Rig(x2=0.5)
     rig.run(2, 0.0)
     assert rig.control.page_may_not_clear == "there is no fault"
     rig.ledger.fault("why", code)
     if code != "speed_not_followed":
-        assert "somebody who has looked" in rig.control.page_may_not_clear
+        assert "somebody who has checked the pump" in rig.control.page_may_not_clear
         return
     rig.control.clear_on_page()
     assert rig.ledger.record.fault == ""
@@ -244,7 +244,7 @@ def texts_in(tree: ast.AST) -> set[str]:
 
 
 def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
-    """Code and cause follow the problem in each call of ``diagnose`` and ``say``."""
+    """In each call of ``diagnose`` and ``say``, code and cause follow the problem."""
     positions = {"diagnose": slice(3, 5), "say": slice(3, 6)}
     texts, reported = set[str](), set[str]()
     for room in ("graph", "nodes", "bringup", "watch", "pumping", "drives"):
@@ -256,7 +256,7 @@ def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
                     name = getattr(call.func, "attr", getattr(call.func, "id", ""))
                     for argument in call.args[positions.get(name, slice(0))]:
                         reported |= texts_in(argument)
-    # One for each way in which a node says so.
+    # One for each way in which a node reports it.
     assert {"no_forecast", "limited", "state_not_kept"} <= reported
     of_inputs = {text for text in texts if text.startswith("input_") and text.isidentifier()}
     assert len(of_inputs) == 8
@@ -269,7 +269,7 @@ def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
 
 
 def test_quiet_hours_begin_and_end_by_the_wall_over_a_change_of_clocks() -> None:
-    """On 8 March 2026 Toronto's clocks went from 02:00, 07:00 UTC, to 03:00: 02:30 did not come."""
+    """On 8 March 2026 Toronto's clocks went from 02:00 (07:00 UTC) to 03:00, without a 02:30."""
     begins, ends = (
         datetime.fromisoformat(f"2026-03-08T{hour}:00+00:00").timestamp() for hour in ("07", "08")
     )
@@ -279,7 +279,7 @@ def test_quiet_hours_begin_and_end_by_the_wall_over_a_change_of_clocks() -> None
     assert rig.run(30, 0.3).state == "running"
     decision = rig.step(0.3)
     assert (codes(decision), decision.speed) == (["quiet_hours"], None)
-    assert decision.why.startswith("it is in quiet hours, until 2026-03-08 04:00-04:00")
+    assert decision.why.startswith("these are quiet hours, until 2026-03-08 04:00-04:00")
     rig.run(30, 0.3)
     rig.now = ends - 5
     assert [rig.step(0.3).speed for _ in range(5)] == [None] * 5
@@ -299,7 +299,7 @@ def test_where_the_time_is_not_known_the_pump_stands() -> None:
 def test_what_the_page_may_clear_hides_nothing_that_it_may_not(
     worse: str, change: dict[str, Any]
 ) -> None:
-    """The worse fault is kept in place of the first, also when it has gone; the first comes not."""
+    """The worse fault replaces the first for good, even if its cause goes and the first's comes."""
     rig = Rig(x2=0.5)
     rig.stuck_speed = 0.05
     decision = rig.run(60, 0.5, until=lambda decision: bool(decision.interlocks))
@@ -317,7 +317,7 @@ def test_what_the_page_may_clear_hides_nothing_that_it_may_not(
 
 
 def test_a_delivery_fault_is_seen_behind_a_speed_that_does_not_follow() -> None:
-    """It runs on against the order, and what it pumps arrives nowhere."""
+    """The pump runs on although ordered to stop, and nothing of what it pumps arrives."""
     rig = Rig(x2=0.5)
     rig.stuck_speed = 1.0
     rig.arriving = 0.0

@@ -41,13 +41,13 @@ def clock() -> Clock:
 
 
 def written(file: Path) -> dict[str, Any]:
-    """Return the newest line of a file as a person reads it, once it is there."""
+    """Return the newest line of a file as a person reads it, as soon as it is there."""
 
     def newest() -> dict[str, Any]:
         try:
             lines = file.read_text().splitlines()
             records = [json.loads(line.split(maxsplit=1)[1]) for line in lines]
-        except (FileNotFoundError, ValueError):  # it is just being written
+        except (FileNotFoundError, ValueError):  # it is being written
             return {}
         return max(records, key=lambda line: int(line["sequence"]))
 
@@ -55,7 +55,7 @@ def written(file: Path) -> dict[str, Any]:
 
 
 def read(file: Path, clock: Callable[[], float]) -> Record:
-    """Return what a new ledger finds, and leave the file to others."""
+    """Return what a new ledger reads, and release the file."""
     return Ledger(file, clock).record
 
 
@@ -70,9 +70,9 @@ def read(file: Path, clock: Callable[[], float]) -> Record:
 def test_a_missing_file_is_a_fresh_record_and_is_made(
     text: str, expected: str, tmp_path: Path, clock: Clock
 ) -> None:
-    """With its directories, at the size that it keeps; nothing but the lock is left beside.
+    """With its directories and its final size; only the lock file is beside it.
 
-    Whatever is in a text has room in it, beside the last hundred starts in the third year.
+    The file has room for any text beside the last hundred starts in the third year.
     """
     file = tmp_path / "greenroof" / "state" / "pump.json"
     ledger = Ledger(file, clock)
@@ -94,9 +94,9 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
 
 
 def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
-    """It hears who has the file; when that ledger is gone it takes over what was written.
+    """It reports who has the file; when that ledger has gone, it takes over what was written.
 
-    A stop that came meanwhile counts, but not a release.
+    A stop that was requested meanwhile counts, but not a release.
     """
     file = tmp_path / "pump.json"
     first = Ledger(file, clock)
@@ -111,7 +111,7 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     assert first.why_not_kept() == ""
     problem = second.why_not_kept()
     assert problem.startswith(
-        f"{file} cannot be written: process {os.getpid()} has it already; end that process"
+        f"{file} cannot be written: process {os.getpid()} already uses it; end that process"
     )
     assert "--state, state_file" in problem
     second.stop("")
@@ -131,9 +131,9 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
 
 
 def test_use_of_the_day(tmp_path: Path, clock: Clock) -> None:
-    """Written every 10 s of use; time without the node counts for the day.
+    """It is written every 10 s of use; time without the node counts for the day.
 
-    A clock that went back, as without a battery, frees nothing.
+    A clock that was set back, as without a battery, frees nothing.
     """
     file = tmp_path / "pump.json"
     ledger = Ledger(file, clock)
@@ -164,7 +164,7 @@ def test_use_of_the_day(tmp_path: Path, clock: Clock) -> None:
 def test_what_nobody_saw_counts_at_worst(
     down: float, run: float, tmp_path: Path, clock: Clock
 ) -> None:
-    """Killed with the pump on: full flow since, until the drive must have stopped it (15 + 10 s).
+    """Killed with the pump on: full flow since then, until the drive must have stopped (15 + 10 s).
 
     b sqrt(z_o + 55.2 - 13) = 1.29646769e-3 ... m3/s is the pump curve's greatest flow; Eq. (2).
     """
@@ -175,7 +175,7 @@ def test_what_nobody_saw_counts_at_worst(
     clock.now += down
     site = PAPER_SITE
     flow = site.b * math.sqrt(site.z_o + site.c_hat - site.d)
-    for attempt in range(2):  # once, and no second time
+    for attempt in range(2):  # counted once only
         ledger = Ledger(file, clock)
         PumpControl(site, settings_for(site), ledger, drive_stops_after=15.0)
         ledger.close()
@@ -185,7 +185,7 @@ def test_what_nobody_saw_counts_at_worst(
 
 
 def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
-    """A power cut tore it: what the other says counts, and the torn one may have been a stop."""
+    """Torn by a power cut: the other line counts, and the torn one could have been a stop."""
     file = tmp_path / "pump.json"
     for torn in range(2):
         ledger = Ledger(file, clock)
@@ -209,7 +209,7 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
 
 
 def test_a_record_of_an_older_version_is_read(tmp_path: Path, clock: Clock) -> None:
-    """It knew no codes; its fault and the day's use count on."""
+    """It had no codes; its fault and the day's use remain valid."""
     old = {
         "sequence": 2, "held": "look at it", "fault": "burst pipe", "elapsed": 60.0,
         "day_run": 30.0, "day_volume": 0.2, "starts": [10.0], "on": False, "written_at": clock.now,
@@ -222,13 +222,13 @@ def test_a_record_of_an_older_version_is_read(tmp_path: Path, clock: Clock) -> N
     file.write_bytes(lines)
     record = Ledger(file, clock).record
     assert (record.fault, record.fault_code, record.unknown) == ("burst pipe", "", "")
-    assert (record.operator_stop, record.page_stop) == ("look at it", False)  # it called that held
+    assert (record.operator_stop, record.page_stop) == ("look at it", False)  # then called held
     assert (record.day_run, record.day_volume, record.starts) == (30.0, 0.2, (10.0,))
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff" * 8192, b"[" * 100_000])
 def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
-    """Until somebody releases it, who has to look at it first; then all is well."""
+    """Until somebody releases it, who must look at the pump first; then all is well."""
     file = tmp_path / "pump.json"
     file.write_bytes(content)
     rig = Rig(file=file)
@@ -236,7 +236,7 @@ def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
     assert (decision.speed, decision.state) == (None, "held")
     assert decision.why.startswith(f"{file} cannot be read (")
     assert ("it must be 8192 bytes long" in decision.why) == (len(content) != 8192)
-    assert decision.why.endswith("look at the pump, then release it")
+    assert decision.why.endswith("check the pump, then release it")
     assert rig.ledger.why_not_kept() == ""
     assert (tmp_path / "pump.json.broken").read_bytes() == content
     assert Rig(file=file).run(30, 1.0).state == "held"
@@ -246,17 +246,17 @@ def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
     assert rig.run(30, 1.0).state == "running"
     rig.ledger.close()
     assert read(file, time.time).unknown == ""
-    # A directory where the file should be stays.
+    # A directory in place of the file is left there.
     ledger = Ledger(tmp_path, time.time)
-    assert "cannot be read (it is no file)" in ledger.record.unknown
-    assert "no file" in ledger.why_not_kept()
+    assert "cannot be read (it is not a file)" in ledger.record.unknown
+    assert "not a file" in ledger.why_not_kept()
 
 
 def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
-    """A stop is taken, since the room for it was taken when the file was made.
+    """A stop is recorded, because its space was reserved when the file was made.
 
-    Where there was none even for that it is said, the control goes on, and the file is made once
-    there is room.
+    If even that space is missing, this is reported, the control continues, and the file is made
+    when there is room.
     """
     disk = tmp_path / "disk"
     with small_disk(disk, "64k"):
@@ -286,7 +286,7 @@ def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
 
 
 def test_killed_at_any_moment(tmp_path: Path) -> None:
-    """Three times, while it writes without a pause: what is there is always whole."""
+    """Three times, during continuous writing: the file is always intact."""
     file = tmp_path / "pump.json"
     program = (
         "import sys, time\n"
@@ -311,7 +311,7 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
 
 
 def test_fault_stop_volume_and_starts_survive_the_pump(tmp_path: Path) -> None:
-    """A second control on the same file is in the state of the first, and goes on with its day."""
+    """A second control on the same file is in the state of the first, and continues its day."""
     file, limits = tmp_path / "pump.json", settings_for(PAPER_SITE, starts_per_hour=2)
     first = Rig(file=file, settings=limits)
     first.run(45, 1.0)
@@ -333,7 +333,7 @@ def test_fault_stop_volume_and_starts_survive_the_pump(tmp_path: Path) -> None:
 
 
 def test_a_pause_is_kept_until_its_date(tmp_path: Path, clock: Clock) -> None:
-    """By the system clock, while nobody is there too; a release and a reset do not end it."""
+    """By the system clock, even while nobody runs; a release and a reset do not end it."""
     file = tmp_path / "state.json"
     ledger = Ledger(file, clock)
     ledger.pause(clock.now + 3600)
@@ -346,7 +346,7 @@ def test_a_pause_is_kept_until_its_date(tmp_path: Path, clock: Clock) -> None:
     assert ledger.paused
     clock.now += 1
     assert not ledger.paused
-    # Of a second one, which has the file later, its own pause counts.
+    # If a second ledger gets the file later, its own pause counts.
     later = Ledger(file, clock)
     later.pause(clock.now + 60)
     assert ledger.close() == ""
@@ -357,25 +357,25 @@ def test_a_pause_is_kept_until_its_date(tmp_path: Path, clock: Clock) -> None:
 
 
 def test_a_slow_disk_stops_nothing(tmp_path: Path) -> None:
-    """A pipe that nobody reads, where the file should be: it is said soon, and an alarm later."""
+    """With a pipe that nobody reads in place of the file: reported soon, and later an alarm."""
     os.mkfifo(tmp_path / "pump.json.new")
     rig = Rig(file=tmp_path / "pump.json")
     rig.run(30, 1.0)
     assert rig.decisions[-1].state == "running"
     began = time.monotonic()
     assert rig.ledger.why_not_kept() in (
-        f"{tmp_path}/pump.json is not yet on the disk; it is written on",
-        f"{tmp_path}/pump.json could not be written within 2 s",  # where the machine is busy
+        f"{tmp_path}/pump.json is not yet on the disk; writing continues",
+        f"{tmp_path}/pump.json could not be written within 2 s",  # on a busy machine
     )
     assert time.monotonic() - began < 1.5
     wait_for(
         lambda: rig.ledger.problem == f"{tmp_path}/pump.json could not be written within 2 s", 20,
         "the alarm",
     )
-    # A ledger that may not write says that, whatever the disk does.
+    # A ledger that must not write reports that, whatever the disk does.
     second = Ledger(tmp_path / "pump.json", time.time)
-    assert f"process {os.getpid()} has it already" in second.problem
-    # The next try finds no pipe, and the disk's thread is free for other tests.
+    assert f"process {os.getpid()} already uses it" in second.problem
+    # The next attempt finds no pipe, and the disk's thread is free for other tests.
     (tmp_path / "pump.json.new").rename(tmp_path / "pipe").open().close()
 
 

@@ -1,4 +1,4 @@
-"""Times, starts, a day's use, water and frost by hand; pulses by hand, and over long commands."""
+"""Times, starts, daily use, water and frost by hand; pulses by hand, and over long commands."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def test_defaults_by_hand() -> None:
 
 
 def test_defaults_of_a_measured_roof_near_field_capacity() -> None:
-    """2.4 times its water fills it to 99 %, by hand: atanh(0.99) = 2.6467; none takes 50 times it.
+    """Filling it to 99 % takes atanh(0.99) = 2.6467 times its capacity above wilting, by hand.
 
-    100 m2 of 4 m3 between wilting, at 2 m3, and field capacity: 2 + 4 2.6467 = 12.587 m3. Of 10 mm,
-    1 m3, its target keeps 1 - 0.99^2 = 0.0199, so that 50.25 m3 replace it: times 1.5, 94.256 m3.
+    100 m2, 4 m3 between wilting, at 2 m3, and field capacity: 2 + 4 2.6467 = 12.587 m3. Of 10 mm,
+    1 m3, its target keeps 1 - 0.99^2 = 0.0199, so 50.25 m3 replace it: times 1.5, 94.256 m3.
     """
     roof = site_with(a2=100.0, z_soil=0.1, z_veg=0.0596)
     roof = replace(
@@ -58,7 +58,7 @@ def test_a_tolerance_in_which_the_least_speed_is_rest_is_refused() -> None:
 @settings(max_examples=30)
 @given(times=st.lists(st.integers(1, 2000), min_size=1, max_size=200), allowed=st.integers(1, 50))
 def test_as_many_starts_in_any_hour_as_are_allowed(times: list[int], allowed: int) -> None:
-    """Whoever wants to start when: never more, and no start waits longer than for that."""
+    """With starts wanted at any times: never more, and no start waits longer than necessary."""
     ledger = Ledger(None, lambda: 0.0)
     settings = settings_for(PAPER_SITE, starts_per_hour=allowed, least_off=0.0)
     limits = Limits(PAPER_SITE, settings, ledger)
@@ -76,9 +76,9 @@ def test_as_many_starts_in_any_hour_as_are_allowed(times: list[int], allowed: in
 
 
 def test_dry_run_with_hysteresis() -> None:
-    """Off at 0.77 m, 2 cm for a sensor that is off, in the very step; on again above 0.79 m.
+    """Off at 0.77 m (2 cm for the sensor's error) in the same step; on again above 0.79 m.
 
-    A pump that draws air lowers the level no more: a reading may stay at the cut for ever.
+    A pump that draws air no longer lowers the level: the reading can stay at the limit for ever.
     """
     rig = Rig(x1=19.5)
     rig.run(20, 1.0)
@@ -97,14 +97,14 @@ def test_dry_run_with_hysteresis() -> None:
 
 
 def test_volume_per_day() -> None:
-    """A frozen controller over a roof sensor that is frozen, too: 1 m3, and a day later again."""
+    """Frozen controller and frozen roof sensor: 1 m3, and again a day later."""
     limits = settings_for(PAPER_SITE, greatest_volume_per_day=1.0)
     rig = Rig(x2=0.0, settings=limits)
     rig.run(600, 1.0)
     assert rig.decisions[-1].state == "held"
     assert rig.decisions[-1].why.startswith("1.0")
-    assert "the most is 1 m3; goes on in 1431 min" in rig.decisions[-1].why
-    # A step of the maximum flow beyond it, and what flows while the pump comes to rest.
+    assert "the limit is 1 m3; resumes in 1431 min" in rig.decisions[-1].why
+    # Beyond it: a step at maximum flow, and what flows while the pump comes to rest.
     assert 1.0 <= rig.delivered <= 1.03
     rig.ledger.count(86_400 - 600 - 10, 0.0, 0.0)
     assert rig.run(8, 1.0).state == "held"
@@ -112,7 +112,7 @@ def test_volume_per_day() -> None:
 
 
 def test_a_run_without_a_break() -> None:
-    """100 s at length, then 100 s of rest; or less, once the command was 0."""
+    """100 s without a break, then 100 s of rest, or less if the command is 0 in between."""
     rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, greatest_run=99.5))
     rig.run(200, 0.3, until=lambda decision: decision.state == "held")
     assert rig.decisions[-1].why.startswith(
@@ -122,7 +122,7 @@ def test_a_run_without_a_break() -> None:
     rig.run(200, 0.3, until=lambda decision: decision.speed is not None)
     assert 95 <= rig.now - begun <= 110
     rig.run(200, 0.3, until=lambda decision: decision.state == "held")
-    # A command that is missing or refused does not end it.
+    # A command that is missing or refused does not end the rest.
     for command in (None, math.nan, 0.3):
         assert rig.step(command).state == "held"
     begun = rig.now
@@ -162,7 +162,7 @@ CHANGES: list[dict[str, object]] = [
 def test_never_runs_while_anything_speaks_against_it(
     scenes: list[tuple[dict[str, object], float | None, int]], x1: float, limits: PumpSettings
 ) -> None:
-    """Whatever came before; nor beyond the rated speed, nor after a fault, nor too soon again."""
+    """Whatever came before; nor above the rated speed, nor after a fault, nor too soon again."""
     rig = Rig(x1=x1, settings=limits)
     fault, off_for = False, 0
     for change, command, seconds in scenes:
@@ -191,7 +191,7 @@ def test_never_runs_while_anything_speaks_against_it(
 
 
 def pulses(**changes: float) -> Pulses:
-    """Return pulses of the paper's site."""
+    """Return pulses for the paper's site."""
     return Pulses(PAPER_SITE, settings_for(PAPER_SITE, **changes))
 
 
@@ -209,8 +209,8 @@ def test_least_share_and_pulse_by_hand() -> None:
 def test_pulses_by_hand() -> None:
     """A command of 0.013, in seconds of the maximum flow: a least pulse is 0.2 10 s = 2 s.
 
-    It begins with 2 - 10 0.013 = 1.87 s outstanding: after 144 s with 1.872. A second of it takes
-    0.187: after 10 0.002 are outstanding, after 11 -0.185, and 159 later, again, 1.882.
+    It starts above 2 - 10 0.013 = 1.87 s outstanding: after 144 s with 1.872. Each second of it
+    takes 0.187: after 10 s 0.002 are outstanding, after 11 s -0.185, and 159 s later again 1.882.
     """
     pulse = pulses()
     on, began, ended = False, [], []
@@ -225,9 +225,9 @@ def test_pulses_by_hand() -> None:
 
 
 def test_the_outstanding_volume_is_limited() -> None:
-    """To 180 s of a fifth of the flow, 0.303194 m3, below it; else to a least pulse.
+    """To 180 s of a fifth of the flow, 0.303194 m3, below that flow; else to a least pulse.
 
-    Without a command it waits for the next one above 0.
+    Without a command it is kept for the next command above 0.
     """
     pulse = pulses()
     for _ in range(100):
@@ -249,14 +249,14 @@ def test_the_outstanding_volume_is_limited() -> None:
 
 @given(share=st.floats(0, 1) | st.just(1.0), level=st.floats(0.75, 15))
 def test_speeds_are_the_drives(share: float, level: float) -> None:
-    """Between its least and the rated one, roundings included."""
+    """Between the drive's least speed and the rated speed, including roundings."""
     speed = pulses(least_speed=0.8).speed(share, level)
     assert 0.8 <= speed <= 1
     assert share < 1 or speed == pytest.approx(1)
 
 
 def test_a_running_pump_makes_up_for_the_outstanding_volume() -> None:
-    """A least pulse in a minute: 0.0168441 / 60 / 0.00842205 = a thirtieth of the maximum more."""
+    """A least pulse per minute: 0.0168441 / 60 / 0.00842205 = a thirtieth of the maximum more."""
     pulse = pulses()
     pulse.ask(0.5, 3.0, True, 0.0)
     pulse.account(0.0, 60.0)
@@ -268,13 +268,13 @@ def test_a_running_pump_makes_up_for_the_outstanding_volume() -> None:
 def test_volume_within_a_least_pulse(drive_ramp: float) -> None:
     """Below 0.0112 of the flow 20 starts an hour are enough: 3600 s x 0.0112 = 20 x 2 s.
 
-    The pump comes to rest from half its speed in 5 s at most, but soon lifts nothing any more.
+    The pump comes to rest from half its speed in at most 5 s, but soon delivers nothing.
     """
     rig, commanded = Rig(drive_ramp=drive_ramp), 0.0
     for command, seconds in ((0.0105, 1500), (1e-4, 700), (0.004, 1500), (0.0105, 100)):
         for _ in range(seconds):
             rig.step(command)
-            # What was asked for in this tick is delivered in the next.
+            # What is commanded in this tick is delivered in the next.
             assert -0.1 * LEAST_PULSE <= commanded - rig.delivered <= LEAST_PULSE
             commanded += rig.tau * pump_flow(rig.site, rig.plant.x1, rig.plant.x2, command)
     assert not any(decision.warning for decision in rig.decisions)
@@ -282,7 +282,7 @@ def test_volume_within_a_least_pulse(drive_ramp: float) -> None:
 
 
 def test_too_many_starts_are_said() -> None:
-    """At 0.05 of the flow a start is due every 45 s, but only every 180 s is one permitted."""
+    """At 0.05 of the flow a start is due every 45 s, but only one every 180 s is permitted."""
     rig = Rig()
     rig.run(600, 0.05)
     starts = sum(

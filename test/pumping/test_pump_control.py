@@ -1,4 +1,4 @@
-"""The pump's control: states in words, commands, speeds, flows, faults, a stop by hand."""
+"""The pump's control: states in words, commands, speeds, flows, faults, a manual stop."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_states_of_a_run_by_hand() -> None:
     """Half the flow from 2.8 m: s^2 = (0.25 42 + 13.2) / 55.2 = 0.655249^2; a fifth first.
 
     The first speed is sqrt((0.04 42 + 13.2) / 55.2) = 0.519197, and from there it rises by 0.1 a
-    second. The drive needs three seconds for it.
+    second. The drive needs three seconds to reach it.
     """
     rig = Rig(x1=70.0, settings=settings_for(PAPER_SITE, ramp=0.1))
     rig.run(14, 0.5)
@@ -32,7 +32,7 @@ def test_states_of_a_run_by_hand() -> None:
     assert speeds == pytest.approx([0.519197, 0.619197], abs=5e-7)
     assert rig.decisions[13].why == "as commanded"
     rig.run(240, 0.5)
-    # What the start left owing is made up for.
+    # The volume missed during the start is made up for.
     assert rig.decisions[-1].speed == pytest.approx(0.6552, abs=0.01)
     rig.run(7, 0.0)
     assert [decision.state for decision in rig.decisions[-7:]] == ["stopping"] * 4 + ["off"] * 3
@@ -40,7 +40,7 @@ def test_states_of_a_run_by_hand() -> None:
 
 
 def test_a_pulse_in_words() -> None:
-    """Of a command of a hundredth; at its target, Eq. (3a), the roof wants nothing."""
+    """With a command of a hundredth; at its target, Eq. (3a), the roof needs nothing."""
     rig = Rig()
     rig.run(400, 0.01)
     assert {(decision.state, decision.why) for decision in rig.decisions} == {
@@ -55,7 +55,7 @@ def test_a_pulse_in_words() -> None:
 
 
 def test_least_times() -> None:
-    """10 s off before the first start, 10 s on at least, 10 s off at least."""
+    """10 s off before the first start, at least 10 s on, at least 10 s off."""
     rig = Rig()
     for seconds, command in ((11, 1.0), (43, 0.0), (3, 1.0), (30, 0.0), (15, 1.0)):
         rig.run(seconds, command)
@@ -66,9 +66,9 @@ def test_least_times() -> None:
 
 
 def test_commands_that_are_no_shares() -> None:
-    """Off in the very step, least time on or not; a good command starts again.
+    """Off in the same step regardless of the least time on; a good command starts it again.
 
-    Above 1 they are taken as 1, and it is said; the speed is never above the rated one.
+    Commands above 1 act as 1 with a warning; the speed never exceeds the rated one.
     """
     rig = Rig(x2=0.0)
     for command in (math.nan, math.inf, -1e-9):
@@ -88,7 +88,7 @@ def test_commands_that_are_no_shares() -> None:
 
 
 def test_what_was_missed_is_not_caught_up() -> None:
-    """After minutes in which the drive is not heard, the next pulse is as far away as ever."""
+    """After minutes without contact to the drive, the next pulse is as far away as before."""
     rig = Rig()
     rig.run(15, 0.5)
     rig.change = {"reasons": {"drive_lost": "no answer from 10.0.0.7:502"}}
@@ -101,9 +101,9 @@ def test_what_was_missed_is_not_caught_up() -> None:
 
 
 def test_what_is_not_known_is_said_so() -> None:
-    """A drive that is lost while it runs: neither speed nor flow, until it stands for sure.
+    """A drive that is lost while it runs: neither speed nor flow, until it is sure to stand.
 
-    That is seen, or it was not heard for the 15 s of its own timeout; what says nonsense is heard.
+    It stands if seen at rest or not heard for the 15 s of its timeout; nonsense counts as heard.
     """
     rig = Rig()
     decision = rig.step(0.0)
@@ -117,12 +117,12 @@ def test_what_is_not_known_is_said_so() -> None:
         (decision.state, decision.flow, decision.flow_known, decision.turns_at, decision.stands)
         for decision in rig.decisions[-14:]
     } == {("unknown", 0.0, False, None, False)}  # its topic has a number for every command
-    assert rig.decisions[-1].why.endswith("; whether the pump stands is not known")
+    assert rig.decisions[-1].why.endswith("; it is not known whether the pump is at rest")
     decision = rig.run(3, 0.5)
     assert (decision.stands, decision.why) == (True, "connection lost")
     rig.change = {"speed": 5.0}
     assert not rig.run(60, 0.5).stands
-    rig.change = {"speed": -0.5}  # it is known to turn
+    rig.change = {"speed": -0.5}  # the pump is known to turn
     decision = rig.step(0.5)
     assert (decision.stands, decision.turns_at, decision.flow_known) == (False, -0.5, False)
     rig.change = {}
@@ -130,7 +130,7 @@ def test_what_is_not_known_is_said_so() -> None:
     decision = rig.run(60, 0.0)
     assert (decision.state, decision.stands, decision.blind_for) == ("off", True, 0)
     rig.change = {"speed": None, "roof_level": None}
-    decision = rig.step(0.5)  # it stood when it was last heard
+    decision = rig.step(0.5)  # the pump stood when last heard
     assert (decision.stands, decision.turns_at, decision.flow_known) == (True, None, True)
     assert decision.blind_for == 1
 
@@ -144,7 +144,7 @@ def test_a_pump_that_still_turns_is_said_to_with_a_fault_and_a_stop() -> None:
     decision = rig.step(0.5)
     assert (decision.state, decision.stands) == ("held", False)
     assert decision.why == (
-        "an operator stopped it; no connection; whether the pump stands is not known"
+        "an operator stopped it; no connection; it is not known whether the pump is at rest"
     )
     rig.change = {}
     assert rig.run(60, 0.5).why == "an operator stopped it"
@@ -159,15 +159,15 @@ def test_a_pump_that_still_turns_is_said_to_with_a_fault_and_a_stop() -> None:
 @pytest.mark.parametrize(
     ("stuck", "command", "why"),
     [
-        (0.0, 0.5, "the pump turns at 0.00 of its speed, and 0.6"),
-        (1.0, 0.5, "the pump turns at 1.00 of its speed, and 0.6"),
-        (0.5, 0.0, "the pump turns at 0.50 of its speed, and it was ordered to stop, for 13 s"),
+        (0.0, 0.5, "the pump turns at 0.00 of its speed, but 0.6"),
+        (1.0, 0.5, "the pump turns at 1.00 of its speed, but 0.6"),
+        (0.5, 0.0, "the pump turns at 0.50 of its speed, but it was ordered to stop, for 13 s"),
     ],
 )
 def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) -> None:
-    """More than a tenth away for more than 12 s latches, and a tenth of the ramp of 30 s before.
+    """Over a tenth off for more than 12 s latches, after a tenth of the 30 s ramp.
 
-    The ramp is counted from where the pump was: near what is asked for it is no excuse.
+    The ramp counts from the pump's present speed: near the requested speed it is no excuse.
     """
     rig = Rig()
     rig.run(15, command)
@@ -188,19 +188,19 @@ LOST = {"speed": None, "reasons": {"drive_lost": "no connection"}}
 @pytest.mark.parametrize(
     ("ramp", "tau", "scenes"),
     [
-        # Up to full speed, down, and up again before it stands, whatever the ticks are.
+        # Up to full speed, down, and up again before the pump stands, for any ticks.
         *((ramp, tau, [(60, 1.0, None), (20, 0.0, None), (60, 1.0, None), (80, 0.0, None)])
           for ramp, tau in ((10.0, 1.0), (30.0, 10.0))),
-        # The least time off of 10 s, then 8 s in which the drive makes itself ready.
+        # The least time off of 10 s, then 8 s in which the drive gets ready.
         (30.0, 1.0, [(18, 1.0, 0.0), (50, 1.0, None), (60, 0.0, None)]),
-        # It has not heard that it is to stop until its own timeout comes 15 s later; then 30 s.
+        # It does not receive the stop; its own timeout acts 15 s later; then a ramp of 30 s.
         (30.0, 1.0, [(60, 1.0, None), (15, 1.0, 1.0), (40, 0.0, None)]),
     ],
 )
 def test_a_ramp_that_is_allowed_is_no_fault(
     ramp: float, tau: float, scenes: list[tuple[float, float, float | None]]
 ) -> None:
-    """Scenes: seconds, command, and where the drive stays; at speed it cannot be heard there."""
+    """Scenes: seconds, command, and the speed at which the drive stays; above 0 it is not heard."""
     rig = Rig(drive_ramp=1 / ramp, tau=tau)
     for seconds, command, stuck in scenes:
         rig.stuck_speed, rig.change = stuck, dict(LOST) if stuck else {}
@@ -214,9 +214,9 @@ def test_a_ramp_that_is_allowed_is_no_fault(
 def test_a_failed_start_is_a_start_and_the_third_in_a_row_a_fault(
     runs_after: int, states: set[str]
 ) -> None:
-    """Each is given up after 2 s, and the next one waits for the least time off."""
+    """Each start is given up after 2 s, and the next one waits for the least time off."""
     rig = Rig(settings=settings_for(PAPER_SITE, least_off=60.0))
-    failed = "the drive did not come to run: it has no voltage"
+    failed = "the drive failed to start: it has no voltage"
     begun, on_for = [], 0
     rig.stuck_speed = 0.0
     for _ in range(1200):
@@ -243,14 +243,14 @@ def test_a_failed_start_is_a_start_and_the_third_in_a_row_a_fault(
 
 
 def test_a_ramp_that_is_slower_than_it_is_said_to_be_is_a_fault() -> None:
-    """Of 30 s, said to be 5 s: that is a tenth away after 0.6 s; and 12 s more are allowed."""
+    """30 s instead of the 5 s in drive_ramp: a tenth off after 0.6 s, and 12 s more are allowed."""
     rig = Rig(drive_ramp=1 / 30, settings=settings_for(PAPER_SITE, drive_ramp=5.0))
     assert rig.run(40, 1.0).state == "fault"
-    assert "s, which a ramp of 5 s (drive_ramp) does not explain" in rig.decisions[-1].why
+    assert "s; a ramp of 5 s (drive_ramp) does not explain this" in rig.decisions[-1].why
 
 
 def test_a_drive_that_does_not_stop_behind_a_bad_line() -> None:
-    """Its speed is unknown for a second of each three; 15 s must be known, 3 s of its ramp."""
+    """Its speed is unknown for 1 s of every 3 s; it must be known for 15 s, 3 s for its ramp."""
     rig = Rig()
     rig.run(30, 0.8)
     rig.stuck_speed = 0.8
@@ -265,7 +265,7 @@ def test_a_drive_that_does_not_stop_behind_a_bad_line() -> None:
 def test_a_drive_has_its_own_time() -> None:
     """At 60 times real time a drive that hardly turns is a fault after 15 s of its own time.
 
-    3 s of that are its ramp's. By then 900 s have been simulated.
+    3 s of that are for its ramp. By then 900 s have been simulated.
     """
     control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time), 15.0)
     observed = Observation(
@@ -300,18 +300,18 @@ def test_flow_and_how_it_is_known(change: dict[str, object], flow: float, source
     assert decision.flow == pytest.approx(flow, abs=5e-9)
     assert decision.source == source
     assert decision.warning == (
-        "flow meter: a flow of 5.7 m3/s is not believed, the pump delivers 0.0084 m3/s at most"
+        "flow meter: a flow of 5.7 m3/s is not believable: the pump delivers at most 0.0084 m3/s"
         if change.get("flow") == 5.7 else ""
     )
 
 
 def test_no_flow_once_the_pump_stands() -> None:
-    """Even if the meter has an offset; while it comes to rest the meter counts.
+    """Even if the meter has an offset; while the pump comes to rest, the meter counts.
 
     A speed below zero is noise, as of a drive's 16 bits; beyond that it turns backwards.
     """
     rig = Rig()
-    rig.speed = 0.8  # it runs already, as after a crash of its node
+    rig.speed = 0.8  # it already runs, as after a crash of its node
     decision = rig.step(1.0)
     assert (decision.speed, decision.state) == (None, "stopping")
     assert decision.flow > 0
@@ -320,7 +320,7 @@ def test_no_flow_once_the_pump_stands() -> None:
     rig.run(8, None)
     assert [decision.flow for decision in rig.decisions[-8:]] == [1e-4] * 4 + [0.0] * 4
     rig.change = {"speed": -0.019}
-    assert rig.run(9, 0.0).source == "the pump stands"
+    assert rig.run(9, 0.0).source == "the pump is at rest"
     rig.change = {}
     assert rig.run(15, 1.0).state in ("starting", "running")
     rig.change = {"speed": -0.021}
@@ -329,7 +329,7 @@ def test_no_flow_once_the_pump_stands() -> None:
 
 @pytest.mark.parametrize("meter", ["flow", "drive_flow"])
 def test_a_flow_while_the_pump_stands_is_a_contact_that_is_welded(meter: str) -> None:
-    """More than a fifth of the greatest flow, least_flow, for more than 12 s, follow_time."""
+    """More than a fifth of the greatest flow (least_flow) for more than 12 s (follow_time)."""
     rig = Rig(x1=70.0)
     least = 0.2 * maximum_pump_flow(PAPER_SITE, 70.0)
     rig.change = {meter: 0.95 * least}
@@ -368,7 +368,7 @@ def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted
     rig.change = {}
     rig.run(60, 0.0)
     assert rig.decisions[-1].why == "the command is 0"
-    # One that stands is none that may have run.
+    # A pump that stands cannot have run.
     before = rig.ledger.record
     rig.suspend(3600.0)
     after = rig.ledger.record
@@ -377,7 +377,7 @@ def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted
 
 
 def test_what_may_be_pumped_in_a_suspend_is_part_of_a_run() -> None:
-    """On for 49 s, and for 15 s in which nobody was there: more than a minute without a break."""
+    """On for 49 s, then suspended for 15 s: over a minute without a break."""
     rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, greatest_run=60.0))
     assert rig.run(60, 1.0).state == "running"
     rig.suspend(15.0, runs_on=15.0)
@@ -385,9 +385,9 @@ def test_what_may_be_pumped_in_a_suspend_is_part_of_a_run() -> None:
 
 
 def test_what_is_not_heard_counts_at_worst() -> None:
-    """Run time and volume, until the drive must have stopped: 15 s, not the minute after.
+    """Run time and volume count until the drive must have stopped: 15 s, not the minute after.
 
-    Nothing counts where the pump stood and was not asked to run.
+    Nothing counts if the pump stood and was not asked to run.
 
     From 2.8 m the pump delivers b sqrt(2.8 + 55.2 - 13) = 1.29646769e-3 6.708204 m3/s at most.
     """

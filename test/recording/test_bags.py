@@ -1,4 +1,4 @@
-"""Bags of simulations and live sites: what is written comes back, by any reader; and recovery."""
+"""Bags of simulations and live sites: any reader gets back what was written; and recovery."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def clock(time_ns: int) -> bytes:
 def write_bag(
     directory: Path, ticks: int, size: int = 8
 ) -> list[tuple[str, int, int, bytes]]:
-    """Write a bag, and return its messages: topic, time, tick, content, of some bytes."""
+    """Write a bag, and return its messages of this size: topic, time, tick, content."""
     writer, random = bag_writer(directory), Random(1)
     written = []
     for tick in range(ticks):
@@ -71,7 +71,7 @@ def write_bag(
 
 
 def messages_of(file: Path) -> list[tuple[str, int, int, bytes]]:
-    """Return the messages of a file by the format's own library: topic, time, number, content."""
+    """Return a file's messages by the format's own library: topic, time, number, content."""
     with file.open("rb") as stream:
         return [
             (channel.topic, message.log_time, message.sequence, message.data)
@@ -80,7 +80,7 @@ def messages_of(file: Path) -> list[tuple[str, int, int, bytes]]:
 
 
 def test_a_whole_bag_comes_out_as_it_is(tmp_path: Path) -> None:
-    """The format's own library finds what was written; recovery gives its bytes."""
+    """The format's own library finds what was written; recovery gives identical files."""
     written = write_bag(tmp_path / "bag", 200)
     assert messages_of(tmp_path / "bag" / "bag_0.mcap") == written
     assert restore(tmp_path / "bag", tmp_path / "new" / "bag") == "200 ticks"
@@ -91,7 +91,7 @@ def test_a_whole_bag_comes_out_as_it_is(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [8, 150_000])
 def test_a_bag_that_was_cut_keeps_its_whole_ticks(tmp_path: Path, size: int) -> None:
-    """From the first on, without a gap; and no half tick, where a chunk ends within one."""
+    """From the first on, without a gap; and no partial tick if a chunk ends within a tick."""
     written = write_bag(tmp_path / "bag", 40 if size > 8 else 200, size)
     file = tmp_path / "bag" / "bag_0.mcap"
     os.truncate(file, file.stat().st_size * 2 // 3)
@@ -106,7 +106,7 @@ def test_a_bag_that_was_cut_keeps_its_whole_ticks(tmp_path: Path, size: int) -> 
 
 
 def test_hostile_files_do_no_harm(tmp_path: Path) -> None:
-    """Whatever stands in a file: something whole of it is restored, or nothing, in words."""
+    """Whatever the file contains: complete parts are restored, or there is a clear error."""
     write_bag(tmp_path / "bag", 64)
     written, random = (tmp_path / "bag" / "bag_0.mcap").read_bytes(), Random(1)
     (tmp_path / "hostile").mkdir()
@@ -127,7 +127,7 @@ def test_hostile_files_do_no_harm(tmp_path: Path) -> None:
 
 
 def test_a_bag_of_anybodys_that_was_cut(tmp_path: Path) -> None:
-    """A topic and a type that this package does not know, in no chunks."""
+    """A topic and a type that this package does not know, without chunks."""
     (tmp_path / "scan").mkdir()
     with (tmp_path / "scan" / "scan_0.mcap").open("wb") as stream:
         writer = Writer(stream, use_chunking=False)
@@ -146,7 +146,7 @@ def test_a_bag_of_anybodys_that_was_cut(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("room", range(20_000, 24_000, 1000))
 def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) -> None:
-    """Wherever in its chunks the room ends: as many ticks as the writer says, and no more."""
+    """Wherever in its chunks the room ends: exactly the ticks that the writer reports as safe."""
     writer = bag_writer(tmp_path / "bag")
     random = Random(1)
 
@@ -164,13 +164,13 @@ def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) 
 
 
 def test_parameters_are_columns_of_their_own() -> None:
-    """A parameter named as another column is not mistaken for it."""
+    """A parameter with the name of another column is not mistaken for it."""
     row = {"hours": "12", **parameter_columns({"hours": "3", "gain": "20"})}
     assert row == {"hours": "12", "parameter:hours": "3", "parameter:gain": "20"}
     assert row_parameters(row) == {"hours": "3", "gain": "20"}
 
 
-# --- of a live site: split, bounded, readable while it grows, and what a kill leaves --------------
+# --- live sites: split, bounded, readable while growing, and after a kill -------------------------
 
 # 2026-11-21 23:00:00 UTC, by date -d.
 LATE_NS = 1795302000 * 10**9
@@ -198,7 +198,7 @@ def read(bag: Path) -> list[tuple[str, int, float]]:
 
 
 def test_what_came_is_read_back_with_its_times(tmp_path: Path) -> None:
-    """Irregular times, one topic oftener than the other, over midnight of UTC: two files."""
+    """Irregular times, one topic more often than the other, over midnight UTC: two files."""
     bag = live_bag(tmp_path / "bag")
     sent = [
         (TOPICS[i % 3 % 2], LATE_NS + i * 7_000_000_123, i / 7) for i in range(1000)
@@ -223,7 +223,7 @@ def test_what_came_is_read_back_with_its_times(tmp_path: Path) -> None:
 
 
 def test_oldest_files_go_beyond_the_limit(tmp_path: Path) -> None:
-    """The bag stays within it and readable all the time, and its newest messages are there."""
+    """The bag stays within the limit and always readable, and has its newest messages."""
     bag, random = live_bag(tmp_path / "bag", file_bytes=20_000, total_bytes=100_000), Random(1)
     at, largest, directory = 0.0, 0, tmp_path / "bag"
     for message in range(8_000):
@@ -237,7 +237,7 @@ def test_oldest_files_go_beyond_the_limit(tmp_path: Path) -> None:
                 assert read(directory)
     bag.close()
     assert bag.recorded == 8_000
-    # What came since the last flush, forty messages, may be on top.
+    # The forty messages since the last flush can come on top.
     assert 80_000 < largest < 102_000
     stamps = [stamp for _, stamp, _ in read(directory)]
     assert stamps[-1] == LATE_NS + int(at * 1e9)
@@ -259,7 +259,7 @@ time.sleep(60)
 
 
 def test_a_kill_costs_what_came_since_the_last_flush(tmp_path: Path) -> None:
-    """The closed files are a bag at once; recover restores the last; a new start goes on."""
+    """The closed files are readable at once; recover restores the last; a new start continues."""
     path = os.pathsep.join(map(str, (CHECKOUT, CHECKOUT / "test", Path(__file__).parent)))
     process = subprocess.Popen(
         [sys.executable, "-c", _WRITER, str(tmp_path / "bag")], stdout=subprocess.PIPE, text=True,
@@ -279,7 +279,7 @@ def test_a_kill_costs_what_came_since_the_last_flush(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     restored = read(tmp_path / "bag-recovered")
     assert len(closed) < len(restored) and restored == sent[: len(restored)]
-    assert len(restored) >= 1500 - 11  # ten seconds, and the message that a flush follows
+    assert len(restored) >= 1500 - 11  # ten seconds, and the message that is followed by a flush
     assert done.stdout.startswith(f"{len(restored)} messages recovered to ")
     bag = live_bag(tmp_path / "bag", file_bytes=20_000, namespace="/site1")
     bag.write("/site1/roof/level", LATE_NS + 4000 * 10**9, number(1.0), 4000.0)
@@ -292,7 +292,7 @@ def test_a_kill_costs_what_came_since_the_last_flush(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("room", [6000, 9000, 12_000])
 def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
-    """Wherever the room ends: the rest is lost, counted, and said until something is safe."""
+    """Wherever the room ends: the rest is lost, counted, and reported until something is safe."""
     bag, random = live_bag(tmp_path / "bag"), Random(1)
     values = [random.random() for _ in range(3000)]
 
@@ -307,7 +307,7 @@ def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
             second += 1
         assert bag.problem == f"{tmp_path / 'bag'}: File too large"
         assert 0 < bag.lost < second
-    with no_file_beyond(50):  # it tries again in vain, and nothing of that is left
+    with no_file_beyond(50):  # it tries again in vain, and leaves nothing
         for later in range(second, second + 100):
             write(later)
         assert bag.problem and bag.lost > 100 and len(list(bag.directory.iterdir())) == 1

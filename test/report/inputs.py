@@ -1,4 +1,4 @@
-"""What the tests of the report read: studies, bags and run directories, as others leave them."""
+"""Inputs for the tests of the report: studies, bags and run directories, as others leave them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TOPICS = {
     "/weather/evapotranspiration": "evapotranspiration", "/cistern/outflow": "outflow",
     "/roof/drainage": "drainage", "/weather/frost": "frost",
 }
-# What a study's table has, whatever its runs.
+# The columns of a study's table, whatever its runs.
 COLUMNS = (
     "run", "site", "weather", "start", "hours", "evapotranspiration", "forecast",
     "forecast_skill", "forecast_seed", "forecast_members", "controller", "initial", "cistern_m3",
@@ -57,7 +57,7 @@ class Simulated(NamedTuple):
 
 @cache
 def simulate(controller: str, option: str, initial: str, hours: str = "0.2") -> Simulated:
-    """Do a run of the paper, shorter."""
+    """Do a run of the paper, but a shorter one."""
     key = {"mpc": "weight", "onoff": "fraction"}[controller]
     run = paper_run(
         "--controller", controller, f"--{key}", option, "--initial", initial, "--hours", hours
@@ -122,17 +122,17 @@ def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def report_of(*paths: Path, **assumptions: Any) -> Report:
-    """Read and judge what is under some paths."""
+    """Read and judge the runs under these paths."""
     return Report(find_runs(list(paths), None), Assumptions(**assumptions))
 
 
 def study_of(directory: Path, *rows: dict[str, Any], **assumptions: Any) -> Report:
-    """Return the report of a study of which no trajectory was kept."""
+    """Return the report of a study without trajectories."""
     return report_of(write_study(directory, [(row, None) for row in rows]), **assumptions)
 
 
 def page_of(source: Path | Report, *further: Path) -> str:
-    """Return the text of the page on runs, or what is under paths, without figures and blanks."""
+    """Return the text of the page on a report or on paths, without figures and extra spaces."""
     html = render(source if isinstance(source, Report) else report_of(source, *further), [])
     return " ".join(html.partition("<body>")[2].partition("</main>")[0].split()).replace("<br>", "")
 
@@ -153,7 +153,7 @@ def write_bag(
     storage: StoragePlugin = StoragePlugin.MCAP,
     msgtype: str = "std_msgs/msg/Float64",
 ) -> Path:
-    """Write a bag as somebody else would: stamps (ns since the start) and values of each topic."""
+    """Write a foreign bag: stamps (ns since the start) and values of each topic."""
     Message = TYPES.types[msgtype]
     queue = []
     with Writer(directory, version=9, storage_plugin=storage) as writer:
@@ -171,7 +171,7 @@ def write_bag(
 
 
 def messages_of(trajectory: Trajectory) -> dict[str, tuple[Sequence[int], Sequence[float]]]:
-    """Return the messages of a run, all of a tick at one time."""
+    """Return the messages of a run; all messages of a tick have one time."""
     area = {"cistern": 25.0, "roof": 68.8}
     stamps = [round(time * 1e9) for time in trajectory.time]
     return {
@@ -181,7 +181,7 @@ def messages_of(trajectory: Trajectory) -> dict[str, tuple[Sequence[int], Sequen
 
 
 def small_bag(directory: Path, **changes: list[float]) -> Path:
-    """A bag of a sample a second, three if not told otherwise, with other values of some topics."""
+    """Write a bag with a sample a second, by default three, with other values for some topics."""
     values = {
         "roof_level": [0.03] * 3, "cistern_level": [2.0] * 3, "pump_command": [0.1] * 3,
         "pump_flow": [0.001] * 3, **changes,
@@ -195,7 +195,7 @@ def small_bag(directory: Path, **changes: list[float]) -> Path:
 def ended_run(
     directory: Path, status: str = "done", example: Simulated | None = None, **known: Any
 ) -> Path:
-    """Write what bringup leaves of 720 ticks of MPC, or of another run, without its metrics."""
+    """Write a run directory as bringup leaves it, by default 720 ticks of MPC, without metrics."""
     example = example or simulate("mpc", "0.001", "low-low")
     ticks = known.get("last_tick") or 720
     columns = {name: getattr(example.trajectory, name)[: ticks + 1] for name in NAMES}

@@ -1,4 +1,4 @@
-"""The results of a bag's run, against sums by hand, and against the simulation's own tally."""
+"""The results of a bag's run, compared with sums by hand and with the simulation's own tally."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TARGET = 68.8 * 0.0457
 
 
 def trajectory(samples: int, dt: float = 1.0, **values: object) -> Trajectory:
-    """A trajectory in which nothing happens but what is given."""
+    """Return a trajectory in which all values are 0 except the given ones."""
     columns = {
         name: np.broadcast_to(np.asarray(values.get(name, 0.0), dtype=float), (samples,))
         for name in (
@@ -35,7 +35,7 @@ def trajectory(samples: int, dt: float = 1.0, **values: object) -> Trajectory:
 
 
 def found_in(happened: Trajectory, site: Site = PAPER_SITE) -> Row:
-    """Return what is found in a bag."""
+    """Return the results computed from a bag."""
     return measured(Run(site=site, row={"run": "bag"}), Recorded(happened))
 
 
@@ -69,13 +69,13 @@ def test_band_includes_its_edges_and_counts_time() -> None:
 
 
 def own_tally(options: tuple[str, ...]) -> dict[str, float]:
-    """Check a run against its own tally, and return that."""
+    """Check a run against its own tally, and return the tally."""
     run = paper_run(*options)
     metrics = Metrics()
     row = found_in(record(run, closed_loop(run, run.make_controller(), metrics)), run.site)
     results = metrics.results()
     if results["limited_steps"]:
-        # What a limited roof gave is worked out from the trajectory in another way.
+        # The losses of a limited roof are derived differently from the trajectory.
         for name in ("evapotranspiration_m3", "evapotranspiration_ratio"):
             assert row[name] == pytest.approx(results[name], rel=1e-9)
             row[name] = results[name]
@@ -86,10 +86,10 @@ def own_tally(options: tuple[str, ...]) -> dict[str, float]:
 
 
 def test_the_simulations_own_tally(tmp_path: Path) -> None:
-    """The same bits from a run under way and from its trajectory.
+    """The run itself and its trajectory give the same bits.
 
-    An empty roof gives less than evaporates, until it rains; a layer is not empty at first; there
-    are a low outlet, a catchment, and water from the mains.
+    An empty roof loses less than the potential evapotranspiration until it rains; a layer is not
+    empty at first; there are a low outlet, a catchment, and mains water.
     """
     own_tally(("--cistern", "10", "--roof", "0.001", "--controller", "onoff", "--hours", "3"))
     measured_roof = edited(CONFIG / "site_neubrandenburg.yaml", {})

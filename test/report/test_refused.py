@@ -1,4 +1,4 @@
-"""What a report refuses: one line that says what is wrong and where, before anything is written."""
+"""What a report refuses: one line that says what is wrong and where, before any writing."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from greenroof_ros.report.runs import find_runs
 
 
 def bag(how: Callable[[Path], Any] = lambda bag: None, **changes: Any) -> Callable[[Path], Any]:
-    """A bag with other values, or with other files."""
+    """Write a bag with other values, or with other files."""
     return lambda at: how(small_bag(at / "in", **changes))
 
 
 def study(change: Callable[[str], str] = lambda text: text + "\n") -> Callable[[Path], Any]:
-    """A study whose table is changed."""
+    """Write a study with a changed table."""
 
     def make(at: Path) -> None:
         example = simulate("onoff", "0.5", "low-low", "0.01")
@@ -124,7 +124,7 @@ def test_input(tmp_path: Path, name: str) -> None:
 
 
 def test_sites(tmp_path: Path) -> None:
-    """One that is wrong, and one for a study."""
+    """A wrong site, and a site for a study."""
     (tmp_path / "site.yaml").write_text("a1: -25\n")
     with pytest.raises(ConfigurationError, match=r"site.yaml.*a1"):
         find_runs([small_bag(tmp_path / "bag")], tmp_path / "site.yaml")
@@ -134,7 +134,7 @@ def test_sites(tmp_path: Path) -> None:
 
 
 def test_pump_data(tmp_path: Path) -> None:
-    """A header and a line that are not of flows and heads."""
+    """A header and a line that do not hold flows and heads."""
     sheet = tmp_path / "p.csv"
     for text, line, words in (
         ("q,h\n0,50\n", 1, "'flow [m3/s],head [m]'"),
@@ -173,7 +173,7 @@ def test_command(tmp_path: Path, options: str) -> None:
 
 @pytest.mark.parametrize("missing", ["altair", "rosbags"])
 def test_without_the_extra(tmp_path: Path, missing: str) -> None:
-    """A plain installation says what to install."""
+    """Without the extra the error says what to install."""
     small_bag(tmp_path / "in")
     code = (
         f"import sys, runpy; sys.modules[{missing!r}] = None; "

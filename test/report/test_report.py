@@ -57,7 +57,7 @@ def simulated() -> list[Simulated]:
 
 @pytest.fixture(scope="module")
 def study(simulated: list[Simulated], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A study of them."""
+    """A study of these runs."""
     return write_study(
         tmp_path_factory.mktemp("study") / "study",
         [(example.row, example.trajectory) for example in simulated],
@@ -68,7 +68,7 @@ def study(simulated: list[Simulated], tmp_path_factory: pytest.TempPathFactory) 
 
 
 def test_results_are_those_of_the_table(tmp_path: Path) -> None:
-    """With a sample a minute kept, of a command that is above 1 for a second in between."""
+    """Only a sample a minute is kept, although the command exceeds 1 for a second in between."""
     example = simulate("onoff", "0.5", "low-low")
     row = {**example.row, "max_command": 2.0, "beyond_hours": 1 / 3600, "pump_starts": 31,
            "excess_starts": 11, "limited_steps": 3}
@@ -83,7 +83,7 @@ def test_results_are_those_of_the_table(tmp_path: Path) -> None:
 
 
 def test_what_follows_from_results(tmp_path: Path) -> None:
-    """By hand: storage, what is unexplained, and money; the last sample counts for a tick."""
+    """By hand: storage, unexplained volume, and money; the last sample counts for a tick."""
     row = {
         **simulate("onoff", "0.5", "low-low").row, "cistern_m3": 60.0, "roof_m3": 2.0,
         "final_cistern_m3": 55.0, "final_roof_m3": 3.5, "rain_cistern_m3": 1.0, "pumped_m3": 4.0,
@@ -100,7 +100,7 @@ def test_what_follows_from_results(tmp_path: Path) -> None:
 
 
 def test_another_band_needs_what_happened(tmp_path: Path) -> None:
-    """Of samples, where a tick each was not kept, and says so; unknown without any."""
+    """From samples if not every tick was kept, with a note; unknown without a trajectory."""
     example = simulate("onoff", "0.5", "low-low")
     kept = example.trajectory.thinned(60)
     path = write_study(tmp_path / "study", [(example.row, kept), (example.row, None)])
@@ -131,7 +131,7 @@ def test_a_study_without_trajectories(tmp_path: Path) -> None:
 
 @given(values=st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=3000))
 def test_thinning_keeps_ends_and_extremes(values: list[float]) -> None:
-    """Whatever the line, its peaks are drawn, in order, and few points are."""
+    """For any line, its peaks are drawn, in order, with few points."""
     column = np.array(values)
     kept = thin(column, 100)
     assert len(kept) <= 102
@@ -141,7 +141,7 @@ def test_thinning_keeps_ends_and_extremes(values: list[float]) -> None:
 
 
 def test_frost_is_shaded(tmp_path: Path) -> None:
-    """From where it begins to where it ends."""
+    """From its beginning to its end."""
     frost = np.array([0, 0, 1, 1, 0, 1, 1.0])
     columns = {**dict.fromkeys(NAMES, np.ones(7)), "time": np.arange(7.0), "frost": frost}
     trajectory = Trajectory(start=START, **columns)
@@ -154,9 +154,9 @@ def test_frost_is_shaded(tmp_path: Path) -> None:
 
 
 def test_pump_curve(study: Path, tmp_path: Path) -> None:
-    """Curve and head loss by Table I's numbers; they meet where the quadratic has its root.
+    """Curve and head loss by Table I's numbers; they meet at the root of the quadratic.
 
-    Two points of a data sheet fix a curve: 50 m at no flow and 46 m at 2 L/s give -1e6 and 50.
+    Two points of a data sheet define a curve: 50 m at no flow and 46 m at 2 L/s give -1e6 and 50.
     """
     figure = figures_of(report_of(study))["pump-curve-1"]
     friction = (3.56 * 18.4 / 0.2 + 0.6) / (2 * 9.81 * (0.01 * np.pi) ** 2)
@@ -184,7 +184,7 @@ def test_pump_curve(study: Path, tmp_path: Path) -> None:
 
 
 def test_pump_smoothing(study: Path) -> None:
-    """Both models as the paper's text has them, and the exact one's jumps drawn upright."""
+    """Both models follow the paper's text, and the exact model's jumps are drawn vertically."""
     figure = figures_of(report_of(study))["pump-smoothing-1"]
     for number, roof_sweep in ((1, False), (2, False), (3, True)):
         rows = figure.data[f"pump-smoothing-1-{number}"]
@@ -201,7 +201,7 @@ def test_pump_smoothing(study: Path) -> None:
         exact = [row for row in rows if row["model"].startswith("exact")]
         steps = np.abs(np.diff([row["q"] for row in exact]))
         assert np.diff([row["x"] for row in exact])[steps.argmax()] < 1e-12
-    # On a measured roof as many litres a second leave the pumps, whatever its soil keeps.
+    # On a measured roof the pumps' flow is the same, whatever its soil keeps.
     measured = dataclasses.replace(
         PAPER_SITE, field_capacity=0.2, wilting_point=0.01, depletion_fraction=0.5,
         z_cap=PAPER_SITE.z_cap * 0.2,
@@ -210,14 +210,14 @@ def test_pump_smoothing(study: Path) -> None:
 
 
 def test_figures_of_single_runs(study: Path, simulated: list[Simulated]) -> None:
-    """Weather from the file, lines that are samples, totals at the setting, bars that add up."""
+    """Weather from the file, lines from samples, totals at each setting, bars that add up."""
     figures = figures_of(report_of(study))
     weather = figures["weather-1"].data
     assert {row["v"] for row in weather["rain-1"]} == {0.0}
     rows = weather["evapotranspiration-1"]
     assert {row["method"] for row in rows} == {"published"}
     assert [row["v"] for row in rows] == pytest.approx([2.77537901] * len(rows), rel=1e-6)
-    # Local time as if it were UTC, for an axis that is the same in every reader's browser.
+    # Local time as if it were UTC, so the axis is the same in every reader's browser.
     assert rows[0]["t"] == datetime.fromisoformat("2021-07-07T02:00+00:00").timestamp() * 1000
 
     lines = figures["trajectories-1-1"]
@@ -264,7 +264,7 @@ def test_figures_of_single_runs(study: Path, simulated: list[Simulated]) -> None
 
 
 def test_published_totals_stand_beside_the_papers_window(tmp_path: Path) -> None:
-    """12 h from its start, its site, its evapotranspiration: and nowhere else."""
+    """Only for 12 h from its start, with its site and its evapotranspiration."""
     row = {**simulate("onoff", "0.5", "low-low").row, "hours": 12.0}
     for name, changes, there in (
         ("published", {}, True),
@@ -286,7 +286,7 @@ def test_published_totals_stand_beside_the_papers_window(tmp_path: Path) -> None
 
 
 def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
-    """Controllers and parameters that this package does not know yet, numbers and words."""
+    """Controllers and parameters that this package does not know, with numbers and words."""
     example = simulate("mpc", "0.001", "low-low")
     base = {key: value for key, value in example.row.items() if not key.startswith("parameter:")}
     few = example.trajectory.thinned(60)
@@ -319,7 +319,7 @@ def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
         {**example.row, "bound_m3": {"low-low": 200.0, "high-low": 100.0}[example.row["initial"]]}
         for example in simulated
     ]
-    # Two of the rows do not know it.
+    # Two of the rows have no bound.
     rows[0]["bound_m3"] = rows[7]["bound_m3"] = ""
     report = study_of(tmp_path / "study", *rows)
     figure = figures_of(report)["total-deviation-1"]
@@ -354,7 +354,7 @@ def test_both_methods_stand_side_by_side(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def seeds(tmp_path_factory: pytest.TempPathFactory) -> Report:
-    """A study of forecast errors: a table without a single trajectory."""
+    """A study of forecast errors: a table without trajectories."""
     rows = seeded_rows(simulate("onoff", "0.5", "low-low").row)
     return study_of(tmp_path_factory.mktemp("seeds") / "study", *rows)
 
@@ -383,7 +383,7 @@ def test_seeds_belong_together(seeds: Report) -> None:
         if row["series"] == "on/off fraction 0.5" and row["skill"] == "better"
     } == {"mean": 1013, "mean of the worst tenth": 1024.2}
     colour = figure.panels[0].specification()["layer"][-1]["encoding"]["color"]["scale"]
-    # Colour is the controller's, whatever its setting.
+    # The colour depends on the controller, not on its setting.
     assert colour["domain"] == ["MPC weight 0.01", "on/off fraction 0.5", "on/off fraction 2"]
     assert colour["range"][0] != colour["range"][1] == colour["range"][2]
 
@@ -400,7 +400,7 @@ def test_seeds_page(seeds: Report) -> None:
     ]
     assert "Results of each run" not in text
     assert "They are judged together" in text
-    # 25 different numbers of ticks are one note.
+    # 25 different numbers of ticks give one note.
     assert text.count("found no answer in some ticks") == 1
     assert (
         "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
@@ -409,7 +409,7 @@ def test_seeds_page(seeds: Report) -> None:
 
 
 def test_seeds_beside_other_runs(tmp_path: Path) -> None:
-    """A perfect forecast and a single seed stay as they were, and their tables leave none out."""
+    """A perfect forecast and a single seed are shown as before, complete in their tables."""
     example = simulate("mpc", "0.001", "low-low")
     few = example.trajectory.thinned(60)
     errors = {**example.row, "forecast": "errors", "forecast_skill": "real"}
@@ -455,7 +455,7 @@ def test_a_tie_is_no_win(tmp_path: Path, forecast: str, seeds: tuple[object, ...
 
 
 def test_nothing_is_written_over(tmp_path: Path) -> None:
-    """Neither a report, unless it is to be, nor what is no report's."""
+    """Neither an old report, without --force, nor a file that is not a report's."""
     (tmp_path / "figures").mkdir()
     files = [tmp_path / "report.html", tmp_path / "figures" / "energy-1.svg"]
     for file in files:
@@ -474,9 +474,9 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
 
 
 def test_study(tmp_path: Path) -> None:
-    """A page, each figure twice, the runs that failed with their errors, and where the page is.
+    """A page, each figure twice, the failed runs with their errors, and where the page is.
 
-    With --force a report of before is gone.
+    With --force the previous report is removed.
     """
     example = simulate("onoff", "2", "low-low")
     failed = {**example.row, "status": "failed", "error": "solver: <gave up>", TOTAL: ""}
@@ -515,7 +515,7 @@ def test_study(tmp_path: Path) -> None:
 
 
 def test_a_page_begins_with_what_came_out(tmp_path: Path, study: Path, seeds: Report) -> None:
-    """Three sentences and a figure before the results; then figures and warnings, last versions."""
+    """Three sentences and a figure come before the results; versions are last."""
     pages = {
         "A run of MPC (weight 0.001): ": page_of(ended_run(tmp_path / "run")),
         "8 runs of MPC (2 settings) and on/off (2 settings), from low-low and high-low: ":

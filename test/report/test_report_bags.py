@@ -1,4 +1,4 @@
-"""Reports of bags and run directories: their numbers, what is beside them, and how they ended."""
+"""Reports of bags and run directories: their numbers, files beside them, and how they ended."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ TOTAL = "total_deviation_m3"
 
 
 def test_parquet_keeps_every_bit(tmp_path: Path) -> None:
-    """Of random bit patterns, NaN and the sign of 0 among them."""
+    """For random bit patterns, including NaN and the sign of 0."""
     random = np.random.default_rng(1)
     columns = random.integers(-(2**63), 2**63, size=(len(NAMES), 500)).view(np.float64)
     columns[:, :3] = [-0.0, np.nan, np.inf]
@@ -75,16 +75,16 @@ def test_parquet_of_something_else(tmp_path: Path) -> None:
     contents.append(Trajectory(start=START, **dict.fromkeys(NAMES, np.array([]))).to_parquet())
     for content in contents:
         (tmp_path / "file").write_bytes(content)
-        with pytest.raises(ConfigurationError, match="is empty, cut short or no trajectory"):
+        with pytest.raises(ConfigurationError, match="is empty, truncated or not a trajectory"):
             read_parquet(tmp_path / "file")
 
 
-# --- bags of others ------------------------------------------------------------------------------
+# --- foreign bags --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_a_bag_gives_the_runs_numbers(tmp_path: Path, storage: StoragePlugin) -> None:
-    """Read from the bag alone, under a namespace or not, with the paper's site; two are refused."""
+    """Read from the bag only, with or without namespace, with the paper's site; two are refused."""
     example = simulate("mpc", "0.00001", "low-low")
     plain = messages_of(example.trajectory)
     spaced = {f"/site1{topic}": messages for topic, messages in plain.items()}
@@ -111,7 +111,7 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path, storage: StoragePlugin) ->
 
 
 def test_a_real_sites_bag(tmp_path: Path) -> None:
-    """Nothing is aligned: each stamp is a sample, all else is the last value before, by hand."""
+    """Nothing is aligned: each stamp is a sample, other values are held, by hand."""
     second = 10**9
     write_bag(tmp_path / "bag", {
         "/roof/level": ([0, 10 * second, 21 * second, 30 * second], [0.01, 0.02, 0.03, 0.04]),
@@ -145,9 +145,9 @@ def loaded(path: Path) -> tuple[Trajectory, tuple[str, ...]]:
 
 
 def test_a_gap_is_not_filled_with_flow(tmp_path: Path) -> None:
-    """The recorder stood still for two hours while the pump ran; 9 minutes are no gap.
+    """The recorder stood still for two hours while the pump ran; 9 minutes are not a gap.
 
-    Nor is a quarter of an hour between any two values: that is how the site measures.
+    Nor is a quarter of an hour between all values: then the site measures in this interval.
     """
     for name, minutes in (
         ("gap", [0, 1, 2, 11, 12, 132, 133]), ("regular", [15 * number for number in range(8)]),
@@ -173,7 +173,7 @@ def test_a_gap_is_not_filled_with_flow(tmp_path: Path) -> None:
 def test_outliers_are_left_out_and_wrong_units_are_not(tmp_path: Path) -> None:
     """A NaN and a spike among 600 values; a pump in L/s for 20 s of ten minutes.
 
-    Of frost a NaN says that it is unknown, as before there is a forecast at a live site.
+    A NaN of frost means unknown, as at a live site before there is a forecast.
     """
     stamps = [second * 10**9 for second in range(600)]
     levels = [0.03] * 600
@@ -196,7 +196,7 @@ def test_outliers_are_left_out_and_wrong_units_are_not(tmp_path: Path) -> None:
 
 
 def test_limits_are_those_of_the_site(tmp_path: Path) -> None:
-    """Three times what the pumps give at the outlet's level, by hand, and all else just below."""
+    """Three times the pumps' flow at the outlet's level, by hand; just below is accepted."""
     full = np.roots([
         (3.56 * 18.4 / 0.2 + 0.6) / (2 * 9.81 * (0.01 * np.pi) ** 2) + 5.78e5, 0, 16 - 3 - 55.2
     ]).max()
@@ -216,7 +216,7 @@ def test_limits_are_those_of_the_site(tmp_path: Path) -> None:
 
 
 def own_run(directory: Path, example: Simulated, **known: Any) -> Path:
-    """Write what bringup leaves of on/off, with its weather."""
+    """Write a run directory of on/off as bringup leaves it, with its weather."""
     ended_run(directory, example=example, parameters={"fraction": 2.0}, **known)
     (directory / "configuration" / "weather").mkdir()
     shutil.copy(
@@ -226,9 +226,9 @@ def own_run(directory: Path, example: Simulated, **known: Any) -> Path:
 
 
 def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
-    """As its summary has them: a sensor that errs makes the bag's roof another than the true one.
+    """From its summary: with sensor errors the bag's roof differs from the true one.
 
-    No bound belongs to it, since its first reading is not what was on the roof.
+    It then has no bound, because its first reading was not the true volume.
     """
     example = simulate("onoff", "2", "low-low", "0.05")
     path = own_run(tmp_path / "run", example)
@@ -249,7 +249,7 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     assert row["bound_m3"] is None
     sensor = "what a sensor reads (roof offset 0.005 m); the results are of the true one"
     assert sensor in page_of(report)
-    # Nor where the rain in the bag is not that in the file.
+    # Nor if the rain in the bag is not that in the file.
     rain = example.trajectory.precipitation + 1e-7
     wet = dataclasses.replace(example.trajectory, precipitation=rain)
     report = report_of(own_run(tmp_path / "wet", example._replace(trajectory=wet)))
@@ -289,7 +289,7 @@ FOREIGN = (
 
 @pytest.mark.parametrize("file", ["summary.json", "configuration/parameters.yaml"])
 def test_foreign_labels_leave_the_numbers(tmp_path: Path, file: str) -> None:
-    """What lies beside a good bag is no reason to refuse it: the directory's name is its label."""
+    """A bad file beside a good bag does not matter: the directory's name is the label."""
     small_bag(tmp_path / "run" / "bag")
     (tmp_path / "run" / "configuration").mkdir()
     for text in FOREIGN:
@@ -303,7 +303,7 @@ def test_foreign_labels_leave_the_numbers(tmp_path: Path, file: str) -> None:
 
 
 def test_a_damaged_summary_leaves_the_parameters(tmp_path: Path) -> None:
-    """Of the nodes, as after a crash while it was written."""
+    """The nodes' parameters, as after a crash while the summary was written."""
     small_bag(tmp_path / "run" / "bag")
     (tmp_path / "run" / "configuration").mkdir()
     (tmp_path / "run" / "summary.json").write_text('{"controller": "mp')
@@ -320,7 +320,7 @@ def test_a_damaged_summary_leaves_the_parameters(tmp_path: Path) -> None:
 
 
 def test_names_distinguish_paths(tmp_path: Path) -> None:
-    """By as much of the end of each path as it takes, and no more."""
+    """By the shortest part of each path's end that is unique."""
     paths = [tmp_path / place for place in ("mon/bag", "tue/bag", "x/a/deep", "y/a/deep", "one")]
     for path in paths:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -337,7 +337,7 @@ def test_names_distinguish_paths(tmp_path: Path) -> None:
 # --- graphs --------------------------------------------------------------------------------------
 
 
-# The example's pump, but it gives 1 L/s, and in every tenth tick, the first too, what cannot be.
+# The example's pump, but with 1 L/s, and an impossible flow in every tenth tick from the first on.
 DRIVER = (CHECKOUT / "examples" / "pump_driver.py").read_text()
 BAD_FLOWS = """
 import itertools
@@ -348,9 +348,9 @@ rclpy.init()
 
 
 def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
-    """The bag of bringup gives the numbers of the summary, and its labels the run's.
+    """Bringup's bag gives the numbers of the summary, and the labels of the run.
 
-    By hand: 9 of 10 ticks of 1 L/s, 12 starts, since flows that were refused act as 0.
+    By hand: 9 of 10 ticks of 1 L/s, 12 starts, because refused flows act as 0.
     """
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     bad = DRIVER.replace("rclpy.init()\n", BAD_FLOWS)
@@ -368,7 +368,7 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
     finally:
         driver.kill()
         driver.wait()
-    assert summary["refused"] == {"/pump/flow": 13}  # of ticks 0 to 120
+    assert summary["refused"] == {"/pump/flow": 13}  # in ticks 0 to 120
     assert summary["pumped_m3"] == pytest.approx(108 * 0.001, rel=1e-12)
     assert summary["pump_starts"] == 12
     report = report_of(tmp_path / "run")
@@ -391,7 +391,7 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
 
 
 def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:
-    """Command, rain and evapotranspiration of a run of this package; its own flow is as it was."""
+    """In this package's runs: command, rain and evapotranspiration; the plant's flow is kept."""
     path = ended_run(tmp_path / "run")
     shutil.rmtree(path / "bag")
     small_bag(
@@ -409,11 +409,11 @@ def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:
     }
 
 
-# --- how runs ended, and what was lost in them ---------------------------------------------------
+# --- how runs ended, and their incidents ---------------------------------------------------------
 
 
 def test_a_changed_parameter(tmp_path: Path) -> None:
-    """It is in the setting, wherever that stands, and a warning; no axis has it as a number."""
+    """It is shown in the setting, wherever that appears, and as a warning; no axis has it."""
     changes = [
         {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.00001},
         {"tick": 3660, "parameter": "weight", "before": 0.00001, "value": 0.1},
@@ -449,7 +449,7 @@ ENDINGS = {
 
 @pytest.mark.parametrize("status", ENDINGS)
 def test_a_run_that_is_not_done_says_it_first(tmp_path: Path, status: str) -> None:
-    """Alone before all else; beside others by name, and in its rows."""
+    """If alone, before everything else; beside others by name, and in its rows."""
     known, sentence, short = ENDINGS[status]
     path = ended_run(tmp_path / "broken", status, **known)
     lead = page_of(path).partition('<section id="results">')[0]
@@ -484,7 +484,7 @@ def incidents_of(path: Path) -> list[list[str]]:
 
 
 def test_incidents_of_a_run(tmp_path: Path) -> None:
-    """Said above all results, warned of, and listed."""
+    """Mentioned above all results, in the warnings, and listed."""
     path = ended_run(tmp_path / "run", incidents=[LOSS, STILL_LOST])
     text = page_of(path)
     lead = text.partition("</header>")[0]
@@ -503,7 +503,7 @@ def test_incidents_of_a_run(tmp_path: Path) -> None:
 
 
 def test_incidents_of_a_run_whose_bringup_was_killed(tmp_path: Path) -> None:
-    """They are in a file of their own, beside a summary that has none, or beside none."""
+    """They are in a separate file; the summary has none, or does not exist."""
     path = ended_run(tmp_path / "run", "running", incidents=[])
     lines = [json.dumps({**LOSS, "ended": None, "ended_tick": None}), json.dumps(LOSS), ""]
     (path / "incidents.jsonl").write_text("\n".join(lines))
@@ -521,7 +521,7 @@ def test_incidents_of_a_run_whose_bringup_was_killed(tmp_path: Path) -> None:
 def test_incidents_of_a_live_site(tmp_path: Path) -> None:
     """From its summary, in local standard time; its site is the one it ran with.
 
-    What no sensor can have said is left out, and did not act as 0 as in a simulation.
+    An impossible sensor value is left out; it did not act as 0 as in a simulation.
     """
     path = tmp_path / "live"
     small_bag(path / "bag", pump_command=[0.1] * 100 + [math.nan] + [0.1] * 99)
@@ -548,7 +548,7 @@ def test_incidents_of_a_live_site(tmp_path: Path) -> None:
 def test_what_the_terminal_says_of_how_runs_ended(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One that left nothing is refused with why it failed; beside others it is in the list."""
+    """A run without data is refused with the reason it failed; beside others it is listed."""
     nothing = ended_run(tmp_path / "nothing", "failed", reason="no start within 30 s")
     shutil.rmtree(nothing / "bag")
     silent = ended_run(tmp_path / "silent", "interrupted", last_tick=0)
@@ -572,7 +572,7 @@ def test_what_the_terminal_says_of_how_runs_ended(
 
 
 def test_one_run_alone(tmp_path: Path) -> None:
-    """A line for each quantity; two runs of one kind are compared, each with its copy of a site."""
+    """A line for each quantity; two similar runs are compared, each with its copy of a site."""
     path = ended_run(tmp_path / "run")
     text = page_of(path)
     assert "Least total deviation" not in text and "<thead>" not in text.partition("Site:")[0]

@@ -1,4 +1,4 @@
-"""The report's page in a real browser: what it shows, and that it asks for nothing else."""
+"""The report's page in a real browser: what it shows, and that it requests nothing else."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from greenroof_ros.report.page import render
 WEIGHTS = ("0.00001", "0.0001", "0.001", "0.01", "0.1")
 FRACTIONS = ("0.2", "0.5", "1", "1.5", "2")
 INITIALS = ("low-low", "high-low", "high-high")
-# Of the samples of 12 h: these of each curve are drawn, and no more.
+# Of each curve only these samples of 12 h are drawn.
 TIME = np.arange(0.0, 43201.0, 40.0)
-# What noise from 0 to 1 is times, and more than.
+# The factor and the offset for noise from 0 to 1.
 NOISE = {
     "cistern": (1, 50), "roof": (1, 3), "precipitation": (1e-6, 0), "evapotranspiration": (1e-6, 0),
     "command": (1, 0), "pump_flow": (1e-2, 0), "outflow": (1e-2, 0), "drainage": (1e-2, 0),
@@ -86,7 +86,7 @@ window.crowded = () => [...window.reportViews.keys()].flatMap((id) => {
 
 
 def noisy_study(directory: Path, initials: int, settings: int) -> Path:
-    """Write the page on a study of 12 h of noise, which takes the most room."""
+    """Write the page on a study of 12 h of noise, which needs the most space."""
     random = np.random.default_rng(1)
     row = {**simulate("onoff", "0.5", "low-low", "0.01").row, "parameter:fraction": "",
            "hours": "12", "bound_m3": 30_000.0}
@@ -109,7 +109,7 @@ def noisy_study(directory: Path, initials: int, settings: int) -> Path:
 
 
 def reported(directory: Path, *paths: str) -> Path:
-    """Write the page on a study, or on runs, without the figures' own files."""
+    """Write the page on a study, or on runs, without the separate figure files."""
     report = report_of(*(directory / path for path in paths))
     file = directory / "report.html"
     file.write_text(render(report, list(figures_of(report).values())))
@@ -118,16 +118,16 @@ def reported(directory: Path, *paths: str) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A browser without a window."""
+    """A headless browser."""
     with started_browser() as started:
         yield started
 
 
 @contextmanager
 def opened(browser: Any, file: Path, width: int, *, unfold: bool = True) -> Iterator[Any]:
-    """Open the page, with all that is folded, and wait until everything is drawn.
+    """Open the page, unfold everything, and wait until all is drawn.
 
-    The console stays empty, and no file or server is asked for anything.
+    The console must stay empty, and no other file or server may be requested.
     """
     page = browser.new_page(viewport={"width": width, "height": 900})
     page.set_default_timeout(120_000)
@@ -148,7 +148,7 @@ def opened(browser: Any, file: Path, width: int, *, unfold: bool = True) -> Iter
 
 
 def unfold_all(page: Any) -> None:
-    """Open all that is folded, and wait until it is drawn."""
+    """Open everything that is folded, and wait until it is drawn."""
     page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true })")
     page.wait_for_function("Math.max(...clipped()) <= 1", timeout=20_000)
     settle(page)
@@ -156,7 +156,7 @@ def unfold_all(page: Any) -> None:
 
 @pytest.fixture(scope="module")
 def folded_page(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A page of the paper's size, opened once: as it is until ``page`` unfolds it."""
+    """A page of the paper's size, opened once; it stays folded until ``page`` unfolds it."""
     file = noisy_study(tmp_path_factory.mktemp("page"), 3, 5)
     assert file.stat().st_size < 5_000_000
     with opened(browser, file, 1400, unfold=False) as page:
@@ -165,13 +165,13 @@ def folded_page(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Itera
 
 @pytest.fixture(scope="module")
 def page(folded_page: Any) -> Any:
-    """The same with nothing folded."""
+    """The same page, unfolded."""
     unfold_all(folded_page)
     return folded_page
 
 
 def overflow(page: Any) -> int:
-    """By how much the page is wider than the window (px)."""
+    """Return by how much the page is wider than the window (px)."""
     return page.evaluate(
         "document.documentElement.scrollWidth - document.documentElement.clientWidth"
     )
@@ -186,7 +186,7 @@ def first_number(page: Any) -> float:
 
 
 def short(page: Any, most: int) -> None:
-    """Check that what few read is folded, and drawn to its width once it is unfolded."""
+    """Check that details are folded, and drawn at their width when unfolded."""
     assert page.evaluate("document.documentElement.scrollHeight") < most
     lead = page.locator("header figure .panel canvas")
     assert lead.last.bounding_box()["y"] < 900
@@ -200,7 +200,7 @@ def short(page: Any, most: int) -> None:
 
 
 def readable(page: Any) -> None:
-    """Check that nothing is too wide: at 1400 px, and once the window is made 500 px wide."""
+    """Check that nothing is too wide: at 1400 px, and after narrowing the window to 500 px."""
     assert page.evaluate("mostLines()") <= 2
     assert max(page.evaluate("clipped()")) <= 1
     assert page.evaluate("crowded()") == []
@@ -217,7 +217,7 @@ def test_a_study_is_short(folded_page: Any) -> None:
 
 
 def test_every_figure_has_its_series(page: Any) -> None:
-    """As many lines and marks as there are runs, in every panel."""
+    """In every panel as many lines and marks as there are runs."""
     panels = page.evaluate("[...window.reportViews.keys()]")
     assert len(panels) == page.locator(".panel canvas").count() == 1 + 3 + 2 + 4 * 2 + 3 * 6 + 2
 
@@ -245,7 +245,7 @@ def test_every_figure_has_its_series(page: Any) -> None:
 
 
 def test_table_sorts(page: Any) -> None:
-    """By a click, and by the keyboard; numbers as numbers, and the heading says which way."""
+    """By a click and by keyboard; numbers sort as numbers, and the heading shows the order."""
     table = page.locator("table.sortable").nth(1)
 
     def column(name: str) -> tuple[Any, list[str]]:
@@ -271,7 +271,7 @@ def test_table_sorts(page: Any) -> None:
 
 
 def settle(page: Any) -> None:
-    """Wait until every figure has taken what was done to it."""
+    """Wait until every figure has handled the last change."""
     page.wait_for_timeout(300)
     page.evaluate(
         "Promise.all([...window.reportViews.values()].map((view) => view.runAsync())).then(() => 0)"
@@ -307,7 +307,7 @@ def test_legend_switches_a_run_off_and_on(page: Any) -> None:
 
 
 def test_wheel_scrolls_and_zooms_with_shift(page: Any) -> None:
-    """A figure under the pointer does not hold the page."""
+    """A figure under the pointer does not stop the page from scrolling."""
     panel = "trajectories-1-2-panel-1"
     canvas = page.locator(f"#{panel} canvas")
     canvas.scroll_into_view_if_needed()
@@ -333,7 +333,7 @@ def test_wheel_scrolls_and_zooms_with_shift(page: Any) -> None:
 
 
 def test_hover_shows_values(page: Any) -> None:
-    """The pointer on a mark says which run it is, and its value."""
+    """With the pointer on a mark, the run and its value are shown."""
     panel = "energy-1-panel-1"
     canvas = page.locator(f"#{panel} canvas")
     canvas.scroll_into_view_if_needed()
@@ -348,7 +348,7 @@ def test_hover_shows_values(page: Any) -> None:
 
 
 def test_widths(browser: Any, tmp_path: Path) -> None:
-    """Two columns or one, never wider than the window, laid out again when its width changes.
+    """One or two columns, never wider than the window, laid out again when its width changes.
 
     On paper figures are vectors; on the screen they are canvases again afterwards.
     """
@@ -407,7 +407,7 @@ def test_many_seeds(browser: Any, tmp_path: Path) -> None:
 
 
 def test_runs(browser: Any, tmp_path: Path) -> None:
-    """The page on one is short; beside it one whose setting was changed, and one that failed."""
+    """A single run's page is short; beside it a run with a changed setting, and a failed one."""
     change = {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.01}
     names = ("2026-11-21T02-25-10-mpc", "2026-11-21T02-25-10-changed", "broken")
     ended_run(tmp_path / names[0])
@@ -429,6 +429,6 @@ def test_runs(browser: Any, tmp_path: Path) -> None:
 
 
 def test_a_study_is_readable_at_any_width(page: Any) -> None:
-    """Its page is the largest; it is opened once for all tests, and this one comes last."""
+    """Its page is the largest; it is opened once for all tests, and this test comes last."""
     assert overflow(page) == 0
     readable(page)

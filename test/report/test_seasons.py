@@ -30,7 +30,7 @@ TOTAL = "total_deviation_m3"
 
 
 def rows(controller: str, seed: int | None, totals: dict[int, float]) -> list[dict[str, Any]]:
-    """Return runs of a fortnight and two days, the second week three times as bad as the first."""
+    """Return runs of 16 days, in which the second week is three times as bad as the first."""
     forecast: dict[str, Any] = {"forecast": "perfect"}
     if seed is not None:
         forecast = {"forecast": "errors", "forecast_skill": "real", "forecast_seed": seed}
@@ -48,7 +48,7 @@ def rows(controller: str, seed: int | None, totals: dict[int, float]) -> list[di
 
 
 def deviations(*seeds: dict[int, float]) -> Deviations:
-    """Return deviations with a seed for each of these totals."""
+    """Return deviations with one seed for each of these totals."""
     made = Deviations()
     for year in seeds[0]:
         totals = np.array([of_seed[year] for of_seed in seeds])
@@ -58,7 +58,7 @@ def deviations(*seeds: dict[int, float]) -> Deviations:
 
 
 def over_onoff(*seeds: dict[int, float]) -> Comparison:
-    """Return what a controller with a seed for each of these totals has over on/off."""
+    """Return the comparison with on/off of a controller with one seed for each of these totals."""
     over = compare(deviations(*seeds), deviations(ONOFF))
     assert over is not None
     return over
@@ -70,7 +70,7 @@ def over_onoff(*seeds: dict[int, float]) -> Comparison:
 def test_a_tenth_whatever_the_number_of_values() -> None:
     """Of 26 weeks 2.6, of 260 the same as 26; of five the largest.
 
-    Seeds share the weight of their year: two that are alike change nothing.
+    Seeds share the weight of their year: two equal seeds change nothing.
     """
     weeks = np.arange(26.0)
     assert worst_tenth(weeks) == pytest.approx((25 + 24 + 0.6 * 23) / 2.6)
@@ -80,7 +80,7 @@ def test_a_tenth_whatever_the_number_of_values() -> None:
 
 
 def test_ratios_and_what_is_said_of_them() -> None:
-    """The same in all years is no luck; to and fro contains 1."""
+    """Equal in all years is certain; changing signs contain 1."""
     over = over_onoff({year: total * 0.8 for year, total in ONOFF.items()})
     assert over.mean == pytest.approx((0.8, 0.8, 0.8))
     assert over.worst_weeks == pytest.approx((0.8, 0.8, 0.8))
@@ -93,7 +93,7 @@ def test_ratios_and_what_is_said_of_them() -> None:
     assert over.worst_weeks.value == pytest.approx(1 + 30 * 2.2 / (200 + 190 + 0.2 * 180))
     over = over_onoff({year: total + (-1) ** year * 30 for year, total in ONOFF.items()})
     assert over.mean.verdict == CONTAINS_1 == "contains 1" and over.better == 6  # the odd years
-    # A target that on/off never leaves, and a single year: no ratio.
+    # If on/off never leaves its target, or for a single year, there is no ratio.
     assert compare(deviations(ONOFF), deviations(dict.fromkeys(YEARS, 0.0))) is None
     assert compare(deviations({2015: 1.0}), deviations(ONOFF)) is None
 
@@ -109,7 +109,7 @@ def test_intervals_of_another_library() -> None:
     over = over_onoff(own)
 
     def worst(years: Any) -> float:
-        """Return what the worst 2.2 of 22 weeks have over on/off's."""
+        """Return the ratio to on/off of the worst 2.2 of 22 weeks."""
         weeks = [
             [week for year in years for week in (run[2015 + year] / 8, run[2015 + year] * 3 / 8)]
             for run in (own, ONOFF)
@@ -127,14 +127,14 @@ def test_intervals_of_another_library() -> None:
         value = statistic(range(11))
         assert interval.value == pytest.approx(value)
         for end, level in ((interval.low, 2.5), (interval.high, 97.5)):
-            # Of 2000 resamples a percentile is sure to 0.35.
+            # With 2000 resamples a percentile is accurate to 0.35.
             near = np.percentile(resampled, [level - 1, level + 1])
             low, high = value + WIDER * (near - value)
             assert low - 1e-5 <= end <= high + 1e-5
 
 
 def test_a_year_has_one_value_the_mean_of_its_seeds() -> None:
-    """Seeds whose mean is the same in every year leave nothing unsure, however far apart."""
+    """Seeds with the same mean in every year leave no uncertainty, however different they are."""
     apart = [{year: total + more for year, total in ONOFF.items()} for more in (-40, 40)]
     assert over_onoff(*apart).mean == pytest.approx((1, 1, 1))
 
@@ -143,7 +143,7 @@ def test_a_year_has_one_value_the_mean_of_its_seeds() -> None:
 
 
 def test_means_by_hand(tmp_path: Path) -> None:
-    """Over years, of each over its seeds; the worst year; the worst tenth of all whole weeks."""
+    """Over years, in each over its seeds; the worst year; the worst tenth of all whole weeks."""
     lower = {year: total - 20 for year, total in ONOFF.items()}
     report = study_of(
         tmp_path / "study", *rows("onoff", None, ONOFF), *rows("mpc", 1, ONOFF),
@@ -155,8 +155,8 @@ def test_means_by_hand(tmp_path: Path) -> None:
     assert (case["seeds"], case["years"], case["forecast"]) == (2, 11, "errors skill real")
     assert case["saved_m3"] == pytest.approx(3.5)
     assert case["ratio"] == pytest.approx(140 / 50)
-    # 44 whole weeks: the worst 4.4 are the second weeks of 2025, 2024, 2025 less 20, 2023, and
-    # of the next, 2024 less 20 or 2022, four tenths.
+    # 44 whole weeks: the worst 4.4 are the second weeks of 2025, 2024, 2025 less 20, 2023, and four
+    # tenths of the next, 2024 less 20 or 2022.
     assert case["worst_tenth_m3"] == pytest.approx(
         3 / 8 * (200 + 190 + 180 + 180 + 0.4 * 170) / 4.4
     )
@@ -171,7 +171,7 @@ def test_means_by_hand(tmp_path: Path) -> None:
 
 
 def test_years_without_a_storm_have_no_share_of_it(tmp_path: Path) -> None:
-    """The mean is of those with one; who has none, or no mains, has no number."""
+    """The mean is over years with a storm; without one, or without mains, there is no number."""
     wet, dry = rows("onoff", None, ONOFF), rows("mpc", 1, ONOFF)
     wet[0]["rain_kept_share_day"], wet[1]["rain_kept_share_day"] = 0.5, 0.75
     table = make_tables(study_of(tmp_path / "study", *wet, *dry))[0]
@@ -180,7 +180,7 @@ def test_years_without_a_storm_have_no_share_of_it(tmp_path: Path) -> None:
 
 
 def test_reference_is_plain_onoff(tmp_path: Path) -> None:
-    """On/off to a lower level is compared with that to the target, of those with the least."""
+    """On/off to a lower level is compared with on/off to the target, by the best setting."""
     lower, full, tenth = (
         [{**row, "parameter:fraction": fraction, "parameter:level": level}
          for row in rows("onoff", None, {year: total + more for year, total in ONOFF.items()})]
@@ -202,7 +202,7 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
 
 
 def test_a_panel_for_each_kind_of_forecasts(tmp_path: Path) -> None:
-    """One that has been given perfect ones alone stands in each; one with real ones, in its own."""
+    """A controller with only perfect forecasts is in each panel; others in their own."""
     real = [{**row, "forecast": "ensemble"} for row in rows("anticipating_onoff", 1, ONOFF)]
     looking = [{**row, "forecast": "ensemble"} for row in rows("lookahead", 1, ONOFF)]
     report = study_of(
@@ -221,14 +221,14 @@ def test_a_panel_for_each_kind_of_forecasts(tmp_path: Path) -> None:
 
 
 def named(row: Row) -> tuple[str, str, str]:
-    """Return who is compared with the least."""
+    """Return what is compared with the least."""
     return row["controller"], row["forecast"], row["has"].mean.verdict
 
 
 def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
-    """The best with forecasts that have errors or with none; a table compares the others with it.
+    """The best with imperfect forecasts or none; a table compares the others with it.
 
-    One that has no forecasts with errors beside it is known by its horizon.
+    If the study has a controller only with perfect forecasts, its horizon shows that it uses them.
     """
     lower, lowest = ({year: total - more for year, total in ONOFF.items()} for more in (20, 30))
     report = study_of(
@@ -252,7 +252,7 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
             *({**row, **horizon} for row in rows("mpc", None, lowest)),
         )
         assert [row["controller"] for row in report.least.values()] == [expected]
-    # All perfect: the least of all; and where it is plain on/off itself no table says it again.
+    # All perfect: the least of all; if that is plain on/off itself, no table repeats it.
     report = study_of(tmp_path / "d", *rows("onoff", None, ONOFF), *rows("mpc", None, lower))
     assert [row["controller"] for row in report.least.values()] == ["mpc"]
     report = study_of(tmp_path / "e", *rows("onoff", None, lower), *rows("mpc", None, ONOFF))
@@ -286,7 +286,7 @@ controllers: {onoff: }
 
 @pytest.mark.parametrize("text", [SEASONS_GRID, SIZES], ids=["seasons", "sizes"])
 def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
-    """A week and a day of two years."""
+    """A week and a day in two years."""
     directory = tmp_path / "record"
     record(directory, (2015, 2016))
     run_here(directory, text)
@@ -300,7 +300,7 @@ def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
     if text is SIZES:
         assert list(figures) == ["sizing"]
-        # The same roof: what its cistern does not hold, the mains give.
+        # The same roof: what its cistern does not hold comes from the mains.
         small, _, large, full = cases
         assert {row["series"] for row in figures["sizing"].data["sizing-1"]} == {
             "on/off, from site", "on/off, from full",
@@ -309,7 +309,7 @@ def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
         assert small["outflow_m3"] > large["outflow_m3"] >= 0
         for row in (small, large):
             assert row["saved_m3"] == pytest.approx(row["pumped_m3"] - row["mains_m3"])
-        # A roof of half the area is another size, too; what differs in something else is none.
+        # A roof of half the area is another size, too; a difference in anything else is not.
         site = directory / "out" / "configuration" / small["site"]
         site.write_text(edited(site, {"a2": 34.4}))
         assert len(figures_of(report_of(directory / "out"))["sizing"].panels) == 2 * 2

@@ -1,6 +1,6 @@
-"""The simulated drive: what it is set to, with a clock of our own; and as a program, by the driver.
+"""The simulated drive: its settings, with the test's own clock; and as a program, by the driver.
 
-How each make obeys is what its driver finds in it, whose words are the manuals' by test_wire.py.
+The driver shows how each make obeys; test_wire.py checks the driver's words against the manuals.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ def make_of(name: str, clock: Callable[[], float], **settings: float | None) -> 
 
 
 def place_of(drive: Simulator) -> str:
-    """Return the address that a simulator says is the drive's."""
+    """Return the address that a simulator prints as the drive's."""
     return drive.ready.split()[2].rstrip(",")
 
 
-# --- how it is set --------------------------------------------------------------------------------
+# --- settings -------------------------------------------------------------------------------------
 
 
 def test_a_factor_makes_the_motor_faster() -> None:
-    """Coasting would take 40 s from rated speed: at 100 times it takes 0.25 of it in 0.1 s."""
+    """Coasting takes 40 s from rated speed: at 100 times, 0.25 of it takes 0.1 s."""
     now = [0.0]
     drive = make_of("danfoss_fc202", lambda: now[0], coast_s=40.0, speed=100.0)
     drive.speed = 0.5
@@ -117,7 +117,7 @@ def test_abb_guards_nothing_for_30_s_after_power_up() -> None:
 
 @pytest.fixture(scope="module")
 def shared() -> Iterator[Simulator]:
-    """A drive, and its workbench where it is by default."""
+    """A drive with its workbench at the default port."""
     port = free_ports(1)[0]
     with Simulator("drive_simulator", "--drive", "abb_acs880", "--port", str(port)) as drive:
         assert drive.ports == [port, port + 1]
@@ -126,13 +126,13 @@ def shared() -> Iterator[Simulator]:
 
 @pytest.fixture
 def driver(shared: Simulator) -> Iterator[Drive]:
-    """A driver that is connected to it, and no fault stands."""
+    """A driver that is connected to it, without a fault."""
     shared.inject("none")
     at = parse_address(place_of(shared))
     drive = Drive(read_drive_file(find_drive_file("abb_acs880")), at, 0.5)
 
     def connects() -> bool:
-        with suppress(DriveError):  # its port may be just being opened again
+        with suppress(DriveError):  # its port may be about to open again
             drive.line.connect()
         return drive.line.connected
 
@@ -168,7 +168,7 @@ def test_it_listens_on_loopback_alone(shared: Simulator) -> None:
 def test_faults_of_the_wire(
     shared: Simulator, driver: Drive, fault: str, parameter: int, error: str
 ) -> None:
-    """An answer in time, and byte by byte, is one."""
+    """A slow answer in time, and an answer byte by byte, are valid."""
     shared.inject(fault, parameter)
     with pytest.raises(DriveError, match=re.escape(error)) if error else nullcontext():
         if fault == "refused_writes":
@@ -194,7 +194,7 @@ def test_silence_obeys_and_half_open_does_not(
 def test_what_is_not_there_is_refused_by_the_specifications_exception(
     shared: Simulator, driver: Drive
 ) -> None:
-    """An illegal address is exception 2, a device that is not behind a gateway 11."""
+    """An illegal address is exception 2; a device missing behind the gateway is exception 11."""
     for ask in (partial(driver.line.read, 0x7000, 1), partial(driver.line.write, 3, 1)):
         with pytest.raises(DriveError, match="refused with exception 2"):
             ask()
@@ -209,7 +209,7 @@ def test_what_is_not_there_is_refused_by_the_specifications_exception(
 
 
 def test_rtu_over_a_pseudo_terminal() -> None:
-    """Without power the line is silent. That it is a simulator is said there, too."""
+    """Without power the line is silent. There, too, it identifies itself as a simulator."""
     with Simulator(
         "drive_simulator", "--drive", "abb_acs880", "--serial", "pty", "--workbench", "0",
         "--boot", "0.5",
@@ -233,16 +233,16 @@ def test_wrong_options_are_refused_with_what_would_be_right(
     assert "must be one of none, refused" in refused("--fault", "smoke")
     assert "silence has no parameter" in refused("--fault", "silence=3")
     assert "whole number from 0 to 65534" in refused("--fault", "late=soon")
-    assert "is no exception code" in refused(*FREE, "--fault", "exception=99")
+    assert "is not an exception code" in refused(*FREE, "--fault", "exception=99")
     copy = tmp_path / "own.yaml"
     copy.write_text(find_drive_file("abb_acs880").read_text().replace("make: ABB", "make: Hoover"))
     assert "make = 'Hoover': cannot be simulated" in refused("--drive", str(copy))
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = str(listener.getsockname()[1])
-        assert "another program has the port" in refused("--port", port, "--workbench", "0")
+        assert "another program uses the port" in refused("--port", port, "--workbench", "0")
 
 
-# --- with the driver, which is made from the drive files ------------------------------------------
+# --- with the driver, by the drive files ----------------------------------------------------------
 
 
 class Driven:
@@ -256,7 +256,7 @@ class Driven:
         return status is not None and condition(status)
 
     def reach(self, speed: float) -> None:
-        """Ask for a speed until motor and driver both say that it is there."""
+        """Ask for a speed until both motor and driver show it."""
 
         def reached() -> bool:
             self.exchange.demand(speed or None)
@@ -269,7 +269,7 @@ class Driven:
 
 @contextmanager
 def driven(make: str, directory: Path) -> Iterator[Driven]:
-    """It says that it is a simulator, at a port, or at a gateway's where the make has none."""
+    """A drive that identifies itself as a simulator, at the address that it prints."""
     file = read_drive_file(Path(guarding(make, directory)))
     with Simulator(
         "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
@@ -287,7 +287,7 @@ def driven(make: str, directory: Path) -> Iterator[Driven]:
 def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
     make: str, tmp_path: Path
 ) -> None:
-    """And has its fault reset. The timeout of a CIM is fixed."""
+    """And its fault can be reset. The timeout of a CIM is fixed."""
     timeout = 5 if make == "grundfos_cim500" else 2
     with driven(make, tmp_path) as driven_drive:
         drive, exchange = driven_drive.drive, driven_drive.exchange

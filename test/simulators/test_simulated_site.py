@@ -1,4 +1,4 @@
-"""The simulated site: two tanks behind level sensors, in process; and as a program with a drive."""
+"""The simulated site: two tanks with level sensors, in process; and as a program with a drive."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def site_of(rain: float, sensors: Sensors = SENSORS) -> SiteBench:
 
 
 def run_to(bench: SiteBench, tick: int) -> None:
-    """Let time pass, at least until a tick."""
+    """Let time pass until at least this tick."""
 
     async def passing() -> None:
         ended = asyncio.Event()
@@ -54,7 +54,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
 
     Head 0.64 x 55.2 + 3 - 16 = 22.328 m; resistance (3.56 x 18.4 / 0.2 + 0.6) / (2 x 9.81 x
     0.0314159^2) + 5.78e5 = 594945 s2/m5; flow (22.328 / 594945)^0.5 = 6.1261e-3 m3/s. In 40 s that
-    is 0.2450 m3, and the level falls by 9.8 mm of 25 m2, which takes 0.02 % from the flow; the roof
+    is 0.2450 m3, and the level falls by 9.8 mm on 25 m2, which reduces the flow by 0.02 %; the roof
     of 68.8 m2 rises by 3.56 mm, and by 9e-6 m each second: 36 mm/h is 1e-5 m/s, 86.4 mm a day 1e-6
     m/s. The rain on the cistern's inlet is 2.9e-6 m3/s.
     """
@@ -72,7 +72,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
     sensors = read_sensors(file)
 
     def rows() -> list[dict[str, float]]:
-        """Return the whole lines of the table, but the name of the fault."""
+        """Return the complete rows of the table, without the name of the fault."""
         lines = table.read_text().rpartition("\n")[0].splitlines()
         return [
             {key: float(value) for key, value in row.items() if key != "fault"}
@@ -88,7 +88,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
         "stuck_running=8000",
     ) as drive:
         until(lambda: drive.speed() == pytest.approx(0.8))
-        # The cistern is just up to its outlet of 3 m, the roof at 5 cm.
+        # The cistern is full up to its outlet at 3 m, the roof is at 5 cm.
         with Simulator(
             "site_simulator", "--sensors", str(file), "--workbench", "0", "--output", str(table),
             "--cistern", "75", "--roof", "3.44", "--rain", "36", "--constant-evapotranspiration",
@@ -108,7 +108,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
             until(lambda: rows()[-1]["pump_flow_m3_per_s"] == 0)
             drive.end()
             until(lambda: rows()[-1]["speed"] == 0)
-        assert "the pump counts as standing" in site.said
+        assert "the pump is taken to be at rest" in site.said
     assert (first["time_s"], last["time_s"]) == (1, 40)
     assert first["pump_flow_m3_per_s"] == pytest.approx(6.1261e-3, rel=1e-4)
     assert last["pumped_m3"] == pytest.approx(0.2450, rel=5e-4)
@@ -121,14 +121,14 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
     assert before["cistern_level_m"] - after["cistern_level_m"] == pytest.approx(
         (pumped - 20 * 2.922467e-6) / 25, rel=1e-5
     )
-    # A tick or two may lie between reading them and the table.
+    # The table can be a tick or two later than the readings.
     assert levels[0] == pytest.approx(now["cistern_level_m"], abs=8e-4)
     assert levels[1] == pytest.approx(now["roof_level_m"], abs=4e-4)
     assert levels[2] == pytest.approx(6.1261e-3, rel=1e-3)
 
 
 def test_a_leak(capsys: pytest.CaptureFixture[str]) -> None:
-    """2000 ml/s out of 25 m2 are 0.08 mm/s. Without a drive it says that the pump never runs."""
+    """2000 ml/s from 25 m2 are 0.08 mm/s. Without a drive it reports that the pump never runs."""
     bench = site_of(0.0)
     bench.inject("leak", 2000)
     run_to(bench, 200)
@@ -143,7 +143,7 @@ def test_sensor_faults_change_what_one_sensor_says_and_no_level() -> None:
     cistern, roof = (server.devices[1] for server in bench.servers)
 
     def error() -> float:
-        """Return by how many counts the roof's sensor is wrong."""
+        """Return the error of the roof's sensor (counts)."""
         return roof.read()[0] - bench.plant.levels()[1] * 1e4
 
     run_to(bench, 20)
@@ -170,7 +170,7 @@ def test_sensor_faults_change_what_one_sensor_says_and_no_level() -> None:
 
 
 def test_both_sensors_may_be_on_one_line() -> None:
-    """Devices 1 and 2 behind one port, as on a serial line with a gateway; one may be silent."""
+    """Devices 1 and 2 behind one port, as on a serial line with a gateway; one can be silent."""
     on_it = replace(SENSORS.roof, address=SENSORS.cistern.address, device_id=2)
     bench = site_of(0.0, replace(SENSORS, roof=on_it))
     (server,) = bench.servers
@@ -181,7 +181,7 @@ def test_both_sensors_may_be_on_one_line() -> None:
 
 @needs_mosquitto
 def test_sensors_on_mqtt_beside_one_on_modbus(tmp_path: Path) -> None:
-    """The roof's 3.44 m3 are 5 cm, on 68.8 m2; 36 mm/h are 1e-5 m/s, counted tick by tick."""
+    """The roof's 3.44 m3 are 5 cm on 68.8 m2; 36 mm/h are 1e-5 m/s, counted tick by tick."""
     file, (port,) = tmp_path / "sensors.yaml", free_ports(1)
     modbus = (CONFIG / "sensors.yaml").read_text().partition("\nroof:")[0]
     mqtt = "roof:" + (CONFIG / "sensors_mqtt.yaml").read_text().partition("\nroof:")[2]
@@ -205,7 +205,7 @@ def test_sensors_on_mqtt_beside_one_on_modbus(tmp_path: Path) -> None:
         assert readers["rain_gauge"].snapshot.value == pytest.approx(1e-5, rel=0.6)
         assert readers["thermometer"].snapshot.value == 15.0
         site.inject("roof_silent")
-        until(lambda: "has said nothing for 5 s" in readers["roof"].snapshot.problem, 20)
+        until(lambda: "has sent nothing for 5 s" in readers["roof"].snapshot.problem, 20)
         site.inject("roof_absurd", 1234)  # mm from the sensor down, which is 0.6 m up
         until(lambda: "says -0.634 m" in readers["roof"].snapshot.problem, 20)
         site.inject("none")

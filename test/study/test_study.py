@@ -33,7 +33,7 @@ from greenroof_ros.study.__main__ import show
 
 
 def test_the_papers_table(papers: Path) -> None:
-    """All 30 totals within 0.02 % of those of the authors' code."""
+    """All 30 totals are within 0.02 % of the authors' code."""
     rows = rows_of(papers / "results.csv")
     expected = rows_of(CONFIG / "paper" / "totals.csv")
     assert len(rows) == len(expected) == 30
@@ -54,7 +54,7 @@ def test_the_papers_table(papers: Path) -> None:
 
 
 def test_bound_beside_each_run(papers: Path) -> None:
-    """The least possible total from low-low is about 4,422 m3; no run is below its own."""
+    """The least possible total from low-low is about 4,422 m3; no run is below its bound."""
     rows = rows_of(papers / "results.csv")
     bounds = {row["initial"]: float(row["bound_m3"]) for row in rows}
     assert bounds["low-low"] == pytest.approx(4422, abs=1)
@@ -65,7 +65,7 @@ def test_bound_beside_each_run(papers: Path) -> None:
 
 
 def test_windows_of_july(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Three windows of the real month, one of them with hours that were missing."""
+    """Three windows of the real month, one with missing hours."""
     text = f"""
 site: {{file: site.yaml, tau: 10.0}}
 weather:
@@ -95,7 +95,7 @@ bound_block: 0
 
 @pytest.fixture
 def finished(once: Once, tmp_path: Path) -> Path:
-    """A directory of the test's own with the finished study of the grid, and what it printed."""
+    """A separate directory with the finished study of the grid, and its output."""
 
     def fill(directory: Path) -> None:
         result = study(directory, grid(directory), "--output", "out")
@@ -107,9 +107,9 @@ def finished(once: Once, tmp_path: Path) -> Path:
 
 
 def test_killed_and_gone_on(finished: Path) -> None:
-    """Killed at a random moment, twice: the same table, and no run twice.
+    """Killed at a random moment, twice: the same table, and no run is done twice.
 
-    Outcomes as a power cut leaves them, empty, gone or something else, are made again.
+    Outcomes that a power cut left empty, missing or different are made again.
     """
     seed = random.randrange(1000)
     chance = random.Random(seed)
@@ -132,7 +132,7 @@ def test_killed_and_gone_on(finished: Path) -> None:
     assert result.returncode == 0, result.stderr
     (kept,) = re.findall(r"(\d+) of 12 runs are there already", result.stderr)
     assert int(kept) >= len(there) >= 3
-    assert there.items() <= outcomes().items()  # its timings would differ, had it run again
+    assert there.items() <= outcomes().items()  # its timings would differ if it had run again
     assert not list((killed / "out" / "runs").glob("*.part"))
     whole = (finished / "out" / "results.csv").read_bytes()
     assert (killed / "out" / "results.csv").read_bytes() == whole
@@ -150,7 +150,7 @@ def test_killed_and_gone_on(finished: Path) -> None:
 
 
 def refusal(directory: Path, **changes: Any) -> str:
-    """Return why the study of the grid in a directory is not gone on with; its lock is free."""
+    """Return why the study of the grid in a directory is not continued; its lock is released."""
     try:
         store_of(directory, **changes)
     except ConfigurationError as error:
@@ -159,9 +159,9 @@ def refusal(directory: Path, **changes: Any) -> str:
 
 
 def test_killed_while_it_began(tmp_path: Path) -> None:
-    """Before its configuration was whole: it is begun again, where nothing but a study is.
+    """Before its configuration was complete: it is begun again if only a study is there.
 
-    While one process works on it, no other one does.
+    While one process works on it, no other may.
     """
     grid(tmp_path)
     configuration = tmp_path / "out" / "configuration"
@@ -203,10 +203,10 @@ def test_what_was_begun_is_not_mixed_with_something_else(finished: Path) -> None
 
 
 def test_a_run_that_cannot_be_read_now_stays(finished: Path) -> None:
-    """An error of the moment, as of a network drive: said, and nothing is deleted or made again."""
+    """A temporary error, as of a network drive, is reported; nothing is deleted or made again."""
     outcome = min(stored(finished)) / "outcome.json"
     kept = outcome.rename(finished / "away")
-    outcome.symlink_to(outcome.name)  # to itself: ELOOP, whoever reads it
+    outcome.symlink_to(outcome.name)  # to itself: any reader gets ELOOP
     before = {file: file.lstat().st_ino for file in (finished / "out").rglob("*")}
     assert f"{outcome}: cannot be read: Too many levels" in refusal(finished)
     assert {file: file.lstat().st_ino for file in (finished / "out").rglob("*")} == before
@@ -218,7 +218,7 @@ def test_a_run_that_cannot_be_read_now_stays(finished: Path) -> None:
 def test_what_decides_whether_a_run_still_counts(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The code that makes its numbers, and the constants of skills: not the page, and no words."""
+    """The code behind its numbers, and the constants of skills; not the page, nor comments."""
     package = finished / "greenroof_ros"
     shutil.copytree(Path(greenroof_ros.__file__).parent, package)
     monkeypatch.setattr(store_module, "__file__", str(package / "study" / "store.py"))

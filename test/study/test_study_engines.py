@@ -49,7 +49,7 @@ def children(process: int) -> Iterator[int]:
 
 
 def processor_s(process: int) -> float:
-    """Return the processor time of a process (s); 0 once it has ended."""
+    """Return the processor time of a process (s); 0 after it has ended."""
     try:
         ticks = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
     except OSError:
@@ -58,8 +58,7 @@ def processor_s(process: int) -> float:
 
 
 def workers(process: int) -> list[int]:
-    """Return the processes that are on a run: half a second's work of the fork server's children.
-    """
+    """Return the fork server's children that work on a run: over 0.5 s of processor time."""
     starters = Path(f"/proc/{process}/task/{process}/children").read_text().split()
     return [
         child for starter in starters for child in children(int(starter))
@@ -78,13 +77,13 @@ def ended(processes: list[int], seconds: float) -> bool:
 
 
 def lasting(hours: str) -> str:
-    """Return the grid with longer runs, six of them, and no bounds before them."""
+    """Return the grid with six longer runs, and without bounds."""
     text = edited("[published, fao56]", "fao56").replace("hours: 0.25", f"hours: {hours}")
     return f"{text}bound_block: 0\n"
 
 
 def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
-    """The others go on; the failure is in the table; the next call makes it good."""
+    """The others continue; the failure is in the table; the next call repeats the run."""
     grid(tmp_path, lasting("3").replace("[low-low, ", "["))
     process = begun(tmp_path, "--jobs", "2")
     busy = wait_for(lambda: workers(process.pid), 120, "a worker on a run")
@@ -105,11 +104,11 @@ def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
 
 
 def test_interrupted_while_workers_start(tmp_path: Path) -> None:
-    """Ctrl-C while the fork server imports: it says nothing of where it was."""
+    """Ctrl-C while the fork server imports: it prints no traceback."""
     grid(tmp_path)
     process = begun(tmp_path)
     server = wait_for(lambda: fork_server(process.pid), 120, "a fork server")
-    # Among its imports, which take half a second or more.
+    # During its imports, which take half a second or more.
     wait_for(lambda: processor_s(server) > 0.2, 60, "imports of the fork server")
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=60)
@@ -119,7 +118,7 @@ def test_interrupted_while_workers_start(tmp_path: Path) -> None:
 
 
 def fork_server(process: int) -> int:
-    """Return the fork server among the processes under one, 0 where there is none."""
+    """Return the fork server among the processes under one; 0 if there is none."""
     for child in children(process):
         with suppress(OSError):
             if b"forkserver" in Path(f"/proc/{child}/cmdline").read_bytes():
@@ -132,11 +131,11 @@ def fork_server(process: int) -> int:
     [("inprocess", signal.SIGINT), ("inprocess", signal.SIGTERM), ("ros", signal.SIGKILL)],
 )
 def test_ended(tmp_path: Path, engine: str, number: signal.Signals) -> None:
-    """Ctrl-C, or a signal to the study's process only: all others end with it, before their runs.
+    """Ctrl-C, or a signal only to the study's process: all others end with it, before their runs.
 
     Nothing is left behind, and the table says what was not run.
     """
-    # Not in tmp_path: the path of the fork server's socket may have 107 characters.
+    # Not in tmp_path: the path of the fork server's socket can have at most 107 characters.
     scratch = Path(tempfile.mkdtemp())
     # A month takes minutes.
     month = str(DATA / "en_climate_hourly_07-2021.csv")
@@ -167,7 +166,7 @@ def test_ended(tmp_path: Path, engine: str, number: signal.Signals) -> None:
 
 
 def archive(directory: Path) -> None:
-    """Write a file of forecasts that will not come true."""
+    """Write a forecast file that will not come true."""
     lines = ["issued,time,precipitation [mm/h]"]
     lines += [f"2021-07-07T05:00Z,2021-07-07T{hour:02}:00Z,4.0" for hour in range(5, 22)]
     (directory / "archive.csv").write_text("\n".join(lines) + "\n")
@@ -189,10 +188,10 @@ sensor_pump_errors:
 
 
 def test_engines_give_the_same_table(tmp_path: Path) -> None:
-    """Bit for bit: the loop in process, and real graphs, each in a domain of its own.
+    """Bit for bit: the loop in process, and real graphs, each in a separate domain.
 
-    Both have forecasts of a file and of an ensemble, and errors of sensor and pump. In the domain
-    that the first run would take runs another graph: it takes another one.
+    Both have forecasts from a file and an ensemble, and errors of sensor and pump. Another graph
+    runs in the domain that the first run would use: it uses another one.
     """
     archive(tmp_path)
     loop, graph = tmp_path / "loop", tmp_path / "graph"
@@ -231,7 +230,7 @@ def test_engines_give_the_same_table(tmp_path: Path) -> None:
             assert replayed == pytest.approx(true, rel=1e-12)
         else:
             assert replayed.tobytes() == true.tobytes()
-    # As the page names them, of a bag with its summary and of a study alike.
+    # Named equally on the page, for a bag with its summary and for a study.
     bags = [graph / "runs" / row["run"] for row in rows]
     labels = [
         [run.row["forecast"] for run in find_runs(paths, None).runs] for paths in (bags, [loop])
@@ -247,9 +246,9 @@ forecast: [perfect, {model: errors, skill: [worse, mine.yaml], seed: 1}, archive
 
 
 def test_forecasts(tmp_path: Path) -> None:
-    """Lists multiply; a window's own come before those of all; each run says which it had."""
+    """Lists multiply; a window's own forecasts replace the general ones; each run names its own."""
     archive(tmp_path)
-    # A skill of one's own: the package's, but that it rains too seldom.
+    # A user's skill: the package's, but it rains too seldom.
     skill = (CONFIG / "forecasts" / "skill.yaml").read_text()
     (tmp_path / "mine.yaml").write_text(skill.replace("wetness:", "wetness: -1.0 #"))
     run_here(tmp_path, PLANNED + FORECASTS)
@@ -261,7 +260,7 @@ def test_forecasts(tmp_path: Path) -> None:
         ("errors", "mine.yaml", "1", ""),
         ("archive.csv", "", "", ""),
     ]
-    # Rain is coming by the file alone, so that less is pumped.
+    # Only the file forecasts rain, so less is pumped.
     pumped = [float(row["pumped_m3"]) for row in rows]
     assert pumped[3] < min(pumped[:3])
     own = PLANNED.replace("hours: 0.2", "hours: 0.2, forecast: persistence") + FORECASTS
@@ -277,7 +276,7 @@ def test_forecasts(tmp_path: Path) -> None:
 
 
 class DaskCluster:
-    """A Dask scheduler and its workers, each a process of its own, on the loopback."""
+    """A Dask scheduler and its workers, each a separate process, on loopback."""
 
     def __init__(self, directory: Path) -> None:
         file = directory / f"scheduler-{time.monotonic_ns()}.json"
@@ -293,7 +292,7 @@ class DaskCluster:
         self.start_worker()
 
     def start_worker(self) -> None:
-        """Start one more."""
+        """Start another worker."""
         self.workers.append(self._start(
             "worker", self.address, "--nthreads", "1", "--no-nanny", "--dashboard-address", ":0",
             "--host", "127.0.0.1",
@@ -306,7 +305,7 @@ class DaskCluster:
         )
 
     def end(self) -> None:
-        """Kill all."""
+        """Kill all processes."""
         for process in (*self.workers, self.scheduler):
             process.kill()
             process.wait()
@@ -316,7 +315,7 @@ class DaskCluster:
 def study_on(
     cluster: DaskCluster, directory: Path, until: Callable[[], bool]
 ) -> subprocess.Popen[str]:
-    """Begin a study on a cluster, or go on with it, and wait for something."""
+    """Begin a study on a cluster, or continue it, and wait until a condition holds."""
     process = begun(directory, "--scheduler", cluster.address)
 
     def under_way() -> bool:
@@ -328,7 +327,7 @@ def study_on(
 
 
 def ended_in_one_sentence(process: subprocess.Popen[str], directory: Path, what: str) -> None:
-    """Check what a study says whose cluster went: exit code 1, the bar, and a sentence."""
+    """Check a study's end without its cluster: exit code 1, the progress bar, and a sentence."""
     shown, errors = process.communicate(timeout=60)
     *there, bar, said = errors.splitlines()
     assert all(line.endswith("of 12 runs are there already") for line in there)
@@ -344,17 +343,17 @@ def ended_in_one_sentence(process: subprocess.Popen[str], directory: Path, what:
 
 
 def test_dask(tmp_path: Path) -> None:
-    """A study loses a worker, the other, and the scheduler; it ends with the table of a whole one.
+    """A study loses a worker, the other, and the scheduler; in the end its table is complete.
 
-    The second worker goes on, and makes again what the first had under way, no more. With none left
-    for a while, or no scheduler, the study says so in one sentence; Ctrl-C before that interrupts
-    it at once, and where there is no worker or no answer it does not begin. On another cluster the
-    same command goes on, and no run is made twice.
+    The second worker continues, and repeats only what the first had under way. Without workers
+    for a while, or without scheduler, the study says so in one sentence; Ctrl-C before that
+    interrupts it at once. Without a worker or an answer it does not begin. On another cluster the
+    same command continues, and no run is made twice.
     """
     archive(tmp_path)
     text = edited("0.25", "0.5").replace("02:00", "01:00").replace("  onoff:\n", "")
     text = text.replace("[1.0e-3, 0.1]", "[1.0e-3, 0.01, 0.1]")
-    site = "{file: site.yaml, a1: 26.0}"  # which no worker has as a file
+    site = "{file: site.yaml, a1: 26.0}"  # no worker has this site as a file
     grid(tmp_path, text.replace(str(CONFIG / "site.yaml"), site) + "forecast: archive.csv\n")
 
     def more(count: int) -> Callable[[], bool]:
@@ -368,7 +367,7 @@ def test_dask(tmp_path: Path) -> None:
         cluster.workers[0].kill()
         wait_for(lambda: "Remove worker" in cluster.log_file.read_text(), 60, "a worker gone")
         wait_for(more(2), 120, "two runs of the other worker")
-        # What was stored is not made again, but for the last run, which the study may still hold.
+        # Stored runs are not repeated, except the last run, which the study may still hold.
         log = cluster.log_file.read_text().splitlines()
         lost = [line for line in log if "lose already computed" in line]
         assert sum(line.count("run_case") for line in lost) <= 1

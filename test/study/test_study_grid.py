@@ -1,4 +1,4 @@
-"""Grids of studies: those that come with it, and wrong ones."""
+"""Grids of studies: the packaged ones, and wrong ones."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WRONG = {
         edited(SITE, "site: [{file: site.yaml}, 10]"),
         "line 2: site: must be the name of a file, {file: site.yaml, tau: 10.0",
     ),
-    "site-value": (  # the grid is at fault, not the copy of the site file that has the value
+    "site-value": (  # the error is in the grid, not in the copy of the site file with the value
         edited(SITE, "site: {file: site.yaml, tau: [1.0, 0.0]}"),
         "grid.yaml, line 2: site.yaml with these values: tau = 0.0: must be from 0.001 to 3600 (s,",
     ),
@@ -127,7 +127,7 @@ def test_what_is_wrong_ends_before_anything_runs(
 
 
 def test_window_of_several_files(tmp_path: Path) -> None:
-    """A list or a pattern is one window, joined; the runs are those of the whole file."""
+    """A list or a pattern is one window, joined; the runs equal those of the complete file."""
     lines = WEATHER.read_text().splitlines(keepends=True)
     header = next(index for index, line in enumerate(lines) if line.startswith("time,"))
     hours = lines[header + 1 :]
@@ -147,10 +147,10 @@ def test_window_of_several_files(tmp_path: Path) -> None:
         assert run_case(cases[-1], "inprocess", None).results == outcome.results
 
 
-# Of each grid of years: sites, ticks (s), and runs of a year.
+# For each grid of years: sites, ticks (s), and runs of a year.
 YEARS = {
-    # On each roof two on/off, mpc and a perfect forecast; ten seeds on the paper's, three on the
-    # measured one.
+    # On each roof two on/off, mpc and a perfect forecast; ten seeds on the paper's roof, three on
+    # the measured one.
     "seasons.yaml": (2, {10}, (2 + 1 + 1 + 10) + (2 + 1 + 1 + 3)),
     "lookahead.yaml": (2, {60}, 2 * (1 + 3)),
     "horizons.yaml": (2, {60}, 2 * (1 + 5 * (3 + 1))),
@@ -163,7 +163,7 @@ GRIDS = {path.name: path for path in (CONFIG / "studies").iterdir()}
 
 @pytest.mark.parametrize("file", sorted(GRIDS.keys() - YEARS.keys()))
 def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
-    """A copy of each in an empty directory can be run as it is, with the files of the package."""
+    """A copy of each in an empty directory can be run unchanged, with the package's files."""
     copy = tmp_path / "my_study.yaml"
     copy.write_bytes(GRIDS[file].read_bytes())
     (case, *_) = read_grid(copy)
@@ -173,7 +173,7 @@ def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
 
 @pytest.mark.parametrize("file", YEARS)
 def test_grids_of_years(tmp_path: Path, file: str) -> None:
-    """Those that come with it, cut to the first day of one of their years."""
+    """The packaged ones, cut to the first day of one of their years."""
     sites, ticks, runs = YEARS[file]
     text = GRIDS[file].read_text()
     assert "05-01T00:00" in text and "hours: 4416" in text  # to the end of October
@@ -193,7 +193,7 @@ def test_grids_of_years(tmp_path: Path, file: str) -> None:
 
 
 def test_whole_numbers_from_to(tmp_path: Path) -> None:
-    """Seeds and years; a list of files and starts has each year in it."""
+    """Seeds and years; a list of files and starts contains each year."""
     text = edited("2021-07-07T02:00", "2021-07-0{year}T02:00").replace(
         "    hours", "    year: {from: 7, to: 9}\n    hours"
     )
@@ -205,7 +205,7 @@ def test_whole_numbers_from_to(tmp_path: Path) -> None:
 
 
 def test_initial_levels(tmp_path: Path) -> None:
-    """In sites of several sizes each has its own volumes."""
+    """With several sizes of the site, each has its own volumes."""
     text = GRID.replace(str(CONFIG / "site.yaml"), "{file: site.yaml, a1: [5.0, 25.0]}")
     text = text.replace("cistern: 40.0, roof: 0.5", "cistern_level: 3.0, roof_level: 0.01")
     dry = [case for case in read_grid(tmp_path / grid(tmp_path, text)) if case.initial == "dry"]
@@ -214,7 +214,7 @@ def test_initial_levels(tmp_path: Path) -> None:
 
 
 def test_settings_of_one_controller(tmp_path: Path) -> None:
-    """A list is of settings, each with combinations and forecasts of its own."""
+    """A list contains settings, each with separate combinations and forecasts."""
     text = GRID[: GRID.index("    weight:")] + """
     - {weight: [0.001, 0.01], forecast: perfect}
     - weight: 0.1
@@ -231,7 +231,7 @@ def test_settings_of_one_controller(tmp_path: Path) -> None:
 
 
 def test_sites_with_other_values(tmp_path: Path) -> None:
-    """Every combination is a site file; what goes with a value follows it, and comments stay."""
+    """Every combination is a site file; dependent values follow, and comments stay."""
     text = (CONFIG / "site.yaml").read_text() + "initial_cistern: 50.0\ninitial_roof: 1.0\n"
     (tmp_path / "mine.yaml").write_text(text)
     own = "[{file: mine.yaml, a1: [5.0, 25.0], a2: 137.6, runoff_coefficient: 0.9}, mine.yaml]"
@@ -243,7 +243,7 @@ def test_sites_with_other_values(tmp_path: Path) -> None:
         "mine_a1-25_a2-137.6_runoff_coefficient-0.9.yaml", "mine.yaml",
     ]
     site = yaml.safe_load(files["mine_a1-5_a2-137.6_runoff_coefficient-0.9.yaml"].content)
-    # A cistern of a fifth, and a roof of twice the area: their volumes, not their levels.
+    # A fifth of the cistern and twice the roof area: their volumes scale, not their levels.
     assert (site["a1"], site["a2"], site["runoff_coefficient"]) == (5.0, 137.6, 0.9)
     assert site["initial_cistern"] == pytest.approx(10.0)
     assert site["initial_roof"] == pytest.approx(2.0)
@@ -254,19 +254,19 @@ def test_sites_with_other_values(tmp_path: Path) -> None:
 
 
 def test_seconds_of_the_bound(tmp_path: Path) -> None:
-    """Another block is another bound, of the same runs; 0 asks for none."""
+    """Another block gives another bound for the same runs; 0 asks for none."""
     usual = read_grid(tmp_path / grid(tmp_path))[0]
-    assert not PARAMETERS.keys() & usual.columns().keys()  # of errors that no grid speaks of
+    assert not PARAMETERS.keys() & usual.columns().keys()  # no errors in the grid
     ten = read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 600\n"))[0]
     assert usual.identity == ten.identity and usual.problem != ten.problem
-    # Of larger blocks that are whole multiples it is never above (Jensen's inequality).
+    # With larger blocks that are whole multiples it is never higher (Jensen's inequality).
     assert 0 < bound_case(ten) <= bound_case(usual)
-    # What is no tick is none, and no division by it.
+    # Less than a tick counts as no bound, and causes no division by it.
     assert read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 1.0e-10\n"))[0].bound_block == 0
 
 
 def test_names_of_files(tmp_path: Path) -> None:
-    """Beside the grid first, then the package's config/; an error names both places."""
+    """Beside the grid first, then the package's config/; the error names both places."""
     text = GRID.replace(str(CONFIG / "site.yaml"), "site.yaml")
     text = text.replace(str(WEATHER), "[weather/toronto_*.csv, weather/toronto_2021-07.csv]")
     copy = tmp_path / grid(tmp_path, text)

@@ -1,4 +1,4 @@
-"""What differs between runs names them: no two rows or curves of one name, whatever is varied."""
+"""Runs are named by what differs: no two rows or curves have one name, whatever is varied."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from greenroof_ros.report.runs import find_runs
 from greenroof_ros.report.tables import make_tables
 from greenroof_ros.study.__main__ import Names, show
 
-# Windows, forecasts, errors and settings: files of one name in two folders, and numbers that differ
-# in late digits.
+# Windows, forecasts, errors and settings: files with one name in two folders, and numbers that
+# differ in late digits.
 VARIED = """
 site: [north/site.yaml, south/site.yaml]
 weather:
@@ -38,12 +38,12 @@ controllers:
   mpc: {weight: [0.001, 0.0010000001], max_command: 1.0, site: north/site.yaml}
   onoff: {fraction: 0.5}
 """
-WINDOWS = 2 * (2 + 1 + 1 + 1 + 3) * 2  # without those of many seeds
+WINDOWS = 2 * (2 + 1 + 1 + 1 + 3) * 2  # without the windows of many seeds
 RUNS = (2 + 1 + 1 + 1 + 3 + 4) * 2 * (3 + 1)
 
 
 def write_inputs(directory: Path) -> None:
-    """Write two sites, storms and archives of forecasts under the same names."""
+    """Write two sites, storms and archives of forecasts with the same names."""
     issued = "issued,time,precipitation [mm/h]\n"
     for folder, soil, rain in (("north", 0.5, 4.0), ("south", 0.4, 5.0)):
         (directory / folder).mkdir()
@@ -63,7 +63,7 @@ def write_inputs(directory: Path) -> None:
 
 
 def distinct(labels: Iterable[Hashable], count: int | None = None) -> None:
-    """Check that no label is there twice, and how many there are."""
+    """Check that no label occurs twice, and optionally how many there are."""
     there = list(labels)
     twice = [label for label in set(there) if there.count(label) > 1]
     assert not twice
@@ -84,7 +84,7 @@ def varied(once: Once) -> Path:
 def test_table_and_terminal(
     varied: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the columns before the results alone, and in a sentence; by titles and lines."""
+    """By the columns before the results, and in a sentence; by titles and lines."""
     rows = rows_of(varied / "out" / "results.csv")
     columns = list(rows[0])
     given = columns[1 : columns.index("status")]
@@ -144,7 +144,7 @@ def test_tables_and_figures_of_the_report(varied: Path) -> None:
 
 
 def test_two_studies_that_use_one_name_for_two_things(tmp_path: Path) -> None:
-    """Site, weather, forecasts and a state, of one name and other in each: the study is added."""
+    """Site, weather, forecasts and a state with equal names differ: the study's name is added."""
     text = """
 site: site.yaml
 weather: {file: storm.csv, start: 2021-07-07T02:00, hours: 0.01, forecast: archive.csv}
@@ -169,7 +169,7 @@ controllers: {onoff: }
         "archive.csv (of-north)", "archive.csv (of-south)"
     ]
     assert both.initials == ["low-low", "dry (of-north)", "dry (of-south)"]
-    # What is the same in both is compared.
+    # What is equal in both is compared.
     shutil.copytree(tmp_path / "of-north", tmp_path / "again")
     again = judged(tmp_path / "of-north", tmp_path / "again")
     assert len(again.windows()) == 1

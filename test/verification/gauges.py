@@ -11,7 +11,7 @@ FIRST = datetime.fromisoformat("2024-03-01T00:00+00:00")
 
 
 def write_gauge(file: Path, rain: Iterable[object], first: datetime = FIRST) -> None:
-    """Write hours of rain as a weather file; an empty cell is an hour that is missing."""
+    """Write hours of rain as a weather file; an empty cell is a missing hour."""
     file.write_text("\n".join([
         "time,precipitation [mm/h],given evapotranspiration [mm/day]",
         *(f"{(first + hour * HOUR).isoformat()},{mm},2.0" for hour, mm in enumerate(rain)), "",
@@ -19,7 +19,7 @@ def write_gauge(file: Path, rain: Iterable[object], first: datetime = FIRST) -> 
 
 
 def write_previous_runs(file: Path, days: dict[int, Sequence[object]]) -> None:
-    """Write what was forecast so many days before; a service's hours end at their time."""
+    """Write forecasts by the days before; a service's hours end at their time."""
     rows = enumerate(zip(*days.values(), strict=True), 1)
     file.write_text("\n".join([
         ",".join(["datetime", *(f"precipitation_previous_day{day}" for day in days)]),

@@ -1,4 +1,4 @@
-"""``verify --dress`` and ``--dressed``: the file, what it is worth, runs with it; wrong use."""
+"""``verify --dress`` and ``--dressed``: the file, its benefit, runs with it; wrong use."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ DAYS = 100
 
 
 def command(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end."""
+    """Run a command until it ends."""
     return run_command(*arguments, cwd=directory, env={**os.environ, "COLUMNS": "80"})
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with a gauge's hours, and forecasts with twice their water, of other days some.
+    """A directory with a gauge's hours, and forecasts with twice their water, partly of other days.
 
     The forecasts are previous runs of two days; the service's hours end at their time.
     """
@@ -47,7 +47,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_what_it_is_worth(site: Path) -> None:
-    """Sums to the forecasts' end: as issued twice the water and a larger error, dressed neither.
+    """Sums to the forecasts' end: issued ones have twice the water and a larger error.
 
     Dressed ones are an archive of ten members, scored by lead like any other.
     """
@@ -71,7 +71,7 @@ def test_what_it_is_worth(site: Path) -> None:
 
 
 def test_a_study_with_dressed_forecasts(site: Path) -> None:
-    """A run of it has the deviation of the run by hand, and the table says which file it had."""
+    """The study's deviation equals a single run's, and the table names the file."""
     (site / "grid.yaml").write_text("""
         site: site.yaml
         weather: {file: gauge.csv, start: 2024-04-10T00:00, hours: 6}

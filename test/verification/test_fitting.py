@@ -1,4 +1,4 @@
-"""Skills that are fitted: errors to scores, and the command that writes one."""
+"""Skills that are fitted: errors to scores, and the command that writes a skill."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def rain() -> dict[int, Array]:
 
 
 def test_scores_of_a_sample_are_those_of_the_model(rain: dict[int, Array]) -> None:
-    """Forecasts of one lead at a stroke are as good as those that the model issues.
+    """Forecasts of one lead, drawn at once, are as good as those that the model issues.
 
-    r, POD and FAR of half days, by another count, over six seasons; those of one scatter more.
+    r, POD and FAR of half days, by another count, over six seasons; single seasons scatter more.
     """
     six = {year: rain[year] for year in range(2015, 2021)}
     sample = Sample(REAL.climate, list(six.values()), [HALF_DAY])
@@ -52,7 +52,7 @@ def test_scores_of_a_sample_are_those_of_the_model(rain: dict[int, Array]) -> No
 
 
 def test_errors_are_found_again(rain: dict[int, Array]) -> None:
-    """Scores of forecasts of another skill lead to errors with these scores."""
+    """Scores of forecasts with another skill lead to errors with these scores."""
     spells = [rain[2019]]
     sample = Sample(fit_climate(spells, TIP), spells, [HALF_DAY])
     worse = replace(REAL.times_lead(3.0).errors, wetness=0.1)
@@ -66,9 +66,9 @@ def test_errors_are_found_again(rain: dict[int, Array]) -> None:
 
 
 def test_lags_without_two_wet_hours() -> None:
-    """Showers of three hours each 50: from four to 24 hours apart are none, a memory of hours.
+    """Three-hour showers every 50 h: no pairs four to 24 hours apart, so a memory of hours.
 
-    Of one hour each 50 there is no pair at all.
+    Of one hour each 50 h there is no pair at all.
     """
     showers = np.zeros(1000)
     for hour in range(3):
@@ -81,7 +81,7 @@ def test_lags_without_two_wet_hours() -> None:
 
 
 def test_a_spring_gives_a_file_that_is_read(tmp_path: Path, rain: dict[int, Array]) -> None:
-    """Of 45 days of 2021 the likeliest growth is less than a file may have."""
+    """For 45 days of 2021 the likeliest growth is less than a file may have."""
     climate = fit_climate([rain[2021][:1080]], TIP)
     file = tmp_path / "spring.yaml"
     file.write_text(skill_text(replace(REAL, climate=climate), "a spring"))
@@ -89,7 +89,7 @@ def test_a_spring_gives_a_file_that_is_read(tmp_path: Path, rain: dict[int, Arra
 
 
 def test_records_that_say_too_little(rain: dict[int, Array]) -> None:
-    """Rain in more or fewer hours than a file may have; few hours; forecasts of one lead."""
+    """Rain in too many or too few hours for a file; few hours; forecasts of one lead."""
     for wet in (950, 0):
         records = [(np.arange(1000) < wet).astype(float)]
         refusal(fit_climate, records, TIP, match=r"^--fit: needs records with rain in 0.01% to")
@@ -103,7 +103,7 @@ def test_records_that_say_too_little(rain: dict[int, Array]) -> None:
 
 
 def test_the_command_writes_a_skill(tmp_path: Path, rain: dict[int, Array]) -> None:
-    """One that is read as any other, of the records' climate and not so good as ``real``."""
+    """It can be read, has the records' climate, and is not as good as ``real``."""
     season = rain[2017][:2208]
     write_gauge(tmp_path / "records.csv", season, begin(2017))
     done = run_command(

@@ -15,7 +15,7 @@ from greenroof_ros.verification.scores import Tally
 def cases(
     hours: int, shares: Sequence[float], *, known: bool = True, previous_runs: bool = True
 ) -> list[tuple[str, dict[str, float | str]]]:
-    """What is found in days of forecasts, each with its share of the water that fell."""
+    """Return the findings for days of forecasts, each with its share of the water that fell."""
     rng = np.random.default_rng(7)
     fell, elsewhere = rng.gamma(0.5, 2.0, (2, hours)) * (rng.random((2, hours)) < 0.06)
     tallies = {}
@@ -39,9 +39,9 @@ def cases(
 def test_a_day_without_half_of_its_water(
     hours: int, shares: Sequence[float], odd: float | None
 ) -> None:
-    """It is named, as GFS's fifth would be, with its ratio to the median of the others, 1.
+    """It is named, like GFS's fifth day, with its ratio to the median of the others, 1.
 
-    What storms may do is not, nor less than a year, nor one of two days.
+    Not named: what storms can do, less than a year, one of only two days.
     """
     named = {"lead": "day 5", "ratio": pytest.approx(odd, abs=0.01)}
     assert cases(hours, shares) == [("odd-lead", named)] * (odd is not None)
@@ -50,6 +50,6 @@ def test_a_day_without_half_of_its_water(
 
 @pytest.mark.parametrize(("pairs", "named"), [(1300, True), (900, False)])
 def test_forecasts_that_know_nothing(pairs: int, named: bool) -> None:
-    """Less than 1000 pairs tell nothing."""
+    """Less than 1000 pairs give no finding."""
     assert [code for code, _ in cases(pairs, (1.0,), known=False)] == ["unrelated"] * named
     assert cases(pairs, (1.0,)) == []

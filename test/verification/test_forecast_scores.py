@@ -21,9 +21,9 @@ from greenroof_ros.verification.scores import (
 
 Array = NDArray[np.float64]
 
-# Finley's tornado forecasts of 1884, as Wilks (2011, Sect. 8.2) has them, with 28 hits, 72 false
-# alarms and 23 misses; also www.cawcr.gov.au/projects/verification/Finley. And the rain of the WWRP
-# working group's "Forecast Verification - Issues, Methods and FAQ": POD 0.78, FAR 0.32, ETS 0.44.
+# Finley's tornado forecasts of 1884 in Wilks (2011, Sect. 8.2), with 28 hits, 72 false alarms and
+# 23 misses; also www.cawcr.gov.au/projects/verification/Finley. And the rain of the WWRP working
+# group's "Forecast Verification - Issues, Methods and FAQ": POD 0.78, FAR 0.32, ETS 0.44.
 EXAMPLES = [
     ((28, 72, 23, 2680), 0.549, 0.720, 0.216, 5e-4),
     ((82, 38, 23, 222), 0.78, 0.32, 0.44, 5e-3),
@@ -34,7 +34,7 @@ EXAMPLES = [
 def test_events(
     table: tuple[int, int, int, int], pod: float, far: float, ets: float, digits: float
 ) -> None:
-    """From their table, and from pairs of which each is one of its cases."""
+    """From their table, and from pairs, one for each case in the table."""
     from_table = event_scores(*table)
     assert from_table == pytest.approx((pod, far, ets), abs=digits)
     cases = [(9.0, 9.0), (9.0, 0.0), (0.0, 9.0), (0.0, 0.0)]
@@ -45,12 +45,12 @@ def test_events(
     assert tally.table.tolist() == list(table)
     scores = tally.scores()
     assert (scores.n, scores.pod, scores.far, scores.ets) == (sum(table), *from_table)
-    # Of a forecast that is sure of itself, the share that it has wrong.
+    # For a forecast without doubt, the share of errors.
     assert scores.brier == pytest.approx((table[1] + table[2]) / sum(table))
 
 
 def test_an_event_begins_at_its_amount() -> None:
-    """Both of the forecast and of what was observed."""
+    """For both the forecast and the observation."""
     tally = Tally(3.0, 1)
     tally.add(np.array([[3.0, 3.0, 2.9, 2.9]]), np.array([3.0, 2.9, 3.0, 2.9]))
     assert tally.table.tolist() == [1, 1, 1, 1]
@@ -76,14 +76,14 @@ def test_moments_and_missing(members: int) -> None:
 
 
 def test_nothing_to_be_scored() -> None:
-    """No pairs, no rain, no events: what cannot be is NaN, and nothing else."""
+    """No pairs, no rain, no events: exactly the undefined scores are NaN."""
     tally = Tally(5.0, 1)
     assert tally.scores().n == 0 and all(map(math.isnan, tally.scores()[1:]))
     tally.add(np.zeros((1, 7)), np.zeros(7))
     scores = tally.scores()
     assert (scores.n, scores.brier, scores.crps) == (7, 0.0, 0.0)
     assert all(map(math.isnan, scores[1:6]))
-    # A constant that binary numbers do not have exactly is one all the same.
+    # A constant without an exact binary value is still a constant.
     tally = Tally(5.0, 1)
     tally.add(np.full((1, 1000), 0.1), np.linspace(0, 9, 1000))
     assert math.isnan(tally.scores().r)
@@ -98,7 +98,7 @@ def test_nothing_to_be_scored() -> None:
 def test_crps_is_the_integral_made_fair(members: list[float], observed: float) -> None:
     """The squared difference of two distributions, piece by piece between their steps.
 
-    From it goes what M members have too much: half of the mean of |x_i - x_j| over all i and j,
+    The excess of M members is subtracted: half of the mean of |x_i - x_j| over all i and j,
     over M - 1 (Ferro 2014).
     """
     steps = sorted([*members, observed])
@@ -132,7 +132,7 @@ def test_reliability_by_hand() -> None:
 
 
 def test_ranks_by_hand() -> None:
-    """Below, between and above; and what equals members is shared out."""
+    """Below, between and above; a value equal to members is shared among their ranks."""
     forecast = np.array([[1.0, 1.0, 1.0, 0.0, 0.0], [2.0, 2.0, 2.0, 0.0, 0.0],
                          [3.0, 3.0, 3.0, 0.0, 4.0]])
     observed = np.array([0.5, 2.5, 9.0, 0.0, 0.0])

@@ -25,7 +25,7 @@ SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
 
 
 def verify(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run the command to its end."""
+    """Run the command until it ends."""
     return run_command(
         "verify", *arguments, cwd=directory, env={**os.environ, "COLUMNS": "80"}
     )
@@ -40,7 +40,7 @@ def scores(directory: Path, *arguments: str) -> list[dict[str, str]]:
 
 
 def blocks(series: dict[datetime, float], hours: int) -> dict[datetime, float]:
-    """Return the sums over blocks of the clock that are whole, by when they begin."""
+    """Return the sums over complete blocks of the clock, by their beginning."""
     values: dict[datetime, list[float]] = {}
     for start, value in series.items():
         values.setdefault(start.replace(hour=start.hour // hours * hours), []).append(value)
@@ -48,9 +48,9 @@ def blocks(series: dict[datetime, float], hours: int) -> dict[datetime, float]:
 
 
 def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
-    """Sums over whole blocks of the clock, as ../shared/forecasts has them, by plain counting.
+    """Sums over whole blocks of the clock, as in ../shared/forecasts, by plain counting.
 
-    The forecast of one day before stands for the records; some of its hours are missing.
+    The forecast of one day before stands in for the records; some of its hours are missing.
     """
     with GEM.open() as stream:  # the service's hours end at their time
         hours = {
@@ -82,7 +82,7 @@ def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
 
 
 def test_runs_by_lead(tmp_path: Path) -> None:
-    """An ensemble of two runs: each hour's lead counts from its run, and all of its members."""
+    """An ensemble of two runs: each hour's lead counts from its run, with all its members."""
     (tmp_path / "runs.csv").write_text(write_forecasts([
         Issue(FIRST + hour * HOUR, tmp_path, None, np.repeat([members], 12, axis=0).T)
         for hour, members in ((0, (0.0, 2.0)), (6, (4.0, 1.0)))
@@ -98,14 +98,14 @@ def test_runs_by_lead(tmp_path: Path) -> None:
     assert [(row["n"], row["pod"], row["far"]) for row in rows] == [
         ("2", "1", "0"), ("2", "0.5", "0")
     ]
-    # Probabilities 0.5 of nothing and 1 of an event; 0.5 and 1 of events.
+    # Probabilities 0.5 without an event and 1 with one; 0.5 and 1 with events.
     assert [float(row["brier"]) for row in rows] == [0.125, 0.125]
     # Means of |x - y| less half of |x - x'|: 6 - 6 and 9 - 9, in both classes.
     assert [float(row["crps_mm"]) for row in rows] == [0.0, 0.0]
 
 
 def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
-    """A service's rain is of the hour before its time: right forecasts of it are right."""
+    """A service's rain is of the hour before its time: its right forecasts score as right."""
     with JULY.open(encoding="utf-8-sig") as stream:
         rows = list(csv.DictReader(stream))
     lines = ["issued,time,precipitation [mm/h]"]
@@ -124,7 +124,7 @@ def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
 
 
 def test_forecasts_of_another_place(tmp_path: Path) -> None:
-    """Rain that is independent of the records: output and page say so."""
+    """For rain that is independent of the records, output and page say so."""
     rng = np.random.default_rng(7)
     rain, elsewhere = np.round(rng.gamma(0.5, 2.0, (2, 1300)) * (rng.random((2, 1300)) < 0.06), 2)
     write_gauge(tmp_path / "own.csv", rain)
@@ -137,9 +137,9 @@ def test_forecasts_of_another_place(tmp_path: Path) -> None:
 
 
 def test_models_of_the_package(tmp_path: Path) -> None:
-    """Perfect forecasts are perfect; persistence is as it counts.
+    """Perfect forecasts score perfectly; persistence equals a plain count.
 
-    Of the usual sums those are scored that divide the lead.
+    Only those of the usual sums are scored that divide the lead.
     """
     common = ("--weather", str(JULY), "--horizon", "24", "--lead", "12")
     rows = scores(tmp_path, "perfect", *common)
@@ -166,7 +166,7 @@ def test_models_of_the_package(tmp_path: Path) -> None:
 
 
 def test_the_page_draws_everything_and_asks_for_nothing(tmp_path: Path) -> None:
-    """Of an ensemble six panels by lead, then four of reliability and four of ranks."""
+    """For an ensemble six panels by lead, then four of reliability and four of ranks."""
     done = verify(
         tmp_path, "ensemble", "--forecast-members", "5", "--weather", str(JULY), "-o", "page.html"
     )
@@ -194,11 +194,11 @@ WRONG = {
     ),
     "lead": (
         [str(GEM), "--lead", "6", "--sums", "6", "--events", "2"],
-        f"--lead = 6: must be a multiple of 24 h, which is all that {GEM} (Open-Meteo, previous",
+        f"--lead = 6: must be a multiple of 24 h, the finest lead time of {GEM} (Open-Meteo,",
     ),
     "apart": (
         [str(GEM)],
-        f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records: these are of ",
+        f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records: these cover ",
     ),
 }
 

@@ -1,4 +1,4 @@
-"""What the tests of the page tell it: what nodes say on /diagnostics, values, and a store."""
+"""Input for the tests of the page: nodes' messages on /diagnostics, values, and a store."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def node(
     name: str, role: str, *parts: tuple[Any, ...], process: str = "host 1",
     state: str = "ready", **values: Any,
 ) -> list[Status]:
-    """Return what a node says: its own status, and those of its parts.
+    """Return a node's messages: its own status, and those of its parts.
 
-    Of each part its name, level and sentence, and where it matters its code.
+    Each part has a name, level and sentence, and optionally a code.
     """
     pairs = {"role": role, "process": process, **values}
     own = {key: json.dumps(value) for key, value in pairs.items()}
@@ -46,7 +46,7 @@ def incident(role: str, part: str, cause: str, code: str, began: float, ended: f
 
 
 def store(mode: str = "simulated", site: Site = PAPER_SITE) -> Store:
-    """Return what is known of a graph of which only the site is."""
+    """Return a store that knows only the site of its graph."""
     graph = Store()
     graph.set_site(site)
     graph.set_present(mode=mode, factor=30.0, note="")
@@ -54,7 +54,7 @@ def store(mode: str = "simulated", site: Site = PAPER_SITE) -> Store:
 
 
 def hear(graph: Store, first: int, last: int, values: Mapping[str, float], every: int = 1) -> None:
-    """Have each topic's value from one second to another, the last one not included."""
+    """Add each topic's value from one second to another, the last one not included."""
     times = START + SECOND * np.arange(first, last, every)
     for topic, value in values.items():
         graph.add(topic, times, np.full(len(times), value))

@@ -1,4 +1,4 @@
-"""The water account, against the summaries of runs and against sums by hand."""
+"""The water account, compared with the summaries of runs and with sums by hand."""
 
 from __future__ import annotations
 
@@ -30,10 +30,9 @@ SUMMED = {
 OVER_TICKS = {"stress": "stress_hours", "deviation": "mean_deviation_mm"}
 STORM = ("--start", "2021-07-08T12:00-05:00", "--cistern", "75.5", "--roof", "34.39")
 MEASURED = CONFIG / "site_neubrandenburg.yaml"
-# A storm on a full roof beside a full cistern; a roof with nothing to evaporate; on a measured roof
-# half an hour of rain: its drainage layer is a part of what is stored, its plants are dry, and of
-# the water in that layer at first some drains off; with a low outlet, through which the detention
-# volume drains.
+# A storm on a full roof beside a full cistern; a roof with nothing to evaporate; half an hour of
+# rain on a measured roof, with a drainage layer that counts as storage and drains at first, and dry
+# plants; a low outlet, through which the detention volume drains.
 RUNS = {
     "storm": ("--hours", "0.5", *STORM),
     "empty": ("--hours", "0.2", "--start", "2021-07-07T14:00-05:00", "--cistern", "10",
@@ -48,14 +47,14 @@ Recorded = dict[str, tuple[np.ndarray, np.ndarray]]
 
 @dataclass
 class Simulated:
-    """A run: what a graph publishes of it by topic, its metrics, and its site."""
+    """A run: its values by topic as in a graph, its metrics, and its site."""
 
     topics: Recorded
     summary: dict[str, float]
     site: Site
 
     def account(self, *, live: bool = False) -> Account:
-        """Return its account; of a live site, where nobody says drainage and overflow."""
+        """Return its account; a live site has no topics for drainage and outflow."""
         topics = TOPICS[:5] if live else TOPICS
         return filled({topic: self.topics[topic] for topic in topics}, self.site, live=live)
 
@@ -97,7 +96,7 @@ def assert_equal(totals: Mapping[str, float], summary: Mapping[str, float]) -> N
 
 @pytest.mark.parametrize("name", RUNS)
 def test_batches_give_the_summary(runs: dict[str, Simulated], name: str) -> None:
-    """Batches come topic by topic, and somebody may look between any two of them."""
+    """Batches come topic by topic, and the totals may be read between any two of them."""
     run, chance = runs[name], random.Random(7)
     account = Account(run.site)
     count, first = len(run.topics["/roof/level"][0]), 0
@@ -115,7 +114,7 @@ def test_batches_give_the_summary(runs: dict[str, Simulated], name: str) -> None
     assert account.gap_s == 0
     assert account.measured
     assert (account.since, account.until) == (START, START + (count - 1) * SECOND)
-    # The plant is exact: nothing is left unexplained but rounding.
+    # The plant is exact: the unexplained rest is only rounding.
     assert abs(totals["unexplained"]) < 1e-9
 
 
@@ -134,7 +133,7 @@ def test_a_live_site_has_the_same_computed_from_its_levels(
 
 
 def test_the_runs_reach_what_they_are_for(runs: dict[str, Simulated]) -> None:
-    """Without these a wrong limit, drainage or overflow would not be seen above."""
+    """Otherwise a wrong limit, drainage or overflow would go unnoticed above."""
     summaries = {name: run.summary for name, run in runs.items()}
     assert summaries["storm"]["drainage_m3"] > 1e-3
     assert summaries["storm"]["outflow_m3"] > 0.1
@@ -188,7 +187,7 @@ def filled(topics: Recorded, site: Site = PAPER_SITE, *, live: bool = False) -> 
 def test_a_tick_that_was_not_heard_is_a_gap(
     missing: tuple[str, ...], ticks: tuple[int, ...], pumped_s: int, rain_s: int, gap_s: int
 ) -> None:
-    """Of 100 s."""
+    """A gap in 100 s."""
     topics = steady(101, **{"/pump/flow": 1e-3, "/weather/precipitation": 1e-6})
     for topic in missing:
         times, values = topics[topic]
@@ -201,7 +200,7 @@ def test_a_tick_that_was_not_heard_is_a_gap(
 
 
 def test_what_the_plant_refused_acted_as_nothing() -> None:
-    """A value that is not plausible comes here as NaN; in a simulation that is no gap."""
+    """An implausible value is NaN here; in a simulation that is not a gap."""
     topics = steady(101, **{"/weather/precipitation": 1e-6})
     topics["/weather/precipitation"][1][:50] = np.nan
     account = filled(topics)
@@ -210,7 +209,7 @@ def test_what_the_plant_refused_acted_as_nothing() -> None:
 
 
 def live_topics() -> Recorded:
-    """Topics of a live site, each at its own times, for an hour; nobody says what drains."""
+    """Topics of a live site for an hour, each at its own times; drainage is not published."""
     def at(*seconds: float) -> np.ndarray:
         return START + np.round(np.array(seconds) * SECOND).astype(np.int64)
 
@@ -219,13 +218,13 @@ def live_topics() -> Recorded:
         "/cistern/level": (at(0.4, *np.arange(4, 3601, 4)), np.full(901, 2.0)),
         "/weather/precipitation": (at(*np.arange(0, 3601, 1)), np.full(3601, 1e-6)),
         "/weather/evapotranspiration": (at(*np.arange(0, 3601, 1)), np.full(3601, 1e-5)),
-        # Silent for 27 minutes, of which 10 count.
+        # Silent for 27 minutes; only 10 count.
         "/pump/flow": (at(0, 600, 1200, 1500, 1620, 3240, 3600), np.full(7, 1e-3)),
     }
 
 
 def test_a_live_value_holds_for_ten_minutes_and_a_refused_one_is_unknown() -> None:
-    """From 0.4 s, when the last topic was first heard, to 3600 s, but for 1620 + 600 to 3240 s."""
+    """From 0.4 s, when the last topic was first heard, to 3600 s, except 1620 + 600 to 3240 s."""
     account = filled(live_topics(), live=True)
     totals = account.totals()
     assert account.since == START + 400_000_000
@@ -244,7 +243,7 @@ def test_a_live_value_holds_for_ten_minutes_and_a_refused_one_is_unknown() -> No
 
 
 def test_a_topic_that_falls_silent_stops_the_account_for_ten_minutes_only() -> None:
-    """The flow is heard last at 100 s, and holds to 700 s; nobody waits for it any longer then."""
+    """The flow is last heard at 100 s, and holds until 700 s; then the account no longer waits."""
     account = Account(PAPER_SITE)
     account.live = True
     for second in range(0, 3600, 20):
@@ -274,7 +273,7 @@ def test_what_was_never_heard_is_unknown_and_not_nothing() -> None:
 
 
 def test_memory_is_bounded_while_nobody_looks() -> None:
-    """Half a million values: what is counted is let go of."""
+    """Half a million values: those already counted are dropped."""
     account = Account(PAPER_SITE)
     topics = steady(1000)
     for block in range(70):

@@ -1,4 +1,4 @@
-"""Alarms and events, from statuses as nodes and hostile senders put them on /diagnostics."""
+"""Alarms and events from statuses on /diagnostics, from nodes and from hostile senders."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def heard(*steps: tuple[float, list[Status]], namespace: str = "") -> Alarms:
 
 
 def each_quarter(seconds: float, *statuses: list[Status], begin: float = 0.0) -> Steps:
-    """Return for so long a message four times a second, of these in turn."""
+    """Return messages four times a second for this long (s), with these statuses in turn."""
     return [(begin + at / 4, statuses[at % len(statuses)]) for at in range(round(4 * seconds))]
 
 
@@ -50,7 +50,7 @@ def rows(alarms: Alarms) -> dict[str, dict[str, Any]]:
 
 
 def follows(alarms: Alarms) -> dict[str, str | None]:
-    """Return from which alarm each of now follows, in their order."""
+    """Return for each present alarm the alarm it follows from, in the list's order."""
     return {row["id"]: row["follows"] for row in alarms.rows() if row["over"] is None}
 
 
@@ -83,7 +83,7 @@ def test_an_alarm_comes_changes_its_numbers_and_goes() -> None:
 
 
 def test_an_alarm_that_was_there_before_anybody_listened() -> None:
-    """It is so for at least as long; one that comes later, or after a restart, is not."""
+    """Its duration is a lower bound; for one that comes later, or after a restart, it is exact."""
     alarms = heard((0.0, pump(WRONG)))
     assert alarms.rows()[0]["since_at_least"]
     for at, said in (
@@ -121,7 +121,7 @@ def test_an_acknowledged_alarm_stays_listed_until_it_is_another_one() -> None:
 
 
 def test_two_faults_of_a_drive_are_two_alarms() -> None:
-    """By the numbers that the drive gives them, although all else is the same: also in events."""
+    """Distinguished only by the drive's fault numbers, also in events."""
     alarms = Alarms()
     for at, number in enumerate((2310, 2320)):
         fault = f"the drive reports: fault {number}"
@@ -139,7 +139,7 @@ def test_two_faults_of_a_drive_are_two_alarms() -> None:
 
 
 def test_what_is_over_is_kept_for_a_while() -> None:
-    """The last 20, the newest first, behind those of now."""
+    """The last 20, the newest first, after the present alarms."""
     parts = [("p" + str(number), ERROR, "bad") for number in range(24)]
     alarms = heard((0.0, pump(*parts)))
     assert len(alarms.rows()) == 24
@@ -150,7 +150,7 @@ def test_what_is_over_is_kept_for_a_while() -> None:
 
 
 def test_a_node_that_is_not_heard() -> None:
-    """After 2 s, as one alarm: what was wrong with it before follows from that, as last said."""
+    """After 2 s this is one alarm; its earlier alarms follow from it, as last reported."""
     said = pump(WRONG, ("levels", OK, "good"))
     alarms = heard((0.0, said))
     alarms.look(1.9, 10.0)
@@ -172,24 +172,24 @@ _NAMES = "two processes report under this name: host 0 and host 1"
 
 
 @pytest.mark.parametrize(("steps", "alarms_then", "events"), [
-    # A part that its node does not mention any more.
+    # A part that its node no longer mentions.
     ([(0.0, pump(RIGHT)), *each_quarter(2.25, pump(), begin=0.25)],
      {"/pump: drive": ("stale", "not heard for 2 s")}, []),
-    # The end is no alarm, be it that of a run or of one node.
+    # The end of a run or of a node is not an alarm.
     ([(0.0, pump(BAD)), (0.5, pump(BAD, state="finished")), (60.0, [])], {},
      ["/pump has finished: the run is over"]),
     ([(0.0, pump(BAD)), (0.5, pump(BAD, state="ended")), (60.0, [])], {}, ["/pump ended"]),
     # A node that failed says why.
     ([(0.0, recorder()), (0.5, recorder(state="ended", failure=WHY)), (60.0, [])],
      {"/recorder": ("error", f"ended: {WHY}")}, ["/recorder ended"]),
-    # A restart is an event; what the process before said of its parts is over.
+    # A restart is an event; alarms of the previous process are over.
     ([(0.0, pump(BAD)), (5.0, pump(process="host 2", state="starting"))], {},
      ["/pump was started again"]),
-    # Two processes of one name: no restart each time, but an alarm for as long as both are heard.
+    # Two processes with one name: not a restart each time, but an alarm while both are heard.
     (each_quarter(5, *TWICE), {"/pump": ("error", _NAMES)}, ["/pump was started again"]),
     ([*each_quarter(5, *TWICE), *each_quarter(5, TWICE[1], begin=5.0)], {},
      ["/pump was started again"]),
-    # A node that waits for another one has 5 s; then it names whom.
+    # A node may wait for another one for 5 s; then an alarm names the other node.
     (each_quarter(4.75, STARTING), {}, []),
     (each_quarter(10, STARTING), {"/mpc": ("warn", "waits for roof_sensor, weather")}, []),
 ])
@@ -208,7 +208,7 @@ def test_what_is_wrong_with_a_node(
 
 
 def test_values_that_are_refused() -> None:
-    """While the count grows, and 2 s longer; what was refused before is no news."""
+    """While the count grows, and for 2 s more; values refused before the start do not count."""
     alarms = Alarms()
     for step, count in enumerate([7, 7, 8, 9, *[9] * 12]):
         alarms.hear(step / 4, float(step), mpc(refused={"/forecast/rain": count}))
@@ -219,7 +219,7 @@ def test_values_that_are_refused() -> None:
 
 
 def test_events_of_parameters() -> None:
-    """Of a run all changes are kept, live the newest 20 and their count."""
+    """For a run all changes are reported; live, the newest 20 and their count."""
     alarms = Alarms()
     changes = [
         {"tick": 3, "parameter": "weight", "before": 1.0, "value": float(number)}
@@ -259,7 +259,7 @@ TWO = "two publishers", "two_controllers"
 
 
 @pytest.mark.parametrize(("cause", "said", "chain"), [
-    # The sensor comes first; the rest follows, the pump's state before all others.
+    # The sensor comes first; the rest follows from it, the pump's state before all others.
     ("/cistern_sensor: sensor", [
         *node("/onoff", "controller", ("inputs", ERROR, *SILENT)),
         *pump(
@@ -273,7 +273,7 @@ TWO = "two publishers", "two_controllers"
                                       "gauge_bad")),
         *node("/rain_gauge", "rain_gauge", ("gauge", WARN, "no broker", "broker_lost")),
     ], ["/weather: rain gauge"]),
-    # A second controller: not that the pump's inputs are not good for it.
+    # A second controller explains bad inputs of the pump.
     ("/pump: command", pump(
         ("pump", WARN, *TWO), ("command", ERROR, *TWO),
         ("inputs", ERROR, "two publishers", "input_publishers"),
@@ -295,11 +295,11 @@ def test_what_has_one_cause(cause: str, said: list[Status], chain: list[str]) ->
 def test_a_state_of_the_pump_that_its_cause_does_not_tell(
     code: str, said: dict[str, Any], advice: str
 ) -> None:
-    """Its own advice stands first: no reset, release or look is left out for the drive's sake."""
+    """Its own advice comes first: the drive's alarm must not hide a reset, a release or a check."""
     alarms = heard((0.0, pump(WRONG, ("pump", ERROR, "why", code), **said)))
     assert list(follows(alarms).items()) == [("/pump: pump", None), ("/pump: drive", None)]
     assert advice in alarms.advice()
-    alarms.look(2.1, 2.1)  # what a node said last that is not heard any more
+    alarms.look(2.1, 2.1)  # the last report of a node that is silent now
     assert rows(alarms)["/pump: pump"]["follows"] is None
     assert "Nobody here knows whether the pump runs" in alarms.advice()
 
@@ -320,7 +320,7 @@ def test_a_state_follows_from_the_part_that_says_more(state: str, part: str, cod
 
 
 def test_every_code_has_its_advice() -> None:
-    """Those of nodes, and those that are seen from here; what asks for a hand names the service."""
+    """For the codes of nodes and of the watcher; a manual action comes with its service."""
     for code in read_conditions():
         for role in ("pump", "controller", "weather", "plant"):
             do, known = advise(code, role, "/site1/pump")
@@ -335,7 +335,7 @@ def test_every_code_has_its_advice() -> None:
 
 
 def test_no_error_follows_from_a_warning() -> None:
-    """Neither by itself nor through another one; what is not heard may, and then counts for it."""
+    """Neither directly nor through another alarm; a stale one may, and then counts with it."""
     start = {"state": "starting", "waiting": ["plant"]}
     waits = mpc(("inputs", ERROR, "bad", "input_waiting"), **start)
     alarms = heard(*each_quarter(6.25, waits))
@@ -359,7 +359,7 @@ def test_no_error_follows_from_a_warning() -> None:
 
 
 def test_the_order_of_alarms() -> None:
-    """The pump's state, then errors, what is stale and warnings; other devices last."""
+    """The pump's state, then errors, stale parts and warnings; other devices last."""
     other = Status("/camera", ERROR, "no picture", "camera")
     alarms = heard((0.0, [other, *mpc()]), (2.5, [
         other,
@@ -377,7 +377,7 @@ def test_the_order_of_alarms() -> None:
 
 
 def test_values_that_are_refused_follow_from_a_second_controller() -> None:
-    """Not that the second one's inputs are not good."""
+    """Bad inputs of the second controller do not follow from it."""
     alarms = heard((0.0, [
         *mpc(("inputs", WARN, "has not come yet", "input_waiting")),
         *pump(("command", ERROR, *TWO), refused={}),
@@ -388,7 +388,7 @@ def test_values_that_are_refused_follow_from_a_second_controller() -> None:
 
 
 def test_advice_is_on_what_is_new() -> None:
-    """What was acknowledged comes after what was not; among equals, the newest is first."""
+    """Acknowledged alarms come after the others; among equals, the newest is first."""
     file = ("drive file", WARN, "was not verified", "drive_file_unverified")
     blind = ("delivery", WARN, "blind for 3 s", "delivery_blind")
     alarms = heard((0.0, pump(file)), (0.1, pump(file, blind)))
@@ -401,7 +401,7 @@ def test_advice_is_on_what_is_new() -> None:
 
 
 def test_a_namespace_has_its_own_alarms() -> None:
-    """Another graph's nodes are other devices, and never say what this one's pump does."""
+    """Another graph's nodes are other devices, and never describe this graph's pump."""
     alarms = heard((0.0, [
         *node("/site2/pump", "pump", ("pump", ERROR, "fault: burst"), flow=2.0, stop=STOPPED),
         *node("/site1/pump", "pump", ("pump", WARN, "held", "operator_stop"), flow=1.0),
@@ -417,7 +417,7 @@ def test_a_namespace_has_its_own_alarms() -> None:
 
 
 def test_the_end_of_another_graph_is_no_alarm() -> None:
-    """Nor of its nodes' parts, of which the last word may say nothing; one that goes on is."""
+    """Nor for its nodes' parts, even if the last status lacks them; a silent node has one."""
     inputs = ("inputs", OK, "good")
     both = [*node("/site2/mpc", "controller", inputs), *node("/site2/pump", "pump", inputs)]
     alarms = heard(
@@ -432,7 +432,7 @@ def test_the_end_of_another_graph_is_no_alarm() -> None:
 
 
 def test_other_devices() -> None:
-    """They have 5 s, and one that spoke only once is not missed; they never make an error here."""
+    """They have 5 s, and a device heard only once is not missed; they never count as an error."""
     once, often = Status("/camera", OK, "fine", "c"), Status("disk usage", ERROR, "99 %", "host")
     alarms = heard((0.0, [once, often]))
     assert present(alarms) == ["disk usage"]
@@ -443,7 +443,7 @@ def test_other_devices() -> None:
         assert [(row["id"], row["level"]) for row in alarms.rows()] == [("disk usage", level)]
 
 
-# --- hostile --------------------------------------------------------------------------------------
+# --- hostile messages -----------------------------------------------------------------------------
 
 _TEXTS = st.one_of(
     st.text(max_size=30),
@@ -469,7 +469,7 @@ _STATUSES = st.builds(
 @given(st.lists(st.tuples(st.sampled_from([0.0, 0.1, 3.0]), st.lists(_STATUSES, max_size=6)),
                 max_size=6))
 def test_nothing_that_is_said_raises(messages: list[tuple[float, list[Status]]]) -> None:
-    """And all that is shown can be printed and sent as JSON in UTF-8."""
+    """And everything shown can be printed, and sent as JSON in UTF-8."""
     alarms, wall = Alarms(), 0.0
     for passed, statuses in messages:
         wall += passed
@@ -488,7 +488,7 @@ def test_nothing_that_is_said_raises(messages: list[tuple[float, list[Status]]])
 
 
 def test_a_flood_crowds_nobody_out() -> None:
-    """10,000 statuses an array and texts of a megabyte: the graph's own stay, memory does not grow.
+    """10,000 statuses a message, texts of 1 MB: own alarms stay, and memory is bounded.
 
     The names of own nodes are forged, too, from before the graph was there.
     """
@@ -519,7 +519,7 @@ def test_a_flood_crowds_nobody_out() -> None:
 def test_a_watcher_that_stood_still_takes_nobody_for_silent() -> None:
     alarms = heard((0.0, [*pump(RIGHT), *mpc()]))
     alarms.registry.forgive(6.0)
-    alarms.hear(6.0, 6.0, mpc())  # the first of those that waited
+    alarms.hear(6.0, 6.0, mpc())  # the first of the waiting messages
     assert alarms.rows() == []
     alarms.look(8.5, 8.5)
     assert {row["id"] for row in alarms.rows()} == {"/pump", "/mpc"}

@@ -29,12 +29,12 @@ def number(value: float) -> bytes:
 
 
 def row(values: Sequence[float]) -> bytes:
-    """Return a Float64MultiArray of no layout in CDR."""
+    """Return a Float64MultiArray without layout in CDR."""
     return struct.pack(f"<IIII4x{len(values)}d", 256, 0, 0, len(values), *values)
 
 
 class Run:
-    """A bag as the recorder of a simulation writes it, of any values."""
+    """A bag as a simulation's recorder writes it, with arbitrary values."""
 
     def __init__(self, bag: Path, namespace: str = "", start_ns: int = START_NS) -> None:
         self.topics = recorded_topics({"/controller/cost": "cost"})
@@ -73,7 +73,7 @@ def whole(*files: Path) -> dict[str, list[tuple[int, float]]]:
 
 
 class Reader:
-    """Keeps what was read."""
+    """Collects what was read."""
 
     def __init__(self, bag: Path, namespace: str | None = None) -> None:
         self._bag = Recorded(bag, namespace)
@@ -83,7 +83,7 @@ class Reader:
         self.texts: list[tuple[str, int, str | None]] = []
 
     def read(self) -> None:
-        """Read all that there is."""
+        """Read everything available."""
         while True:
             self.recorded = batch = self._bag.read()
             for topic, times, values in batch.numbers:
@@ -108,7 +108,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_each_byte_is_read_once(finished: Path, tmp_path: Path) -> None:
-    """A file that comes in pieces of any length gives each of its messages, in order, once."""
+    """A file that grows in pieces of any length gives each of its messages once, in order."""
     content = finished.read_bytes()
     random = Random(2)
     bag = tmp_path / "bag"
@@ -133,7 +133,7 @@ def test_each_byte_is_read_once(finished: Path, tmp_path: Path) -> None:
 
 
 def test_what_the_recorder_has_flushed_is_there(tmp_path: Path) -> None:
-    """Every 16 ticks, under a namespace too."""
+    """Every 16 ticks, also in a namespace."""
     run = Run(tmp_path / "bag", "/site1")
     readers = [Reader(tmp_path / "bag", namespace) for namespace in (None, "/site1")]
     other = Reader(tmp_path / "bag", "")
@@ -148,7 +148,7 @@ def test_what_the_recorder_has_flushed_is_there(tmp_path: Path) -> None:
 
 
 def test_damage_is_said_and_the_rest_is_read(finished: Path, tmp_path: Path) -> None:
-    """Any bytes of the file may be wrong: nothing raises, and other chunks are read."""
+    """Any bytes of the file can be wrong: nothing raises, and other chunks are read."""
     content = finished.read_bytes()
     expected = {topic: dict(pairs) for topic, pairs in whole(finished).items()}
     random = Random(3)
@@ -166,13 +166,13 @@ def test_damage_is_said_and_the_rest_is_read(finished: Path, tmp_path: Path) -> 
             assert "damaged" in reader.recorded.problem
             most = max(most, len(reader.numbers["/roof/level"]))
         for topic, pairs in reader.numbers.items():
-            # The checksum of a chunk is that of its content.
+            # Each chunk has a checksum, so no wrong value is read.
             assert all(expected[topic][time_ns] == value for time_ns, value in pairs)
-    assert most >= 480  # a chunk that is damaged costs its 16 ticks alone
+    assert most >= 480  # a damaged chunk loses only its 16 ticks
 
 
 def test_a_file_that_ends_in_zeros_keeps_what_was_before(finished: Path, tmp_path: Path) -> None:
-    """As after a loss of power; the next file of the bag is read with it."""
+    """As after a power failure; the next file of the bag is read as well."""
     bag = tmp_path / "bag"
     bag.mkdir()
     content = finished.read_bytes()
@@ -195,7 +195,7 @@ def test_a_file_that_ends_in_zeros_keeps_what_was_before(finished: Path, tmp_pat
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:
-    """An empty one is being begun; text, a directory and a record of any length are said."""
+    """An empty file is a beginning; text, a directory and a record of any length are reported."""
     for name, content in (
         ("empty", b""), ("begun", b"\x89MCAP0\r\n"), ("text", b"hello, this is text"),
         ("long", b"\x89MCAP0\r\n\x06" + b"\xff" * 8), ("odd", b"\x89MCAP0\r\n\x00" + bytes(80)),
@@ -214,14 +214,14 @@ def test_files_that_are_none(tmp_path: Path) -> None:
 
 
 def test_another_bag_in_its_place(tmp_path: Path) -> None:
-    """It is removed and made anew, or shorter than what was read."""
+    """The bag is removed and made again, or becomes shorter than what was read."""
     bag = tmp_path / "bag"
     run = Run(bag)
     run.ticks(100)
     run.writer.close()
     reader = Reader(bag)
     reader.read()
-    # The file is kept under another name, so that its number on the disk is not used again.
+    # The old file is kept under another name, so that its inode is not reused.
     bag.rename(tmp_path / "kept")
     reader.read()
     assert not reader.recorded.replaced
@@ -245,7 +245,7 @@ def live_bag(directory: Path) -> LiveBag:
 
 
 def test_a_live_bag(tmp_path: Path) -> None:
-    """Files by the day; the past is a week, and an oldest file that goes is no matter."""
+    """Files by the day; the past week is read, and an oldest file may disappear."""
     bag = live_bag(tmp_path / "bag")
     now = 0.0
     text = struct.pack("<II4s", 256, 4, b"off\0")
@@ -280,12 +280,12 @@ def test_a_live_bag(tmp_path: Path) -> None:
 
 
 def test_much_is_read_in_pieces(tmp_path: Path) -> None:
-    """No batch holds all of a long run, and how far it is is said."""
+    """No batch holds all of a long run, and the progress is reported."""
     bag = live_bag(tmp_path / "long")
     values = np.random.default_rng(1).random(20_000)
     for tick, value in enumerate(values):
         bag.write("/roof/level", START_NS + tick * 10**6, number(value), 0.0)
-        if tick % 100 == 0:  # bytes that cannot be packed, 20 MB in all
+        if tick % 100 == 0:  # incompressible bytes, 20 MB in all
             bag.write("/diagnostics", START_NS + tick * 10**6, os.urandom(100_000), 0.0)
     bag.close()
     reader = Recorded(tmp_path / "long", "")

@@ -1,4 +1,4 @@
-"""Watchers beside real runs: alarms come and go, a stop holds, and no bag is another."""
+"""Watchers beside real runs: alarms come and go, a stop holds, and the bag stays the same."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ pytest.importorskip("pymodbus", reason="drives are on Modbus")
 def test_at_a_live_site_an_alarm_comes_and_goes_and_a_stop_holds(
     domain: int, tmp_path: Path
 ) -> None:
-    """On the page, and by its code over MQTT; a stop holds until the pump node is told otherwise.
+    """On the page, and by its code over MQTT; a stop holds until it is released at the pump node.
 
-    It holds for another watcher, and when the controller is killed. A broker that hangs costs the
-    site nothing.
+    It also holds for another watcher, and after the controller is killed. A broker that hangs does
+    not affect the site.
     """
     from faults.rig import SiteRig
 
@@ -100,7 +100,7 @@ def test_at_a_live_site_an_alarm_comes_and_goes_and_a_stop_holds(
 
 
 def test_a_run_under_the_eyes_of_three_is_the_same_run(domain: int, tmp_path: Path) -> None:
-    """A page that waits for it, one that never reads and one that is slow; the watcher stops."""
+    """A page that waits for it, one that never reads, and a slow one; the watcher is stopped."""
     options = ("--controller", "onoff", "--hours", "0.15")
     process, port = watcher(domain, tmp_path)
     request = b"GET /events?hours=12 HTTP/1.1\r\nHost: localhost\r\n\r\n"

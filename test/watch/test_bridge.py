@@ -32,9 +32,9 @@ from greenroof_ros.watch.store import Store
 
 pytest.importorskip("paho.mqtt", reason="the bridge needs paho-mqtt")
 
-# Of home-assistant.io (integrations sensor, binary_sensor, button, and mqtt, under "MQTT Discovery"
-# and "Configuration variables"), read in November 2026: which units a class of sensors may have,
-# and which keys a message may have.
+# From home-assistant.io (integrations sensor, binary_sensor, button, and mqtt, under "MQTT
+# Discovery" and "Configuration variables"), read in November 2026: the units that a class of
+# sensors may have, and the keys that a message may have.
 UNITS = {
     "distance": {"km", "m", "cm", "mm", "mi", "nmi", "yd", "in"},
     "precipitation_intensity": {"in/d", "in/h", "mm/d", "mm/h"},
@@ -60,10 +60,10 @@ DEVICE = {"identifiers", "manufacturer", "name", "sw_version"}
 
 
 class Phone:
-    """A client of the broker that keeps all it hears.
+    """A client of the broker that keeps all it receives.
 
     Attributes:
-        heard: of each topic the payloads, and whether each was retained.
+        heard: for each topic the payloads, and whether each was retained.
     """
 
     def __init__(self, address: str, name: str = "phone") -> None:
@@ -106,11 +106,11 @@ def phone(address: str, name: str = "phone") -> Iterator[Phone]:
 
 
 def end(process: Process) -> None:
-    """End a bridge by Ctrl-C, soon and well."""
+    """End a bridge by Ctrl-C; it must end soon and well."""
     begun = time.monotonic()
     process.process.send_signal(signal.SIGINT)
     assert process.wait(60) == 0, process.stderr()
-    assert time.monotonic() - begun < 20  # 1 s, on a machine that does nothing else
+    assert time.monotonic() - begun < 20  # 1 s on an idle machine
     assert "Traceback" not in process.stderr()
 
 
@@ -134,7 +134,7 @@ def test_discovery_is_what_home_assistant_documents() -> None:
             assert said.get("unit_of_measurement") in UNITS[own]
         if kind == "binary_sensor":
             assert own in BINARY
-        if own in ("enum", "timestamp"):  # these are no measurements
+        if own in ("enum", "timestamp"):  # these are not measurements
             assert "state_class" not in said
         if kind == "button":
             assert said["payload_press"] == "STOP"
@@ -207,7 +207,7 @@ def test_alarms_are_said_by_code() -> None:
 def test_it_says_what_a_simulated_run_does_and_nothing_can_be_stopped(
     domain: int, tmp_path: Path
 ) -> None:
-    """Its levels are the bag's; an old state is for nobody; killed, it is offline."""
+    """Its levels are the bag's; an old state is not retained; after a kill it is offline."""
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
     with mosquitto(tmp_path) as broker, phone(broker.address) as heard:
         bridge = Process(domain, "bridge", "--broker", broker.address, cwd=tmp_path)
@@ -249,7 +249,7 @@ def test_it_says_what_a_simulated_run_does_and_nothing_can_be_stopped(
 
 @contextmanager
 def running_pump(domain: int, cwd: Path) -> Iterator[tuple[Process, Simulator]]:
-    """Run a site in the loop, in the namespace site1, whose pump soon runs."""
+    """Run a site in the loop, in the namespace site1, until its pump runs."""
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
     pytest.importorskip("pymodbus", reason="drives are on Modbus")
     at, bench = free_ports(2)
@@ -272,7 +272,7 @@ def running_pump(domain: int, cwd: Path) -> Iterator[tuple[Process, Simulator]]:
 def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
     domain: int, tmp_path: Path
 ) -> None:
-    """One that the broker kept, one in other words, and any other wish are ignored."""
+    """A retained stop, one in other words, and any other request are ignored."""
     stop, availability = "greenroof/site1/stop", "greenroof/site1/availability"
     with (
         mosquitto(tmp_path) as broker, phone(broker.address) as heard,
@@ -338,7 +338,7 @@ def test_it_logs_in_over_tls_and_says_once_why_not(domain: int, tmp_path: Path) 
     login.write_text("username: roof\npassword: secret\n")
     with mosquitto(
         tmp_path, f"certfile {certificate}", f"keyfile {key}", "allow_anonymous false",
-        f"password_file {words}", "user root",  # which reads what is this test's alone
+        f"password_file {words}", "user root",  # root reads the test's own files
     ) as broker:
         address = f"mqtts://localhost:{broker.port}"
         options = ("--broker", address, "--authority", str(certificate))

@@ -1,4 +1,4 @@
-"""The document: what an operator is told, from values, plans, forecasts and statuses."""
+"""The document: what an operator is shown, from values, plans, forecasts and statuses."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ RAIN = "/forecast/precipitation"
 
 
 def watched(mode: str = "simulated", **values: float) -> Store:
-    """Return what is known after a minute in which these held; ``_`` stands for ``/``."""
+    """Return a store after a minute with these values; ``_`` stands for ``/``."""
     given = {**QUIET, **{f"/{name.replace('_', '/')}": value for name, value in values.items()}}
     graph = store(mode, SITE)
     hear(graph, 0, 61, given)
@@ -45,7 +45,7 @@ def watched(mode: str = "simulated", **values: float) -> Store:
 
 
 def add_at(graph: Store, topic: str, *pairs: tuple[float, float]) -> None:
-    """Have values of a topic, each with its second."""
+    """Add values of a topic, each with its second."""
     seconds, values = zip(*pairs, strict=True)
     graph.add(topic, START + SECOND * np.array(seconds, np.int64), np.array(values))
 
@@ -53,18 +53,18 @@ def add_at(graph: Store, topic: str, *pairs: tuple[float, float]) -> None:
 def forecast(
     graph: Store, time_ns: int, rain: Any, hours: float = 12, *, issued: float = math.nan
 ) -> None:
-    """Have a forecast, of steps that grow up to some hours ahead."""
+    """Add a forecast with growing steps, up to this many hours ahead."""
     graph.add_forecast(time_ns, rain, np.array([issued, *growing_steps(hours)[1:]]))
 
 
 def plan_lasts(graph: Store, first: int, last: int) -> None:
-    """Have the controller say from one second to another that its plan is the last one."""
+    """Have the controller report from one second to another that its plan is unchanged."""
     for second in range(first, last, 60):
         graph.add_plan(START + second * SECOND, np.empty((0, 4)))
 
 
 def leaves(value: Any) -> Iterator[Any]:
-    """Return each text and number of a document."""
+    """Yield each text and number of a document."""
     if isinstance(value, dict):
         value = list(value.values())
     if isinstance(value, list):
@@ -75,7 +75,7 @@ def leaves(value: Any) -> Iterator[Any]:
 
 
 def shown(graph: Store, wall: float = 100.0) -> dict[str, Any]:
-    """Return the document, which is JSON that a browser takes, and short."""
+    """Return the document, which must be short, and JSON that a browser accepts."""
     document = read_document(graph, wall)
     assert len(json.dumps(document, allow_nan=False)) < 100_000
     for leaf in leaves(document):
@@ -152,7 +152,7 @@ def test_the_simulated_pump_says_why_it_stands(
 
 
 def test_the_simulated_pump_stands_in_quiet_hours() -> None:
-    """The run is at 05:01 UTC, and for what would be rain enough it waits for no rain then."""
+    """It is 05:01 UTC; during quiet hours it does not wait for rain, even if enough is forecast."""
     for begins, why in (("05:00", "it is in quiet hours"), ("05:02", "nothing is commanded")):
         graph = watched(roof_level=0.035)
         graph.set_site(replace(SITE, quiet_hours=(f"{begins}-06:00",), time_zone="UTC"))
@@ -164,7 +164,7 @@ def test_the_simulated_pump_stands_in_quiet_hours() -> None:
 
 
 def test_the_pump_node_says_how_it_is() -> None:
-    """In a bag; for what it says on /diagnostics see below."""
+    """In a bag; for its messages on /diagnostics see below."""
     graph = watched()
     graph.add_pump_state(START + 5, "starting: by: its own words")
     graph.add_pump_state(START + 4, "off: older")
@@ -177,7 +177,7 @@ def test_the_pump_node_says_how_it_is() -> None:
 
 
 def test_rain_and_what_is_to_come() -> None:
-    """Members of 1..11 times 1e-7 m/s for 12 h: 4.32 mm times 1 to 11, mean 6, tenths 2 and 10."""
+    """Members of 1..11 times 1e-7 m/s for 12 h: 4.32 mm times 1 to 11, mean 6, deciles 2 and 10."""
     graph = watched(weather_precipitation=1 / 3.6e6)
     for later, (rain, sentence) in enumerate((
         (ENSEMBLE, "26 mm expected in the next 12 h (8.6 to 43)"),
@@ -221,7 +221,7 @@ def test_a_roof_that_is_not_as_wanted_is_no_alarm_and_not_fine(
 
 
 def test_what_is_known_by_words_alone() -> None:
-    """Of a controller whose command nobody hears one cannot say that it works."""
+    """If nobody hears a controller's command, it is not shown as working."""
     graph = Store()
     pump_says(graph, 100.0, "held: there is frost")
     graph.add_statuses(100.0, node("/mpc", "controller"))
@@ -249,7 +249,7 @@ def test_alarms_are_counted_as_they_are_listed() -> None:
 
 
 def test_the_plan_in_words() -> None:
-    """1e-3 m3/s from 01:20 to 02:00 are 2.4 m3; an empty plan is the one before."""
+    """1e-3 m3/s from 01:20 to 02:00 are 2.4 m3; an empty plan means that it is unchanged."""
     graph = watched()
     graph.add_statuses(100.0, node("/lookahead", "controller"))
     plan = np.array([[4740.0, 0, 0.045], [7140.0, 1e-3, 0.047], [43200.0, 0, 0.046]])
@@ -273,7 +273,7 @@ def test_the_plan_in_words() -> None:
     (0.0, ["does not trust the forecast"]),
 ])
 def test_what_the_controller_fills_to_and_how_far_it_trusts(trust: float, rest: list[str]) -> None:
-    """One level now, and one for later; no level while the roof is left alone."""
+    """A level for now and one for later; no present level while the roof is left alone."""
     graph = watched()
     graph.add_plan(MINUTE, np.array([[3600.0, 1e-3, 0.045]]))
     hear(graph, 60, 61, {"/controller/fill_to": 0.041, "/controller/trust": trust})
@@ -287,7 +287,7 @@ def test_what_the_controller_fills_to_and_how_far_it_trusts(trust: float, rest: 
     hear(graph, 61, 62, {"/controller/fill_to": math.nan, "/controller/trust": 1.0})
     said = tile_of(graph, "controller")["sentence"].partition("; ")[0]
     assert said == "fills to 44.0 mm after 02:01 if no rain comes"
-    graph.add_plan(MINUTE + 2 * SECOND, np.array(later)[:, :3])  # of an older bag
+    graph.add_plan(MINUTE + 2 * SECOND, np.array(later)[:, :3])  # from an older bag
     assert "fill" not in tile_of(graph, "controller")["sentence"]
 
 
@@ -315,7 +315,7 @@ def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
 
 
 def test_hostile_forecasts_and_plans() -> None:
-    """Nor is a forecast shown that does not say when its steps end."""
+    """Nor is a forecast shown without the ends of its steps."""
     graph, ten = watched(), np.full(10, 1e-7)
     for values, ends in (
         (np.empty((0, 0)), []), (np.full((3, 3, 3), 1e-7), [1, 2, 3]),
@@ -346,7 +346,7 @@ def test_hostile_forecasts_and_plans() -> None:
 
 
 def test_what_is_not_newer_is_left_out() -> None:
-    """Be it older than what is there, or out of order in its batch."""
+    """Whether it is older than what is there, or out of order in its batch."""
     graph = watched(roof_level=0.04)
     add_at(graph, "/roof/level", (60, 0.01), (5, 0.02))
     assert tile_of(graph, "roof")["number"] == 0.04
@@ -358,13 +358,13 @@ def test_what_is_not_newer_is_left_out() -> None:
 
 
 def test_a_value_that_does_not_come_any_more_is_stale() -> None:
-    """Each topic by its own interval: every second here, so that 5 s are too long."""
+    """Each topic by its own interval: every second here, so 5 s are too long."""
     graph = watched(roof_level=0.0453)
     stale = []
     for second in range(17):
         values = {"/cistern/level": 2.0, **({"/roof/level": 0.0453} if second < 10 else {})}
         hear(graph, 61 + second, 62 + second, values)
-        graph.look(100.0 + second, 0.0)  # the feed's, whether a page is open or not
+        graph.look(100.0 + second, 0.0)  # by the feed, whether a page is open or not
         if second == 13:
             stale.append(tile_of(graph, "roof", 113.0)["stale"])
     document = shown(graph, 116.0)
@@ -379,7 +379,7 @@ def test_a_value_that_does_not_come_any_more_is_stale() -> None:
 
 
 def test_what_comes_seldom_may_be_silent_for_longer() -> None:
-    """The bag of a live site grows every 10 s: three of these."""
+    """The bag of a live site grows every 10 s: three times that is allowed."""
     graph = watched()
     for block in range(4):
         hear(graph, 61 + 10 * block, 71 + 10 * block, {"/roof/level": 0.0457})
@@ -389,7 +389,7 @@ def test_what_comes_seldom_may_be_silent_for_longer() -> None:
 
 
 def test_the_time_of_a_live_site_goes_on_without_values_and_may_be_set_back() -> None:
-    """By an hour: what comes then counts, and what the recording still says of later does not."""
+    """Set back by an hour: new values count, and the recording's later ones do not."""
     graph = watched("live")
     graph.look(100.0, START / 1e9 + 60)
     assert shown(graph, 101.0)["notes"] == []
@@ -461,8 +461,8 @@ def test_another_run_begins() -> None:
     graph.start_over()
     assert shown(graph)["mode"] == "none"
     assert tile_of(graph, "roof")["number"] is None
-    assert not shown(graph, 120.0)["stop"]["possible"]  # nobody of the run before is heard now
-    # It may be of an earlier day.
+    assert not shown(graph, 120.0)["stop"]["possible"]  # no node of the previous run is heard now
+    # The new run can be of an earlier day.
     graph.set_present(mode="simulated", factor=1.0, note="")
     hear(graph, -86_400, -86_300, QUIET)
     assert tile_of(graph, "roof")["state"] == "good"
@@ -473,7 +473,7 @@ def test_another_run_begins() -> None:
 
 
 def test_the_account_in_words() -> None:
-    """Of a minute in which 1 L/s were pumped; see test_account.py for its rules."""
+    """Of a minute in which 1 L/s was pumped; see test_account.py for its rules."""
     graph = watched(pump_flow=1e-3)
     rows = account_of(graph)
     assert [*rows] == [
@@ -493,7 +493,7 @@ def test_the_account_in_words() -> None:
 
 
 def test_water_of_the_mains_in_the_account() -> None:
-    """Below its level the valve gives its flow, here all that is pumped, so that none is saved."""
+    """Below its level the valve gives its flow, here all that is pumped, so none is saved."""
     graph = store(site=replace(SITE, mains_level=1.0, mains_flow=1e-3))
     hear(graph, 0, 61, {**QUIET, "/cistern/level": 0.9, "/pump/flow": 1e-3})
     numbers = [account_of(graph)[key]["number"] for key in ("pumped", "mains", "saved")]
@@ -501,7 +501,7 @@ def test_water_of_the_mains_in_the_account() -> None:
 
 
 def test_an_ended_live_bag_has_its_account_to_the_end() -> None:
-    """Read in one batch, topic by topic: of what never comes nobody can say so but by waiting."""
+    """Read in one batch, topic by topic: only waiting shows that a topic never comes."""
     graph = store("ended", SITE)
     of_plant = ("/cistern/outflow", "/roof/drainage")
     live = {topic: value for topic, value in QUIET.items() if topic not in of_plant}
@@ -554,7 +554,7 @@ def test_stop_is_there_with_a_pump_node_only() -> None:
      ("", RELEASE)),
     ("off: the command is 0", True, "", "Keep the pump off", (STOP, "")),
     ("fault: leak", True, "", "Keep the pump off", (STOP, "")),
-    # Accepted only: the pump may turn for all that, and so the button stays, and what to do.
+    # Only accepted: the pump may still turn, so the button stays, with what to do.
     ("held: an operator stopped it; the pump still turns", False, STOPPED, "Stop the pump",
      (STOP, RELEASE)),
 ])
@@ -591,7 +591,7 @@ LEAK = {"fault": "a leak", "page_may_not_clear": "somebody has to look"}
 def test_what_may_be_released_here(
     allowed: bool, said: dict[str, Any], release: bool, clear: bool, then: str
 ) -> None:
-    """What the page stopped, and nothing else; each with what happens then."""
+    """Only what the page stopped; each with what happens then."""
     graph = watched()
     graph.allow_release = allowed
     pump_says(graph, 100.0, "held: stopped", stop="stopped", **said)
@@ -607,7 +607,7 @@ def test_what_may_be_released_here(
     (True, {"greatest_dose": 0.5, "no_dose": "the pump may not run: there is frost"}, 0.5, False),
     (False, {"greatest_dose": 0.5, "no_dose": ""}, None, False),
     (True, {"greatest_dose": None, "no_dose": "the site file allows no dose"}, None, False),
-    (True, {}, None, False),  # a driver of somebody's own
+    (True, {}, None, False),  # a foreign driver
     (True, {"greatest_dose": "1"}, None, False),
 ])
 def test_where_a_dose_may_be_given(
@@ -619,7 +619,7 @@ def test_where_a_dose_may_be_given(
     stop = shown(graph)["stop"]
     assert (stop["greatest_dose"], stop["dose_here"]) == (greatest, here)
     assert stop["no_dose"] == (said["no_dose"] if greatest else "")
-    assert not shown(graph, 200.0)["stop"]["dose_here"]  # it is not heard any more
+    assert not shown(graph, 200.0)["stop"]["dose_here"]  # it is no longer heard
 
 
 def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
@@ -634,7 +634,7 @@ def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
 
 
 def with_pump(graph: Store, state: str, **said: Any) -> dict[str, Any]:
-    """Return the document when the pump node said so, with its part, and a warning beside it."""
+    """Return the document after this report of the pump node, with its part and another warning."""
     graph.add_statuses(100.0, node(
         "/pump", "pump", ("pump", WARN, state, "drive_lost"), ("limits", WARN, "3 m3", "limited"),
         pump=state, **said,
@@ -642,11 +642,11 @@ def with_pump(graph: Store, state: str, **said: Any) -> dict[str, Any]:
     return shown(graph)
 
 
-LOST = "off: no connection to the drive; whether the pump stands is not known"
+LOST = "off: no connection to the drive; it is not known whether the pump is at rest"
 
 
 def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
-    """What stands on its topics in its place is shown nowhere: neither off nor 0.0 L/min."""
+    """Placeholders on its topics are not shown: neither off nor 0.0 L/min."""
     document = with_pump(
         watched("loop", pump_command=1.0), LOST, stands=False, speed=None, flow=None
     )
@@ -664,7 +664,7 @@ def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
 @pytest.mark.parametrize(("said", "value", "alarm"), [
     ({"stands": False, "speed": -0.5, "flow": None}, "fault", False),  # backwards: known to turn
     ({"stands": False, "speed": 0.7, "flow": None}, "running", False),  # no level of the cistern
-    ({"stands": False, "speed": None, "flow": 1e-3}, "unknown", True),  # a flow meter says more
+    ({"stands": False, "speed": None, "flow": 1e-3}, "unknown", True),  # known from a flow meter
 ])
 def test_what_is_known_of_the_pump(said: dict[str, Any], value: str, alarm: bool) -> None:
     state = f"{'off' if value == 'unknown' else value}: why"
@@ -678,7 +678,7 @@ def test_what_is_known_of_the_pump(said: dict[str, Any], value: str, alarm: bool
 
 
 def test_a_drive_that_is_not_heard_has_no_flow_although_it_stands() -> None:
-    """It stood when it was last heard, or must by now: that is no measured 0.0 L/min."""
+    """It stood when last heard, or must stand by now: that is not a measured 0.0 L/min."""
     tile = with_pump(
         watched(pump_command=0.5), "off: no connection to the drive", stands=True, speed=None,
         flow=0.0,
@@ -688,7 +688,7 @@ def test_a_drive_that_is_not_heard_has_no_flow_although_it_stands() -> None:
 
 
 def test_a_flow_that_is_not_known_is_a_gap() -> None:
-    """Of the chart and of the account, from when it was known last until it is known again."""
+    """In the chart and the account, from when it was last known until it is known again."""
     graph = watched("live", pump_flow=1e-3)
     graph.look(99.0, START / 1e9 + 60)
     known = {"stands": False, "speed": 1.0, "flow": 1e-3}
@@ -717,7 +717,7 @@ def test_a_flow_that_is_not_known_is_a_gap() -> None:
 def with_outlook(
     mean: float, *, command: float = 0.0, level: float = 0.035, plan: Any = None,
 ) -> dict[str, Any]:
-    """Return the tiles where so much rain (m) is to fall from 02:00 to 04:00, and a plan."""
+    """Return the tiles with this much rain (m) forecast from 02:00 to 04:00, and a plan."""
     graph = watched(roof_level=level, pump_command=command)
     steps, ends = np.zeros((11, 32)), growing_steps(12)[1:]
     begins = np.append(0.0, ends[:-1])
@@ -751,7 +751,7 @@ def test_a_pump_that_waits_for_rain_says_so(case: dict[str, Any]) -> None:
 
 
 def test_a_roof_that_will_be_too_wet_is_said_in_words() -> None:
-    """And a horizon is of whole hours."""
+    """And a horizon is in whole hours."""
     plan = [[3600.0, 0.0, 0.040], [7200.0, 0.0, 0.050], [43200.0, 0.0, 0.0657]]
     assert with_outlook(0.032, plan=plan)["summary"]["sentence"].endswith(
         "It is expected to be too wet from 02:01 on, up to 20.0 mm above its target."
@@ -788,7 +788,7 @@ def test_what_began_before_the_clock_of_a_run_is_of_its_clock() -> None:
 def test_an_incident_of_a_recording_stands_while_it_did(
     second: int, level: str, word: str, value: str
 ) -> None:
-    """Why the pump stood is not guessed then."""
+    """Meanwhile no reason is guessed for the pump's state."""
     graph, at = store("ended", SITE), START / 1e9
     graph.recorded_incidents = [
         incident("pump", "drive", "no connection to the drive", "drive_lost", at + 10, at + 30),
@@ -813,7 +813,7 @@ def test_an_incident_of_a_recording_stands_while_it_did(
 
 
 def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
-    """It is shown; what stands there, and what came since, the nodes say themselves."""
+    """It is shown; present incidents, and those since, are reported by the nodes themselves."""
     graph, before = store("live", SITE), time.time()
     over = incident("pump", "drive", "no connection", "drive_lost", before - 60, before - 30)
     graph.recorded_incidents = [over, replace(over, over=None), replace(over, over=before + 60)]
@@ -828,7 +828,7 @@ def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
 def test_a_recording_has_no_stop_and_is_never_said_to_be_fine(
     said: str, state: str, level: str
 ) -> None:
-    """Which alarms there were no recording tells."""
+    """No recording shows which alarms there were."""
     graph = watched("ended")
     graph.add_pump_state(START, said)
     document = shown(graph)
@@ -859,7 +859,7 @@ def test_a_plan_goes_with_its_controller() -> None:
     assert read_series(graph, 3)["plan"]
     graph.add_statuses(101.0, node("/mpc", "controller", process="host 2"))
     assert read_series(graph, 3)["plan"] == []
-    # Its own, which came before its next word, stays.
+    # Its own plan, which came before its next status, stays.
     graph.add_plan(MINUTE + SECOND, plan)
     graph.add_statuses(102.0, node("/mpc", "controller", process="host 3"))
     assert read_series(graph, 3)["plan"]
@@ -879,7 +879,7 @@ def test_a_forecast_has_an_age(hours: float, sentence: str) -> None:
 
 
 def test_a_new_forecast_is_an_event_when_the_rain_is_another() -> None:
-    """The forecast moves on with each tick; that is not worth a line."""
+    """A forecast that only moves on with each tick is not an event."""
     graph = watched()
     for minute in range(0, 240, 10):
         rain = np.full(32, (1 if minute < 120 else 4) * 1e-7 + minute * 1e-11)
@@ -907,7 +907,7 @@ def test_a_flood_of_statuses_leaves_a_short_document() -> None:
 
 
 def test_what_the_charts_are_told() -> None:
-    """Rows, whose rules test_history.py has, times, and what is drawn besides."""
+    """Rows (for their rules see test_history.py), times, and what else is drawn."""
     series = read_series(watched(), 12)
     at = START / 1e9
     assert series["lines"]["roof"][-1] == [at + 60, 0.0457, 0.0457, 0.0457]
@@ -922,9 +922,9 @@ def test_what_the_charts_are_told() -> None:
 
 
 def test_what_was_expected_stays_where_it_is_past() -> None:
-    """Of each time what the plan that held an hour before expects, from its first hour's end on.
+    """For each time, what the plan of an hour before expects, from the first plan's first hour on.
 
-    That of 0 s rises from 40 mm at 3600 s to 50 mm at 7200 s, and holds for 720 s: to 42 mm at
+    The plan of 0 s rises from 40 mm at 3600 s to 50 mm at 7200 s, and holds for 720 s: to 42 mm at
     4320 s. The next one expects 30 mm.
     """
     graph = watched()
@@ -949,12 +949,12 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
     add_at(graph, "/roof/level", (9000, 0.042))
     rows = read_series(graph, 3)["lines"]["roof_expected"]
     assert at + 7620 <= rows[-1][0] <= at + 7920
-    # A point in 5 min, though the plans' steps are of an hour: there are no gaps.
+    # A point every 5 min, although the plans' steps are hours: there are no gaps.
     assert np.diff([row[0] for row in rows]).max() <= 300
 
 
 def test_a_glance_is_ahead_of_the_charts() -> None:
-    """A value whose past is still on its way is of now, and its past comes to the charts."""
+    """The newest value is shown while its past is still on its way; the past joins the charts."""
     graph = watched()
     graph.add_now("/roof/level", START + 100 * SECOND, 0.05)
     assert tile_of(graph, "roof", 0.0)["number"] == 0.05
@@ -963,7 +963,7 @@ def test_a_glance_is_ahead_of_the_charts() -> None:
     graph.add("/roof/level", START + np.arange(61, 91) * SECOND, np.linspace(0.04, 0.041, 30))
     assert tile_of(graph, "roof", 0.0)["number"] == 0.05
     assert read_series(graph, 3)["lines"]["roof"][-1][::3] == [START / 1e9 + 90, 0.041]
-    # What is older than the glance, or not plausible, is not of now or said to be so.
+    # Values older than that are not shown as present, implausible ones are reported.
     graph.add_now("/roof/level", START + 99 * SECOND, 0.03)
     assert tile_of(graph, "roof", 0.0)["number"] == 0.05
     graph.add_now("/roof/level", START + 101 * SECOND, math.nan)
@@ -973,7 +973,7 @@ def test_a_glance_is_ahead_of_the_charts() -> None:
 
 
 def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
-    """What was read of 13 h ago is over by now; it is not said to be the newest."""
+    """A forecast that was read from 13 h ago is over by now, and is not shown as the newest."""
     graph, hours = watched(), 13 * 3600
     now_ns, early_ns = START + hours * SECOND, START + 3600 * SECOND
     plan = np.array([[step * 3600.0, 0.0, 0.04] for step in range(1, 13)])
@@ -992,7 +992,7 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
     assert tiles["rain"]["sentence"] == "26 mm expected in the next 12 h (8.6 to 43)"
     assert tiles["controller"]["sentence"].startswith("will pump 4.32 m3")
     assert [row[2] for row in read_series(graph, 24)["plan"]] == [1e-4] * 12
-    # Nothing that was shown only is kept as expected.
+    # A plan that was only shown is not kept as expected.
     plan_lasts(graph, 3600, hours)
     add_at(graph, "/roof/level", (hours + 3600, 0.044))
     assert {row[3] for row in read_series(graph, 24)["lines"]["roof_expected"]} == {0.04}
@@ -1001,9 +1001,9 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
 
 
 @pytest.mark.parametrize(("seconds", "hours", "gap"), [
-    (10, 12, 600.0),  # as the account's
-    (10, 168, 3040.0),  # two stretches: 168 h in 400 are of 1512 s, in whole ones of 20 s 1520 s
-    (3000, 12, 9000.0),  # samples; three of them
+    (10, 12, 600.0),  # as in the account
+    (10, 168, 3040.0),  # two stretches: 168 h in 400 are 1512 s each, in whole ones of 20 s 1520 s
+    (3000, 12, 9000.0),  # three samples
 ])
 def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None:
     graph = Store()

@@ -1,4 +1,4 @@
-"""What a watcher is fed, from real graphs: each value at its tick, whatever the speed."""
+"""What a watcher receives from real graphs: each value at its tick, whatever the speed."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ HEARD, READ = "graph", "bag"  # the threads that hear and read
 
 
 class Kept(Store):
-    """Keeps what it is fed, besides.
+    """A store that also keeps what it is fed.
 
     Attributes:
-        values: by the thread and the topic, the value of each time.
-        present: what it was told of the graph, each once.
-        runs: how often it began anew.
+        values: by thread and topic, the value at each time.
+        present: the states of the graph that it was given, each once.
+        runs: how often it started again.
     """
 
     def __init__(self) -> None:
@@ -115,10 +115,10 @@ def _shown(watched: Kept) -> dict[str, Any]:
 
 
 def ended(watched: Kept, run: Path) -> None:
-    """Wait until the run has ended, and all of its recording was read.
+    """Wait until the run has ended, and its recording was read completely.
 
-    What is now says nothing of that: it is heard as well, before it is read and perhaps a tick
-    beyond what was recorded, and is that of the first topic of the last batch that was read.
+    The present values do not show this: they are heard before they are read, perhaps a tick beyond
+    the recording, and come from the first topic of the last batch that was read.
     """
     wait_for(lambda: watched.mode == "ended", 120, "the end of the run")
     bag = recorded(run)
@@ -132,7 +132,7 @@ def ended(watched: Kept, run: Path) -> None:
 
 
 def up_to(last_ns: int, values: dict[int, Any]) -> dict[int, Any]:
-    """Return the values of a topic up to the last tick that was recorded; at most one is later."""
+    """Return a topic's values up to the last recorded tick; at most one may be later."""
     recorded_too = {at: value for at, value in values.items() if at <= last_ns}
     assert len(values) - len(recorded_too) <= 1
     return recorded_too
@@ -140,7 +140,7 @@ def up_to(last_ns: int, values: dict[int, Any]) -> dict[int, Any]:
 
 @contextmanager
 def somebody(domain: int) -> Iterator[Callable[..., None]]:
-    """Be a node of somebody else's, which says on /diagnostics what it is given, with a time."""
+    """Be a foreign node, which publishes the given statuses on /diagnostics, with a time."""
     with in_domain(domain):
         peer = Peer(domain, "stranger")
         publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -156,7 +156,7 @@ def somebody(domain: int) -> Iterator[Callable[..., None]]:
 
 
 def node(role: str, state: str = "ready", name: str = "", **values: Any) -> DiagnosticStatus:
-    """Return what a node says of itself."""
+    """Return what a node reports of itself."""
     said = {"role": role, "process": "host 1", **values}
     pairs = [KeyValue(key=key, value=json.dumps(value)) for key, value in said.items()]
     return DiagnosticStatus(name=name or f"/{role}", message=state, values=pairs)
@@ -164,7 +164,7 @@ def node(role: str, state: str = "ready", name: str = "", **values: Any) -> Diag
 
 BEGIN_S = 1_626_757_200
 def test_what_is_heard_is_the_bags(domain: int, tmp_path: Path) -> None:
-    """At 30 times real time: each value at its tick, those before the watcher came too."""
+    """At 30 times real time: each value at its tick, also those before the watcher came."""
     run = Process(
         domain, "bringup", "--speed", "30", "--hours", "4", "--output", "run", cwd=tmp_path
     )
@@ -178,7 +178,7 @@ def test_what_is_heard_is_the_bags(domain: int, tmp_path: Path) -> None:
     bag, heard, read = recorded(tmp_path / "run"), watched.of(HEARD), watched.of(READ)
     assert set(bag) == set(heard) == MPC_TOPICS - {"/clock"}
     for topic, values in heard.items():
-        # None at another tick; at the end it may have said a tick more than it recorded.
+        # None at another tick; at the end one tick more than recorded may have been published.
         assert up_to(max(bag[LEVEL]), values).items() <= bag[topic].items(), topic
     for topic in NUMBERS & bag.keys():
         assert read[topic] == bag[topic], topic
@@ -188,8 +188,8 @@ def test_what_is_heard_is_the_bags(domain: int, tmp_path: Path) -> None:
 def test_of_a_fast_run_the_bag_is_read_or_samples_are_shown(
     domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of it /diagnostics alone is heard; the water account is that of the run's own summary."""
-    monkeypatch.setattr(feed, "FASTEST", 3.0)  # a busy machine is slower than 66 at moments
+    """Only /diagnostics is heard; the water account equals the run's own summary."""
+    monkeypatch.setattr(feed, "FASTEST", 3.0)  # a busy machine may fall below 66
     options = ("--controller", "onoff", "--hours", "0.25", *STORM)
     with fed(domain) as (watched, _):
         run = Process(
@@ -203,14 +203,14 @@ def test_of_a_fast_run_the_bag_is_read_or_samples_are_shown(
         assert set(samples) == {LEVEL, "/cistern/level", "/pump/command"}
         assert len(samples[LEVEL]) > 3
         assert watched.runs == 0
-        # The same again, which is recorded, is another run.
+        # The same again, but recorded, is another run.
         summary = bring_up(domain, tmp_path, *options, "--speed", "100", output="second")
         ended(watched, tmp_path / "second")
         assert watched.runs >= 1
         bag, heard = recorded(tmp_path / "second"), watched.of(HEARD)
         for topic in (LEVEL, "/cistern/level"):
             assert samples[topic].items() <= bag[topic].items()
-        # Until the recorder has said where its bag is, samples that came with /diagnostics.
+        # Samples from /diagnostics, until the recorder has reported its bag.
         assert set(heard) <= set(samples)
         assert all(values.items() <= bag[topic].items() for topic, values in heard.items())
         assert watched.of(READ)[LEVEL] == bag[LEVEL]
@@ -219,7 +219,7 @@ def test_of_a_fast_run_the_bag_is_read_or_samples_are_shown(
         assert_equal(totals, summary)
         assert totals["overflow"] > 0.1 and totals["drained"] > 1e-3
         assert "gaps" not in account["sentence"]
-    # An ended run is shown from its bag, where no graph is.
+    # Without a graph an ended run is shown from its bag.
     with fed(domain, tmp_path / "second" / "bag") as (watched, _):
         ended(watched, tmp_path / "second")
         assert watched.of(READ)[LEVEL] == bag[LEVEL]
@@ -227,7 +227,7 @@ def test_of_a_fast_run_the_bag_is_read_or_samples_are_shown(
 
 
 def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
-    """A name that is none, and two nodes that claim the pump, are refused in words, and soon."""
+    """An invalid name, and two nodes that claim the pump, are refused in words, and soon."""
 
     def pump(name: str, process: str) -> DiagnosticStatus:
         return node("pump", name=name, process=process, pump="running: as commanded")
@@ -260,7 +260,7 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
 
 
 def test_a_bag_that_is_followed_before_its_run_is_described(domain: int, tmp_path: Path) -> None:
-    """Who commanded is read at the end; what happened before any value is of the run's time."""
+    """The controller is read at the end; events before any value are in the run's time."""
     with fed(domain, tmp_path / "bag") as (watched, _), somebody(domain) as say:
         wait_for(
             lambda: any("There is no recording at" in note for *_, note in watched.present), 60,
@@ -286,9 +286,9 @@ def test_a_bag_that_is_followed_before_its_run_is_described(domain: int, tmp_pat
 
 
 def test_a_live_site_after_a_run_has_nothing_of_it(domain: int) -> None:
-    """A watcher that stays shows no level of a simulation as that of the site.
+    """A watcher that continues does not show a simulation's level as the site's.
 
-    Before both nothing is heard yet, and after them it ends at once.
+    Before both nothing is heard, and after them it ends at once.
     """
     with fed(domain) as (watched, _), somebody(domain) as say:
         wait_for(lambda: watched.present, 60, "a word")
@@ -310,7 +310,7 @@ def test_a_live_site_after_a_run_has_nothing_of_it(domain: int) -> None:
 
 
 class Broken(Kept):
-    """Cannot be told what is watched."""
+    """A store that raises when it is given what is watched."""
 
     def set_present(self, **_: Any) -> None:
         raise ValueError("broken")
@@ -326,7 +326,7 @@ def test_a_stop_is_answered_whatever_else_fails(domain: int) -> None:
 
 
 def test_a_stop_goes_before_what_was_asked_before_it_which_is_not_done() -> None:
-    """A release that is done after it would undo it."""
+    """A release that is done after a stop would undo it."""
     feed = Feed(Kept())  # not entered: nobody answers
     answers: dict[int, str] = {}
 

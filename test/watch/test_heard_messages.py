@@ -1,4 +1,4 @@
-"""Messages read without ROS, against those that rosbags writes; and what is no whole message."""
+"""Messages read without ROS, compared with those that rosbags writes; and invalid messages."""
 
 from __future__ import annotations
 
@@ -101,10 +101,10 @@ READERS: list[tuple[Callable[[bytes], Any], bytes]] = [
 
 @pytest.mark.parametrize(("reader", "message"), READERS)
 def test_what_is_not_whole_is_none(reader: Callable[[bytes], Any], message: bytes) -> None:
-    """Cut anywhere it is none; with any bytes changed it is something or none, and never raises."""
+    """Cut anywhere, it is None; with any bytes changed, it is a value or None, and never raises."""
     assert reader(message) is not None
     for length in range(len(message)):
-        # What a message ends with may be left out where it is padding.
+        # Padding at the end of a message may be missing.
         assert reader(message[:length]) is None or message[length:].strip(b"\0") == b""
     random = Random(1)
     for _ in range(1000):
@@ -115,13 +115,13 @@ def test_what_is_not_whole_is_none(reader: Callable[[bytes], Any], message: byte
 
 
 def test_a_layout_of_another_size_is_none() -> None:
-    """As the nodes refuse it."""
+    """The nodes refuse it, too."""
     message = written("std_msgs/Float64MultiArray", *rows_message(np.arange(6.0), (2, 4)))
     assert wire.rows(message) is None
 
 
 def test_hostile_diagnostics_are_cut() -> None:
-    """Ten thousand statuses, a text of a megabyte, bytes that are no UTF-8, and no such level."""
+    """Ten thousand statuses, a text of a megabyte, invalid UTF-8, and an unknown level."""
     many = written(
         "diagnostic_msgs/DiagnosticArray",
         made("std_msgs/Header", made("builtin_interfaces/Time", 0, 0), ""),
@@ -139,11 +139,11 @@ def test_hostile_diagnostics_are_cut() -> None:
 def test_the_newest_that_is_heard_is_shown_while_the_bag_is_read() -> None:
     """Level, forecast and plan of now; an empty plan says that it is unchanged.
 
-    Where no bag comes, it becomes the past.
+    If no bag comes, they become the past.
     """
     store = Store()
     feed = Feed(store)  # not entered: no graph
-    feed._mode = "live"  # a message is of the time when it came
+    feed._mode = "live"  # a message has the time at which it came
     now_ns = 1_626_757_200 * 10**9
     now = now_ns / 1e9
     ends, rain = growing_steps(12)[1:], np.full(32, 1e-7)

@@ -1,4 +1,4 @@
-"""The past of a value: nothing between least and greatest is lost, and memory has a bound."""
+"""The past of a value: no extreme is lost, and memory is bounded."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from greenroof_ros.watch.history import KEPT, STRETCH_NS, Gaps, History
 
 
 def ticks(count: int, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
-    """Return times a second apart, and values that no two share."""
+    """Return times a second apart, and values that are all different."""
     values = np.random.default_rng(seed).normal(size=count)
     return START + SECOND * np.arange(count), values
 
@@ -20,7 +20,7 @@ def ticks(count: int, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
 def in_plain_python(
     times: np.ndarray, values: np.ndarray, stretch: int
 ) -> list[list[float]]:
-    """Return last time (s), least, greatest and last of each stretch (ns)."""
+    """Return last time (s), least, greatest and last value of each stretch (ns)."""
     rows: dict[int, list[float]] = {}
     for at, value in zip(times.tolist(), values.tolist(), strict=True):
         row = rows.setdefault(at // stretch, [0.0, value, value, 0.0])
@@ -44,7 +44,7 @@ def test_batches_of_any_size_give_every_extreme(count: int, batch: int, stretch:
 
 
 def test_rows_stand_still_while_the_window_moves() -> None:
-    """A chart is drawn again every 2 s: what is past must not flicker."""
+    """A chart is redrawn every 2 s: the past must not flicker."""
     times, values = ticks(100_000)
     history = History()
     history.add(times[:90_000], values[:90_000])
@@ -52,13 +52,13 @@ def test_rows_stand_still_while_the_window_moves() -> None:
     history.add(times[90_000:90_002], values[90_000:90_002])
     after = history.window(int(times[40_002]), int(times[90_001]), 400)
     assert before[1:-1] == after[1:-1]
-    # Of each stretch the last value is within the window.
+    # The last value of each stretch lies in the window.
     assert [row[0] - START / 1e9 for row in (after[0], after[-1])] == [40_139, 90_001]
     assert after[-1][3] == values[90_001]
 
 
 def test_a_week_is_kept_and_memory_is_bounded() -> None:
-    """Ten weeks at a value each 10 s, in batches of any size."""
+    """Ten weeks with a value every 10 s, in batches of any size."""
     history, chance = History(), random.Random(1)
     times = START + 10 * SECOND * np.arange(10 * 7 * 8640)
     first = 0
@@ -75,7 +75,7 @@ def test_a_week_is_kept_and_memory_is_bounded() -> None:
 
 
 def test_a_batch_longer_than_a_week_keeps_its_end() -> None:
-    """And what nothing was heard of takes no room: here between two stretches an hour apart."""
+    """Times without values take no space: here two stretches are an hour apart."""
     history = History()
     times = START + 180 * STRETCH_NS * np.arange(3 * KEPT)
     history.add(times, np.arange(3.0 * KEPT))
@@ -84,7 +84,7 @@ def test_a_batch_longer_than_a_week_keeps_its_end() -> None:
 
 
 def test_times_at_which_a_value_was_not_known() -> None:
-    """From when it was known last until it is again; the newest may last."""
+    """From when it was last known until it is known again; the newest may still last."""
     rows = [[float(at), 1.0, 1.0, 1.0] for at in range(0, 100, 10)]
     unknown = Gaps()
     assert unknown.cut_out(rows) == rows

@@ -40,7 +40,7 @@ Open = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A browser without a window; who asks for a stop hears soon that nobody answers."""
+    """A headless browser; a stop request soon reports that nobody answers."""
     with pytest.MonkeyPatch.context() as patch, started_browser() as started:
         patch.setattr(feed, "_STOP_S", 0.5)
         yield started
@@ -56,7 +56,7 @@ def mpc(level: int = ERROR, what: str = CANNOT) -> list[Status]:
 
 @contextmanager
 def saying(watched: Store, statuses: list[Status]) -> Iterator[None]:
-    """Have nodes say how they are, four times a second as they do; the list may be changed."""
+    """Have nodes report four times a second as real ones do; the list can be changed."""
     ended = threading.Event()
 
     def say() -> None:
@@ -74,9 +74,9 @@ def saying(watched: Store, statuses: list[Status]) -> Iterator[None]:
 
 
 def site_watched(mode: str = "ended") -> Store:
-    """Return what is known of a site after four hours, with a forecast and a plan.
+    """Return a store of a site after four hours, with a forecast and a plan.
 
-    Of a run that has ended nothing grows stale while a test looks.
+    With an ended run nothing becomes stale during a test.
     """
     watched = store(mode, SITE)
     watched.set_present(mode=mode, factor=30.0, note="A note.")
@@ -103,13 +103,13 @@ def site_watched(mode: str = "ended") -> Store:
 
 
 def later(watched: Store, level: float) -> None:
-    """Have a level of an hour later."""
+    """Add a level an hour later."""
     watched.add("/roof/level", np.array([(BEGIN + 5 * 3600) * SECOND]), np.array([level]))
 
 
 @contextmanager
 def opened(browser: Any, port: int, hash_: str = "") -> Iterator[Any]:
-    """Open the page; all that a browser complains of is in ``page.said``."""
+    """Open the page; the browser's console messages are in ``page.said``."""
     page = browser.new_page(viewport={"width": 1400, "height": 900})
     page.set_default_timeout(LONG_MS)
     page.said, page.asked = [], []
@@ -126,7 +126,7 @@ def opened(browser: Any, port: int, hash_: str = "") -> Iterator[Any]:
 
 @pytest.fixture
 def open_page(browser: Any) -> Iterator[Open]:
-    """Open the page of a store, of which nodes say something; its console must stay empty."""
+    """Open the page of a store, with statuses of nodes; its console must stay empty."""
     with ExitStack() as stack:
         pages = []
 
@@ -143,7 +143,7 @@ def open_page(browser: Any) -> Iterator[Open]:
 
 @pytest.fixture(scope="module")
 def ended_run(browser: Any) -> Iterator[tuple[Store, Any]]:
-    """A run that has ended and its page, for those who leave both as they are."""
+    """An ended run and its page, for tests that change neither."""
     watched = site_watched()
     with served(watched) as port, opened(browser, port) as page:
         until_drawn(page)
@@ -164,12 +164,12 @@ def until_drawn(page: Any) -> None:
 
 
 def posted(page: Any) -> list[str]:
-    """Return what the page asked to be done."""
+    """Return the actions that the page requested."""
     return [url.rpartition("/")[2] for method, url in page.asked if method == "POST"]
 
 
 def overflow(page: Any) -> int:
-    """By how much the page is wider than the window (px)."""
+    """Return by how much the page is wider than the window (px)."""
     return page.evaluate(
         "document.documentElement.scrollWidth - document.documentElement.clientWidth"
     )
@@ -183,7 +183,7 @@ def document_of(watched: Store) -> dict[str, Any]:
 
 
 def test_it_shows_the_words_of_the_document(ended_run: tuple[Store, Any]) -> None:
-    """Word for word; the console stays empty, and nobody else is asked for anything."""
+    """Word for word; the console stays empty, and no other server is contacted."""
     watched, page = ended_run
     until_shown(page, "#account td", "m3")  # an ended run's account is closed
     document = document_of(watched)
@@ -209,7 +209,7 @@ def test_it_shows_the_words_of_the_document(ended_run: tuple[Store, Any]) -> Non
 
 
 def test_it_says_how_it_is_by_word_shape_and_colour(open_page: Open) -> None:
-    """What does not come any more is unknown, with what was heard last; so is what may turn."""
+    """A silent topic is unknown, with the last value heard; so is a pump that may turn."""
     watched, said = site_watched(), mpc()
     page = open_page(watched, said)
     looks = []
@@ -224,7 +224,7 @@ def test_it_says_how_it_is_by_word_shape_and_colour(open_page: Open) -> None:
             page.locator("#summary").evaluate("(one) => getComputedStyle(one).borderColor"),
         ))
     assert len(set(looks)) == len({shape for shape, _ in looks}) == 3
-    why = "off: whether the pump stands is not known"
+    why = "off: it is not known whether the pump is at rest"
     said[:] = node("/pump", "pump", ("pump", 1, why), pump=why, stands=False, speed=None, flow=None)
     tile = until_shown(page, ".tile[data-key=pump][data-tone=error]", "unknown")
     until_shown(page, "#summary[data-level=error]", "whether the pump stood is not known")
@@ -240,7 +240,7 @@ def test_it_says_how_it_is_by_word_shape_and_colour(open_page: Open) -> None:
 
 
 def test_hostile_texts_are_texts(open_page: Open) -> None:
-    """Markup, control characters and megabytes: shown as text, and no wider than a phone."""
+    """Markup, control characters and megabytes: shown as text, no wider than a phone."""
     watched = site_watched("simulated")
     watched.add_event(time.time(), HOSTILE)
     watched.set_present(mode="simulated", factor=30.0, note=HOSTILE)
@@ -260,7 +260,7 @@ def test_hostile_texts_are_texts(open_page: Open) -> None:
 
 
 def test_it_fits_every_width(open_page: Open) -> None:
-    """No list is cut at its end, and no text lies over another one, be it of three references."""
+    """No list is cut at its end, and no texts overlap, not even three references."""
     watched = site_watched("simulated")
     long = "the drive at its gateway does not answer " * 12
     parts = [(f"part {i}", ERROR, long) for i in range(12)]
@@ -282,13 +282,13 @@ def test_it_fits_every_width(open_page: Open) -> None:
         assert min(values.evaluate_all(
             "(all) => all.map((one) => parseFloat(getComputedStyle(one).fontSize))"
         )) >= 24
-        assert page.locator("#stop-button").bounding_box()["height"] >= 44  # a finger's
+        assert page.locator("#stop-button").bounding_box()["height"] >= 44  # a finger's size
         assert page.evaluate(
             "[...document.querySelectorAll('main p, main ul, #heading')].filter((one) =>"
             " !one.closest('.unseen') && one.scrollHeight > one.clientHeight + 1)"
             ".map((one) => one.outerHTML)"
         ) == []
-        lines = page.evaluate(  # at one moment: the page goes on
+        lines = page.evaluate(  # in one evaluation: the page keeps changing
             "[...document.querySelectorAll('.alarm p')].map((one) => one.getBoundingClientRect())"
             ".filter((box) => box.height).map((box) => [box.top, box.bottom])"
         )
@@ -338,7 +338,7 @@ def test_charts_have_one_time_axis_and_the_values(ended_run: tuple[Store, Any]) 
     assert min(planned) == 0 and max(planned) == pytest.approx(6.0)
 
 
-# What is drawn: of the canvas' columns in which the line has a pixel of its colour.
+# What is drawn: whether the line has a pixel of its colour in this column of the canvas.
 DRAWN = '''([key, t]) => {
   const { plot } = charts.views.get(key);
   const x = Math.round(plot.valToPos(charts.ms(t), "x", true));
@@ -359,10 +359,10 @@ READ = '''([key, name, t]) => {
 
 
 def test_lines_and_bands_are_where_values_were(open_page: Open) -> None:
-    """Two hours without values, and an hour since the rain was heard; a value holds for 10 min.
+    """Two hours without values, and an hour since the last rain value; a value holds for 10 min.
 
-    A band is where a value went beyond its line: a roof that merely fills has none; one gust makes
-    one, of its stretch alone.
+    A band is drawn where values went beyond their line: a roof that only fills has none; a single
+    gust has one, of its stretch only.
     """
     watched = store("ended", SITE)
     before = np.arange(0, 4 * 3600, 10)
@@ -447,13 +447,15 @@ def test_zoom_pause_and_how_far_back(open_page: Open) -> None:
     page.locator("#pause").click()
     wait_for(lambda: page.evaluate(newest) == 50, 60, "what came since")
     page.locator("[data-hours='3']").click()
+    pressed = page.locator("[data-hours][aria-pressed=true]")
+    assert [button.text_content() for button in pressed.all()] == ["3 h"]
     wait_for(lambda: page.evaluate(seen)[0] > whole[0], 60, "three hours")
     left, right = page.evaluate(seen)
     assert (right - left) / 3_600_000 == pytest.approx(6, abs=0.1)
 
 
 def test_colours_are_the_reports() -> None:
-    """On white each is one of Okabe and Ito's, as in the report."""
+    """On white each colour is one of Okabe and Ito's, as in the report."""
     (style,) = (file for file in page_files() if file.name == "page.css")
     light = style.read_text(encoding="utf-8").partition("@media")[0]
     for name in ("roof", "cistern", "flow", "command", "rain", "rain-fill", "evapotranspiration"):
@@ -465,10 +467,10 @@ def test_colours_are_the_reports() -> None:
 
 
 def test_alarms_are_acknowledged_and_events_listed(open_page: Open) -> None:
-    """An acknowledged alarm stays, the list keeps the focus, and a refusal is said.
+    """An acknowledged alarm stays, the list keeps the focus, and a refusal is shown.
 
-    Equal events of a moment stay as many as they are: in simulated time that stands, or between
-    two reports, a parameter goes to and fro.
+    Equal events at the same time are all kept: while simulated time stands, or between two reports,
+    a parameter can change back and forth.
     """
     watched = site_watched()
     weather = node("/weather", "weather", ("forecast", 1, "its forecast is old"))
@@ -490,7 +492,7 @@ def test_alarms_are_acknowledged_and_events_listed(open_page: Open) -> None:
         watched.add_event(BEGIN, "/mpc: weight was changed from 2 to 1")
         wait_for(lambda n=number: events.count() >= count + 2 * n, 60, "the events")
         assert events.count() == count + 2 * number
-    # The alarm goes in the moment in which somebody presses its button.
+    # The alarm disappears just as somebody presses its button.
     button = other.element_handle()
     said.clear()
     watched.alarms = Alarms()  # of another graph
@@ -500,10 +502,10 @@ def test_alarms_are_acknowledged_and_events_listed(open_page: Open) -> None:
 
 
 def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:
-    """Here no pump node answers, and the page must say so; by the keyboard, too.
+    """Here no pump node answers, and the page must say so; it also works by keyboard.
 
-    Where the stop was only accepted the button stays. What was answered goes when the pump stands,
-    and the warning with it; what releases the pump stands there for as long as it is stopped.
+    If the stop was only accepted, the button stays. Answer and warning disappear when the pump
+    stands; the command that releases the pump is shown for as long as it is stopped.
     """
     said = pump()
     page = open_page(site_watched("loop"), said)
@@ -544,9 +546,9 @@ def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:
 
 
 def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: Any) -> None:
-    """Without the right one the page says what is missing, and shows nothing.
+    """Without the right token the page says that it is missing, and shows nothing.
 
-    The volume is the one that the question named; where no dose may be given it says why.
+    The volume is the one named in the question; if no dose is permitted, the page says why.
     """
     watched = site_watched("loop")
     watched.allow_release = True
@@ -601,7 +603,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
 
 
 def test_what_is_not_heard_now_is_said_to_be_of_before(browser: Any) -> None:
-    """Of a page that nobody sees, and of one that lost its connection; then it hears anew."""
+    """For a hidden page, and for one that lost its connection; then it is updated again."""
     hide = """(hidden) => {
         Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
         document.dispatchEvent(new Event("visibilitychange"));
@@ -616,8 +618,8 @@ def test_what_is_not_heard_now_is_said_to_be_of_before(browser: Any) -> None:
             assert page.evaluate(hide, True)
             watched.add_statuses(time.monotonic(), mpc())
             wait_for(lambda: page.title() == "1 alarm. Green roof", 60, "the title")
-            assert page.locator(".alarm").count() == 0  # of all else it hears nothing
-            assert page.evaluate(hide, False)  # seen again, and nothing heard yet
+            assert page.locator(".alarm").count() == 0  # a hidden page gets nothing else
+            assert page.evaluate(hide, False)  # visible again, but no update yet
             page.wait_for_selector("body:not(.lost-link)")
             at = document_of(watched)["time"]["text"]
         until_shown(page, "#lost", f"Not connected: what is shown is of {at}.")

@@ -1,4 +1,4 @@
-"""The page's server: what it answers, what it refuses, and that nobody holds it up."""
+"""The page's server: what it answers, what it refuses, and that no client holds it up."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ GET, POST = (
 
 @pytest.fixture(autouse=True)
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody answers here: whoever asks for a stop is to hear so soon."""
+    """No node answers here: a stop request must report that soon."""
     monkeypatch.setattr(feed, "_STOP_S", 0.5)
 
 
@@ -57,7 +57,7 @@ def port(watched: Store) -> Iterator[int]:
 
 @pytest.fixture
 def look(port: int) -> Iterator[Callable[..., Stream]]:
-    """Open streams of events, which are closed at last."""
+    """Open event streams, which are closed at the end."""
     with ExitStack() as stack:
         yield lambda *given, **more: stack.enter_context(closing(Stream(port, *given, **more)))
 
@@ -71,13 +71,13 @@ def set_level(watched: Store, metres: float, seconds: int) -> None:
 
 
 def level_in(content: dict[str, Any]) -> float | None:
-    """Return the roof's level of what was pushed; None of a series."""
+    """Return the roof's level in a pushed message; None for a series."""
     level: float | None = content.get("tiles", {}).get("roof", {}).get("number")
     return level
 
 
 def assert_goes_on(port: int) -> None:
-    """The page answers a newcomer at once."""
+    """Check that the server answers a new client at once."""
     begun = time.monotonic()
     assert request(port, "GET", "/").status == 200
     assert time.monotonic() - begun < 10
@@ -119,7 +119,7 @@ def test_no_path_leads_anywhere_else(port: int) -> None:
 
 
 def test_a_request_names_this_host(port: int) -> None:
-    """A name of somebody's that leads here would make his page one of this server's."""
+    """Otherwise a foreign name that resolves to this host would share the page's origin."""
     for host, status in (
         ("LOCALHOST:9000", 200), ("127.0.0.1:8080", 200), ("[::1]:8080", 200),
         ("evil.example", 403), ("127.0.0.1.evil.example", 403), ("192.168.0.1", 403), ("", 403),
@@ -146,7 +146,7 @@ def test_a_request_names_this_host(port: int) -> None:
 def test_only_the_page_itself_acts(
     token: str | None, headers: dict[str, str], status: int, watched: Store
 ) -> None:
-    """And where there is a token nothing is shown without it; the page itself holds no secret."""
+    """With a token nothing is shown without it; the page itself contains no secret."""
     watched.add_statuses(time.monotonic(), [ALARM])
     body = json.dumps({"id": shown(watched)["alarms"][0]["id"]}).encode()
     with served(watched, token) as port:
@@ -165,7 +165,7 @@ def test_only_the_page_itself_acts(
 def test_a_stop_that_did_not_take_hold_says_so_and_many_are_one(
     port: int, watched: Store
 ) -> None:
-    """Nobody waits for what others asked."""
+    """No request waits for the others."""
     begun = time.monotonic()
     with ExitStack() as stack:
         for _ in range(20):
@@ -183,7 +183,7 @@ def test_a_stop_that_did_not_take_hold_says_so_and_many_are_one(
 
 
 def test_nothing_is_released_unless_that_was_allowed_with_a_token(watched: Store) -> None:
-    """Behind a proxy each request is one of this machine."""
+    """Behind a proxy every request seems to come from this machine."""
     body, actions = f'{{"volume": 0.2, "asked_at": {time.time()}}}'.encode(), ("release", "clear",
                                                                               "dose")
     for allowed, token, status in (
@@ -204,7 +204,7 @@ def test_nothing_is_released_unless_that_was_allowed_with_a_token(watched: Store
 def test_who_asks_for_a_stop_after_a_release_does_not_join_the_stop_before_it(
     watched: Store
 ) -> None:
-    """It would be answered, and the release be the last that is done."""
+    """Otherwise the earlier stop would answer it, and the release would be the last action."""
     watched.allow_release = True
     with served(watched, "secret") as port, ThreadPoolExecutor() as askers:
         for action in ("stop", "stop", "release", "stop"):
@@ -230,7 +230,7 @@ def test_a_dose_without_volume_or_time_is_refused(watched: Store) -> None:
 
 
 def test_what_says_nothing_is_refused(port: int) -> None:
-    """A body that is no object with a text, hours that cannot be, and any other method."""
+    """A body that is not an object with a text, impossible hours, and any other method."""
     for method in ("PUT", "OPTIONS", "HEAD", "BREW"):
         answer = request(port, method, "/stop", **ACT, Origin="http://evil.example")
         assert answer.status in (400, 404, 405)
@@ -242,11 +242,11 @@ def test_what_says_nothing_is_refused(port: int) -> None:
     assert_goes_on(port)
 
 
-# ------------------------------------------------------------------------------- too much of it
+# -------------------------------------------------------------------------------- too much load
 
 
 def _flood(port: int, head: bytes, part: bytes) -> None:
-    """Send 100 MB and more, for as long as they are taken."""
+    """Send 100 MB and more, as long as the server takes them."""
     with socket.create_connection((LOOPBACK, port), timeout=20) as connection:
         connection.sendall(head)
         with suppress(ConnectionError, TimeoutError):
@@ -259,7 +259,7 @@ def _flood(port: int, head: bytes, part: bytes) -> None:
 
 def test_a_body_of_100_megabytes_is_refused_unread(port: int) -> None:
     length = b"Content-Length: 100000000\r\n\r\n"
-    # It is told at once, without a byte of it.
+    # It is refused at once, without a byte of the body.
     assert Answer(send(port, POST + b"Connection: close\r\n" + length)).status == 413
     before = _memory()
     megabyte = bytes(1_000_000)
@@ -267,7 +267,7 @@ def test_a_body_of_100_megabytes_is_refused_unread(port: int) -> None:
     chunked = b"Transfer-Encoding: chunked\r\n\r\n"
     _flood(port, POST + chunked, b"f4240\r\n" + megabyte + b"\r\n")
     assert _memory() - before < 20e6
-    packed = gzip.compress(bytes(5_000_000))  # which is not unpacked
+    packed = gzip.compress(bytes(5_000_000))  # this is not unpacked
     assert len(packed) < 10_000
     before = _memory()
     answer = request(port, "POST", "/acknowledge", packed, **ACT, Content_Encoding="gzip")
@@ -301,7 +301,7 @@ BROKEN = [
 def test_broken_requests_stop_nothing(
     port: int, watched: Store, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nor do they keep anybody away, all at the same time."""
+    """Nor do they keep other clients away, all at the same time."""
     monkeypatch.setattr(server, "_FIRST_S", 1.0)
     with ExitStack() as stack:
         connections = []
@@ -321,7 +321,7 @@ def test_broken_requests_stop_nothing(
 def test_silent_connections_keep_nobody_away(
     port: int, look: Callable[..., Stream], watched: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Three times as many as there may be."""
+    """Three times the permitted number."""
     monkeypatch.setattr(server, "_FIRST_S", 1.0)
     events = look().events()
     next(events)
@@ -339,10 +339,10 @@ def test_silent_connections_keep_nobody_away(
         taken = _open_files() - before - len(silent)
         assert taken <= server._MOST_CONNECTIONS + 10
         set_level(watched, 0.03, 1)
-        for _, content in events:  # a page that was there goes on
+        for _, content in events:  # an open page continues
             if level_in(content) == 0.03:
                 break
-        for connection in silent:  # those that still were there are ended, too
+        for connection in silent:  # the remaining connections are ended, too
             connection.settimeout(5)
             with suppress(ConnectionResetError):
                 assert connection.recv(1) == b""
@@ -364,7 +364,7 @@ def test_there_is_a_most_of_streams(port: int, look: Callable[..., Stream]) -> N
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> list[float | None]:
-    """What was made: None for each document, of each series its hours."""
+    """What was made: None for each document, its hours for each series."""
     hours_made: list[float | None] = []
 
     def document(store: Store, wall: float) -> dict[str, Any]:
@@ -414,7 +414,7 @@ def test_what_is_pushed_is_made_once_for_all_pages(
 
 
 def test_each_message_is_compressed_for_all_and_read_by_any(look: Callable[..., Stream]) -> None:
-    """As a browser reads gzip: one stream, from whichever message it began."""
+    """As a browser reads gzip: one stream, from any first message on."""
     hostile = "</script><img src=x onerror=alert(1)>\n\nevent: state\ndata: {}\n\n\ud800\0\u2028"
     messages = [Message("state", {"n": n, "text": hostile * 10}) for n in range(20)]
     name, data, *rest = messages[0].plain.split(b"\n")  # one event, whatever its text
@@ -439,7 +439,7 @@ def test_each_message_is_compressed_for_all_and_read_by_any(look: Callable[..., 
 def test_who_does_not_read_is_skipped_and_costs_nobody_anything(
     port: int, look: Callable[..., Stream], watched: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It gets no queue; when it reads again, it soon has what is new."""
+    """It gets no queue; when it reads again, it soon has the newest state."""
     monkeypatch.setattr(server, "_UNREAD_S", 8.0)
     times = np.arange(7 * 24 * 360, dtype=np.int64) * 10 * SECOND
     noise = np.random.default_rng(0).random(len(times))
@@ -459,7 +459,7 @@ def test_who_does_not_read_is_skipped_and_costs_nobody_anything(
         assert_goes_on(port)
     assert np.diff(gaps).max() < 3
     assert _memory() - before < 30e6
-    # One that reads again has first what was on its way, then what is newest.
+    # A client that reads again first gets what was on its way, then the newest.
     deaf[0].socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
     states = []
     for name, content in deaf[0].events():
@@ -467,14 +467,14 @@ def test_who_does_not_read_is_skipped_and_costs_nobody_anything(
             states.append(level_in(content))
             if states[-1] == 0.027:
                 break
-    assert len(states) < 8  # those between were never kept
+    assert len(states) < 8  # those in between were not kept
     # The others are ended after a while, and make room.
     for stream in deaf[1:]:
         wait_for(lambda stream=stream: _is_ended(stream.socket), 60, "the end of a deaf one")
 
 
 def _is_ended(connection: socket.socket) -> bool:
-    """Whether the other side has closed a connection; what it sent may still be on its way."""
+    """Return whether the other side has closed a connection; data may still be on its way."""
     lines = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
     port = f":{connection.getsockname()[1]:04X}"
     return not any(remote.endswith(port) and state == "01" for _, _, remote, state, *_ in lines)
@@ -484,7 +484,7 @@ def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
     port: int, look: Callable[..., Stream], capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A page then says that it is not connected: nothing old is shown as if it were now."""
+    """A page then says that it is not connected: nothing old is shown as present."""
 
     def fail(store: Store, wall: float) -> None:
         raise RuntimeError("this document cannot be made")
@@ -493,7 +493,7 @@ def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
     assert next(events)[0] == "state"
     with monkeypatch.context() as broken:
         broken.setattr(server, "document", fail)
-        assert {name for name, _ in events} <= {"series", "state"}  # to their end
+        assert {name for name, _ in events} <= {"series", "state"}  # until their end
         assert "this document cannot be made" in capfd.readouterr().err
         assert_goes_on(port)
     assert next(look().events())[0] == "state"
@@ -502,7 +502,7 @@ def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
 def test_a_page_that_nobody_sees_gets_the_summary_alone(
     look: Callable[..., Stream], watched: Store
 ) -> None:
-    """For its title: when it changes, and now and then to hear that it is connected."""
+    """For its title: on changes, and now and then to confirm the connection."""
     set_level(watched, 0.01, 1)
     watched.set_present(mode="live", factor=None, note="")
     events = look("0").events()
@@ -515,7 +515,7 @@ def test_a_page_that_nobody_sees_gets_the_summary_alone(
     assert time.monotonic() - begun < 3
     watched.add_statuses(time.monotonic(), [replace(ALARM, message="and again")])
     begun = time.monotonic()
-    assert next(events)[1]["word"] == "1 warning."  # what did not change is not pushed
+    assert next(events)[1]["word"] == "1 warning."  # an unchanged summary is not pushed
     assert time.monotonic() - begun > 3
 
 
@@ -524,5 +524,5 @@ def _open_files() -> int:
 
 
 def _memory() -> int:
-    """Return what this process has in memory (bytes)."""
+    """Return the resident memory of this process (bytes)."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096

@@ -101,7 +101,7 @@ HELD = node(
 
 
 def with_a_stop_of_the_page(wall: float = 99.5) -> Store:
-    """Return a site whose pump may be released from here, and its fault be cleared."""
+    """Return a site with a pump that can be released here, and a fault that can be cleared."""
     graph = run_of(1.0, "live", wall=wall)
     graph.allow_release = True
     graph.add_statuses(wall, HELD)
@@ -119,7 +119,7 @@ def all_drawn(
     graph: Store, width: int = 80, height: int | None = 24, *, color: bool = False,
     ascii_only: bool = False,
 ) -> list[list[str]]:
-    """Return what stands on each page of the terminal, line by line."""
+    """Return the lines of each page of the terminal."""
     document, series = read_document(graph, 100.0), read_series(graph, 12.0)
     console = Console(
         width=width, height=height, force_terminal=True, highlight=False,
@@ -187,7 +187,7 @@ def test_how_the_pump_is_stopped_is_said_whole_or_not_at_all(name: str) -> None:
 
 
 def test_all_of_it_by_turning_pages() -> None:
-    """A hundred alarms: each with its advice, the account and each event are on some page."""
+    """A hundred alarms with their advice, the account and each event are on some page."""
     graph = with_a_silent_sensor(90)
     for number in range(30):
         graph.add_event(99.5, f"event {number}")
@@ -217,10 +217,10 @@ def chart(lines: list[str], label: str) -> str:
 
 
 def test_bars_by_hand() -> None:
-    """Twelve hours in 26 columns, of which the greatest value counts: the first ends at 40.46 mm.
+    """Twelve hours in 26 columns of greatest values: the first column ends at 40.46 mm.
 
-    The range is from 40.0 mm, so that the bar of column c is round(7 (c + 1) / 26), in the
-    middle rounded down. What is constant is half as high as it may be; of nothing the lowest.
+    The range starts at 40.0 mm, so the bar of column c is round(7 (c + 1) / 26), halves rounded
+    down. A constant is drawn at half height, zero at the lowest.
     """
     graph = run_of(12.0)
     lines = drawn(graph, 80, 30)
@@ -237,7 +237,7 @@ def test_bars_by_hand() -> None:
 
 
 def test_the_range_of_a_chart_is_that_of_all_values() -> None:
-    """A gust of rain between two columns' last values is seen, and so is the least level."""
+    """A gust of rain between two columns' last values is shown, and so is the least level."""
     graph = run_of(12.0)
     times = START + 12 * 3600 * SECOND + SECOND * np.arange(1, 41)
     graph.add("/weather/precipitation", times, np.where(np.arange(40) == 5, 1e-5, 0.0))
@@ -250,7 +250,7 @@ def test_the_range_of_a_chart_is_that_of_all_values() -> None:
 
 
 def test_without_colour_nothing_but_text() -> None:
-    """And with it the same words, so that none is said by colour alone."""
+    """With colour the words are the same, so nothing is shown by colour alone."""
     graph = with_a_fault()
     plain = "\n".join(drawn(graph))
     assert "\x1b" not in plain
@@ -289,7 +289,7 @@ run(store, feed)
 
 
 def answer(store: Store, feed: Feed) -> None:
-    """Be the pump node: say four times a second how it is, and count what it is asked."""
+    """Act as the pump node: report four times a second, and count the requests."""
     count = 0
     while True:
         if store.allow_release:
@@ -302,7 +302,7 @@ def answer(store: Store, feed: Feed) -> None:
 
 
 class Terminal:
-    """A terminal of 80 by 24 with a process on it, whose terminal it is."""
+    """A terminal of 80 by 24 that controls a process."""
 
     def __init__(self, *arguments: str, cwd: Path = CHECKOUT, **environment: str) -> None:
         self._main, self._of_process = pty.openpty()
@@ -329,7 +329,7 @@ class Terminal:
         fcntl.ioctl(self._of_process, termios.TIOCSWINSZ, size)
 
     def read_until(self, words: str, seconds: float = 60.0) -> None:
-        """Read until something was written, from now on."""
+        """Read until some text is written, from now on."""
         self.text, until = "", time.monotonic() + seconds
         while words not in self.text:
             assert time.monotonic() < until, self.text
@@ -343,7 +343,7 @@ class Terminal:
         os.write(self._main, keys)
 
     def ends(self, seconds: float = 60.0) -> int:
-        """Return the exit code, and see that the terminal is as it was."""
+        """Return the exit code, and check that the terminal is restored."""
         until = time.monotonic() + seconds
         while self.process.poll() is None:
             assert time.monotonic() < until, "it does not end"
@@ -369,10 +369,10 @@ def on_terminal(state: str = "with_a_silent_sensor", **environment: str) -> Term
 
 
 def test_it_is_drawn_anew_when_the_terminal_changes_and_ends_on_q() -> None:
-    """Keys that mean nothing here do nothing: nobody is asked to release this pump."""
+    """Keys without a meaning here do nothing: no release of this pump is requested."""
     with on_terminal() as terminal:
         terminal.read_until("SetBool")
-        assert "\x1b[?1049h" in terminal.text  # a screen of its own
+        assert "\x1b[?1049h" in terminal.text  # the alternate screen
         assert re.search(r"\x1b\[[0-9;]*m", terminal.text)  # colours
         terminal.press(b"xrycy ")
         terminal.read_until("page 2 of ")
@@ -383,12 +383,12 @@ def test_it_is_drawn_anew_when_the_terminal_changes_and_ends_on_q() -> None:
         terminal.press(b"q")
         assert terminal.ends() == 0
         assert time.monotonic() - began < 20.0
-        assert "\x1b[?1049l" in terminal.text  # what was there before is there again
+        assert "\x1b[?1049l" in terminal.text  # the previous content is restored
         assert "\x1b[?25h" in terminal.text
 
 
 def test_r_and_c_release_the_pump_and_clear_its_fault() -> None:
-    """Each after a question, which y confirms and any other key does not; y alone does nothing.
+    """Each after a question, which only y confirms; y alone does nothing.
 
     Here without colours.
     """
@@ -402,7 +402,7 @@ def test_r_and_c_release_the_pump_and_clear_its_fault() -> None:
         ), 1):
             terminal.press(key)
             terminal.read_until(question)
-            terminal.press(b"ny" + key + b"y")  # what comes with the question does not confirm it
+            terminal.press(b"ny" + key + b"y")  # keys typed with the question do not confirm it
             terminal.read_until(question)
             terminal.press(b"y")
             terminal.read_until(f"asked {number} times, now for: {action}")
@@ -424,7 +424,7 @@ def test_y_confirms_what_was_asked_and_nothing_else(key: bytes, changed: dict[st
 
 
 def test_what_cannot_be_drawn_over_is_printed() -> None:
-    """Into a file, where it ends with the reader, and on a dumb terminal."""
+    """Into a pipe, until SIGTERM, and on a dumb terminal."""
     with subprocess.Popen(
         [sys.executable, "-c", PROGRAM.format(state="with_a_silent_sensor")],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,

@@ -47,7 +47,7 @@ def port_of(text: str) -> int:
 
 
 def watcher(domain: int, cwd: Path, *arguments: str) -> tuple[Process, int]:
-    """Start one, and return it with its port when it is there."""
+    """Start a watcher; return it with its port when it is ready."""
     process = Process(domain, "watch", *arguments, cwd=cwd)
 
     def ready() -> int:
@@ -75,15 +75,15 @@ def tcp_addresses_of(pid: int) -> set[str]:
 
 
 def end(process: Process, number: signal.Signals = signal.SIGINT) -> None:
-    """End it, and see that it ends soon and well."""
+    """End it, and check that it ends soon and well."""
     begun = time.monotonic()
     process.process.send_signal(number)
     assert process.wait(120) == 0
-    assert time.monotonic() - begun < 20  # 2 s, on a machine that does nothing else
+    assert time.monotonic() - begun < 20  # 2 s on an idle machine
 
 
 def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: Path) -> None:
-    """Each on a port of its own; and on each signal, whoever looks on."""
+    """Each on a separate port; on each signal, whoever is watching."""
     watchers = [watcher(domain, tmp_path) for _ in range(2)]
     ports = [port for _, port in watchers]
     assert ports[0] != ports[1] and min(ports) >= 8080
@@ -159,7 +159,7 @@ def test_what_is_missing_is_said(
 
 
 def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path: Path) -> None:
-    """Another one each time."""
+    """Each time with a new token."""
     tokens = set()
     for port, options, warning in zip(free_ports(2), (
         ("--host", "0.0.0.0"), ("--allow-release",),
@@ -192,7 +192,7 @@ def _watcher_of(bringup: Process) -> int:
 def test_a_page_beside_a_run_ends_with_it_and_never_the_other_way(
     domain: int, tmp_path: Path
 ) -> None:
-    """Here the page is killed, and then a run; for one that ends see below."""
+    """Here the page is killed, and then a run; for a run that ends see below."""
 
     def start(output: str, hours: float) -> tuple[Process, int]:
         process = Process(
@@ -213,7 +213,7 @@ def test_a_page_beside_a_run_ends_with_it_and_never_the_other_way(
     wait_for(lambda: not alive(page), 60, "the page's end")
 
 
-# Who calls a service as `ros2 service call` does: name and type must be those that are there.
+# Calls a service as `ros2 service call` does: name and type must exist.
 _CALL = """
 import importlib, json, sys, time
 import rclpy
@@ -237,10 +237,10 @@ assert answer.result().success, answer.result().message
 def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
     domain: int, tmp_path: Path
 ) -> None:
-    """In a namespace. It ran: nobody knows whether it stands, and nothing says that it is off.
+    """In a namespace. It ran, so whether it stands is unknown, and nothing says that it is off.
 
-    The loss stands in the recording. A stop of the page is released in a terminal that may, and by
-    the command that is shown, word by word as it is typed.
+    The loss is in the recording. The page's stop is released in a terminal that is permitted to,
+    and by the command that is shown, exactly as printed.
     """
     at, bench = free_ports(2)
     options = ("--drive", guarding("danfoss_fc202", tmp_path / "drives"), "--speed", "10")
@@ -249,7 +249,7 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
     process = Process(
         domain, "bringup", *options, "--drive-at", lost.ready.split()[2].rstrip(","),
         "--controller", "onoff", "--hours", "2", "--namespace", "site1", "--watch",
-        "--cistern", "57", "--roof", "0",  # so that the pump runs for half a minute
+        "--cistern", "57", "--roof", "0",  # the pump runs for half a minute
         "--output", "run", cwd=tmp_path,
     )
     port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
@@ -260,7 +260,7 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
     wait_for(lambda: tile()["state"] == "running", 60, "a running pump")
     lost.process.kill()
     lost.process.communicate()
-    # The pump says nothing more at once; /diagnostics says why within a second.
+    # At first the pump only falls silent; /diagnostics says why within a second.
     shown = wait_for(
         lambda: (now := document(port))["tiles"]["pump"]["alarm"] and now["alarms"] and now, 60,
         "an alarm",
@@ -310,7 +310,7 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
 
 
 def stop_on_page(port: int) -> str:
-    """Stop the pump as the page does, and return how it is released, once it is held."""
+    """Stop the pump as the page does; when it is held, return the command that releases it."""
     wait_for(lambda: document(port)["stop"]["possible"], 60, "a pump that can be stopped")
     assert document(port)["stop"]["release"] == ""
     answer = request(port, "POST", "/stop", b"{}", X_Greenroof="1")

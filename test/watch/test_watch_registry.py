@@ -1,4 +1,4 @@
-"""Which graph is there, by what nodes say of themselves."""
+"""Which graph is present, by what nodes report of themselves."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from greenroof_ros.watch.registry import Registry
 def say(
     graph: Registry, now: float, role: str, state: str = "ready", name: str = "", **values: Any
 ) -> None:
-    """Have a node of a lockstep graph say how it is."""
+    """Have a node of a lockstep graph report its state."""
     graph.hear(now, node(name or f"/{role}", role, state=state, run_length=100, **values))
 
 
@@ -37,7 +37,7 @@ def test_a_run_has_not_ended_while_its_pump_is_there() -> None:
 
 
 def test_a_live_site_that_falls_silent_has_not_ended() -> None:
-    """Its pump may turn; of a simulation whose nodes were all killed nobody goes on."""
+    """A silent live pump may turn; a simulation with all nodes killed has ended."""
     live, simulated = Registry(), Registry()
     for role in ("controller", "pump"):
         live.hear(0.0, node(f"/{role}", role))
@@ -80,7 +80,7 @@ def test_what_ros_lets_no_node_be_called_is_none(name: str) -> None:
 
 @pytest.mark.parametrize("place", ["{}", "{}/none", "/etc/passwd\0", ".", 7, "/" + "p" * 5000])
 def test_a_bag_is_what_the_recorder_says_if_it_is_here(place: object, tmp_path: Path) -> None:
-    """And on this machine."""
+    """And only if it is on this machine."""
     there = place.format(tmp_path) if isinstance(place, str) else place
     for host, here in ((socket.gethostname(), place == "{}"), ("another", False)):
         graph = Registry()

@@ -1,4 +1,4 @@
-"""FAO-56 Penman-Monteith, against the paper's own examples and its equations written once more."""
+"""FAO-56 Penman-Monteith, compared with the paper's examples and its equations, written again."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TORONTO = read_site(shared_directory() / "config" / "site.yaml")
 
 
 def dew_point(temperature: float, humidity: float) -> float:
-    """degC at which the air of a temperature (degC) and relative humidity (%) is saturated."""
+    """Return the dew point (degC) of air at a temperature (degC) and a relative humidity (%)."""
     logarithm = math.log(humidity / 100) + 17.27 * temperature / (temperature + 237.3)
     return 237.3 * logarithm / (17.27 - logarithm)
 
@@ -40,7 +40,7 @@ def test_example_19(
 ) -> None:
     """N'Diaye, 1 October: 0.00 mm from 2 to 3 h, 0.63 mm from 14 to 15 h.
 
-    Pressure 101.2 kPa follows from the 8 m, Eq. 7. The night's Rs/Rso, 0.8 there, changes nothing.
+    Pressure 101.2 kPa follows from 8 m, Eq. 7. The night's Rs/Rso, 0.8 there, changes nothing.
     """
     values = {
         "temperature": np.array([float(temperature)]),
@@ -56,8 +56,8 @@ def test_example_19(
 def test_example_18_hour_by_hour() -> None:
     """Uccle, 6 July: our hours add up to within 0.2 mm of the day's 3.88.
 
-    Temperature swings between the same extremes as a cosine with its top at 15 h, vapour pressure
-    is the example's 1.409 kPa, the 22.07 MJ/m2 come as the extraterrestrial radiation does.
+    Temperature varies between the same extremes as a cosine with its maximum at 15 h, vapour
+    pressure is the example's 1.409 kPa, the 22.07 MJ/m2 follow the extraterrestrial radiation.
     """
     uccle = replace(
         PAPER_SITE, latitude=50.8, longitude=4.35, elevation=100.0, utc_offset=0.0
@@ -79,7 +79,7 @@ def test_example_18_hour_by_hour() -> None:
 def extraterrestrial(
     site: Site, day_of_year: int, hours: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Ra (MJ/m2 in an hour), Eqs. 28-33: the sun's height integrated in steps of 3.6 s."""
+    """Return Ra (MJ/m2 in an hour), Eqs. 28-33: the sun's height integrated in steps of 3.6 s."""
     assert site.latitude is not None
     assert site.longitude is not None
     assert site.utc_offset is not None
@@ -96,7 +96,7 @@ def extraterrestrial(
 
 
 def day_of_records(**changes: NDArray[np.float64]) -> Records:
-    """A summer's day in Toronto, 14 to 30 degC."""
+    """Return a summer's day in Toronto, 14 to 30 degC."""
     hours = np.arange(24)
     values = {
         "precipitation": np.zeros(24),
@@ -110,9 +110,9 @@ def day_of_records(**changes: NDArray[np.float64]) -> Records:
 
 
 def test_radiation_of_the_days_temperatures() -> None:
-    """Eq. 50 with the day's 16 degC, spread as Ra is: the same as if it had been measured.
+    """Eq. 50 with the day's range of 16 degC, distributed like Ra, equals measured radiation.
 
-    So it is of the same hours written in UTC.
+    The same hours written in UTC give the same result.
     """
     records = day_of_records()
     estimated = fao56(records, TORONTO)
@@ -125,7 +125,7 @@ def test_radiation_of_the_days_temperatures() -> None:
 
 
 def test_site_matters() -> None:
-    """A crop coefficient scales; wind at 2 m is 4.87 / ln(67.8 10 - 5.42) of that at 10 m."""
+    """A crop coefficient scales; wind at 2 m is 4.87 / ln(67.8 10 - 5.42) times that at 10 m."""
     standard = fao56(day_of_records(), TORONTO)
     assert fao56(day_of_records(), replace(TORONTO, crop_coefficient=0.5)) == pytest.approx(
         0.5 * standard, rel=1e-15
@@ -137,9 +137,9 @@ def test_site_matters() -> None:
 
 
 def test_what_is_missing_is_not_made_up() -> None:
-    """Without pressure or wind the library would take an estimate; here there is no value.
+    """Without pressure or wind the library would estimate them; here there is no value.
 
-    A part of a day has no extremes; with measured radiation they need not be known.
+    A part of a day has no extremes; with measured radiation they are not needed.
     """
     for name in ("temperature", "dew point", "wind speed", "station pressure"):
         series = day_of_records().values[name].copy()
@@ -156,6 +156,6 @@ def test_what_is_missing_is_not_made_up() -> None:
 
 @pytest.mark.parametrize("key", ["latitude", "elevation"])
 def test_place_is_needed(key: str) -> None:
-    """Named when it is not in the site file."""
+    """The error names what the site file lacks."""
     nowhere = replace(TORONTO, **{key: None})
     refusal(fao56, day_of_records(), nowhere, match=f"fao56 needs {key} in the site file")

@@ -1,4 +1,4 @@
-"""Gaps that are filled where asked, and hours of rain that are hard to believe, in real months."""
+"""Gaps that are filled on request, and implausible hours of rain, in real months."""
 
 from __future__ import annotations
 
@@ -37,13 +37,12 @@ def test_missing_rain_counts_as_none_and_every_hour_is_named() -> None:
         (weather.first + timedelta(hours=hour)).isoformat(timespec="minutes") for hour in missing
     ]
     assert not np.isnan(weather.evapotranspiration).any()
-    # More than five years' mean of the evapotranspiration of Julys, 4 to 5 mm a day, would be
-    # another climate.
+    # Julys of five years have a mean of 4 to 5 mm a day; far more would be another climate.
     assert 3.5 < weather.evapotranspiration.mean() < 6
 
 
 def test_long_gaps_have_the_mean_of_the_days_about_them() -> None:
-    """At the same time of day, of three days before and three after; beyond it stays missing."""
+    """At the same time of day, of three days before and three after; the rest stays missing."""
     day, hour = np.divmod(np.arange(20 * 24), 24)
     series = day**2 + hour / 100
     series[5 * 24 : 13 * 24] = np.nan
@@ -60,9 +59,9 @@ def test_long_gaps_have_the_mean_of_the_days_about_them() -> None:
 
 
 def test_command_line(tmp_path: Path) -> None:
-    """Refused by default; with the option the summary names what was filled, and the node has it.
+    """Refused by default; with the option the summary names the filled hours; the node has it.
 
-    The run's own records say once more what they were made from.
+    The run's own records also state what they were made from.
     """
     options = [
         "--controller", "onoff", "--weather", str(JULY), "--start", "2022-07-21T10:30",
@@ -80,7 +79,7 @@ def test_command_line(tmp_path: Path) -> None:
 
 
 def test_hours_that_are_hard_to_believe() -> None:
-    """79.2 mm in an hour of December; not the storms of July, nor the sleet of March."""
+    """79.2 mm in an hour of December; not July's storms, nor March's sleet."""
     weather = read_weather([DECEMBER], TORONTO, gaps=FILL)
     (only,) = WeatherSeries(weather, TORONTO, weather.first, 29 * 86_400).suspicious
     assert only.startswith("79.2 mm at 2015-12-29T02:00-05:00")
@@ -96,7 +95,7 @@ def test_factors_of_the_check() -> None:
     first = datetime(2021, 1, 20, tzinfo=LST)
 
     def suspicious(most: float, temperature: float, wet: int = 100) -> list[str]:
-        # Of 1 mm each but one, so that the percentile is 1 mm.
+        # 1 mm each except one hour, so the percentile is 1 mm.
         rain = np.zeros(240)
         rain[:wet] = 1.0
         rain[wet - 1] = most
@@ -111,7 +110,7 @@ def test_factors_of_the_check() -> None:
 
 
 def test_the_year_has_no_end() -> None:
-    """What is usual in the last days of December counts for the first of January."""
+    """Usual amounts of the last days of December also count for the first of January."""
     rain = np.zeros(20 * 24)
     rain[:200] = 1.0  # from 22 to 30 December
     rain[11 * 24] = 9.0  # 2 January
@@ -124,7 +123,7 @@ def test_the_year_has_no_end() -> None:
 
 
 def years(hours: int) -> Weather:
-    """Return made up records of so many hours."""
+    """Return made-up records of this many hours."""
     chance = np.random.default_rng(5)
     rain, evaporated = chance.gamma(0.1, size=hours), chance.gamma(2.0, size=hours)
     first = datetime(2014, 6, 1, tzinfo=LST)
@@ -133,7 +132,7 @@ def years(hours: int) -> Weather:
 
 @pytest.mark.parametrize("tau", [7.0, 0.3, 1234.5])
 def test_each_tick_has_its_hour(tau: float) -> None:
-    """By the clock: the hour in which a tick begins, from a start within one."""
+    """By the clock: the hour in which a tick begins, even if the start is within an hour."""
     site = replace(TORONTO, tau=tau, M=10)
     weather = years(70)
     start = weather.first + timedelta(minutes=83)
@@ -169,7 +168,7 @@ def test_each_tick_has_its_hour(tau: float) -> None:
 
 
 def test_years_take_no_more_memory_than_hours() -> None:
-    """Three years of seconds: a few numbers an hour, and nothing a tick."""
+    """Three years of seconds: a few numbers per hour, and nothing per tick."""
     weather = years(26_304)
     site = replace(TORONTO, tau=1.0, M=10)
     tracemalloc.start()

@@ -1,4 +1,4 @@
-"""Hargreaves' equation and the sun, against FAO-56's worked examples."""
+"""Hargreaves' equation and the sun, compared with FAO-56's worked examples."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_worked_examples() -> None:
     """Example 8: Ra on 3 September at 20 degrees south, 32.2 MJ/m2 and day, evaporates 13.1 mm.
 
     Example 9: the sun is up for 11.7 h then. Example 20: Lyon in July, 14.8 to 26.6 degC, has
-    5.0 mm/day by Eq. 52; its Ra is that of 15 July, 40.6. Hard frost has none.
+    5.0 mm/day by Eq. 52, with the Ra of 15 July, 40.6. Hard frost has none.
     """
     radiation = extraterrestrial_radiation(-20.0, days("1998-09-03"))
     assert radiation == pytest.approx([32.2], abs=0.05)
@@ -41,7 +41,7 @@ def test_worked_examples() -> None:
 
 
 def test_the_sun_stands_highest_at_noon_of_its_own_meridian() -> None:
-    """Seven and a half degrees west of the clock's meridian that is half an hour later.
+    """7.5 degrees west of the clock's meridian this is half an hour later.
 
     On 15 April and 1 September the equation of time is 0 within a minute (Eq. 32).
     """
@@ -74,7 +74,7 @@ def test_longer_steps_have_the_sums_of_five_minutes() -> None:
 
 
 def test_july_in_toronto_by_both_methods() -> None:
-    """A crop coefficient fitted with Hargreaves' equation is good with ``fao56`` there.
+    """A crop coefficient fitted with Hargreaves' equation is also good with ``fao56`` there.
 
     The sums over July 2021 differ by less than 1 %.
     """

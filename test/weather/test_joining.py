@@ -23,7 +23,7 @@ JULY, MARCH = DATA / "en_climate_hourly_07-2021.csv", DATA / "en_climate_hourly_
 
 
 def piece(path: Path, first: int, last: int, *, rain: bool = True) -> Path:
-    """Write the records first..last (from 0) of July; the first one with its rain or without."""
+    """Write the records first..last (from 0) of July; the first one with or without its rain."""
     header, *records = JULY.read_text(encoding="utf-8-sig").splitlines()
     chosen = records[first : last + 1]
     if not rain:
@@ -35,7 +35,7 @@ def piece(path: Path, first: int, last: int, *, rain: bool = True) -> Path:
 
 
 def same(weather: Weather, expected: Weather) -> None:
-    """Compare two weathers bit for bit, but for their files."""
+    """Check that two weathers are equal bit for bit, except for their files."""
     assert (weather.first, weather.method) == (expected.first, expected.method)
     for own, due in ((weather.values, expected.values), (weather.filled, expected.filled)):
         assert {name: series.tobytes() for name, series in own.items()} == {
@@ -51,7 +51,7 @@ def same(weather: Weather, expected: Weather) -> None:
     ],
 )
 def test_pieces_of_a_month_are_the_month(tmp_path: Path, spans: list[tuple[int, int]]) -> None:
-    """In any order, with overlaps that are equal: each gap is filled as in the whole file."""
+    """In any order, with equal overlaps: each gap is filled as in the complete file."""
     files = [piece(tmp_path / f"{first}.csv", first, last) for first, last in spans]
     joined = read_weather(files, TORONTO)
     same(joined, read_weather([JULY], TORONTO))
@@ -59,9 +59,9 @@ def test_pieces_of_a_month_are_the_month(tmp_path: Path, spans: list[tuple[int, 
 
 
 def test_months_far_from_each_other() -> None:
-    """March and July: 1,488 hours with records, 2,928 between them without.
+    """March and July: 1,488 hours with records, 2,928 without in between.
 
-    From 1 April to 30 June are 91 days, of which there is nothing; 31 + 91 + 31 are 153 days.
+    1 April to 30 June are 91 days without data; 31 + 91 + 31 are 153 days.
     """
     weather = read_weather([JULY, MARCH], TORONTO)
     assert weather.files == (MARCH, JULY)
@@ -79,7 +79,7 @@ def test_months_far_from_each_other() -> None:
 
 
 def test_value_that_one_file_lacks(tmp_path: Path) -> None:
-    """It is the other's, whichever comes first."""
+    """The other file's value is used, whichever comes first."""
     lacking = piece(tmp_path / "a.csv", 0, 30, rain=False)
     whole = piece(tmp_path / "b.csv", 0, 743)
     expected = read_weather([JULY], TORONTO)
@@ -91,7 +91,7 @@ COLUMN = "published evapotranspiration [mm/day]"
 
 
 def own(directory: Path, first: str, column: str = COLUMN, rain: float = 0.1) -> Path:
-    """Write two hours of a file of this project's form."""
+    """Write two hours of a file in this project's format."""
     begin = np.datetime64(first, "m")
     path = directory / f"{first[8:].replace(':', '')}-{column[:4]}-{rain}.csv"
     path.write_text("\n".join([
@@ -102,7 +102,7 @@ def own(directory: Path, first: str, column: str = COLUMN, rain: float = 0.1) ->
 
 
 def test_what_cannot_be_joined(tmp_path: Path) -> None:
-    """Other values, quantities, another method, hours that begin at another minute."""
+    """Other values or quantities, another method, hours that begin at another minute."""
     early = own(tmp_path, "2021-07-01T00:00")
     for late, reason in (
         (own(tmp_path, "2021-07-01T02:00", "lysimeter evapotranspiration [mm/day]"),
@@ -120,7 +120,7 @@ def test_what_cannot_be_joined(tmp_path: Path) -> None:
 
 
 def test_names_and_patterns(tmp_path: Path) -> None:
-    """A name as it is, a pattern sorted, each file once; what is there is no pattern."""
+    """A name as it is, a pattern sorted, each file once; the name of a file is not a pattern."""
     for name in ("b-1.csv", "b-2.csv", "a.csv", "c[1].csv"):
         (tmp_path / name).write_text("")
     def files(*names: str) -> list[str]:
@@ -129,13 +129,13 @@ def test_names_and_patterns(tmp_path: Path) -> None:
     assert files("b-*.csv") == ["b-1.csv", "b-2.csv"]
     assert files("b-2.csv", "b-?.csv", "a.csv") == ["b-2.csv", "b-1.csv", "a.csv"]
     assert files("c[1].csv") == ["c[1].csv"]
-    assert files("absent.csv") == ["absent.csv"]  # which reading it refuses
+    assert files("absent.csv") == ["absent.csv"]  # reading it is an error
     assert find_files([str(tmp_path / "b-[1].csv")], "--weather") == [tmp_path / "b-1.csv"]
     refusal(files, "a.csv", "d-*.csv", match=r"--weather = 'd-\*\.csv': matches no file")
 
 
 def test_run_directory_keeps_all_files(tmp_path: Path) -> None:
-    """Under names of their own, and the node's parameter names them in the order of time."""
+    """With unique names; the node's parameter has them in the order of time."""
     parts: list[Path] = []
     for name, first, last in (("late", 200, 400), ("early", 0, 199)):
         (tmp_path / name).mkdir()

@@ -1,4 +1,4 @@
-"""Hourly weather files and what a run sees of them."""
+"""Hourly weather files and what a run reads from them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from greenroof_ros.weather.reading import read_weather
 from greenroof_ros.weather.series import WeatherSeries
 
 HEADER = "time,precipitation [mm/h],made up evapotranspiration [mm/day]"
-# A line of comment, the header in line 2, and three hours in lines 3 to 5.
+# A comment line, the header in line 2, and three hours in lines 3 to 5.
 HOURS = [
     "2021-07-07T03:00-05:00,0.2,3.44779366",
     "2021-07-07T04:00-05:00,3.0,1.22675507",
@@ -83,7 +83,7 @@ def test_last_record_is_repeated_past_the_end(tmp_path: Path, steps: int, repeat
     ],
 )
 def test_run_outside_the_records(tmp_path: Path, start: str, steps: int) -> None:
-    """A second too early, an hour by another offset, a second too long."""
+    """A second too early, an hour too early by its offset, a second too long."""
     weather = read_weather([write(tmp_path, *HOURS)], PAPER_SITE)
     assert refusal(WeatherSeries, weather, PAPER_SITE, parse_time(start), steps).startswith(
         f"{tmp_path / 'weather.csv'}: has records from 2021-07-07T03:00-05:00 to "
@@ -92,7 +92,7 @@ def test_run_outside_the_records(tmp_path: Path, start: str, steps: int) -> None
 
 
 def test_order_of_columns_and_further_ones(tmp_path: Path) -> None:
-    """Columns are found by name; comments and empty lines may stand anywhere."""
+    """Columns are found by name; comments and empty lines may be anywhere."""
     header = "time, fao56 evapotranspiration [mm/day],dew point [degC],precipitation [mm/h]"
     path = write(tmp_path, "", "2021-07-07T03:00Z,1.5,-3.5,0.25", "# gauge read", header=header)
     weather = read_weather([path], PAPER_SITE)
@@ -115,7 +115,7 @@ def test_order_of_columns_and_further_ones(tmp_path: Path) -> None:
     ],
 )
 def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
-    """Named with file, line and cell, and what would be right."""
+    """The error has file, line and cell, and what would be right."""
     columns = header.count(",") + 1
     hours = [",".join([*hour.split(","), "1"][:columns]) for hour in HOURS]
     path = write(tmp_path, *hours, header=header)
@@ -123,7 +123,7 @@ def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
 
 
 def test_a_rain_gauge_alone(tmp_path: Path) -> None:
-    """Rain is all that some need, and an empty cell is an hour that is missing."""
+    """Some need only rain, and an empty cell is a missing hour."""
     path = write(
         tmp_path, "2021-07-07T03:00-05:00,3.0", "2021-07-07T04:00-05:00,",
         "2021-07-07T05:00-05:00,0.2", header="time,precipitation [mm/h]",

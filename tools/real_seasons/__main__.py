@@ -11,6 +11,7 @@ over time, and writes ``worth.csv``, from which the README's figure is drawn.
 - **by the other half**: the period's blocks of four weeks are divided by their rain into a wetter
   and a drier half. Each is dressed by the rain of the other, and judged by itself. No storm is in
   both, because no issue within the length of a member and five days of another dresses it.
+- **used ideally**: an ensemble that knows as much as a service, and is reliable (``ideal.py``).
 - **the hour as forecast**: in the present hour only the rain in this minute is known.
 
 Assumed: evapotranspiration is the site file's monthly mean as a half sine over the day. Hours that
@@ -31,10 +32,12 @@ from pathlib import Path
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 import paths  # noqa: F401
-from real_seasons.inputs import AUTUMN, ROOFS, SEASON, YEAR, Inputs, Period
+from real_seasons.ideal import DRAWS
+from real_seasons.inputs import AUTUMN, ROOFS, SEASON, SERVICES, YEAR, Inputs, Period
 from real_seasons.runs import (
     CROSSED,
     DRESSED,
+    IDEAL,
     NO_RAIN,
     ONOFF_NAME,
     PERFECT,
@@ -45,6 +48,7 @@ from real_seasons.runs import (
 from real_seasons.tables import (
     Results,
     by_halves,
+    of_ideal,
     of_owner,
     of_period,
     present_hour,
@@ -77,6 +81,10 @@ def cases(roof: str, period: Period) -> Iterator[Case]:
             yield Case(roof, period, PERFECT, trusts=False)
     for source in SOURCES:
         yield Case(roof, period, source, DRESSED)
+    if period is SEASON and roof == "measured":
+        for source in SERVICES:
+            for draw in DRAWS:
+                yield Case(roof, period, source, IDEAL, draw=draw)
     if period is SEASON:
         yield Case(roof, period, "placebo", trusts=False)
         yield Case(roof, period, "placebo", DRESSED, trusts=False)
@@ -108,7 +116,7 @@ def main() -> None:
             print(f"\n## {roof}, {period.words}")
             for lines in (
                 of_period(results), by_halves(results, inputs.wet_weeks(period)),
-                present_hour(results), of_owner(results),
+                of_ideal(results), present_hour(results), of_owner(results),
             ):
                 print("", *lines, sep="\n", flush=True)
             if period is not AUTUMN:

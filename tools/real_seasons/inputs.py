@@ -25,6 +25,8 @@ from greenroof_ros.weather.reading import read_weather
 Array = NDArray[np.float64]
 
 SERVICES = {"GEM": "gem_global", "KNMI": "knmi_seamless", "GFS": "gfs_seamless"}
+# The fifth day of GFS holds half the water of its fourth: an error of the archive.
+HOURS_OF = {"GFS": 96}
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ class Inputs:
 
     def __init__(self, archives: Path, scratch: Path) -> None:
         """Take the directory of the archives, and one for the files that a run reads."""
-        self._archives, self._scratch = archives, scratch
+        self.archives, self.scratch = archives, scratch
         self._sites = {roof: self._write_site(roof) for roof in ROOFS}
         gauge = scratch / "gauge.csv"
         site = read_site(self.site_file("measured"))
@@ -96,7 +98,7 @@ class Inputs:
 
     def site_file(self, roof: str) -> Path:
         """Return the file of a roof's site, with ticks of a minute and with mains."""
-        return self._scratch / (re.sub(r"\W+", "_", roof) + ".yaml")
+        return self.scratch / (re.sub(r"\W+", "_", roof) + ".yaml")
 
     def _write_site(self, roof: str) -> Site:
         file = shared_directory() / "config" / ROOFS[roof].file
@@ -111,12 +113,14 @@ class Inputs:
         site = self._sites["measured"]
         services = {
             short: replace(
-                read_archive(self._archives / f"{name}_previous_runs.csv", site),
+                read_archive(self.archives / f"{name}_previous_runs.csv", site),
                 delay=SERVICE_DELAY_H,
             )
             for short, name in SERVICES.items()
         }
-        services["GFS"] = _shortened(services["GFS"], 96)
+        services |= {
+            source: _shortened(services[source], hours) for source, hours in HOURS_OF.items()
+        }
         gem = services["GEM"]
         return {
             "three": together(list(services.values())),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from real_seasons.ideal import ideal_forecast
 from real_seasons.inputs import Inputs, Period
 
 from greenroof_ros.controllers.registry import find_controller
@@ -28,6 +29,7 @@ Array = NDArray[np.float64]
 # A twentieth of the flow pumps in a tick of a minute what on/off pumps in three seconds.
 ONOFF = {"fraction": 0.05}
 ISSUED, DRESSED, CROSSED = "as issued", "dressed", "dressed by the other half"
+IDEAL = "used ideally"
 PERFECT, ONOFF_NAME, NO_RAIN = "perfect", "on/off", "no rain"
 SOURCES = ("three", "placebo", "GEM", "KNMI", "GFS")
 
@@ -44,6 +46,8 @@ class Case:
     """whether trust is learned; otherwise the forecast is trusted in full"""
     hour: bool = True
     """whether the gauge's rain in this minute counts as the whole hour's"""
+    draw: int = 0
+    """of the ensemble that stands for an ideal use"""
 
     @property
     def name(self) -> str:
@@ -52,6 +56,7 @@ class Case:
         words += [] if self.form == ISSUED else [self.form]
         words += ["trusted in full"] if not self.trusts and self.source in SOURCES else []
         words += [] if self.hour else ["the hour as forecast"]
+        words += [f"draw {self.draw}"] if self.draw else []
         return ", ".join(words)
 
     def file(self, directory: Path) -> Path:
@@ -119,7 +124,8 @@ def build(case: Case, inputs: Inputs) -> Run:
     run = build_run(
         site_file, site, weather, case.period.start.isoformat(),
         count_ticks(site, case.period.hours, "hours"), controller, parameters, "low-low",
-        initial_state(site, "low-low"), ForecastChoice(),
+        initial_state(site, "low-low"),
+        ideal_forecast(inputs, case.source, case.draw) if case.form == IDEAL else ForecastChoice(),
     )
     archive = _archive(case, inputs)
     if archive is None:
@@ -132,8 +138,8 @@ def build(case: Case, inputs: Inputs) -> Run:
 
 
 def _archive(case: Case, inputs: Inputs) -> Archive | None:
-    """Return the forecasts of a case; None for perfect ones."""
-    if case.source in (ONOFF_NAME, PERFECT):
+    """Return the archive of a case; None if it has none."""
+    if case.source in (ONOFF_NAME, PERFECT) or case.form == IDEAL:
         return None
     if case.form == DRESSED:
         return inputs.dressed(case.roof, case.source)

@@ -13,6 +13,7 @@ from real_seasons.inputs import BLOCK_WEEKS, Inputs, Period
 from real_seasons.runs import (
     CROSSED,
     DRESSED,
+    IDEAL,
     ISSUED,
     NO_RAIN,
     ONOFF_NAME,
@@ -77,9 +78,14 @@ def ratio(own: Array, other: Array) -> str:
 
 
 def gained(own: Array, dry: Array, perfect: Array) -> str:
-    """Return a forecast's gain over no rain, as a share of the gain with perfect forecasts."""
-    share = 100 * (dry.sum() - own.sum()) / (dry.sum() - perfect.sum())
-    return "" if np.isnan(share) else f"{share:.0f} %"
+    """Return the share of what perfect forecasts gain over no rain that a forecast gains."""
+    gain, most = dry - own, dry - perfect
+    if np.isnan(gain.sum() + most.sum()):
+        return ""
+    drawn = drawn_weeks(len(own))
+    shares = gain[drawn].sum(axis=1) / most[drawn].sum(axis=1)
+    low, high = 100 * np.percentile(shares, [2.5, 97.5])
+    return f"{100 * gain.sum() / most.sum():.0f} % ({low:.0f} to {high:.0f})"
 
 
 def _head(cells: Sequence[str]) -> Iterator[str]:
@@ -168,6 +174,24 @@ def resolution(inputs: Inputs, roof: str, period: Period) -> Iterator[str]:
             yield f"| {' | '.join(cells)} |"
 
 
+def of_ideal(results: Results) -> Iterator[str]:
+    """Yield the table of what the best use of each service gains, beside what it gains."""
+    weeks = _weeks(results)
+    dry, perfect = (_named(weeks, source) for source in (NO_RAIN, PERFECT))
+    ideal = [case for case in weeks if case.form == IDEAL]
+    if ideal:
+        draws = dict.fromkeys(case.draw for case in ideal)
+        yield from _head([
+            "forecast", ISSUED, DRESSED, *(f"{IDEAL}, draw {draw}" for draw in draws)
+        ])
+    for source in dict.fromkeys(case.source for case in ideal):
+        shown = [
+            case for form in (ISSUED, DRESSED, IDEAL) for case in weeks
+            if (case.source, case.form, case.trusts, case.hour) == (source, form, True, True)
+        ]
+        yield f"| {source} | {' | '.join(gained(weeks[case], dry, perfect) for case in shown)} |"
+
+
 def present_hour(results: Results) -> Iterator[str]:
     """Yield the cost of not knowing the present hour to its end."""
     weeks = _weeks(results)
@@ -184,6 +208,8 @@ def of_owner(results: Results) -> Iterator[str]:
     """Yield the table of what an owner sees, with intervals from blocks of weeks."""
     yield from _head(["forecast", *OWNERS, *STORMS.values()])
     for case, result in results.items():
+        if case.form == IDEAL:
+            continue
         sums = _weekly_sums(result)
         cells = []
         for form, above, below in OWNERS.values():

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
+import polars as pl
+from sizing.__main__ import interval
 
 from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.results_table import differing, row_parameters
@@ -122,14 +124,15 @@ def _by_year(rows: Rows) -> Deviations:
 
 
 def sizes(study: Path) -> Rows:
-    """Return the mains water saved in a season (m3) for each size, mean over the years."""
+    """Return the mains water saved in a season (m3) for each size: the mean, and its interval."""
     saved: dict[tuple[str, float, float], list[float]] = defaultdict(list)
     for row in read(study / "results.csv"):
         site = read_site(study / "configuration" / row["site"])
         size = row["initial"], site.a2, site.a1 * site.z_o
         saved[size].append(float(row["saved_m3"]))
+    names = ("saved_m3", "low", "high")
     return [
         {"initial": initial, "green_roof_m2": str(roof), "cistern_m3": str(cistern),
-         "saved_m3": str(np.mean(values))}
+         **dict(zip(names, map(str, interval(pl.Series(values))), strict=True))}
         for (initial, roof, cistern), values in saved.items()
     ]

@@ -31,11 +31,16 @@ METRICS = {
 }
 
 
-def mean(values: pl.Series, form: str) -> str:
-    """Return a mean over years, with its 95 % interval."""
+def interval(values: pl.Series) -> tuple[float, float, float]:
+    """Return a mean over years, and the ends of its 95 % interval."""
     middle, count = values.mean(), values.count()
     wide = stdtrit(count - 1, 0.975) * values.std() / count**0.5
-    return f"{middle:{form}} ({middle - wide:{form}} to {middle + wide:{form}})"
+    return middle, middle - wide, middle + wide
+
+
+def mean(values: pl.Series, form: str) -> str:
+    """Return it as a cell."""
+    return "{} ({} to {})".format(*(f"{value:{form}}" for value in interval(values)))
 
 
 def main() -> None:

@@ -383,7 +383,7 @@ byId("pause").addEventListener("click", () => {
 });
 for (const button of document.querySelectorAll("[data-hours]")) {
   button.addEventListener("click", () => {
-    for (const button of document.querySelectorAll("[data-hours]")) button.setAttribute("aria-pressed", String(button === button));
+    for (const other of document.querySelectorAll("[data-hours]")) other.setAttribute("aria-pressed", String(other === button));
     charts.setHours(Number(button.dataset.hours));
     stream.close();
     stream.open();
