@@ -260,7 +260,7 @@ def main() -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "role", nargs="?", choices=("caller", "answerer"), help="what it starts itself: an echo"
+        "role", nargs="?", choices=("caller", "answerer"), help="internal: one end of the echo"
     )
     role = parser.parse_args().role
     if role:

@@ -23,14 +23,14 @@ _NET_DRYING = 0.3
 _PAYS, _PAYS_MEASURED = 120.0, 48.0
 HORIZON = Parameter(
     "horizon", _PAYS, "h", 0.1, LONGEST_HORIZON,
-    f"how far it looks ahead; on a roof with a measured soil {_PAYS_MEASURED:g} unless given; the "
-    "weather node needs the same", measured=_PAYS_MEASURED,
+    f"how far it looks ahead; the default is {_PAYS_MEASURED:g} on a roof with a measured soil; "
+    "the weather node needs the same value", measured=_PAYS_MEASURED,
 )
 # By default as many days as the longest forecast has.
 DAYS_AFTER = Parameter(
     "days_after", 10, "days", 0, 10,
-    "days after the forecast that count, too, in which the roof dries slowly; 0 for a roof whose "
-    "time ends with the forecast",
+    "days after the forecast that also count, with a slowly drying roof; 0 if the run ends with "
+    "the forecast",
 )
 
 Array = NDArray[np.float64]
@@ -87,9 +87,9 @@ class AfterForecast:
         if (rains.shape[1], *evaporated.shape) != (self.steps, self.steps) or len(rains) > most:
             raise ConfigurationError(
                 f"the forecasts of rain have {len(rains)} members of {rains.shape[1]} entries, "
-                f"evapotranspiration has {len(evaporated)}; there are {self.steps} steps to "
-                f"the horizon, and members at most {most}; give weather and controller the same "
-                "horizon, and only lookahead all members"
+                f"evapotranspiration has {len(evaporated)}; the horizon has {self.steps} "
+                f"steps, and at most {most} members are allowed; give weather and controller the "
+                "same horizon; only lookahead takes all members"
             )
         return rains, evaporated
 

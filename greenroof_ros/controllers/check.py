@@ -115,10 +115,10 @@ def _checked_command(controller: Controller, *inputs: Any) -> float:
 def _parameters(trial: _Trial) -> None:
     names = [parameter.name for parameter in trial.choice.kind.parameters]
     if len(set(names)) < len(names):
-        raise _ProblemError(f"two parameters have one name: {', '.join(names)}")
+        raise _ProblemError(f"two parameters have the same name: {', '.join(names)}")
     for parameter in trial.choice.kind.parameters:
         if not parameter.name.isidentifier() or parameter.name != parameter.name.lower():
-            raise _ProblemError(f"{parameter.name!r} is no name of a parameter: lower case and _")
+            raise _ProblemError(f"{parameter.name!r} is not a valid name: use a-z, 0-9 and _")
         if not (parameter.unit and parameter.meaning):
             raise _ProblemError(f"{parameter.name} has no unit ('1' if none) or no meaning")
         if not parameter.accepts(parameter.default):
@@ -141,7 +141,7 @@ def _whole_range(trial: _Trial) -> None:
 def _deterministic(trial: _Trial) -> None:
     for first, second in zip(trial.ask(trial.make()), trial.ask(trial.make()), strict=True):
         if first != second:
-            raise _ProblemError(f"two controllers command {first!r} and {second!r} on equal inputs")
+            raise _ProblemError(f"two instances command {first!r} and {second!r} for equal inputs")
 
 
 def _inputs_kept(trial: _Trial) -> None:
@@ -176,7 +176,7 @@ def _wrong_forecasts(trial: _Trial) -> None:
         except ConfigurationError:
             if choice.needs_forecast or rain is not empty:
                 continue
-            raise _ProblemError("with needs_forecast = False it must command without one") from None
+            raise _ProblemError("it needs a forecast, but needs_forecast is False") from None
     if choice.ensemble:
         controller = trial.make()
         for members in (1, 3):
@@ -228,18 +228,18 @@ def _statistics(trial: _Trial) -> None:
 # Each check by what it shows, in the order in which a user should repair failures. A check that
 # fails raises a _ProblemError, or whatever the controller raises.
 _CHECKS: dict[str, Callable[[_Trial], object]] = {
-    "its parameters have distinct names, units, meanings, and defaults within their ranges":
+    "its parameters have distinct names; each has a unit, a meaning, and a default in its range":
         _parameters,
-    "it is made with the site and a value for each parameter": _Trial.make,
-    "its commands are finite and not negative, at all levels and forecasts":
+    "it can be made with the site and a value for each parameter": _Trial.make,
+    "its commands are finite and not negative, at all levels and for all forecasts":
         lambda trial: trial.ask(trial.make()),
-    "so they are with each parameter at either end of its range": _whole_range,
-    "two of it give the same commands to the same inputs": _deterministic,
-    "it leaves the forecasts that it gets as they are": _inputs_kept,
-    "a tick may be skipped, at first and later, and commands are as before after it": _skip,
+    "its commands are also valid with each parameter at either end of its range": _whole_range,
+    "two instances give the same commands for the same inputs": _deterministic,
+    "it does not change the forecasts that it gets": _inputs_kept,
+    "ticks can be skipped, at the start and later, and its commands stay valid": _skip,
     "a missing or wrong forecast gives a valid command or a ConfigurationError, nothing else":
         _wrong_forecasts,
-    "a parameter that may change is an attribute, and it may": _may_change,
+    "each parameter that can change during a run is an attribute that can be set": _may_change,
     "each of its outputs is a topic of the interface and has its value after a command": _outputs,
     "its statistics are None, or the figures of its solver": _statistics,
 }

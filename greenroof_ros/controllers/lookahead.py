@@ -98,15 +98,15 @@ class Lookahead:
         DAYS_AFTER,
         Parameter(
             "max_command", 1.0, "1", _LEAST_COMMAND, math.inf,
-            "largest command; 1 is the most of a real pump",
+            "largest command; 1 is the most that a real pump can do",
         ),
         Parameter(
-            "recourse", 48.0, "h", 1.0, LONGEST_HORIZON, "until then one level serves all members; "
-            "each time it has passed, newer forecasts tell which half of them was wrong",
+            "recourse", 48.0, "h", 1.0, LONGEST_HORIZON, "time for which one level serves all "
+            "members; after each, newer forecasts are assumed to show which half of them was wrong",
         ),
         Parameter(
-            "cvar_level", 0.0, "1", 0.0, 0.99, "share of the members, those with the least "
-            "deviation, that do not count: 0 for the mean of all, 0.8 for the worst fifth",
+            "cvar_level", 0.0, "1", 0.0, 0.99, "share of the members to leave out, those with "
+            "the least deviation: 0 for the mean of all, 0.8 for the worst fifth",
         ),
         OBSERVER_TIME_CONSTANT,
         TRUST_MEMORY,

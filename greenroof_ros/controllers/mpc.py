@@ -69,7 +69,7 @@ class Mpc:
         ),
         Parameter(
             "max_command", math.inf, "1", 1e-9, math.inf,
-            "largest command; unlimited as in the paper; a real pump has 1",
+            "largest command; unlimited as in the paper; at most 1 for a real pump",
         ),
     )
     outputs: ClassVar[Mapping[str, str]] = {
@@ -137,7 +137,7 @@ class Mpc:
             raise ConfigurationError(
                 f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
                 f"but the controller looks M = {site.M} ticks ahead; give weather and controller "
-                "the same site file, and only lookahead all members"
+                "the same site file; only lookahead takes all members"
             )
         # Step 6: the operating point. The first disturbance average is the paper's zero; f is
         # affine in w, so the average cancels in the prediction and only sets where b is evaluated.

@@ -248,7 +248,7 @@ def find_controller(reference: str) -> ControllerChoice:
     name = _node_name(reference.partition(":")[2])
     if name in BUILT_IN or name in _OTHER_NODES:
         raise ConfigurationError(
-            f"its node would be named {name}, as another node is; rename the class",
+            f"its node would have the name of another node, {name}; rename the class",
             key="controller", value=reference,
         )
     return ControllerChoice(name, reference, reference)

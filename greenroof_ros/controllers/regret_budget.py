@@ -17,12 +17,12 @@ _GONE_S = 604_800.0
 
 WAITING_BUDGET = Parameter(
     "waiting_budget", 72.0, "h", 0.0, 1e6,
-    "what waiting for rain may cost beside plain on/off, as the time with an empty roof that costs "
-    "as much; beyond it and waiting_share forecasts of rain do not count",
+    "what waiting for rain may cost compared with plain on/off, as hours of an empty roof; if it "
+    "costs more than this plus waiting_share, forecasts of rain are ignored",
 )
 WAITING_SHARE = Parameter(
     "waiting_share", 0.05, "1", 0.0, 1.0,
-    "what it may cost besides, as a share of what plain on/off would have cost so far",
+    "what waiting may cost in addition, as a share of the cost of plain on/off so far",
 )
 
 
@@ -131,8 +131,8 @@ class RegretBudget:
                 self._warned = True
                 _log.warning(
                     "waiting for rain has cost %.0f m3 s more than plain on/off: its budget is "
-                    "used up, and forecasts of rain count only as it grows; further times are not "
-                    "reported", self.loss,
+                    "used up; forecasts of rain are ignored until it has grown enough (reported "
+                    "once)", self.loss,
                 )
         # A controller that follows on/off is a tick behind it until both have filled the roof.
         elif behind <= site.tau * flow / 2:

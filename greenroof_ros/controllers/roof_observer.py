@@ -20,7 +20,7 @@ _GAP_S = 15.0
 
 OBSERVER_TIME_CONSTANT = Parameter(
     "observer_time_constant", 300.0, "s", 0.0, 3600.0,
-    "time over which readings of the roof's level are averaged; 0 takes each as it is",
+    "averaging time of the roof's level readings; 0: no averaging",
 )
 
 

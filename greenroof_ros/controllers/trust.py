@@ -25,7 +25,7 @@ _LESS = 0.2
 
 TRUST_MEMORY = Parameter(
     "trust_memory", 30.0, "days", 0.0, 3650.0,
-    "how long it remembers what trust in the forecast gained or lost; 0: it always trusts it",
+    "how long it remembers the gains and losses of trusting the forecast; 0: always trust it",
 )
 
 SHARES: Array = np.arange(4) / 3

@@ -149,7 +149,7 @@ def read_incidents(directory: Path) -> list[Incident]:
         try:
             incident = Incident(**json.loads(line))
         except (ValueError, TypeError) as error:
-            raise ValueError(f"{path}, line {index}: is no incident ({error})") from error
+            raise ValueError(f"{path}, line {index}: is not an incident ({error})") from error
         incidents[incident.number] = incident
     return sorted(incidents.values(), key=lambda incident: incident.number)
 

@@ -64,11 +64,11 @@ def add_run_arguments(
     group = parser.add_argument_group("forecasts")
     group.add_argument(
         "--forecast", default=ForecastChoice().model, metavar=f"{{{','.join(MODELS)},FILE}}",
-        help="what the controller knows of the weather ahead. perfect: all of it; persistence: "
-        "it stays as it is; errors: a forecast as good as real forecasts; ensemble: several of "
-        "them; a file, or a directory of files: archived forecasts, in this project's CSV, CSV "
-        "or JSON of Open-Meteo, or NetCDF of CaSPAr. All but perfect are issued every 6 hours, "
-        "a file's when it says (default: %(default)s)",
+        help="what the controller knows about the coming weather. perfect: all of it; "
+        "persistence: it stays unchanged; errors: a forecast as good as real ones; ensemble: "
+        "several of these; a file, or a directory of files: archived forecasts, in this project's "
+        "CSV, CSV or JSON of Open-Meteo, or NetCDF of CaSPAr. All but perfect are issued every 6 "
+        "hours, those of a file at its own times (default: %(default)s)",
     )
     add_forecast_options(group)
     _add_parameters(
@@ -101,11 +101,11 @@ def add_controller_arguments(
     name.add_argument("--controller", nargs="?", default=DEFAULT)
     controller = find_controller(name.parse_known_args(arguments)[0].controller or DEFAULT)
     of_controller = parser.add_argument_group(
-        f"parameters of {controller.name}", "With another --controller, --help shows the other's."
+        f"parameters of {controller.name}", "With another --controller, --help shows that one's."
     )
     of_controller.add_argument(
         "--parameters", type=Path, metavar="FILE",
-        help="ROS 2 parameter file of the controller (default: config/ and its name, .yaml)",
+        help="ROS 2 parameter file of the controller (default: config/NAME.yaml)",
     )
     _add_parameters(of_controller, controller.kind.parameters, _PARAMETER)
 
@@ -134,7 +134,7 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--start", default=None, metavar="ISO",
         help="time of the first tick, such as 2021-07-07T02:00-05:00; without an offset from "
-        f"UTC it has the weather file's (default: {DEFAULT_START}, the paper's window)",
+        f"UTC, the weather file's is used (default: {DEFAULT_START}, the paper's window)",
     )
     group.add_argument(
         "--hours", type=within(1e-9, 1e9), metavar="H",
@@ -142,8 +142,8 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--weather", nargs="+", metavar="FILE",
-        help="weather files, joined in the order of time, or a pattern in quotes such as "
-        "'weather/2021_*.csv': CSV of this project's form, hourly bulk files of Environment and "
+        help="weather files, joined in order of time, or a pattern in quotes such as "
+        "'weather/2021_*.csv': CSV in this project's format, hourly bulk files of Environment and "
         "Climate Change Canada, or hourly CSV of Open-Meteo's archive, whose rain and radiation "
         "are moved from the end of their hour to its start "
         "(default: config/weather/toronto_2021-07.csv)",
@@ -152,8 +152,8 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
         "--gaps", choices=GAPS, default=REFUSE,
         help="what to do if an hour of the run is missing in the weather files and the gap is "
         "not short. refuse: name the hours; fill: count missing rain as none, and replace other "
-        "values by the mean at that time of day over three days before and after (default: "
-        "%(default)s)",
+        "values by the mean at that time of day over the three days before and after "
+        "(default: %(default)s)",
     )
     group.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -183,17 +183,17 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
     """Add the options that only some forecasts have."""
     group.add_argument(
         "--forecast-skill", type=_skill, metavar=f"{{{','.join(SKILLS)},FILE.yaml}}",
-        help="errors, ensemble: how good they are. real: as weather services' forecasts; "
-        "better: as real forecasts of half the lead time; worse: of twice the lead time; a "
-        f"file: as it says (default: {ForecastChoice().skill})",
+        help="errors, ensemble: how good the forecasts are. real: like those of weather services; "
+        "better: like real ones at half the lead time; worse: at twice the lead time; a "
+        f"file: as it states (default: {ForecastChoice().skill})",
     )
     _add_parameters(group, (NUMBERS["seed"], NUMBERS["members"]))
     delay = NUMBERS["delay"]
     group.add_argument(
         "--forecast-delay", type=within(delay.low, delay.high), metavar="H",
-        help="errors, ensemble, a file: hours after its nominal time from which an issue is known "
-        f"(default: of errors and ensemble {SERVICE_DELAY_H:g}, of a file what is usual of its "
-        "kind; 0 in this project's form, which says when it was known)",
+        help="errors, ensemble, a file: hours from an issue's nominal time until it is available "
+        f"(default: {SERVICE_DELAY_H:g} for errors and ensemble; for a file, the usual delay of "
+        "its kind, 0 for this project's format, which states when it was available)",
     )
     group.add_argument(
         "--dressed", type=Path, metavar="FILE",
@@ -294,7 +294,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     if arguments.cistern is not None:
         if arguments.initial is not None:
             raise ConfigurationError(
-                "says the initial state twice with --cistern and --roof", key="--initial"
+                "cannot be combined with --cistern and --roof", key="--initial"
             )
         initial, volumes = "custom", (arguments.cistern, arguments.roof)
     elif arguments.initial is not None:

@@ -129,7 +129,7 @@ def build_run(
         topic = topics[name]
         if largest > topic.high:
             raise ConfigurationError(
-                f"the run has {largest:g} {topic.unit} on {name}, where at most {topic.high:g} is "
+                f"the run has {largest:g} {topic.unit} on {name}, but at most {topic.high:g} is "
                 "accepted (msg_defs/topics.yaml); is a unit wrong?"
             )
     forecast = make_forecast(weather, series, site, first, horizon, choice, controller.ensemble)

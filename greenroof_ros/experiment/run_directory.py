@@ -32,7 +32,7 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
         directory.mkdir(parents=True, exist_ok=True)
         if any(directory.iterdir()):
             raise ConfigurationError(
-                "exists and is not empty; a run is never written over",
+                "exists and is not empty; a run is never overwritten",
                 key="--output", value=str(directory),
             )
         (directory / "configuration").mkdir()

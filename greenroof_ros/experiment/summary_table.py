@@ -94,19 +94,19 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     for quantity, hours in summary["filled"].items():
         yield "FILLED", quantity, ", ".join(hours)
     for rain in summary["suspicious"]:
-        yield "SUSPICIOUS", "rain", f"{rain}; taken as it is"
+        yield "SUSPICIOUS", "rain", f"{rain}; used unchanged"
     forecast = dict(summary["forecast"])
     model = forecast.pop("model")
     if model != PERFECT:
         yield "forecast", model, _listed(forecast)
     repeats_from = summary["forecast_repeats_last_record_from"]
     if repeats_from:
-        yield "forecast", "ends", f"at {repeats_from}; what follows is assumed"
+        yield "forecast", "ends", f"at {repeats_from}; later values are assumed"
     if not SensorPumpErrors(**summary["sensor_pump_errors"]).none:
         yield "sensor and pump", "", _listed(summary["sensor_pump_errors"])
     messages = summary["messages"]
     if messages:
-        yield "messages", str(sum(messages.values())), f"in the bag, of {len(messages)} topics"
+        yield "messages", str(sum(messages.values())), f"in the bag, on {len(messages)} topics"
     factor = f"{summary['times_real_time']:.0f} times real time"
     yield "wall time", f"{summary['wall_s']:.1f} s", factor
 

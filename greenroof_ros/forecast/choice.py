@@ -32,7 +32,7 @@ NUMBERS = {
     ),
     "delay": Parameter(
         "forecast_delay", -1.0, "h", 0.0, 48.0,
-        "errors, ensemble, a file: time after its nominal time from which an issue is known",
+        "errors, ensemble, a file: time from an issue's nominal time until it is available",
     ),
 }
 """the options that are numbers, by name; the delay has no default"""

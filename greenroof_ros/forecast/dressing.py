@@ -196,9 +196,9 @@ class Dressing:
             if not distance.size or np.isinf(distance[nearest]):
                 time = from_epoch_ns(issued * 3600 * 10**9)
                 raise ConfigurationError(
-                    f"has {len(chosen)} issues two days or more apart from each other and "
-                    f"{(self.hours + _BETWEEN) / 24:g} from {to_minutes(time)}, which is "
-                    f"not dressed by its own weather; {MEMBERS} are needed: take more months",
+                    f"has only {len(chosen)} issues that are two days or more apart and at least "
+                    f"{(self.hours + _BETWEEN) / 24:g} days from {to_minutes(time)} (an issue is "
+                    f"not dressed by its own weather); {MEMBERS} are needed: add more months",
                     file=self.source,
                 )
             chosen.append(nearest)
@@ -271,7 +271,7 @@ def learn(archive: Archive, weather: Weather, hours: int) -> Dressing:
             rows.append((hours_since_1970(issue.issued), block_sums(rain, edges), fell))
     if not rows:
         raise ConfigurationError(
-            f"has no issue after which {weather.source} has {hours} h; the record is of "
+            f"has no issue followed by {hours} h of {weather.source}; the record covers "
             f"{to_minutes(weather.first)} to {to_minutes(weather.end)}", file=archive.source,
         )
     issued, forecast, fell = map(np.array, zip(*rows, strict=True))
@@ -324,7 +324,7 @@ def dress_issue(issue: Issue, dressing: Dressing) -> Issue:
 def dressing_text(dressing: Dressing) -> str:
     """Return the text of a dressing's file, which :func:`read_dressing` reads."""
     lines = [
-        "# What was forecast, and what fell then, for --dressed of simulate, run and verify; of",
+        "# Forecasts and the rain observed after them, for --dressed of simulate, run and verify:",
         f"# {dressing.source}.", ",".join(_columns(dressing.edges, dressing.hours)),
     ]
     values = np.concatenate([dressing.forecast, dressing.fell], axis=1).tolist()
@@ -378,7 +378,7 @@ def _read_header(table: Table) -> tuple[tuple[int, ...], int]:
     )
     if len(edges) < 2 or sorted(set(edges)) != edges or hours < edges[-1]:
         raise table.refuse(
-            "must have blocks of a forecast, one after the other, and all hours of them"
+            "must have consecutive forecast blocks, and all their hours"
         )
     return tuple(edges), hours
 

@@ -60,8 +60,8 @@ class ForecastFile:
             issues = read_forecasts(self._path)
             if issues[0].evapotranspiration is None:
                 raise ConfigurationError(
-                    f"must have a column '{EVAPOTRANSPIRATION} [mm/day]': nothing else says it on "
-                    "a live site",
+                    f"must have a column '{EVAPOTRANSPIRATION} [mm/day]': a live site has no other "
+                    "source of it",
                     file=self._path,
                 )
         except OSError as error:
@@ -145,8 +145,8 @@ class LiveForecast:
         if now + timedelta(seconds=float(self._ends[-1])) > end:
             raise NoForecastError(
                 f"the newest forecast, issued at {to_people(issue.issued)}, ends at "
-                f"{to_people(end)}, before the {self._ends[-1] / _HOUR_S:.3g} h of the look-ahead; "
-                f"a horizon of at most {(end - now) // HOUR} h would do now"
+                f"{to_people(end)}, before the {self._ends[-1] / _HOUR_S:.3g} h look-ahead does; "
+                f"a horizon of at most {(end - now) // HOUR} h would work now"
             )
         present = (now - issue.issued) // HOUR
         known = Known(
@@ -168,7 +168,7 @@ class LiveForecast:
         number = bisect.bisect_right([issue.issued for issue in issues], now)
         if not number:
             raise NoForecastError(
-                f"the first forecast was issued at {to_people(issues[0].issued)}, which is ahead"
+                f"the time of the first forecast, {to_people(issues[0].issued)}, is in the future"
             )
         issue = issues[number - 1]
         if now - issue.issued > self._limit:

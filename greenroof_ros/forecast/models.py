@@ -205,7 +205,7 @@ class FileModel(ForecastModel):
         if number < 0:
             known = self._weather.first + self._known_from[0] * HOUR
             raise ConfigurationError(
-                f"holds forecasts that are known from {to_minutes(known)} on, but the run needs "
+                f"has forecasts that are available from {to_minutes(known)} on, but the run needs "
                 f"one at {to_minutes(self._weather.first + hour * HOUR)}",
                 file=self._archive.source,
             )

@@ -93,8 +93,8 @@ class ServiceRequest:
         for name in ("latitude", "longitude", "elevation", "utc_offset"):
             if getattr(site, name) is None:
                 raise ConfigurationError(
-                    f"must be in the site file: {OPEN_METEO} is asked for the place, and "
-                    "evapotranspiration computed there", key=name,
+                    f"must be in the site file: the request to {OPEN_METEO} and the "
+                    "evapotranspiration need it", key=name,
                 )
         given: dict[str, str | float] = {
             "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
@@ -137,7 +137,7 @@ class Service:
             self._tag, self._answer = tag, answer
             return issue
         except asyncio.TimeoutError as error:
-            raise ServiceError(f"{where}: gave no whole answer within {_WHOLE_S:g} s") from error
+            raise ServiceError(f"{where}: gave no complete answer within {_WHOLE_S:g} s") from error
         except (ClientError, OSError) as error:
             why = " ".join(str(error).split()) or type(error).__name__
             raise ServiceError(f"{where}: {why}") from error
@@ -185,7 +185,7 @@ def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
         ConfigurationError: the answer is not a forecast for that hour and site.
     """
     if not answer.lstrip().startswith(b"{"):
-        raise ConfigurationError(f"is no forecast in JSON: {_reason(answer)}")
+        raise ConfigurationError(f"is not a forecast in JSON: {_reason(answer)}")
     with tempfile.TemporaryDirectory() as directory:
         file = Path(directory) / "answer.json"
         file.write_bytes(answer)
@@ -199,8 +199,8 @@ def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
         hours = int(missing.argmax())
     if not hours:
         raise ConfigurationError(
-            f"has no evapotranspiration or temperature at {to_people(hour)}; of an ensemble these "
-            "are of its control run"
+            f"has no evapotranspiration or temperature at {to_people(hour)}; in an ensemble they "
+            "come from the control run"
         )
     return replace(
         issue, rain=issue.rain[:, :hours], evapotranspiration=evapotranspiration[:hours],
@@ -223,8 +223,8 @@ def _check_clock(date: str, now: datetime) -> None:
     apart = abs((theirs - now).total_seconds())
     if apart > _CLOCKS_S:
         raise ServiceError(
-            f"it is {to_people(theirs)} at the service and {to_people(now)} here: see whether this "
-            "machine's clock is right"
+            f"it is {to_people(theirs)} at the service and {to_people(now)} here: check the clock "
+            "of this machine"
         )
 
 

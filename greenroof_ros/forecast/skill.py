@@ -58,8 +58,8 @@ class Climate:
 
     wet_share: float = entry("share of the hours with rain (1)", 1e-4, 0.9)
     scale: float = entry("k, scale of an hour's rain (mm)", 1e-3, 100.0)
-    growth: float = entry("b, how much faster than z rain grows (1)", 0.1, 5.0)
-    memory: float = entry("T, hours after which z is correlated by 1/e", 0.5, 24.0)
+    growth: float = entry("b, exponent of the rain's growth with z (1)", 0.1, 5.0)
+    memory: float = entry("T, lag at which the autocorrelation of z is 1/e (h)", 0.5, 24.0)
 
     @property
     def threshold(self) -> float:
@@ -98,19 +98,19 @@ class Errors:
     as a standard deviation: 0 at the lead 0, and 1 if nothing is known.
     """
 
-    reach: float = entry("L, lead at which a weather's coherence is down by 1/e (h)", 1.0, 1e6)
-    fading: float = entry("p, how suddenly that comes (1)", 0.1, 10.0)
+    reach: float = entry("L, lead at which the coherence has fallen to 1/e (h)", 1.0, 1e6)
+    fading: float = entry("p, steepness of this decay (1)", 0.1, 10.0)
     timing: float = entry("sigma_1, error of timing one day ahead (h)", 0.0, 24.0)
     timing_growth: float = entry("q, exponent of its growth with the lead (1)", 0.0, 2.0)
-    wetness: float = entry("by how much too often it rains, where nothing is known (1)", -2.0, 2.0)
+    wetness: float = entry("shift of z toward rain if nothing is known (1)", -2.0, 2.0)
     amount: float = entry(
-        "by which what falls is multiplied, where nothing is known (1)", 0.0, 10.0
+        "factor applied to the rain if nothing is known (1)", 0.0, 10.0
     )
     persistence: float = entry(
-        "hours after which an issue's errors are correlated by 1/e", 1.0, 240.0
+        "time between issues at which their errors are correlated by 1/e (h)", 1.0, 240.0
     )
     evapotranspiration: float = entry(
-        "relative error of evapotranspiration, where nothing is known (1)", 0.0, 2.0
+        "relative error of evapotranspiration if nothing is known (1)", 0.0, 2.0
     )
 
 
@@ -124,7 +124,7 @@ class Skill:
     """
 
     climate: Climate = entry("the rain of the place")
-    errors: Errors = entry("what forecasts of it have wrong")
+    errors: Errors = entry("the errors of its forecasts")
 
     def times_lead(self, factor: float) -> Skill:
         """Return a skill whose errors at each lead are this one's at ``factor`` times that lead.

@@ -86,7 +86,7 @@ def _read(file: Path, latitude: float, longitude: float) -> tuple[Issue, int, st
         issued = datetime.strptime(f"{match and match[1]} +0000", "%Y%m%d%H %z")
     except ValueError:
         raise ConfigurationError(
-            "must be named as CaSPAr does, YYYYMMDDHH.nc or YYYYMMDDHH_EEE.nc", file=file
+            "must be named as in CaSPAr, YYYYMMDDHH.nc or YYYYMMDDHH_EEE.nc", file=file
         ) from None
     assert match is not None
     try:
@@ -99,7 +99,7 @@ def _read(file: Path, latitude: float, longitude: float) -> tuple[Issue, int, st
         raise ConfigurationError(error.wrong, file=file) from None
     # Errors of the library or numpy for absent or non-numeric data; a damaged file can be opened.
     except (OSError, RuntimeError, LookupError, TypeError, ValueError) as error:
-        raise ConfigurationError(f"is not NetCDF that can be read: {error}", file=file) from error
+        raise ConfigurationError(f"is not readable NetCDF: {error}", file=file) from error
     return Issue(issued, file, None, rain[None, :]), int(match[2] or 0), product
 
 
@@ -108,11 +108,11 @@ def _variable(dataset: Dataset) -> tuple[Variable[Any], str]:
     matches = [match for name in dataset.variables if (match := _VARIABLE.fullmatch(name))]
     if len(matches) != 1:
         raise ConfigurationError(
-            f"must have one variable of precipitation, such as HRDPS_P_PR_SFC, of "
+            f"must have one variable of precipitation, such as HRDPS_P_PR_SFC, of one of "
             f"{', '.join(_DELAYS_H)}; it has {', '.join(dataset.variables)}"
         )
     variable = dataset[matches[0][0]]
-    _check_units(variable, "m", "of the sum since the issue")
+    _check_units(variable, "m", "for the sum since the issue")
     return variable, matches[0][1]
 
 
@@ -126,12 +126,12 @@ def _check_units(variable: Variable[Any], due: str, why: str) -> None:
 
 def _leads(time: Variable[Any], issued: datetime) -> NDArray[np.int64]:
     """Return 0 and the leads of a file's times (h)."""
-    _check_units(time, f"hours since {issued:%Y-%m-%d %H:%M:%S}", "by the file's name")
+    _check_units(time, f"hours since {issued:%Y-%m-%d %H:%M:%S}", "as in the file's name")
     times = _numbers(time[:])
     leads = np.concatenate(([0.0], times[1:] if times[0] == 0 else times))
     if len(leads) == 1 or not np.isin(np.diff(leads), np.arange(1, _LONGEST_STEP + 1)).all():
         raise ConfigurationError(
-            f"must have further hours, 1 to {_LONGEST_STEP} from each to the next, not "
+            f"must have more hours, each 1 to {_LONGEST_STEP} after the one before, not "
             f"{', '.join(f'{lead:g}' for lead in leads)}", key="time",
         )
     return leads.astype(np.int64)
@@ -153,9 +153,9 @@ def _nearest(
     due = ("time", *(north if north == east else (*north, *east)))
     if len(due) != 3 or variable.dimensions != due or dataset["time"].dimensions != ("time",):
         raise ConfigurationError(
-            f"must have the dimensions time and two of the places, as latitude ({', '.join(north)})"
-            f" and longitude ({', '.join(east)}) have them, not ({', '.join(variable.dimensions)}) "
-            f"with the times of ({', '.join(dataset['time'].dimensions)})", value=variable.name,
+            f"must have the dimensions time and the two of latitude ({', '.join(north)})"
+            f" and longitude ({', '.join(east)}), not ({', '.join(variable.dimensions)}) "
+            f"with times of ({', '.join(dataset['time'].dimensions)})", value=variable.name,
         )
     latitudes, longitudes = (_numbers(coordinate[:]) for coordinate in coordinates)
     if latitudes.ndim == 1:  # an axis; broadcast with the other it gives the grid
@@ -203,7 +203,7 @@ def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDA
     wrong = np.flatnonzero(~((rain * steps >= -_ROUNDING_MM) & (rain <= high)))
     if wrong.size:
         raise ConfigurationError(
-            f"must be the sum since the issue, from which follow {low:g} to {high:g} mm/h, not "
-            f"{rain[wrong[0]]:.4g} before {leads[wrong[0] + 1]} h after it", key=name
+            f"must be the sum since the issue; it gives {rain[wrong[0]]:.4g} mm/h before hour "
+            f"{leads[wrong[0] + 1]}, outside {low:g} to {high:g}", key=name
         )
     return np.repeat(np.maximum(rain, 0.0), steps)

@@ -53,7 +53,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     """
     if site.utc_offset is None:
         raise ConfigurationError(
-            f"is in local standard time ({_TIME}); the site file must say its offset from UTC, "
+            f"is in local standard time ({_TIME}); the site file must give its offset from UTC, "
             "as in 'utc_offset: -5.0'",
             file=file, line=1,
         )

@@ -153,7 +153,7 @@ def _read(
         unit = known.get(text.strip("()") or next(iter(known)))
         table.require([cell], _WHOSE)
         if unit is None or name in units:
-            raise table.refuse(f"must be in {' or '.join(known)}, and one column", cell)
+            raise table.refuse(f"must be in {' or '.join(known)}, and only one column", cell)
         units[name] = (cell, quantity, unit)
     first = table.first_hour(table.header[0], parse, "2024-06-01T12:00")
     return table, Records((file,), first, {
@@ -177,7 +177,7 @@ def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
             )
         place, table = table_of(file, lines[:2]), table_of(file, lines[2:])
     if "location_id" in place.header:
-        raise place.refuse("must be of one place; download each by itself", "location_id", 0)
+        raise place.refuse("must be for one place; download places separately", "location_id", 0)
     zone = _check_place(place, site)
     if table.header[0] != "time":
         table.require(["time"], _WHOSE)
@@ -198,16 +198,16 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
     except json.JSONDecodeError as error:
         raise refuse(f"is not valid JSON: {error}", line=error.lineno) from error
     except RecursionError as error:
-        raise refuse("is JSON nested too deep to be an answer") from error
+        raise refuse("is JSON nested too deeply to be an answer") from error
     if not isinstance(content, dict):
-        raise refuse("must be of one place; download each by itself")
+        raise refuse("must be for one place; download places separately")
     if content.get("error"):
         why = content.get("reason", "")
-        raise refuse(f"is no forecast but the service's refusal: {why}")
+        raise refuse(f"is not a forecast but the service's refusal: {why}")
     units, hourly = (content.get(key, {}) for key in ("hourly_units", "hourly"))
     for key, value in (("hourly_units", units), ("hourly", hourly)):
         if not isinstance(value, dict):
-            raise refuse("must be a mapping, as in answers for hours", key=key)
+            raise refuse("must be a mapping, as in hourly answers", key=key)
     hourly = {"time": [], **hourly}
     for name, series in hourly.items():
         if not isinstance(series, list) or len(series) != len(hourly["time"]) or not series:
@@ -304,7 +304,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
         return Archive(files[0], "Open-Meteo, runs", runs, SERVICE_DELAY_H, runs)
     if not all(previous):
         raise ConfigurationError(
-            f"must be of previous runs, as {files[previous.index(True)].name} is",
+            f"must contain previous runs, as {files[previous.index(True)].name} does",
             file=files[previous.index(False)],
         )
     whole = join([
@@ -335,7 +335,7 @@ def _rain(name: str) -> str | None:
     if not (_PREVIOUS.fullmatch(name) or _MEMBER.fullmatch(name)):
         raise ValueError(
             "must be precipitation, precipitation_previous_day1 to 7 or precipitation_member01, "
-            "02 and so on; download each model by itself"
+            "02 and so on; download each model separately"
         )
     return PRECIPITATION
 
@@ -373,8 +373,8 @@ def _run(hours: Records, run: datetime) -> Issue:
     issue = ensemble((number - control, member) for number, member in numbered.items())
     if issue.hours > _LONGEST_RUN:
         raise refuse(
-            f"has {issue.hours} hours, and a run at most {_LONGEST_RUN}: of a longer past there "
-            "are previous runs, precipitation_previous_day1 and so on"
+            f"has {issue.hours} hours; a run has at most {_LONGEST_RUN}. For a longer past "
+            "use previous runs, precipitation_previous_day1 and so on"
         )
     known = np.flatnonzero(~np.isnan(issue.rain).all(axis=0))
     if not known.size:
@@ -396,8 +396,8 @@ def _named_run(file: Path) -> datetime:
             return datetime(year, month, day, hour, tzinfo=timezone.utc)
     raise ConfigurationError(
         "its name must end in the run that it holds, such as 2024060112: year, month, day and hour "
-        "in UTC; nothing in the file says it. Of more than one run there are previous runs, "
-        "precipitation_previous_day1 and so on", file=file,
+        "in UTC; the file itself does not contain it. For more than one run use previous "
+        "runs, precipitation_previous_day1 and so on", file=file,
     )
 
 
@@ -424,7 +424,7 @@ def _known_of(previous: Records) -> list[Issue]:
         nothing = all(np.isnan(series).all() for series in previous.values.values())
         raise ConfigurationError(
             "has no precipitation: every value is missing" if nothing else
-            "must have a value for an hour from 00, 06, 12 or 18 UTC on, when issues begin",
+            "must have a value for an hour that starts at 00, 06, 12 or 18 UTC, when issues begin",
             file=previous.files[0],
         )
     return issues

@@ -90,7 +90,7 @@ def _columns(table: Table) -> tuple[dict[str, str], str]:
 def read_archive(files: Sequence[Path], _site: Site, /) -> Archive:
     """Read files in this format; their issues are known from their time of issue."""
     issues = [issue for file in files for issue in read_forecasts(file)]
-    return Archive(files[0], "own form", issues, 0.0, issues)
+    return Archive(files[0], "own format", issues, 0.0, issues)
 
 
 def read_forecasts(path: Path) -> list[Issue]:
@@ -128,12 +128,12 @@ def read_forecasts(path: Path) -> list[Issue]:
         last = next(reversed(rows_of), issue)
         if issue < last:
             raise table.refuse(
-                f"must not be before {to_minutes(last)}, as above: the issues must be in the order "
+                f"must not be before {to_minutes(last)}, the issue above: issues must be in order "
                 "of time", "issued", row,
             )
         rows = rows_of.setdefault(issue, {}).setdefault(member, [])
         due = issue + len(rows) * HOUR
-        table.check_due("time", row, time, due, "from its issue on, each forecast")
+        table.check_due("time", row, time, due, "each forecast, from its issue on,")
         rows.append(row)
     issues = [
         ensemble(

@@ -55,18 +55,18 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
             file for file in source.iterdir() if file.is_file() and not file.name.startswith(".")
         )
         if not files:
-            raise ConfigurationError("must have files of forecasts in it", file=source)
+            raise ConfigurationError("must contain files of forecasts", file=source)
         for file in files:
             if file.suffix not in SUFFIXES:
                 raise ConfigurationError(
-                    f"must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}, as all files in a "
-                    "directory of forecasts", file=file,
+                    f"must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}, like all files in "
+                    "a directory of forecasts", file=file,
                 )
     form = _format_of(files[0], _FORECASTS)
     for file in files[1:]:
         if _format_of(file, _FORECASTS) is not form:
             raise ConfigurationError(
-                f"must be of the format of {files[0].name}: an archive has one", file=file
+                f"must have the format of {files[0].name}, like all files of an archive", file=file
             )
     archive: Archive = form.read_archive(files, site)
     issues = sorted(archive.issues, key=lambda issue: issue.issued)
@@ -80,7 +80,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
 def _format_of(file: Path, formats: Sequence[ModuleType]) -> ModuleType:
     """Return the module of a file's format."""
     if file.exists() and not file.is_file():
-        raise ConfigurationError("must be a regular file, or a directory of some", file=file)
+        raise ConfigurationError("must be a regular file, or a directory of such files", file=file)
     try:
         with file.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)

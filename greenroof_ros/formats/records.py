@@ -92,8 +92,8 @@ class Records:
         if not self.shifted:
             return ()
         return (
-            f"{' and '.join(self.shifted)} of the files are of the hour before their time, and "
-            "were moved an hour back",
+            f"{' and '.join(self.shifted)} in the files are for the hour before their time, and "
+            "were moved back an hour",
         )
 
 
@@ -184,8 +184,8 @@ def _check_alike(first: Records, part: Records) -> None:
     for aspect, expected, present in (
         ("quantities", sorted(first.values), sorted(part.values)),
         ("method of evapotranspiration", [first.method], [part.method]),
-        ("quantities of the hour before their time", first.shifted, part.shifted),
-        ("hours by which rain is late", [str(first.rain_late)], [str(part.rain_late)]),
+        ("quantities for the hour before their time", first.shifted, part.shifted),
+        ("delay of the rain in hours", [str(first.rain_late)], [str(part.rain_late)]),
     ):
         if expected != present:
             raise ConfigurationError(
@@ -261,9 +261,9 @@ def ensemble(numbered: Iterable[tuple[float, Issue]]) -> Issue:
             "and so on, each once"
         )
     elif len(numbers) > MOST_MEMBERS:
-        wrong = f"has {len(numbers)} members, and must have at most {MOST_MEMBERS}"
+        wrong = f"has {len(numbers)} members; at most {MOST_MEMBERS} are allowed"
     elif min(lengths) != max(lengths):
-        wrong = "must have as many hours of each member; " + ", ".join(
+        wrong = "must have equally many hours of each member; " + ", ".join(
             f"member {lengths.index(hours)} has {hours}" for hours in (min(lengths), max(lengths))
         )
     if wrong:
@@ -284,11 +284,11 @@ def check_alike(earlier: Issue, later: Issue) -> None:
         wrong = f"has the issue of {when}, which {earlier.file.name} has already"
     elif len(earlier.rain) != len(later.rain):
         wrong = (
-            f"the issue of {when} must have as many members as that before it in "
+            f"the issue of {when} must have as many members as the one before it in "
             f"{earlier.file.name}, {len(earlier.rain)}, not {len(later.rain)}"
         )
     elif (earlier.evapotranspiration is None) != (later.evapotranspiration is None):
-        wrong = f"must have a column of evapotranspiration, or have none, as {earlier.file.name}"
+        wrong = f"must have a column of evapotranspiration, or none, like {earlier.file.name}"
     if wrong:
         raise ConfigurationError(wrong, file=later.file, line=later.line)
 
@@ -506,8 +506,8 @@ class Table:
         """Refuse a time that is not the next hour."""
         if time != due:
             raise self.refuse(
-                f"must be {to_minutes(due.astimezone(time.tzinfo))}: {series} must be hour after "
-                "hour, without gap or repetition",
+                f"must be {to_minutes(due.astimezone(time.tzinfo))}: {series} must have "
+                "consecutive hours, without gap or repetition",
                 column, row,
             )
 
@@ -546,7 +546,7 @@ def table_of(
             header, or a quote is left open or followed by text.
     """
     if not lines:
-        raise ConfigurationError("holds comments only; a header and records must follow", file=file)
+        raise ConfigurationError("holds only comments; a header and records must follow", file=file)
     rows: list[list[str]] = []
     first = 0
     for line, text in lines:
@@ -561,7 +561,7 @@ def table_of(
         rows.append(cells)
         if len(cells) != len(rows[0]):
             raise ConfigurationError(
-                f"must have {len(rows[0])} cells as the header has, not {len(cells)}",
+                f"must have {len(rows[0])} cells, like the header, not {len(cells)}",
                 file=file, line=line,
             )
     if len(rows) == 1:

@@ -281,7 +281,7 @@ METRICS = (
     ),
     Metric(
         "near_target_hours", "h", "near the target",
-        f"at most {NEAR_TARGET:.0%} of x2* off it, over the ticks",
+        f"within {NEAR_TARGET:.0%} of x2*, over the ticks",
         _ticks_where(
             lambda site, samples: np.abs(samples.roof - site.x2_star) <= NEAR_TARGET * site.x2_star
         ),
@@ -295,7 +295,7 @@ METRICS = (
     ),
     Metric(
         "stress_hours", "h", "water stress",
-        "plants get less water than they ask for: K_s of FAO-56 below 1, or an empty roof",
+        "plants get less water than they need: K_s of FAO-56 below 1, or an empty roof",
         _ticks_where(
             lambda site, samples: (samples.roof < soil_of(site).stress_volume) | (samples.roof <= 0)
         ),
@@ -306,25 +306,25 @@ METRICS = (
         "actual over potential", _actual_and_potential, _sums, ".1%", finish=_ratio,
     ),
     Metric(
-        "rain_kept_share", "1", "rain kept", "of the rain on the roof, what did not drain off it",
+        "rain_kept_share", "1", "rain kept", "share of the rain on the roof that did not drain off",
         _roof_water, _sums_by, ".1%", finish=_retained,
     ),
     Metric(
         "rain_kept_share_hour", "1", "rain kept above 20 mm/h",
-        "the same, of hours with more than 20 mm, within the hour",
+        "the same for hours with more than 20 mm, within the hour",
         _roof_water, _sums_by, ".1%", finish=partial(_retained, above=20.0),
     ),
     Metric(
         "rain_kept_share_day", "1", "rain kept above 10 mm in 24 h",
-        "the same, of any 24 hours with more than 10 mm",
+        "the same for any 24 hours with more than 10 mm",
         _roof_water, _sums_by, ".1%", finish=partial(_retained, above=10.0, hours=24),
     ),
     Metric(
-        "mains_m3", "m3", "mains water used", "into the cistern, where there is a top-up",
+        "mains_m3", "m3", "mains water used", "into the cistern, if there is a top-up",
         _volume("mains"),
     ),
     Metric(
-        "saved_m3", "m3", "mains water saved", "pumped, less what the mains gave",
+        "saved_m3", "m3", "mains water saved", "pumped, less the mains water used",
         lambda site, samples: samples.duration * (
             samples.pump if samples.mains is None else samples.pump - samples.mains
         ),
@@ -372,11 +372,11 @@ METRICS = (
         _ticks_where(lambda site, samples: samples.command > 1), form=".4f", most=0, finish=_hours,
     ),
     Metric(
-        "limited_steps", "1", "limited ticks", "a tank held less than was asked of it",
+        "limited_steps", "1", "limited ticks", "a tank held less than was demanded",
         lambda site, samples: samples.limited, _count, "d", most=0,
     ),
     Metric(
-        "pump_starts", "1", "pump starts", "how often the flow went from 0 to more",
+        "pump_starts", "1", "pump starts", "how often the flow rose from 0",
         _pump_starts, _count, "d",
     ),
     Metric(
@@ -385,7 +385,7 @@ METRICS = (
     ),
     Metric(
         "excess_starts", "1", "too many starts",
-        "pump starts beyond starts_per_hour of the site in the hour that ends with them",
+        "pump starts beyond starts_per_hour of the site, in the hour that ends with them",
         _excess_starts, _count, "d", most=0,
     ),
     Metric(
@@ -398,7 +398,7 @@ METRICS = (
     ),
     Metric(
         "electric_energy_kwh", "kWh", "electric energy",
-        "the hydraulic over pump_efficiency",
+        "hydraulic energy over pump_efficiency",
         lambda site, samples: _hydraulic_energy(site, samples) / site.pump_efficiency,
     ),
 )

@@ -97,9 +97,9 @@ def _minutes(interval: str) -> tuple[int, int]:
     """
     match = _INTERVAL.fullmatch(interval)
     if match is None:
-        raise ValueError("it is no interval")
+        raise ValueError("an interval is invalid")
     hour, minute, last_hour, last_minute = map(int, match.groups())
     begin, end = 60 * hour + minute, 60 * last_hour + last_minute
     if begin >= _DAY_MINUTES or end > _DAY_MINUTES or begin == end:
-        raise ValueError("it is no interval")
+        raise ValueError("an interval is invalid")
     return begin, end

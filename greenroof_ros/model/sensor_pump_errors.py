@@ -30,11 +30,11 @@ class SensorPumpErrors:
         default=0.0,
     )
     roof_offset: float = entry(
-        "how much that sensor reads above the true level", -1.0, 1.0, unit="m", default=0.0
+        "how much the roof sensor reads above the true level", -1.0, 1.0, unit="m", default=0.0
     )
     noise_seed: int = entry("seed of the noise", 0, 2**31 - 1, default=0)
     minimum_on: float = entry(
-        "once on, the pumps stay on for this time, but not in frost, on a full roof or in an "
+        "once on, the pumps stay on for this time, but not in frost, with a full roof or an "
         "empty cistern", 0.0, 86_400.0, unit="s", default=0.0,
     )
     minimum_off: float = entry(
@@ -68,7 +68,7 @@ class SensorPumpErrors:
         """
         if not self.instant_pump:
             raise ConfigurationError(
-                "are the pump driver's business where the pump is external",
+                "must be set in the pump driver if the pump is external",
                 key="minimum on and off times",
             )
 

@@ -71,7 +71,7 @@ class Site:
 
     a1: float = entry("bottom surface area of the cistern", *_POSITIVE, unit="m2")
     a_in: float = entry(
-        "area whose rain flows into the cistern; in Table I its inlet's", *_POSITIVE,
+        "area whose rain flows into the cistern; in Table I the area of its inlet", *_POSITIVE,
         unit="m2",
     )
     z_o: float = entry("elevation of the cistern's outlet", *_POSITIVE, unit="m")
@@ -80,13 +80,13 @@ class Site:
     a2: float = entry("bottom surface area of the rooftop vegetation", *_POSITIVE, unit="m2")
     z_veg: float = entry("desired water depth on the roof", *_POSITIVE, unit="m")
     x2_star: float = entry(
-        "desired water volume on the roof: a2 z_veg; leave it out and it is computed", *_POSITIVE,
+        "desired water volume on the roof: a2 z_veg; computed if left out", *_POSITIVE,
         unit="m3",
     )
     z_soil: float = entry("soil depth of the roof", *_POSITIVE, unit="m")
     z_cap: float = entry(
-        "water that the soil holds before it drains: a2 z_soil, of a measured roof a2 z_soil "
-        "field_capacity; leave it out and it is computed", *_POSITIVE, unit="m3",
+        "water that the soil holds before it drains: a2 z_soil, on a measured roof a2 z_soil "
+        "field_capacity; computed if left out", *_POSITIVE, unit="m3",
     )
     K: float = entry("saturated hydraulic conductivity", *_POSITIVE, unit="m/s")
     a_hat: float = entry(
@@ -115,7 +115,7 @@ class Site:
     )
     field_capacity: float | None = entry(
         "water that the substrate holds against gravity, per volume of it; makes the roof a "
-        "measured one, without it the roof drains by Eq. (4)", 0.01, 0.9, unit="1", default=None,
+        "measured one; without it the roof drains by Eq. (4)", 0.01, 0.9, unit="1", default=None,
     )
     wilting_point: float | None = entry(
         "water that plants cannot take, per volume of the substrate", 0.0, 0.5, unit="1",
@@ -137,32 +137,32 @@ class Site:
         "cistern level below which a valve lets mains water in; without it there is none",
         0.01, 100.0, unit="m", default=None,
     )
-    mains_flow: float | None = entry("flow of that valve", 1e-6, 1.0, unit="m3/s", default=None)
+    mains_flow: float | None = entry("inflow from the mains", 1e-6, 1.0, unit="m3/s", default=None)
     low_outlet_level: float | None = entry(
         "elevation of a second, throttled outlet of the cistern, below the first: it empties the "
         "detention volume above it between storms; without it there is none", 0.001, 100.0,
         unit="m", default=None,
     )
     low_outlet_radius: float | None = entry(
-        "radius of that outlet", 0.001, 1.0, unit="m", default=None,
+        "radius of the low outlet", 0.001, 1.0, unit="m", default=None,
     )
     initial_cistern: float | None = entry(
-        "in the cistern when a run begins; without it low-low of Table II", *_NOT_NEGATIVE,
-        unit="m3", default=None,
+        "volume in the cistern at the start of a run; without it, low-low of Table II",
+        *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_roof: float | None = entry(
-        "the same on the roof", *_NOT_NEGATIVE, unit="m3", default=None,
+        "volume on the roof at the start of a run", *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_layer: float = entry(
-        "in the drainage layer when a run begins, in whatever state of the rest", *_NOT_NEGATIVE,
-        unit="m3", default=0.0,
+        "volume in the drainage layer at the start of a run, whatever the initial state",
+        *_NOT_NEGATIVE, unit="m3", default=0.0,
     )
     pump_efficiency: float = entry(
         "hydraulic over electric power of pumps and motors", 0.001, 1.0, unit="1", default=0.5,
     )
     starts_per_hour: float = entry(
-        "how often the pumps may start: above it there is a warning, and lookahead does not start "
-        "them more often", 1.0, 3600.0, unit="1/h", default=20.0,
+        "how often the pumps may start; beyond this there is a warning, and lookahead does not "
+        "start them more often", 1.0, 3600.0, unit="1/h", default=20.0,
     )
     latitude: float | None = entry(
         "latitude, positive to the north", -66.0, 66.0, unit="degrees", default=None,
@@ -170,7 +170,7 @@ class Site:
     longitude: float | None = entry(
         "longitude, positive to the east of Greenwich", -180.0, 180.0, unit="degrees", default=None,
     )
-    elevation: float | None = entry("above the sea", -430.0, 6000.0, unit="m", default=None)
+    elevation: float | None = entry("above mean sea level", -430.0, 6000.0, unit="m", default=None)
     utc_offset: float | None = entry(
         "offset of the local standard time from UTC, without daylight saving", -12.0, 14.0,
         unit="h", default=None,
@@ -181,27 +181,27 @@ class Site:
     )
     k_Rs: float = entry(
         "adjustment coefficient of FAO-56 Eq. 50, for radiation that was not measured; 0.16 "
-        "inland, 0.19 by a large water", 0.1, 0.25, unit="degC^-0.5", default=0.16,
+        "inland, 0.19 near a large body of water", 0.1, 0.25, unit="degC^-0.5", default=0.16,
     )
     wind_height: float = entry(
         "height above the ground at which the wind was measured", 0.5, 100.0, unit="m",
         default=10.0,
     )
     crop_coefficient: float = entry(
-        "evapotranspiration of the vegetation over the reference grass's", 0.01, 3.0,
+        "ratio of the vegetation's evapotranspiration to the reference grass's", 0.01, 3.0,
         unit="1", default=1.0,
     )
     monthly_evapotranspiration: tuple[float, ...] | None = entry(
-        "means of the reference evapotranspiration, January to December, in brackets; what a live "
-        "site without a forecast takes", 0.0, 20.0, unit="mm/day", default=None,
+        "means of the reference evapotranspiration, January to December, in brackets; used by a "
+        "live site without a forecast", 0.0, 20.0, unit="mm/day", default=None,
     )
     quiet_hours: tuple[str, ...] | None = entry(
         "times of day in which the pump stays off, by the clock in time_zone, such as "
         '["22:00-06:00", "12:00-13:30"]; without them it may run at any time', default=None,
     )
     time_zone: str | None = entry(
-        "IANA name of the time zone of quiet_hours, such as America/Toronto; it knows summer time",
-        default=None,
+        "IANA name of the time zone of quiet_hours, such as America/Toronto; it includes "
+        "daylight saving", default=None,
     )
     greatest_dose: float | None = entry(
         "largest volume of a dose, which a person asks for; without it no dose is given", 0.001,
@@ -523,7 +523,7 @@ def _quiet_value(
             ) from None
     try:
         if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
-            raise ValueError("they are no list of texts")
+            raise ValueError("it is not a list of strings")
         QuietHours(value, timezone.utc)
     except ValueError as error:
         raise refuse(
@@ -559,12 +559,12 @@ def _contradictions(site: Site, entries: Container[str]) -> Iterator[tuple[str, 
             yield name, f"must be below z_o = {site.z_o:g} m, the outlet above it"
         if lowest <= suction:
             yield name, (
-                f"must be above z_pump + z_H = {suction:g} m, or it takes all that the pumps could"
+                f"must be above z_pump + z_H = {suction:g} m, otherwise it drains all usable water"
             )
     if site.mains_level is not None and not suction < site.mains_level < lowest:
         yield "mains_level", (
             f"must be above z_pump + z_H = {suction:g} m, below which the pumps do not work, and "
-            f"below {name} = {lowest:g} m, or it flows to the sewer"
+            f"below {name} = {lowest:g} m, otherwise its water flows to the sewer"
         )
     if site.initial_layer > site.layer_storage:
         yield "initial_layer", (
@@ -597,7 +597,7 @@ def _contradictions(site: Site, entries: Container[str]) -> Iterator[tuple[str, 
         )
     if site.x2_star >= site.z_cap:
         yield "z_veg", (
-            f"must be below z_cap / a2 = {site.z_cap / site.a2:g} m: what is above drains off"
+            f"must be below z_cap / a2 = {site.z_cap / site.a2:g} m: water above that drains off"
         )
     if site.c_hat - site.d + site.suction_level <= 0:
         yield "c_hat", (

@@ -62,7 +62,7 @@ def fit_skill(
     spells = _spells(observed, step)
     if sum(map(len, spells)) < _LEAST_HOURS:
         raise ConfigurationError(
-            f"needs at least {_LEAST_HOURS} h of records, in pieces of {step} h and more",
+            f"needs at least {_LEAST_HOURS} h of records, in pieces of {step} h or more",
             key="--fit",
         )
     sums = list(dict.fromkeys(key.sum for key in tallies))
@@ -74,8 +74,8 @@ def fit_skill(
             goals[low + step / 2 + older] = scores[None]
     if len(goals) < 2:
         raise ConfigurationError(
-            "needs forecasts of two classes of leads or more in which there are events, forecast "
-            f"and observed, of each sum; there are {len(goals)}: see --horizon and --lead",
+            "needs at least two classes of leads with forecast and observed events for each "
+            f"sum; there are {len(goals)}: see --horizon and --lead",
             key="--fit",
         )
     wet = observed[observed > 0]

@@ -27,7 +27,7 @@ _BY_LEAD = (
     ("r", "Correlation", "r"),
     ("ets", "Events: equitable threat score", "ETS"),
     ("pod", "Events that were forecast", "POD"),
-    ("far", "Forecast events that did not come", "FAR"),
+    ("far", "Forecast events that did not occur", "FAR"),
     ("bias", "Water: forecast over observed", "bias"),
     ("crps", "Error: CRPS", "CRPS (mm)"),
 )
@@ -78,8 +78,8 @@ def _by_lead(tallies: Mapping[Class, Tally]) -> Figure:
         dict.fromkeys(f"{key.sum.event:g} mm in {key.sum.hours} h" for key in tallies)
     )
     caption = (
-        f"By lead, a line for each length of sums. An event has at least {events}. A "
-        "perfect forecast has r, ETS, POD and bias 1, FAR and CRPS 0."
+        f"By lead, one line for each length of sums. An event has at least {events}. A "
+        "perfect forecast has r, ETS, POD and bias 1, and FAR and CRPS 0."
     )
     return Figure("verification-leads", "Scores by lead", caption, tuple(panels), 2, data)
 
@@ -96,7 +96,7 @@ def _reliability(tallies: Mapping[Class, Tally]) -> Figure:
 
     def panel(data: alt.Chart, length: Sum, leads: list[str]) -> Panel:
         lines = data.mark_line(point=True, strokeWidth=1.5).encode(
-            x=alt.X("p:Q", title="probability that was forecast", scale=scale),
+            x=alt.X("p:Q", title="forecast probability", scale=scale),
             y=alt.Y("o:Q", title="share of events", scale=scale),
             tooltip=pointed("lead:N", alt.Tooltip("p:Q", title="forecast", format=".2f"),
                             alt.Tooltip("o:Q", title="observed", format=".2f"),
@@ -108,9 +108,9 @@ def _reliability(tallies: Mapping[Class, Tally]) -> Figure:
         )
 
     caption = (
-        f"How often the event came, by the probability that was forecast, in {TENTHS} steps: of a "
-        "reliable ensemble as often as forecast, on the grey line. Below it the event is "
-        "forecast too often. The pointer shows how many forecasts a point stands for."
+        f"Observed frequency of the event by forecast probability, in {TENTHS} steps; a reliable "
+        "ensemble lies on the grey line. Below it the event is forecast too often. Point at a "
+        "mark to see how many forecasts it stands for."
     )
     return _by_sum("reliability", "Reliability", caption, tallies, rows, panel)
 
@@ -126,17 +126,17 @@ def _ranks(tallies: Mapping[Class, Tally]) -> Figure:
     def panel(data: alt.Chart, length: Sum, leads: list[str]) -> Panel:
         steps = data.mark_line(interpolate="step", strokeWidth=1.5).encode(
             x=alt.X("rank:Q", title="members below the observation", axis=alt.Axis(tickMinStep=1)),
-            y=alt.Y("v:Q", title="over an even share", scale=alt.Scale(zero=True)),
+            y=alt.Y("v:Q", title="relative to an even share", scale=alt.Scale(zero=True)),
             tooltip=pointed(
-                "lead:N", "rank:Q", alt.Tooltip("v:Q", title="over even", format=".2f")
+                "lead:N", "rank:Q", alt.Tooltip("v:Q", title="relative to even", format=".2f")
             ),
         )
         title = f"Sums of {length.hours} h"
         return series_panel(steps, "lead", leads, title, legend="lead", below=[even])
 
     caption = (
-        "How often so many members were below what was observed, over how often that would be if "
-        "members and observation could be one another, the grey line. High at both ends: the "
+        "How often each number of members was below the observation, relative to interchangeable "
+        "members and observation (grey line). High at both ends: the "
         "ensemble is too narrow; high at the left: it forecasts too much."
     )
     return _by_sum("ranks", "Rank histogram", caption, tallies, rows, panel)

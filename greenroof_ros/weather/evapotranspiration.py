@@ -164,8 +164,8 @@ def why_missing(records: Records, hours: NDArray[np.int64]) -> str:
             if missing.size:
                 reasons.append(f"{name} at {', '.join(name_hours(records.first, missing))}")
     if not reasons:
-        return "their day is not whole in the file (0 to 24 h of local standard time)"
-    return "missing are " + "; ".join(reasons)
+        return "the file does not cover the whole day (0 to 24 h of local standard time)"
+    return "missing: " + "; ".join(reasons)
 
 
 Values = NDArray[np.float64]

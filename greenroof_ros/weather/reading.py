@@ -83,7 +83,7 @@ def read_weather(
     else:
         own = f", or {records.method} from its own column" if records.method else ""
         raise ConfigurationError(
-            f"must be {FAO56}{own}: {records.source} has no evapotranspiration of another name",
+            f"must be {FAO56}{own}: {records.source} has no other evapotranspiration",
             key="evapotranspiration", value=method,
         )
     return Weather(**{**vars(records), "method": method}, gaps=gaps)

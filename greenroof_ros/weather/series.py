@@ -235,11 +235,11 @@ class WeatherSeries:
 
 def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:
     """Refuse a run that needs a missing hour that was not filled."""
-    way_out = "choose another window, or put in what another station has"
+    way_out = "choose another window, or fill in values from another station"
     if weather.gaps == REFUSE:
         way_out += (
-            "; or have the gaps filled (--gaps fill, in a grid gaps: fill): missing rain counts as "
-            "none, and all else is the mean at that time of day over three days before and after"
+            "; or fill the gaps (--gaps fill; in a grid, gaps: fill): missing rain counts as none, "
+            "other values are the mean at that time of day over the three days before and after"
         )
     for quantity in (PRECIPITATION, TEMPERATURE):
         if quantity in weather.values:
@@ -329,7 +329,7 @@ def suspicious_rain(records: Records, hours: range) -> list[str]:
                 suspicious.append((int(hour), usual))
     return [
         f"{rain[hour]:g} mm at {to_minutes(records.first + hour * HOUR)}, "
-        f"{rain[hour] / usual:.1f} times what 95 % of the wet hours at that time of the year "
-        f"have at most, {usual:.3g} mm"
+        f"{rain[hour] / usual:.1f} times the 95th percentile of wet hours at that time of the "
+        f"year, {usual:.3g} mm"
         for hour, usual in sorted(suspicious)
     ]

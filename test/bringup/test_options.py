@@ -111,7 +111,7 @@ WRONG = {
     f"run --pump external {DRIVE}": "--pump = 'external': leaves the pump to somebody else's node",
     "run --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
     "run --drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
-    f"run {DRIVE} --minimum-on 60": "minimum on and off times: are the pump driver's business",
+    f"run {DRIVE} --minimum-on 60": "minimum on and off times: must be set in the pump driver",
     "run --state here": "--state: is for a drive",
 }
 

@@ -31,7 +31,7 @@ def planning(plan: str) -> tuple[str, str]:
     return HEAD, outputs + HEAD
 
 
-FINITE = "its commands are finite and not negative, at all levels and forecasts"
+FINITE = "its commands are finite and not negative, at all levels and for all forecasts"
 OUTPUTS = "each of its outputs is a topic of the interface and has its value after a command"
 NO_PLAN = "no numpy array of floats, of shape (n, 4), in the attribute plan"
 BROKEN = [
@@ -39,16 +39,17 @@ BROKEN = [
     (returning("return -command if command else 0.0"), FINITE, "must be finite and not negative"),
     (
         returning("return command if self.gain else -1.0"),
-        "so they are with each parameter at either end of its range", "with gain = 0 command() ret",
+        "its commands are also valid with each parameter at either end of its range",
+        "with gain = 0 command() ret",
     ),
     (returning("return None"), FINITE, "command() returns None; it must return a float"),
     (
         returning("import random; return command * random.random()"),
-        "two of it give the same commands to the same inputs", "on equal inputs",
+        "two instances give the same commands for the same inputs", "for equal inputs",
     ),
     (
         returning("evapotranspiration[0] = 1.0; return command"),
-        "it leaves the forecasts that it gets as they are", "copy them first",
+        "it does not change the forecasts that it gets", "copy them first",
     ),
     (
         returning("precipitation[3]; return command"),

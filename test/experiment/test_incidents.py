@@ -153,7 +153,7 @@ def test_a_file_that_is_read_back(tmp_path: Path) -> None:
     assert [incident.number for incident in read_incidents(tmp_path)] == [1]
     for broken in ("nonsense", '{"number": 1}', "[]"):
         path.write_text(f"{line}\n{broken}\n{line}\n")
-        with pytest.raises(ValueError, match=r"incidents.jsonl, line 2: is no incident"):
+        with pytest.raises(ValueError, match=r"incidents.jsonl, line 2: is not an incident"):
             read_incidents(tmp_path)
 
 

@@ -51,7 +51,7 @@ def test_hours_of_records_and_issues(tmp_path: Path) -> None:
     refusal(FileModel, archive, between, False, match="must be a whole number of hours from 2021")
     late = read_archive(tmp_path / "runs", PAPER_SITE)
     model = FileModel(late, weather_from(datetime.fromisoformat("2021-07-06T00:00+00:00")), False)
-    needed = "known from 2021-07-07T00:00.00:00 on, but the run needs one at 2021-07-06T23:00"
+    needed = "available from 2021-07-07T00:00.00:00 on, but the run needs one at 2021-07-06T23:00"
     refusal(model.known, 23, 1, match=needed)
     assert model.known(24, 1)[0].shape == (1, 1)
 
@@ -89,7 +89,7 @@ def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
             f"issued,time,precipitation [mm/h]{column}\n"
             f"2021-07-0{day}T00:00Z,2021-07-0{day}T00:00Z,0.0{',2.5' if column else ''}\n"
         )
-    wrong = r"8.csv, line 2: must have a column of evapotranspiration, or have none, as 7.csv"
+    wrong = r"8.csv, line 2: must have a column of evapotranspiration, or none, like 7.csv"
     refusal(read_archive, tmp_path, PAPER_SITE, match=wrong)
 
 

@@ -259,8 +259,8 @@ def test_too_few_issues() -> None:
     """The error says how many there are, and in which file; records of another time have none."""
     rain = showers(25 * 24, 15)
     given = archive(forecasts(rain, 24, 24, 16))
-    refusal(dress, given, learn(given, record(rain), 24), match="has 8 issues two days")
+    refusal(dress, given, learn(given, record(rain), 24), match="has only 8 issues that are two")
     late = replace(given, issues=tuple(
         replace(issue, issued=issue.issued + 1000 * HOUR) for issue in given.issues
     ))
-    refusal(learn, late, record(rain), 24, match=r"has no issue after which drawn.csv has 24 h")
+    refusal(learn, late, record(rain), 24, match=r"has no issue followed by 24 h of drawn.csv")

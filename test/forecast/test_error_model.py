@@ -135,7 +135,7 @@ def test_skill_files(tmp_path: Path) -> None:
     assert replace(skill, errors=REAL.errors) == REAL
     for old, new, words in (
         ("memory: 8", "memory: -8", r"climate\.memory = -8.4: must be from 0.5 to 24"),
-        ("  wetness: ", "# wetness: ", r"errors\.wetness: is missing: by how much too often"),
+        ("  wetness: ", "# wetness: ", r"errors\.wetness: is missing: shift of z toward rain"),
     ):
         file = str(skill_file(tmp_path, old, new))
         refusal(read_skill, file, match=rf"skill\.yaml, line \d+: {words}")

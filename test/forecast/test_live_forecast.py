@@ -104,8 +104,8 @@ def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(file: Path) -> N
     ("later", "horizon", "words"),
     [
         (timedelta(hours=2, seconds=1), 0.0, "older than 2 h"),
-        (timedelta(hours=1, minutes=1), 3.0, "look-ahead; a horizon of at most 2 h"),
-        (-timedelta(seconds=1), 0.0, "is ahead"),
+        (timedelta(hours=1, minutes=1), 3.0, "look-ahead does; a horizon of at most 2 h"),
+        (-timedelta(seconds=1), 0.0, "in the future"),
     ],
 )
 def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -> None:
@@ -252,7 +252,7 @@ def test_too_few_to_dress(tmp_path: Path) -> None:
     outlook = forecasts.at(SIX)
     assert np.array(outlook.rain).shape[0] == 1
     assert np.array(outlook.rain)[0, 0] == pytest.approx(5e-3 / 3600)
-    assert "are needed: take more months" in dressing.few
+    assert "are needed: add more months" in dressing.few
     dressing.measure(SIX, 0.0)
     dressing.measure(SIX + timedelta(hours=1), 0.0)
     dressing.close()

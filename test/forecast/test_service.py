@@ -81,16 +81,16 @@ def test_an_answer_that_still_holds_is_not_sent_again(server):
 
 @pytest.mark.parametrize(("fault", "said"), [
     ("refused", "Server disconnected"),
-    ("slow", "gave no whole answer within 0.5 s"),
+    ("slow", "gave no complete answer within 0.5 s"),
     ("truncated", "payload is not completed"),
-    ("broken", "is no forecast in JSON: <html>"),
+    ("broken", "is not a forecast in JSON: <html>"),
     ("limit", "429 Too Many Requests: .*Minutely API request limit"),
     ("error", "503 Service Unavailable: upstream is down"),
     ("unit", "cubit.*must be in mm or inch"),
     ("length", "temperature_2m: must be a list of values, one for each time"),
     ("missing", "has no precipitation after its run"),
     ("old", "must have the hour after its run"),
-    ("clock", "see whether this machine's clock is right"),
+    ("clock", "check the clock of this machine"),
 ])
 def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypatch, fault, said):
     file = tmp_path / "forecast.csv"

@@ -132,12 +132,12 @@ def instead(variable: str, values: Any, *dimensions: str) -> Callable[[netCDF4.D
 
 
 RAIN = "HRDPS_P_PR_SFC"
-PLACES = f"{RAIN!r}: must have the dimensions time and two of the places, as latitude "
-OF_SUMS = f"{RAIN}: must be the sum since the issue, from which follow 0 to 500 mm/h, not "
+PLACES = f"{RAIN!r}: must have the dimensions time and the two of latitude "
+OF_SUMS = f"{RAIN}: must be the sum since the issue; it gives "
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "units": (
         {"edit": attribute(RAIN, "units", "kg m**-2 s**-1")},
-        f"{RAIN}:units = 'kg m**-2 s**-1': must be 'm', of the sum since the issue",
+        f"{RAIN}:units = 'kg m**-2 s**-1': must be 'm', for the sum since the issue",
     ),
     "since": (
         {"edit": attribute("time", "units", "hours since 2021-07-08 06:00:00")},
@@ -145,8 +145,8 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "product": (
         {"product": "CaLDAS"},
-        f"must have one variable of precipitation, such as {RAIN}, of HRDPS, REPS, GEPS, GEPS_NA; "
-        "it has time, rlon, lon, rlat, lat, CaLDAS_P_PR_SFC",
+        f"must have one variable of precipitation, such as {RAIN}, of one of HRDPS, REPS, GEPS, "
+        "GEPS_NA; it has time, rlon, lon, rlat, lat, CaLDAS_P_PR_SFC",
     ),
     "place": (
         {"edit": lambda dataset: dataset["lon"].delncattr("standard_name")},
@@ -156,27 +156,27 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"edit": lambda dataset: dataset["lat"].__setitem__(slice(None), LATITUDES + 1)},
         "has no point within 0.5 degrees of the site's place, 43.63, -79.4; the nearest is 0.",
     ),
-    "falls": ({"sums": [0.0, 0.003, 0.001]}, f"{OF_SUMS}-2 before 2 h after it"),
+    "falls": ({"sums": [0.0, 0.003, 0.001]}, f"{OF_SUMS}-2 mm/h before hour 2, outside 0 to 500"),
     "hole": ({"sums": [0.0, np.nan, 0.001]}, f"{RAIN}: is missing 1 h after the issue"),
     "infinite": (
         {"edit": lambda dataset: dataset[RAIN].__setitem__((2, *NEAREST), np.inf)},
         f"{RAIN}: is missing 2 h after the issue",
     ),
-    "millimetres": ({"sums": [0.0, 1.0, 3.0]}, f"{OF_SUMS}1000 before 1 h after it"),
+    "millimetres": ({"sums": [0.0, 1.0, 3.0]}, f"{OF_SUMS}1000 mm/h before hour 1, outside"),
     "step": (
         {"hours": [0, 1, 2, 3, 4, 28]},
-        "time: must have further hours, 1 to 6 from each to the next, not 0, 1, 2, 3, 4, 28",
+        "time: must have more hours, each 1 to 6 after the one before, not 0, 1, 2, 3, 4, 28",
     ),
     "longer time": (  # of a separate dimension: the last sums would be taken for the first hours
         {"edit": instead("time", range(9), "later")},
-        f"{PLACES}(rlat, rlon) and longitude (rlat, rlon) have them, not (time, rlat, rlon) with t",
+        f"{PLACES}(rlat, rlon) and longitude (rlat, rlon), not (time, rlat, rlon) with times of ",
     ),
     "places turned": (  # the same number of points, in another order
         {"edit": lambda dataset: [
             instead(name, degrees.T, "rlon", "rlat")(dataset)
             for name, degrees in (("lat", LATITUDES), ("lon", LONGITUDES))
         ]},
-        f"{PLACES}(rlon, rlat) and longitude (rlon, rlat) have them, not (time, rlat, rlon)",
+        f"{PLACES}(rlon, rlat) and longitude (rlon, rlat), not (time, rlat, rlon)",
     ),
 }
 
@@ -196,10 +196,10 @@ def test_files_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     whole = file.read_bytes()
     for length in (4, len(whole) // 3):
         file.write_bytes(whole[:length])
-        refusal(read_archive, file, TORONTO, match=r"2021070800.nc: is not NetCDF that can be r")
+        refusal(read_archive, file, TORONTO, match=r"2021070800.nc: is not readable NetCDF: ")
     for name in ("forecast.nc", "2021130800.nc"):
         other = write(tmp_path / "2021070806.nc").rename(tmp_path / name)
-        refusal(read_archive, other, TORONTO, match="must be named as CaSPAr does, YYYYMMDDHH")
+        refusal(read_archive, other, TORONTO, match="must be named as in CaSPAr, YYYYMMDDHH")
     anywhere = replace(TORONTO, latitude=None, longitude=None)
     refusal(read_archive, file, anywhere, match="needs latitude and longitude in the site file")
     monkeypatch.setitem(sys.modules, "netCDF4", None)  # as if it were not installed

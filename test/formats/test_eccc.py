@@ -144,7 +144,7 @@ def test_frost(tmp_path: Path) -> None:
     ("rows", "reason"),
     [
         (day(h3={"Date/Time (LST)": "01/07/2021 3:00"}), "line 5: Date/Time (LST) = '01/07/2021 3"),
-        ([*day()[:5], row(5)[:6]], "line 7: must have 16 cells as the header has, not 6"),
+        ([*day()[:5], row(5)[:6]], "line 7: must have 16 cells, like the header, not 6"),
         (day(h0={"Longitude (x)": "-123.1"}), "line 2: Longitude (x) = '-123.1': is not near the"),
     ],
 )
@@ -153,7 +153,7 @@ def test_refused(tmp_path: Path, rows: list[list[str]], reason: str) -> None:
     path = write(tmp_path, rows)
     assert refusal(read_weather, [path], TORONTO).startswith(f"{path}, {reason}")
     nowhere = replace(TORONTO, utc_offset=None)
-    refusal(read_weather, [path], nowhere, match="the site file must say its offset from UTC")
+    refusal(read_weather, [path], nowhere, match="the site file must give its offset from UTC")
 
 
 def test_the_authors_evapotranspiration_is_of_their_72_hours_alone(tmp_path: Path) -> None:

@@ -222,13 +222,13 @@ HEAD = KNMI.read_text().splitlines()[0]
 ROWS = ["2024-03-01 00:00:00,0.0,0.1,0.2,0.3,0.4", "2024-03-01 01:00:00,0.0,0.1,0.2,0.3,0.4"]
 WRONG = {
     "cut.json": ('{"latitude": 42.25,\n"long', ", line 2: is not valid JSON: "),
-    "deep.json": ("[" * 200_000, ": is JSON nested too deep to be an answer"),
-    "several.json": ("[{}, {}]", ": must be of one place; download each by itself"),
+    "deep.json": ("[" * 200_000, ": is JSON nested too deeply to be an answer"),
+    "several.json": ("[{}, {}]", ": must be for one place; download places separately"),
     "refusal.json": (
         '{"error": true, "reason": "Daily API request limit exceeded."}',
-        ": is no forecast but the service's refusal: Daily API request limit exceeded.",
+        ": is not a forecast but the service's refusal: Daily API request limit exceeded.",
     ),
-    "daily.json": ('{"hourly": null}', ": hourly: must be a mapping, as in answers for hours"),
+    "daily.json": ('{"hourly": null}', ": hourly: must be a mapping, as in hourly answers"),
     "huge.json": (  # too large for a float, both as an integer and as a decimal
         run_of(precipitation=[0.0, 0.0, 10**400, 0.0, 0.0, 0.0]),
         f": hourly.precipitation[2] = '1{'0' * 400}': must be a number from 0 to 500 mm, or empty",
@@ -251,7 +251,7 @@ WRONG = {
     ),
     "many_2024060112.json": (
         run_of(**{f"precipitation_member{number:02}": [0.0] * 6 for number in range(1, 101)}),
-        ": the issue of 2024-06-01T12:00+00:00 has 101 members, and must have at most 100",
+        ": the issue of 2024-06-01T12:00+00:00 has 101 members; at most 100 are allowed",
     ),
     "other_2024060118.json": (
         run_of(), ": must have the hour after its run, 2024-06-01T18:00+00:00; its first time is ",
@@ -260,7 +260,7 @@ WRONG = {
         "\n".join(["time,precipitation", *(
             f"{parse_time('2024-01-01T00:00Z') + hour * HOUR},0.0" for hour in range(37 * 24)
         )]),
-        ": has 887 hours, and a run at most 864: of a longer past there are previous runs",
+        ": has 887 hours; a run has at most 864. For a longer past use previous runs",
     ),
     "nothing.csv": (
         "\n".join([HEAD, "2024-03-01 00:00:00,,,,,"]),
@@ -268,7 +268,7 @@ WRONG = {
     ),
     "hours.csv": (
         "\n".join([HEAD, *(f"2024-03-01 {hour:02}:00:00,0,0,0,0,0" for hour in range(2, 7))]),
-        ": must have a value for an hour from 00, 06, 12 or 18 UTC on",
+        ": must have a value for an hour that starts at 00, 06, 12 or 18 UTC",
     ),
 }
 
@@ -284,22 +284,22 @@ def test_wrong_files(tmp_path: Path, name: str) -> None:
 
 def test_wrong_directories(tmp_path: Path) -> None:
     """An archive has one format, one kind, each issue once, and equally many members in each."""
-    refusal(read_archive, tmp_path, BUDVA, match="must have files of forecasts in it")
+    refusal(read_archive, tmp_path, BUDVA, match="must contain files of forecasts")
     (tmp_path / "a_2024060112.json").write_text(run_of(1))
     for name, text, wrong in (
-        ("README.md", "# Forecasts", r"README.md: must end in .csv, .json or .nc, as "),
+        ("README.md", "# Forecasts", r"README.md: must end in .csv, .json or .nc, like "),
         (
             "b_2024060112.json", run_of(1),
             r"has the issue of 2024-06-01T12:00.00:00, which a_2024060112.json has already",
         ),
         (
             "b_2024060212.json", run_of(2, precipitation_member01=[0.0] * 6),
-            "must have as many members as that befor",
+            "must have as many members as the one be",
         ),
-        ("b.json", in_service_json(saved(GEM)), r"a_2024060112.json: must be of previous runs, "),
+        ("b.json", in_service_json(saved(GEM)), r"a_2024060112.json: must contain previous runs, "),
         (
             "b.csv", "issued,time,precipitation [mm/h]\n",
-            r"must be of the format of a_2024060112.json: an",
+            r"must have the format of a_2024060112.json, like",
         ),
     ):
         (tmp_path / name).write_text(text)

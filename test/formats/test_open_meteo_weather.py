@@ -70,8 +70,8 @@ def test_rain_and_radiation_are_of_the_hour_before(tmp_path: Path) -> None:
     assert weather.method == "fao56"
     assert not np.isnan(weather.evapotranspiration).any()
     assert weather.notes == (
-        "precipitation and solar radiation of the files are of the hour before their time, and "
-        "were moved an hour back",
+        "precipitation and solar radiation in the files are for the hour before their time, and "
+        "were moved back an hour",
     )
 
 
@@ -125,7 +125,7 @@ def test_missing_cells(tmp_path: Path) -> None:
     """Rain and radiation are never filled; a run that needs them names the missing hours."""
     for line, cell, needed in (
         (2, ",0.30,", r"precipitation is missing at 2021-07-07T11:"),
-        (2, ",120.0", r"missing are solar radiation at 2021-07-07T11:"),
+        (2, ",120.0", r"missing: solar radiation at 2021-07-07T11:"),
     ):
         hours = edited(line, cell, cell[0] + cell[-1] * (cell[-1] == ","))
         weather = read_weather([write(tmp_path, hours)], TORONTO)
@@ -171,7 +171,7 @@ def test_places(tmp_path: Path) -> None:
     anywhere = replace(TORONTO, latitude=None, longitude=None, elevation=None)
     refusal(read_weather, [path], anywhere, match="fao56 needs latitude, longitude, elevation in t")
     path = write(tmp_path, place=f"location_id,{PLACE}", values=f"1,{VALUES}")
-    refusal(read_weather, [path], TORONTO, match="line 2: location_id = '1': must be of one place")
+    refusal(read_weather, [path], TORONTO, match="line 2: location_id = '1': must be for one place")
     path.write_text(f"{PLACE}\n{VALUES}\n")
     refusal(read_weather, [path], TORONTO, match="must have two lines about the place, then")
 
@@ -198,9 +198,9 @@ def test_run_says_what_was_moved(tmp_path: Path) -> None:
         cwd=tmp_path, env=environment(0),
     )
     assert done.returncode == 0, done.stderr
-    assert "moved an hour back" in " ".join(done.stdout.replace("│", " ").split())
+    assert "moved back an hour" in " ".join(done.stdout.replace("│", " ").split())
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     (note,) = summary["weather_notes"]
-    assert note.startswith("precipitation and solar radiation of the files are of the hour before")
+    assert note.startswith("precipitation and solar radiation in the files are for the hour before")
     # Half an hour of 0.2 mm and half an hour of 0.3 mm on roof (68.8 m2) and inlet (0.2922467 m2).
     assert summary["rain_m3"] == pytest.approx(0.25e-3 * (68.8 + 0.2922466566), rel=1e-9)

@@ -38,14 +38,14 @@ def test_what_is_no_table() -> None:
     """The error has file and line."""
     for rows, reason in (
         ([ROWS[0], "2021-07-07T04:00-05:00,3.0"],
-         ", line 5: must have 3 cells as the header has, not 2"),
+         ", line 5: must have 3 cells, like the header, not 2"),
         ([ROWS[0], '2021-07-07T04:00-05:00,3.0,"1.2'],
          ", line 5: is not valid CSV: unexpected end of data"),
         ([], ": has a header but no records"),
     ):
         assert refusal(table, *rows) == f"{FILE}{reason}"
     assert refusal(table_of, FILE, []) == (
-        f"{FILE}: holds comments only; a header and records must follow"
+        f"{FILE}: holds only comments; a header and records must follow"
     )
 
 
@@ -74,10 +74,10 @@ def test_missing_values_and_other_units() -> None:
     [
         ("2021-07-07T04:00", "must say its offset from UTC, as in 2021-07-07T02:00-05:00"),
         ("07/07/2021 04:00", "must be a time such as 2021-07-07T02:00-05:00, 1971 to 2037"),
-        ("2021-07-07T05:00-05:00", "must be 2021-07-07T04:00-05:00: the records must be hour aft"),
-        ("2021-07-07T04:00:01-05:00", "must be 2021-07-07T04:00-05:00: the records must be hour"),
+        ("2021-07-07T05:00-05:00", "must be 2021-07-07T04:00-05:00: the records must have consec"),
+        ("2021-07-07T04:00:01-05:00", "must be 2021-07-07T04:00-05:00: the records must have con"),
         # In the offset of the wrong record.
-        ("2021-07-07T04:00-04:00", "must be 2021-07-07T05:00-04:00: the records must be hour aft"),
+        ("2021-07-07T04:00-04:00", "must be 2021-07-07T05:00-04:00: the records must have consec"),
     ],
 )
 def test_times_that_are_wrong(time: str, reason: str) -> None:

@@ -167,5 +167,5 @@ def test_wrong_parameters_of_the_node(domain: int, tmp_path: Path) -> None:
         cwd=tmp_path, env=environment(domain),
     )
     assert done.returncode == 2, done.stderr
-    assert "are the pump driver's business" in done.stderr
+    assert "must be set in the pump driver" in done.stderr
     assert "Traceback" not in done.stderr

@@ -96,7 +96,7 @@ def test_records_that_say_too_little(rain: dict[int, Array]) -> None:
     tallies = {Class(0, 24, HALF_DAY): Tally(HALF_DAY.event, 1)}
     for hours, message in (
         (984, "needs at least 1000 h of records, in pieces of 24 h"),
-        (1200, "needs forecasts of two classes of leads or more"),
+        (1200, "needs at least two classes of leads with"),
     ):
         records = rain[2017][:hours]
         refusal(fit_skill, tallies, 0.0, records, lambda _: None, match=f"^--fit: {message}")

@@ -133,7 +133,7 @@ def test_forecasts_of_another_place(tmp_path: Path) -> None:
     assert (done.returncode, "day 2" in done.stdout) == (0, True)
     header = (tmp_path / "page.html").read_text(encoding="utf-8").partition("</header>")[0]
     for text in (done.stderr, header):
-        assert text.count("orecasts: these forecasts know nothing of these records") == 1
+        assert text.count("orecasts: these forecasts are unrelated to these records") == 1
 
 
 def test_models_of_the_package(tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def test_command_line(tmp_path: Path) -> None:
     refused = run_command("simulate", *options, cwd=tmp_path, env=environment(0))
     assert refused.returncode == 2
     assert "precipitation is missing at 2022-07-21T11:00-05:00; choose another" in refused.stderr
-    assert "have the gaps filled (--gaps fill, in a grid gaps: fill)" in refused.stderr
+    assert "fill the gaps (--gaps fill; in a grid, gaps: fill)" in refused.stderr
     done = run_command("simulate", *options, "--gaps", "fill", cwd=tmp_path, env=environment(0))
     assert done.returncode == 0, done.stderr
     assert "FILLED" in done.stdout

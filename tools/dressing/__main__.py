@@ -99,7 +99,7 @@ def main() -> None:
     arguments = parser.parse_args()
     site = read_site(shared_directory() / "config" / "site.yaml")
     weather = read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
-    heads = ["fit, judged", "forecasts", "sum", "n", "fell mm"]
+    heads = ["fit, judged", "forecasts", "sum", "n", "observed mm"]
     for what in ("bias", "CRPS"):
         heads += [f"{what} issued", "dressed", "climate"]
     print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")

@@ -33,15 +33,15 @@ def main() -> None:
     parser.add_argument("way", choices=("loop", "live"))
     parser.add_argument("--controller", nargs="+", help="loop: mpc and lookahead; live: four")
     parser.add_argument("--minutes", type=float, default=60.0, help="default: %(default)s")
-    parser.add_argument("--speed", type=float, default=1.0, help="loop: simulated per real time")
+    parser.add_argument("--speed", type=float, default=1.0, help="loop: times real time")
     parser.add_argument("--drive", default="danfoss_fc202", help="default: %(default)s")
     parser.add_argument("--line", choices=("tcp", "pty"), default="tcp", help="loop")
     parser.add_argument(
         "--kill-every", type=float, default=120.0, metavar="S",
-        help="live: 0 for never (default: %(default)s)",
+        help="live: interval of kills; 0: none (default: %(default)s)",
     )
     parser.add_argument("--full-disk", action="store_true", help="live: needs root")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="what it leaves (a new one)")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="new directory for the results")
     asked = parser.parse_args()
     directory = (asked.output or Path(tempfile.mkdtemp(prefix="endurance-"))).resolve()
     directory.mkdir(parents=True, exist_ok=True)

@@ -191,7 +191,7 @@ def _fault(
             outcome.to_safe = time.monotonic() - began
         time.sleep(hold)
         if expected.stops is False and rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
-            outcome.fail(f"the pump stopped, and should run on: {_said(rig, began)}")
+            outcome.fail(f"the pump stopped, but should have run on: {_said(rig, began)}")
         if expected.recovery == "ends":  # the fault stays until then
             _ends(rig, case, outcome)
     if expected.recovery != "ends":
@@ -236,7 +236,7 @@ def _signs(
     while missing := set(case.expected.signs) - rig.signs(began, incidents):
         if time.monotonic() > until:
             outcome.fail(
-                f"not shown: {missing}, but {sorted(rig.signs(began, incidents))}; said was "
+                f"not shown: {missing}, but {sorted(rig.signs(began, incidents))}; messages: "
                 f"{_said(rig, began)}, {rig.main.stderr()[-400:]!r}"
             )
             return
@@ -244,7 +244,7 @@ def _signs(
     advised = {who for who, _ in rig.advised(began)}
     without = {who for who, code in case.expected.signs if code != "node_failed"} - advised
     if without:
-        outcome.fail(f"no alarm with advice came of: {without}")
+        outcome.fail(f"no alarm with advice from: {without}")
 
 
 def _said(rig: Rig, began: float) -> list[str]:
@@ -298,7 +298,7 @@ def _over(rig: Rig, case: Case, outcome: Outcome) -> None:
         until += RETRY_S + FLUSH_S  # the recorder's wait before it tries again
     while stands := rig.watcher.standing.intersection(case.expected.signs):
         if time.monotonic() > until:
-            outcome.fail(f"stands although it is over: {stands}")
+            outcome.fail(f"still an alarm after the end of the fault: {stands}")
             return
         time.sleep(0.05)
 

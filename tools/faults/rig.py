@@ -317,7 +317,7 @@ class Rig:
         if self.truth.speed > AT_REST and self.drive.process.process.poll() is None:
             wrong.append(f"the pump runs on at {self.truth.speed:.2f}")
         if "Traceback" in self.main.stderr():
-            wrong.append("a traceback in what was printed")
+            wrong.append("a traceback in the output")
         return wrong
 
 

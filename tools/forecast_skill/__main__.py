@@ -105,8 +105,8 @@ def ensembles(rain: dict[int, np.ndarray], name: str, seeds: int) -> None:
     issued = forecasts(rain, name, seeds, 5)
     print(f"\n{name}, ensembles, mean of {seeds} seeds\n")
     print(head([
-        "days ahead", "sums over", "each with what fell", "two with each other",
-        "the mean with what fell", "gain of the mean",
+        "days ahead", "sums over", "each with observed", "two with each other",
+        "the mean with observed", "gain of the mean",
     ]))
     for day in DAYS:
         for hours in ENSEMBLE_SUMS:

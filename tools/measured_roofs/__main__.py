@@ -230,7 +230,7 @@ def main():
     parser.add_argument("directory", type=Path, help="with the files of both roofs")
     parser.add_argument("--output", type=Path, help="directory for tables and figure")
     parser.add_argument(
-        "--parts", action="store_true", help="what each part of the model buys, and nothing else"
+        "--parts", action="store_true", help="only show what each part of the model gains"
     )
     arguments = parser.parse_args()
     if arguments.parts:

@@ -99,7 +99,7 @@ def limit_of(command: str) -> float:
     began = time.monotonic()
     done = subprocess.run(shlex.split(command), check=False, capture_output=True, text=True)
     if done.returncode != 0:
-        raise SystemExit(f"{done.stdout}\nthe tests fail on the code as it is: {command}")
+        raise SystemExit(f"{done.stdout}\nthe tests fail on the unchanged code: {command}")
     return _LEAST_LIMIT_S + _TIMES_AS_LONG * (time.monotonic() - began)
 
 
@@ -178,10 +178,10 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "folders", nargs="*", metavar="FOLDER", help=f"of {', '.join(folders)} (default: all)"
+        "folders", nargs="*", metavar="FOLDER", help=f"some of {', '.join(folders)} (default: all)"
     )
-    parser.add_argument("--sample", type=int, default=100, help="mutants of each (default: 100)")
-    parser.add_argument("--seed", type=int, default=1, help="of the sample (default: 1)")
+    parser.add_argument("--sample", type=int, default=100, help="mutants a folder (default: 100)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the sample (default: 1)")
     parser.add_argument(
         "--output", type=Path, default=Path("runs/mutation.csv"),
         help="the table; survivors are in a file beside it (default: runs/mutation.csv)",

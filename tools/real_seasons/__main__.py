@@ -102,7 +102,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--periods", nargs="+", choices=list(PERIODS), default=list(PERIODS))
     parser.add_argument("--roofs", nargs="+", choices=list(ROOFS), default=list(ROOFS))
-    parser.add_argument("--tables", action="store_true", help="of what is there; run nothing")
+    parser.add_argument("--tables", action="store_true", help="print tables of existing runs only")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         inputs = Inputs(arguments.archives, Path(scratch))

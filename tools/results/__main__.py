@@ -66,9 +66,9 @@ def main() -> None:
     )
     parser.add_argument(
         "names", nargs="*", metavar="NAME", choices=[*TABLES, []],
-        help=f"of a table: {', '.join(TABLES)} (default: all but {', '.join(OF_YEARS)})",
+        help=f"tables to make: {', '.join(TABLES)} (default: all but {', '.join(OF_YEARS)})",
     )
-    parser.add_argument("--weather", metavar="DIR", help="the records of eleven years")
+    parser.add_argument("--weather", metavar="DIR", help="directory of the records of eleven years")
     arguments = parser.parse_args()
     weather = [] if arguments.weather is None else ["--weather", arguments.weather]
     try:

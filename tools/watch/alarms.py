@@ -161,7 +161,7 @@ class Comparison:
         for name, what in page.looks[-1].alarms.items():
             changes = said.said.get(name, [(0.0, "")])
             if not changes[-1][1] and changes[-1][0] < until - self._limit:
-                self.missed.append(f"{name} {what}: stands, and is not said")
+                self.missed.append(f"{name} {what}: is shown, but was not reported")
 
     def _compare(self, name: str, changes: list[tuple[float, str]], since: float) -> None:
         shown, shown_at = "", since
