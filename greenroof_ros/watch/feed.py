@@ -409,7 +409,7 @@ class Feed:
             if name == PLAN:
                 self._heard.append((stamp, name, message))
         elif (value := wire.number(message)) is not None:
-            self._store.add_now(name, stamp, value)
+            self._store.add_present(name, stamp, value)
             self._heard.append((stamp, name, value))
 
     def _hand_on(self) -> None:

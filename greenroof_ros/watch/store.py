@@ -312,7 +312,7 @@ class Store:
             if topic in ACCOUNTED:
                 self.account.add(topic, times, numbers)
 
-    def add_now(self, topic: str, time_ns: int, value: float) -> None:
+    def add_present(self, topic: str, time_ns: int, value: float) -> None:
         """Take a present value; the past comes another way.
 
         Args:

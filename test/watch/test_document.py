@@ -978,7 +978,7 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
 def test_a_glance_is_ahead_of_the_charts() -> None:
     """The newest value is shown while its past is still on its way; the past joins the charts."""
     graph = watched()
-    graph.add_now("/roof/level", START + 100 * SECOND, 0.05)
+    graph.add_present("/roof/level", START + 100 * SECOND, 0.05)
     assert tile_of(graph, "roof", 0.0)["number"] == 0.05
     assert shown(graph, 0.0)["time"]["now"] == START / 1e9 + 100
     assert max(row[0] for row in read_series(graph, 3)["lines"]["roof"]) == START / 1e9 + 60
@@ -986,11 +986,11 @@ def test_a_glance_is_ahead_of_the_charts() -> None:
     assert tile_of(graph, "roof", 0.0)["number"] == 0.05
     assert read_series(graph, 3)["lines"]["roof"][-1][::3] == [START / 1e9 + 90, 0.041]
     # Values older than that are not shown as present, implausible ones are reported.
-    graph.add_now("/roof/level", START + 99 * SECOND, 0.03)
+    graph.add_present("/roof/level", START + 99 * SECOND, 0.03)
     assert tile_of(graph, "roof", 0.0)["number"] == 0.05
-    graph.add_now("/roof/level", START + 101 * SECOND, math.nan)
+    graph.add_present("/roof/level", START + 101 * SECOND, math.nan)
     assert tile_of(graph, "roof", 0.0)["value"] == words.NOT_PLAUSIBLE
-    graph.add_now("/no/topic", START + 102 * SECOND, 1.0)
+    graph.add_present("/no/topic", START + 102 * SECOND, 1.0)
     assert shown(graph, 0.0)["time"]["now"] == START / 1e9 + 101
 
 
@@ -1001,7 +1001,7 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
     plan = np.array([[step * 3600.0, 0.0, 0.04] for step in range(1, 13)])
     forecast(graph, START, ENSEMBLE)
     graph.add_plan(START, plan)
-    graph.add_now("/roof/level", now_ns, 0.044)
+    graph.add_present("/roof/level", now_ns, 0.044)
     assert tile_of(graph, "rain", 0.0)["sentence"] == "no forecast is known"
     assert "plan" not in tile_of(graph, "controller", 0.0)["sentence"]
     assert read_series(graph, 24)["forecast"] == read_series(graph, 24)["plan"] == []

@@ -63,9 +63,9 @@ class Kept(Store):
             self._keep(topic, time_ns, value)
         super().add(topic, times_ns, values)
 
-    def add_now(self, topic: str, time_ns: int, value: float) -> None:
+    def add_present(self, topic: str, time_ns: int, value: float) -> None:
         self._keep(topic, time_ns, value)
-        super().add_now(topic, time_ns, value)
+        super().add_present(topic, time_ns, value)
 
     def take(self, topic: str, time_ns: int, message: bytes, *, past: bool) -> None:
         if (rows := wire.rows(message)) is not None and topic in FORECASTS:
