@@ -263,7 +263,7 @@ def test_what_cannot_be_extended(tmp_path: Path) -> None:
         ("child.yaml", "child.yaml, line 1: extends = 'child.yaml': must be the name of another"),
         ("3", "child.yaml, line 1: extends = 3: must be the name of another site file, such as"),
         ("absent.yaml", "absent.yaml: cannot be read"),
-        ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of anothe"),
+        ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of "),
         ("base.yaml", f"base.yaml, line {len(TABLE_I) + 1}: a3: is not a parameter of a site"),
     ):
         child.write_text(f"extends: {base}\na1: 3.0\n")

@@ -66,8 +66,8 @@ WRONG = {
         edited("onoff:", "onoff: {site: other.yaml}"), "other.yaml is not under 'site:' of the",
     ),
     "parameter": (
-        edited("weight", "wieght"),
-        "line 11: wieght: is not a parameter of mpc; did you mean weight?",
+        edited("weight", "wieght"),  # codespell:ignore
+        "line 11: wieght: is not a parameter of mpc; did you mean weight?",  # codespell:ignore
     ),
     "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be from 1e-09 to 1e+06"),
     "no-values": (edited("[1.0e-3, 0.1]", "[]"), "line 11: weight: is empty"),
