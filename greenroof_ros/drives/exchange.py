@@ -17,7 +17,7 @@ from greenroof_ros.drives.placed import Connection, Placed
 
 # Wait before a new attempt to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
-# While a drive is stopped, its speed must not stay the same for longer than this (s), or it counts
+# A drive being stopped must not keep its speed for longer than this (s), or it counts
 # as one that does not stop; and the least decrease that counts (share of rated speed).
 STILL_S, SLOWER = 3.0, 0.005
 # A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), longer

@@ -65,7 +65,8 @@ class Lockstep:
         run: the run that the node takes part in; None before the plant has published it.
         tick: the tick on which the node acts next.
         awaited: names of the inputs without a message of this tick yet.
-        due_in: time until the node must check the clock (s); infinite, except in a plant with pace.
+        due_in: time until the node must check the clock (s); infinite, except in a plant
+            that keeps a pace.
     """
 
     def __init__(self, role: str, act: Callable[[], None], finish: Callable[[], None]) -> None:

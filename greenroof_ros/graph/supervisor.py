@@ -497,7 +497,7 @@ class LiveSupervisor(Supervisor):
                 self._start(name, now)
         if self._stopping is not None and self._stopping.done():
             _, message = self._stopping.result()
-            self._on_failure(PUMP, f"could not stop the drive; {message}")
+            self._on_failure(PUMP, f"left the drive to bringup; {message}")
             self._stopping = None
         before, self.inhibit = self.inhibit, self._reason_to_inhibit(now)
         if self.inhibit and not before:

@@ -1,6 +1,6 @@
 """The controller node, for any controller: levels and forecasts in, one command out.
 
-On a live site on/off replaces a controller that needs a forecast, for the time it has none.
+On a live site on/off replaces a controller that needs a forecast while it has none.
 
 ``python -m greenroof_ros.nodes.controller --controller NAME`` runs a registered controller, or any
 class as ``package.module:Class``; the node is named after it.

@@ -100,7 +100,7 @@ class PlantNode(LinkedNode):
         )
         self._rain = self.subscribe("/weather/precipitation")
         self._evapotranspiration = self.subscribe("/weather/evapotranspiration")
-        # Frost ends a minimum time on. Without a minimum time the pump only follows the command.
+        # Frost cuts a minimum on-time short. Without one the pump only follows the command.
         self._frost = self.subscribe("/weather/frost") if errors.minimum_on else None
         self._command = self.subscribe("/pump/command")
         if self._external:
@@ -130,7 +130,7 @@ class PlantNode(LinkedNode):
             return 0.0
         wait = self._began + self._tick * self._site.tau / self._speed - time.monotonic()
         if wait < -_LATE_S:
-            self._began -= wait  # a real pump's least times must not pass faster
+            self._began -= wait  # a real pump's least times must not pass faster than real time
         return max(0.0, wait)
 
     def _levels(self) -> tuple[float, float]:

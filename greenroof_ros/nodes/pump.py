@@ -305,8 +305,8 @@ class PumpNode(Lifecycle, LinkedNode):
             flow_known=False, blind_for=0.0,
         )
         self._state = ""
-        self._reasons: tuple[object, ...] = ()  # as of the last decision
-        # Internal times, measured from now on; none is published.
+        self._reasons: tuple[object, ...] = ()  # as `on_idle` last saw them
+        # Internal times; none is published. Simulated time counts from 0.
         self._simulated = 0.0
         self._stepped = boot_time() if self.live else 0.0
         self._watched = time.monotonic()
@@ -574,7 +574,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self._reasons = reasons
             self._step(now)
         self._idle_at = boot_time()
-        self._drive.exchange.demand(self._decision.speed)
+        self._drive.exchange.demand(self._decision.speed)  # again and again: it expires in a second
         if self._autostart:
             self._start_by_itself(now)
         if now - self._looked_at > _LOOK_S:
@@ -627,7 +627,7 @@ class PumpNode(Lifecycle, LinkedNode):
         return reasons
 
     def _silence(self) -> str:
-        """Return that commands are missing, by the steady clock alone; empty if they are not."""
+        """Return that commands are missing, or that this node was paused; empty if neither."""
         now = boot_time()
         if self._commanded < 0:
             return "no command has come yet"
@@ -641,7 +641,7 @@ class PumpNode(Lifecycle, LinkedNode):
         """Decide on what is known now, order it from the drive, and publish the state.
 
         Args:
-            now: steady clock (s). In lockstep the control counts simulated time instead.
+            now: boot time (s). In lockstep the control counts simulated time instead.
         """
         self._look_for_suspend(now)
 

@@ -68,7 +68,7 @@ class SensorNode(LinkedNode):
                 "is missing: it describes the sensor", file=file, key=section
             )
         self._topic, unit = quantity.topic_name, quantity.topic.unit
-        # A missing level stops the pump; other missing quantities need not.
+        # A missing level stops the pump; other missing quantities may not.
         self._part, self._level = ("sensor", ERROR) if section in TANKS else ("gauge", WARN)
         self.open_outputs(self._topic)
         self._value: float | None = None

@@ -135,8 +135,8 @@ def parameters(site: Site) -> list[Parameter]:
             "file may have been issued",
         ),
         Parameter(
-            "unknown_frost_may_pump", False, meaning="live: without a temperature there is no "
-            "frost; otherwise the pumps are kept off",
+            "unknown_frost_may_pump", False, meaning="live: true: an unknown temperature counts "
+            "as no frost; false: it keeps the pumps off",
         ),
         *live_parameters(_GAUGES),
     ]

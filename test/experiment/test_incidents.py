@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from dataclasses import asdict
 from datetime import datetime, timedelta, timezone
@@ -23,6 +24,18 @@ def report_of(node: str, code: str = "a_code", **parts: str) -> dict[str, dict[s
         for part, level in parts.items()
     }
     return {node: {"diagnoses": diagnoses}}
+
+
+def test_every_part_of_a_node_has_a_rule_or_none_on_purpose() -> None:
+    """These parts change nothing, or another part is lost with them."""
+    package = Path(incidents.__file__).parents[1]
+    text = "".join(file.read_text() for file in (package / "nodes").glob("*.py"))
+    parts = set(re.findall(r'\.(?:say|diagnose|_say_gauge)\(\s*"([a-z ]+)"', text))
+    assert {"drive", "levels", "forecast", "rain gauge"} < parts
+    assert parts - incidents._RULES.keys() == {
+        "delivery", "dose", "drive file", "drive timeout", "forecast service",
+        "record of forecasts", "supervisor",
+    }
 
 
 def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

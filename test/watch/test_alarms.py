@@ -13,7 +13,15 @@ from said import ERROR, OK, STALE, STOPPED, WARN, node
 
 from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
-from greenroof_ros.watch.alarms import FOREIGN, OTHER, Alarms, advise, find_causes
+from greenroof_ros.watch.alarms import (
+    _NEEDS_A_HAND,
+    _PARTS_OF_REASON,
+    FOREIGN,
+    OTHER,
+    Alarms,
+    advise,
+    find_causes,
+)
 from greenroof_ros.watch.registry import Trouble
 from greenroof_ros.watch.wire import Status
 
@@ -332,6 +340,15 @@ def test_every_code_has_its_advice() -> None:
         if interlock.kind == LATCHED or code in ("operator_stop", "record_unknown"):
             assert service in advise(code, "pump", "/site1/pump")[0]
     assert advise("of another version", "pump", "/pump") == (OTHER, False)
+
+
+def test_every_interlock_has_its_place() -> None:
+    """It needs somebody at the pump, a part of the node says more, or its own text says all."""
+    complete = {
+        "paused", "cistern_low", "quiet_hours", "longest_run", "daily_volume", "daily_run",
+        "two_pumps",
+    }
+    assert INTERLOCKS.keys() - _NEEDS_A_HAND - _PARTS_OF_REASON.keys() == complete
 
 
 def test_no_error_follows_from_a_warning() -> None:
