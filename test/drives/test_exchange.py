@@ -682,12 +682,12 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
     first.take()
     bench.exchange.start()
     bench.speed = 0.5
-    wait(lambda: f"process {os.getpid()} of this machine" in bench.now.problem)
+    wait(lambda: f"process {os.getpid()} on this machine" in bench.now.problem)
     time.sleep(0.3)
     assert not bench.now.connected and bench.now.errors == 1
     # The supervisor's stop ignores the lock of its own driver.
     at = PlacedDrive(ABB, parse_address(bench.wire.at))
-    with pytest.raises(DriveInUseError, match=f"process {os.getpid()} of this machine"):
+    with pytest.raises(DriveInUseError, match=f"process {os.getpid()} on this machine"):
         stop_drive(at, driver=1)
     assert bench.wire.connections == 0
     assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
@@ -709,7 +709,7 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
         for name in ("ttyUSB0,1", "by-id,2")
     )
     first.take()
-    with pytest.raises(DriveInUseError, match=f"process {os.getpid()} of this machine"):
+    with pytest.raises(DriveInUseError, match=f"process {os.getpid()} on this machine"):
         second.take()
     first.release()
     second.take()

@@ -281,8 +281,7 @@ def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fa
     took = wait(lambda: not bench.closed, 20)
     assert took < TIMER_S + SLACK_S
     wait(lambda: not bench.now.connected, 10)
-    expected = "no valid answer to" if fault == "garbage" else "no answer to the question"
-    assert expected in bench.now.problem
+    assert re.search("no (valid )?answer to the question", bench.now.problem)
     bench.relay.inject("none")
     wait(lambda: bench.closed, 60)
 
