@@ -148,11 +148,14 @@ class Inputs:
             wet: chosen(archive, dressing) if own_numbers else PACKAGE
             for wet, dressing in by.items()
         }
+        members = math.lcm(*(own.members for own in numbers.values()))  # all issues have as many
         issues = []
         for issue in archive.issues:
             half = not self.is_wet(period, issue.issued)
             with used(numbers[half]):
-                issues.append(dress_issue(issue, by[half]))
+                dressed = dress_issue(issue, by[half])
+            rain = np.repeat(dressed.rain, members // len(dressed.rain), axis=0)
+            issues.append(replace(dressed, rain=rain))
         return replace(archive, issues=tuple(issues))
 
     def by_half(self, roof: str, source: str, period: Period) -> dict[bool, Dressing]:
