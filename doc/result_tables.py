@@ -262,6 +262,7 @@ def seasons() -> Result:
         name = _setting(row)
         name += f", level {level}" if level != "1.0" else ""
         name += f", perfect {float(horizon):g} h" if horizon == "240.0" else ""
+        name += ", no skill" if row["forecast_skill"] == "none" else ""
         case = _roof(row), name
         marks[case] = _ratio(*case, row)
         # On/off is in both tables: in one with mm, in the other with the least possible.
