@@ -106,8 +106,8 @@ def _table(result: dict[str, Any]) -> Table:
         ),
         (
             "gap", "-" if gap is None else f"{100 * gap:.4f} %",
-            "between the bound and the better plan, which contains the optimum; on a measured "
-            "roof mostly due to the bound, whose program replaces the soil by straight lines",
+            "between the bound and the better plan; the optimum lies in it. On a measured roof "
+            "mostly due to the bound, whose program replaces the soil by straight lines",
         ),
         (
             "pumped", f"{result['pumped_m3']:.4f} / {result['recursion_pumped_m3']:.4f}",

@@ -99,7 +99,7 @@ def main() -> int:
             while progress.dose is None or not progress.dose["over"]:
                 looker.look(_LOOK_S)
                 if progress.lost:
-                    print(f"{pump} was started again: the dose ended with it", flush=True)
+                    print(f"{pump} was restarted, which ended the dose", flush=True)
                     return EXIT_FAILED
                 if time.monotonic() - progress.heard > _SILENT_S:
                     print(f"{pump} is no longer heard: it is not known whether the dose continues")

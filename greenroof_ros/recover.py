@@ -61,7 +61,7 @@ def restore(bag: Path, target: Path) -> str:
     """Write all that is complete in one bag to another: ticks of a simulation, or live messages.
 
     A file that was closed is hard-linked, because there may be months of them, or copied if the
-    disk does not support links.
+    target is on another disk or the disk does not support links.
 
     Args:
         bag: the recorded bag.
@@ -95,7 +95,7 @@ def restore(bag: Path, target: Path) -> str:
             copy.unlink()
     if not restored:
         target.rmdir()
-        raise ConfigurationError("does not hold a single whole tick or message", file=bag)
+        raise ConfigurationError("does not hold a single complete tick or message", file=bag)
     write_metadata(target, restored.values())
     count = sum(index.statistics.message_count for index in restored.values())
     per_tick = _per_tick(next(iter(restored.values())).channels)
@@ -159,7 +159,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="greenroof recover",
         description="Repair the bag of a run whose recorder was killed or ran out of disk: every "
-        "whole tick, or every message of a live site, goes into a new bag next to the old one, "
+        "complete tick, or every message of a live site, goes into a new bag next to the old one, "
         "which stays unchanged. A report of the run then uses the new one.",
     )
     parser.add_argument("directory", type=Path, metavar="DIR", help="a run directory, or its bag")

@@ -13,7 +13,8 @@ from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import START_LIMIT_S, NodeFailed, Supervisor
 
-# How long a drive may take to be ready (s): an ABB's timeout is active only 30 s after power-up.
+# How long a drive may take to be ready (s): an ABB's timeout is effective only from 30 s after
+# power-up.
 _DRIVE_LIMIT_S = 60.0
 
 

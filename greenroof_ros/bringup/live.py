@@ -65,7 +65,8 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     """Start the nodes of a live site and keep them running until a signal comes.
 
     Returns:
-        The exit code: 0 if the site was asked to stop, the pump stands, and there was no incident.
+        The exit code: 0 if the site was asked to stop, the pump is at rest, and there was no
+        incident.
 
     Raises:
         ConfigurationError: a graph runs already, ROS 2 is missing, a parameter file is wrong, or

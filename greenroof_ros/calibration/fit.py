@@ -208,7 +208,7 @@ def fit(
     """Fit a measured roof to some steps of a record.
 
     Sums of runoff and means of the level are fitted to the measured ones by least squares within
-    bounds. Each is over an hour or, with longer steps, over eight steps but at most four days,
+    bounds. Each is over an hour, or over eight steps (at most four days) if that is longer,
     because a simulated step spreads its rain evenly. Beyond ten standard deviations of the
     measurements the loss grows only in proportion ("soft_l1"), so that a broken sensor does not
     dominate. The simulation is compared as the record's meter would show it. The search begins at

@@ -233,8 +233,8 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
     :func:`.fit.half_intervals`, with runs as groups and the degrees of :func:`.fit.freedom`.
 
     If the cistern's fall is far from what the pumps can lift, or at another time than they run, the
-    findings hold a refusal and no curve is fitted. With fewer than ten runs by :func:`find_runs`
-    no curve is fitted either.
+    findings hold a refusal and no curve is fitted. With fewer than ten runs that count, of those
+    by :func:`find_runs`, no curve is fitted either.
 
     If levels change the head by too little to identify H, ``a_hat`` is held, and ``c_hat`` follows
     from Q alone.

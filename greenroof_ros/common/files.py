@@ -168,7 +168,8 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
         plain: returns the value of an unquoted text.
 
     Raises:
-        ConfigurationError: it cannot be read, has tags or a key twice, or is not such a YAML file.
+        ConfigurationError: it cannot be read, is not YAML or nested too deeply, has a tag or gives
+            a key twice, or holds no mapping.
     """
     text = read_text(path)
     if _nesting(text) > _DEEPEST:  # libyaml would crash the process

@@ -121,7 +121,7 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
         TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
-        refresh_per_second=2,  # its thread takes time from two cores
+        refresh_per_second=2,  # its thread competes with the run
     ) as progress:
         task = progress.add_task("", total=1.0)
 

@@ -44,8 +44,8 @@ class AfterForecast:
     fills the roof before rain at its end, at no cost in the plan, and has too much water on it
     afterwards. The shorter the forecast, the larger this error. So the deviation also counts for
     ``days_after`` more days, without rain and with 0.3 of the mean evapotranspiration of the past
-    day, the usual net loss after rain in summer. The mean covers a whole day, so that it is also
-    right at night; it starts with the mean of the forecast's first day.
+    day: in summer that is what usually remains of it after the rain. The mean covers a whole day,
+    so that it is also right at night; it starts with the mean of the forecast's first day.
 
     Without these days, nothing counts after the end of the forecast. That is right for a study
     whose runs end there, such as the paper's of 12 h, but not for a real roof.

@@ -54,8 +54,8 @@ class AnticipatingOnOff:
 
     For a microcontroller: once a minute, go through the hours of the forecast and add rain times
     the bed's area less evapotranspiration to the water on the roof. Sum up the hours with too
-    little water less those with too much. If this sum is not above zero at any hour, do not pump. A
-    real site needs two more sums, updated in each tick:
+    little water less those with too much. Do not pump if this sum is zero or less at even one hour.
+    A real site needs two more sums, updated in each tick:
     :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` averages the level's readings,
     :class:`~greenroof_ros.controllers.regret_budget.RegretBudget` limits the cost of forecast rain
     that never comes.

@@ -118,7 +118,9 @@ def _parameters(trial: _Trial) -> None:
         raise _ProblemError(f"two parameters have the same name: {', '.join(names)}")
     for parameter in trial.choice.kind.parameters:
         if not parameter.name.isidentifier() or parameter.name != parameter.name.lower():
-            raise _ProblemError(f"{parameter.name!r} is not a valid name: use a-z, 0-9 and _")
+            raise _ProblemError(
+                f"{parameter.name!r} is not a valid name: use a-z, 0-9 and _, no digit first"
+            )
         if not (parameter.unit and parameter.meaning):
             raise _ProblemError(f"{parameter.name} has no unit ('1' if none) or no meaning")
         if not parameter.accepts(parameter.default):

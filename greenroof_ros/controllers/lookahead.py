@@ -102,7 +102,8 @@ class Lookahead:
         ),
         Parameter(
             "recourse", 48.0, "h", 1.0, LONGEST_HORIZON, "time for which one level serves all "
-            "members; after each, newer forecasts are assumed to show which half of them was wrong",
+            "members; after each such time, newer forecasts are assumed to show which half of the "
+            "members was wrong",
         ),
         Parameter(
             "cvar_level", 0.0, "1", 0.0, 0.99, "share of the members to leave out, those with "

@@ -181,7 +181,7 @@ class Mpc:
             self._command = 0.0
         else:
             first, objective = solution
-            # At a bound the solver ends within its tolerance, on either side.
+            # At a bound the solver ends within its tolerance of the bound, on either side.
             if first < _AT_BOUND:
                 first = 0.0
             elif first > self._max_command - _AT_BOUND:

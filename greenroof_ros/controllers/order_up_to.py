@@ -477,11 +477,11 @@ def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
     more rain until then; ties are decided by the next step, and so on. If the number is odd, the
     wetter half has one more. So groups only split, and in the end each member is alone.
 
-    No forecast tells at once which member will come true. A controller that assumes this waits,
-    since soon it would know everything. Heitsch and Roemisch (2009, Scenario tree modeling for
-    multistage stochastic programs, doi:10.1007/s10107-007-0197-2) build a tree from scenarios that
-    are alike until each stage; here the members split by rank, so that the tree is equally large
-    whatever the rain. The order in which the members are given does not matter.
+    No forecast tells at once which member will come true. A controller that assumed it did would
+    wait, since it would soon know everything. Heitsch and Roemisch (2009, Scenario tree modeling
+    for multistage stochastic programs, doi:10.1007/s10107-007-0197-2) build a tree from scenarios
+    that are alike until each stage; here the members split by rank, so that the tree is equally
+    large whatever the rain. The order in which the members are given does not matter.
 
     Args:
         rain: forecast (m/s), shape (members, n).

@@ -25,8 +25,8 @@ class Controller(Protocol):
     - ``outputs``: topics of ``msg_defs/topics.yaml`` that its node publishes after each command,
       each with the attribute that holds the value: ``{"/controller/cost": "cost"}``. The value is a
       number, for ``/controller/plan`` a numpy array of shape (steps, 4).
-    - ``learned``: a property with the numbers, by name, that it has learned and would need weeks to
-      learn again. The node of a live site restores them after a restart.
+    - ``learned``: a property, readable and settable, with the numbers, by name, that would take
+      weeks to learn again. The node of a live site sets it after a restart to what it was before.
     - ``time_ns``: the time (ns since 1970), set before each command at a site with quiet hours. A
       class that has it is also asked in quiet hours, when its command is replaced by 0; it can plan
       with ``site.quiet``. Any other class skips these ticks.

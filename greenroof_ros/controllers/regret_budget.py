@@ -70,7 +70,7 @@ class RegretBudget:
     The budget belongs to a site: a restarted live controller continues with its previous L and D.
 
     The comparison assumes that the pumps do what is commanded. With minimum times on and off, or
-    a flow other than the site file's, the count is wrong by what they pump beyond the command.
+    a flow other than the site file's, the count is wrong by the difference.
 
     Attributes:
         loss: L so far (m3 s); negative is a gain.

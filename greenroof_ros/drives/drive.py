@@ -23,13 +23,13 @@ class DriveStatus:
 
     Attributes:
         ready: no fault and no interlock; it would start.
-        running: the motor is fed.
+        running: the motor is energized.
         fault: in words; empty for none. Turning backwards is a fault, too.
         warning: in words; empty for none.
         speed: share of rated speed; below 0 only if the pump turns backwards.
         flow: m3/s; None if the drive does not measure it.
         remote: it obeys the bus.
-        timed_out: its only fault is that its own communication timeout has passed.
+        timed_out: its only fault is that its own communication timeout has expired.
         runs_on: the fault is that its speed does not fall after *stop*.
     """
 
@@ -187,7 +187,8 @@ class Drive:
             go_on: asked before each step and while waiting; if it returns False, the sequence ends.
 
         Raises:
-            DriveError: no or a wrong answer; a fault is active; a state was not reached in time.
+            DriveError: no answer or a wrong one; a fault is active; a state was not reached in
+                time.
             ValueError: the speed is out of range.
         """
         if not 0 <= speed <= 1:

@@ -231,8 +231,8 @@ class DriveExchange(DeviceThread[Snapshot]):
     while a speed was asked for, the drive stays off until `demand` has asked for off: the caller,
     which counts starts and waits between them, decides on the next. During a silence nothing is
     sent for longer than the drive's own timeout, which then stops it: it may count any order as a
-    sign of life. `close` works in every state and leaves the drive stopped. While an exchange
-    exists, no other on this machine can use its drive.
+    sign of life. `close` works in every state and leaves the drive stopped. From the first
+    connection to `close` no other program on this machine can use the drive.
     """
 
     def __init__(
@@ -343,7 +343,7 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def _target_speed(self) -> float | None:
         speed, at = self._demand
-        fresh = boot_time() - at <= self._dead_man_s  # false after a suspend
+        fresh = boot_time() - at <= self._dead_man_s  # a suspend counts
         return speed if fresh and not self._closing and not self._unguarded() else None
 
     def _unguarded(self) -> str:

@@ -276,7 +276,7 @@ class Relay:
         # *on* was last published, None if it has not answered.
         self._ordered: bool | None = None
         self._is_on: bool | None = None
-        # Its timer as last read, None if it does not guard; and when *on* was published (s).
+        # Its timer as last read, None if it is not effective; and when *on* was published (s).
         self._timer_s: float | None = None
         self._on_at = 0.0
 
@@ -289,9 +289,9 @@ class Relay:
         return f"{self.file.make} {self.file.model} ({_text(self._value(self.file.name))})"
 
     def timeout(self) -> tuple[float | None, str]:
-        """Return its timer (s); if that does not guard, None and the reason.
+        """Return its timer (s); if that is not effective, None and the reason.
 
-        It does not guard if it is off or too short to be renewed in time, or if another setting
+        It is not effective if it is off or too short to be renewed in time, or if another setting
         could switch the relay on by itself.
 
         Raises:
@@ -351,7 +351,7 @@ class Relay:
             go_on: asked before switching on and while waiting for it; False ends the call.
 
         Raises:
-            DriveError: no answer or a wrong one; its timer does not guard; it does not switch on.
+            DriveError: no answer or a wrong one; its timer is not effective; it does not switch on.
             ValueError: the speed is out of range.
         """
         if not 0 < speed <= 1:

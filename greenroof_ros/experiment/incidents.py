@@ -170,7 +170,7 @@ class IncidentLog:
 
         Args:
             say: prints a line for people.
-            file: where the disk's thread stores each change at once; None for nowhere.
+            file: where the disk thread stores each change at once; None for nowhere.
         """
         self.incidents: deque[Incident] = deque(maxlen=MOST)
         self.count = self.changes = 0
@@ -281,7 +281,7 @@ class IncidentLog:
             DISK.do(partial(self._write, self._file, json.dumps(asdict(incident)) + "\n"))
 
     def _write(self, file: Path, line: str) -> None:
-        """Write a line on the disk's thread; a full disk stops nothing: the summary has it, too."""
+        """Write a line on the disk thread; a full disk stops nothing: the summary has it, too."""
         try:
             with file.open("a", encoding="utf-8") as stream:
                 stream.write(line)

@@ -34,7 +34,7 @@ class RunProgress:
             TextColumn("{task.percentage:>3.0f} %"),
             TextColumn("{task.fields[state]}"),
             console=Console(stderr=True, file=file),
-            # Redrawn when there is news, not by a thread that needs a share of two cores.
+            # Redrawn when there is news, not by a thread that would compete with the run.
             auto_refresh=False,
         )
         self._task = self._progress.add_task("", total=steps, clock="0:00:00", state="starting")

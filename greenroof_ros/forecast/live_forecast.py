@@ -189,8 +189,8 @@ class LiveDressing:
     Attributes:
         few: why the newest issue is used as it was issued; empty if it is dressed.
 
-    A forecast becomes an analog once all its hours have passed. The file is written after each hour
-    by the disk's thread. Only one process adds to a file; others use it as they read it.
+    An issue can be an analog once all its hours have passed. The file is written after each hour
+    by the disk thread. Only one process adds to a file; others use it as they read it.
     """
 
     def __init__(self, file: Path, tick_s: float) -> None:

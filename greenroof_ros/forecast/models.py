@@ -10,8 +10,8 @@ amounts. The z behind the records' rain, see :mod:`greenroof_ros.forecast.skill`
     f_j = s z + sqrt(s - s^2) zeta + sqrt(1 - s) xi_j
 
 at each frequency, with the coherence s given there. The first two terms are what the forecasters
-know; zeta is an error common to all members, xi_j the own error of member j. All have the spectrum
-of z, and so has f_j: it rains in forecasts as often as in the records. Any two members have the
+know; zeta is an error common to all members, xi_j the error of member j alone. All have the
+spectrum of z, and so has f_j: it rains in forecasts as often as in the records. Any two have the
 coherence s with each other, as each has with the truth. So the truth is like one more member, and
 the ensemble's spread is reliable. Last, rain is made of f_j + wetness, and multiplied by the
 amount: these are a service's systematic errors.
@@ -71,7 +71,7 @@ _BLOCK = 512
 # have no effect in it.
 _PART = 8
 
-# Starts the seeds of z in dry hours; they depend on the records and not on a forecast's seed.
+# Starts the seeds of z in dry hours, which depend only on the hours since 1970.
 _RECORDS = 6158359
 
 

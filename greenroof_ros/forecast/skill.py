@@ -94,8 +94,8 @@ class Climate:
 class Errors:
     """The errors of forecasts, and how they grow with the lead.
 
-    A constant that is not a function of the lead is multiplied by the share of z that is unknown,
-    as a standard deviation: 0 at the lead 0, and 1 if nothing is known.
+    ``wetness``, ``amount`` and ``evapotranspiration`` have their full effect if nothing is known.
+    Otherwise it is in proportion to the unknown part of z (a standard deviation): none at lead 0.
     """
 
     reach: float = entry("L, lead at which the coherence has fallen to 1/e (h)", 1.0, 1e6)

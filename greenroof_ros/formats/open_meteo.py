@@ -448,7 +448,7 @@ def _daily(previous: Records) -> list[Issue]:
 def _windows(
     previous: Records, every: int
 ) -> Iterator[tuple[datetime, NDArray[np.float64]]]:
-    """Yield each time of issue, ``every`` hours in UTC, and the values of the hours that follow.
+    """Yield the times of issue, ``every`` hours from 00 UTC on, and the values after each.
 
     The values have a row for each N up to the greatest, and as many days; NaN if missing.
     """

@@ -121,9 +121,9 @@ class Levels:
 
 
 class Live:
-    """Makes a node act every period of the boot clock; the node goes on if a peer ends.
+    """Makes a node act every period of the steady clock; the node goes on if a peer ends.
 
-    The boot clock (CLOCK_BOOTTIME) also runs during a suspend: earlier inputs are then too old.
+    This clock (CLOCK_BOOTTIME) also runs during a suspend: earlier inputs are then too old.
 
     Attributes:
         has_begun: whether a node with a period has acted; always true without a period.

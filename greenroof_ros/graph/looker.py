@@ -1,7 +1,7 @@
 """Watches a graph from outside: hears the topics asked for, and can stop the pump.
 
-It can release its own stop, clear some faults, and ask for a pause or, if the site allows it, a
-dose. The pump node has separate services for this.
+By services of their own it can release its own stop and clear some faults. It can also ask for a
+pause or, if the site allows it, a dose.
 
 It must not delay any node. So it subscribes best effort and volatile: no publisher stores, repeats
 or waits for anything for it. It uses only UDP: with shared memory, a stopped process can hold a

@@ -37,7 +37,7 @@ from greenroof_ros.graph.domain import LEASE
 from greenroof_ros.graph.supervision import PUMP, READY, RECORDER, SOCKET, read_report, read_socket
 
 # How long to wait after asking a process to end before killing it (s). The pump node gets longer:
-# it waits until the pump stands, for as long as the speed falls.
+# it waits until the pump is at rest, for as long as the speed falls.
 ENDING_S, PUMP_ENDING_S = 8.0, 40.0
 # How long killing a process may take (s).
 KILLING_S = 5.0
@@ -177,7 +177,7 @@ class Supervisor:
     Attributes:
         nodes: the started nodes, by name.
         awake_since: when this process began, or last resumed from a pause (steady clock, s).
-        may_run: a warning that the pump may still run after the end; empty if it stands.
+        may_run: a warning that the pump may still run after the end; empty if it is at rest.
     """
 
     def __init__(
@@ -497,7 +497,7 @@ class LiveSupervisor(Supervisor):
                 self._start(name, now)
         if self._stopping is not None and self._stopping.done():
             _, message = self._stopping.result()
-            self._on_failure(PUMP, f"left the drive to bringup; {message}")
+            self._on_failure(PUMP, f"did not stop the drive; {message}")
             self._stopping = None
         before, self.inhibit = self.inhibit, self._reason_to_inhibit(now)
         if self.inhibit and not before:

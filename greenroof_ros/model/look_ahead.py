@@ -12,7 +12,7 @@ _LATER = 21_600
 _HOUR = 3600
 
 LONGEST_HORIZON = 240.0
-"""The longest horizon (h): ten days, the longest forecasts that weather services give."""
+"""The longest horizon (h): ten days."""
 
 # Largest ensemble of forecasts.
 MOST_MEMBERS = 100

@@ -39,7 +39,7 @@ _DRAINS_H = 6
 _ROUNDING_MM = 1e-6
 
 NEAR_TARGET = 0.05
-"""Half width of the band around the roof's target that is near it, as a share of the target."""
+"""Half width of the band in which a level is near the roof's target, as a share of the target."""
 
 Values = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class Samples:
         duration: from each sample to the next (s).
         cistern: water volume x1 (m3).
         roof: water volume x2 (m3).
-        command: as given (1); a pump driver does what it can.
+        command: as given (1); a pump driver carries it out as far as it can.
         precipitation: rain (m/s).
         outflow: from the cistern to the sewer (m3/s).
         pump: from the cistern to the roof (m3/s).

@@ -151,7 +151,8 @@ class Site:
         *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_roof: float | None = entry(
-        "volume on the roof at the start of a run", *_NOT_NEGATIVE, unit="m3", default=None,
+        "volume on the roof at the start of a run; without it, low-low of Table II",
+        *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_layer: float = entry(
         "volume in the drainage layer at the start of a run, whatever the initial state",

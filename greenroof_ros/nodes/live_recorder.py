@@ -46,7 +46,7 @@ def parameters(site: Site | None = None) -> list[Parameter]:
 class LiveRecorderNode(LinkedNode):
     """Records the topics of a live graph, and /diagnostics, under their full names.
 
-    The disk's thread writes. This node's own thread receives and reports, and waits for no disk.
+    The disk thread writes. This node's own thread receives and reports, and waits for no disk.
     """
 
     def __init__(self) -> None:

@@ -638,10 +638,10 @@ class PumpNode(Lifecycle, LinkedNode):
         return ""
 
     def _step(self, now: float) -> None:
-        """Decide on what is known now, order it from the drive, and publish the state.
+        """Decide on what is known now, give the drive its order, and publish the state.
 
         Args:
-            now: boot time (s). In lockstep the control counts simulated time instead.
+            now: steady clock (s). In lockstep the control counts simulated time instead.
         """
         self._look_for_suspend(now)
 

@@ -95,7 +95,8 @@ def parameters(site: Site) -> list[Parameter]:
             "growing steps; 0: the next M ticks",
         ),
         Parameter(
-            "all_members", False, meaning="publish all members of an ensemble, not only the first",
+            "all_members", False, meaning="publish all members of an ensemble, for a controller "
+            "that takes them (lookahead); false: only the first",
         ),
         Parameter(
             "forecast", str(forecast),
@@ -391,7 +392,7 @@ class WeatherNode(LinkedNode):
             return float(temperature <= 0)
         level, pumps = WARN, "may run anyway"
         if math.isnan(self._unknown_frost):
-            level, pumps = ERROR, "stand"
+            level, pumps = ERROR, "are kept off"
         self.diagnose(
             "frost", level, "the temperature is unknown, so there may be frost: the pumps "
             f"{pumps} (unknown_frost_may_pump)", "temperature_unknown",

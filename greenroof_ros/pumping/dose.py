@@ -95,7 +95,7 @@ class Doses:
             return "the site file allows no dose (greatest_dose)"
         if (present := self.present) is not None:
             return f"another dose is under way: {present.said}"
-        return against and f"the pump may not run: {against}"
+        return against and f"the pump must not run now: {against}"
 
     def ask(self, request: float, volume: float, now: float, least: float, against: str) -> str:
         """Accept a request (returns an empty string), or return why it is refused.

@@ -33,7 +33,7 @@ class Interlock(NamedTuple):
     Attributes:
         kind: latched, inhibit or enable.
         source: the module that gives the reason.
-        limit: the parameters that set its threshold; empty if there are none.
+        limit: the parameters that decide when it is active; empty if there are none.
         follows: whether it is left out if an earlier interlock of its kind is active, because it
             may merely be a consequence of that one.
         by: what clears it, if that differs from its kind: a person, a service or a transition.

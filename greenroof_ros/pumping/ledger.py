@@ -6,7 +6,7 @@ space is allocated when it is made, so a stop or a fault can be saved even if th
 and is one page long. A kill does not tear a page, but a power cut may. Then the other line is
 intact, but the torn one may have held a stop or a fault: the pump stays off until it is released.
 
-The disk's thread writes, so a slow disk does not delay the control of the pump. A lock on a file
+The disk thread writes, so a slow disk does not delay the control of the pump. A lock on a file
 beside it lets only one ledger write: the record of a second one would erase a stop or a fault.
 
 A day is 24 h of the ledger's clock, which starts at its first step and counts the site's time
@@ -295,7 +295,7 @@ class _Lines:
         self.sequence = 0
 
     def write(self, record: Record) -> None:
-        """Write a record, on the disk's thread."""
+        """Write a record, on the disk thread."""
         if self.sequence == 0 or not self._file.exists():
             _make(self._file, record)
             self.sequence = 2

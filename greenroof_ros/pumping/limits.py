@@ -167,7 +167,8 @@ def settings_for(site: Site, **changes: float) -> PumpSettings:
 class Limits:
     """Least time off, starts per hour, longest run, a day's use, dry-run cut, frost, quiet hours.
 
-    After a start the pump first waits for the least time off: how long it was off is unknown.
+    After a start of the node the pump first waits for the least time off, since it is unknown how
+    long it has been off.
     """
 
     def __init__(self, site: Site, settings: PumpSettings, ledger: Ledger) -> None:
@@ -260,16 +261,16 @@ class Limits:
                 f"it ran for {_minutes(settings.greatest_run)} without a break; it rests "
                 f"until the command is 0, or for {_minutes(self._rests_for)}"
             )
-        again = f"resumes in {_minutes(DAY_S - record.day_elapsed)}"
+        again = f"the pump may run again in {_minutes(DAY_S - record.day_elapsed)}"
         if record.day_volume >= settings.greatest_volume_per_day:
             reasons["daily_volume"] = (
-                f"{record.day_volume:.2f} m3 were pumped in this 24-h period, the limit is "
-                f"{settings.greatest_volume_per_day:g} m3; {again}"
+                f"{record.day_volume:.2f} m3 were pumped in this 24-h period; the limit is "
+                f"{settings.greatest_volume_per_day:g} m3, and {again}"
             )
         if record.day_run >= settings.greatest_run_per_day:
             reasons["daily_run"] = (
-                f"it ran for {_minutes(record.day_run)} in this 24-h period, the limit is "
-                f"{_minutes(settings.greatest_run_per_day)}; {again}"
+                f"it ran for {_minutes(record.day_run)} in this 24-h period; the limit is "
+                f"{_minutes(settings.greatest_run_per_day)}, and {again}"
             )
         return reasons
 

@@ -445,9 +445,9 @@ class PumpControl:
         if self._flowed_for <= self._settings.follow_time:
             return ""
         return (
-            f"a flow of {measured:.3g} m3/s, by the meter, for {self._flowed_for:.0f} s, although "
-            "the drive reports the pump at rest: perhaps a contact is welded, and only the main "
-            "switch stops the pump; or the meter is wrong"
+            f"the meter has shown {measured:.3g} m3/s for {self._flowed_for:.0f} s, although the "
+            "drive reports the pump at rest: perhaps a contact is welded, and only the main switch "
+            "stops the pump; or the meter is wrong"
         )
 
     def _faults(

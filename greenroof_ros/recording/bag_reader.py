@@ -43,7 +43,7 @@ _TYPE = "std_msgs/msg/Float64"
 # A live graph publishes NaN if it does not know the value, as defined in the interface.
 _MAY_BE_UNKNOWN = ("/weather/frost",)
 
-# A smaller share of wrong values in a topic are outliers of a sensor; more are a mistake.
+# A smaller share of wrong values in a topic counts as a sensor's outliers; a larger is a mistake.
 _MOST_OUTLIERS = 0.01
 
 # Tolerance for a value at the limit that was rounded elsewhere.

@@ -296,10 +296,11 @@ def _too_few(report: Report) -> dict[str, str]:
 
 
 _TOGETHER = {
-    SEEDS: "these runs differ from others only in the seed of their forecasts' errors. They are "
-    "one case, and are left out of the tables of single runs and the figures of weather, "
-    "trajectories and balances",
-    SEASONS: "these runs are the same season of several years. They are one case",
+    SEEDS: "these runs differ from others only in the seed of their forecasts' errors. Such "
+    "runs are one case for each controller and setting, and are left out of the tables of single "
+    "runs and the figures of weather, trajectories and balances",
+    SEASONS: "these runs are the same season of several years. The years are one case for each "
+    "controller and setting",
 }
 
 

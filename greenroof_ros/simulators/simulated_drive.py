@@ -91,7 +91,7 @@ class SimulatedDrive(ABC):
     LOSS: ClassVar[Mapping[str, int]] = {}
     """code, or bits, of the fault after the timeout of each interface"""
     UNGUARDED_S: ClassVar[float] = 0.0
-    """the timeout does not guard for this long after power-up (s)"""
+    """the timeout is not effective for this long after power-up (s)"""
     RESET: ClassVar[int]
     """bit of the control word whose rising edge resets a fault"""
     INITIAL: ClassVar[Any] = None
@@ -317,7 +317,7 @@ class SimulatedDrive(ABC):
 
     @property
     def warning(self) -> bool:
-        """Whether the timeout has passed without a trip."""
+        """Whether the timeout has expired without a trip."""
         return self.lost and not self.fault
 
     # --- registers --------------------------------------------------------------------------------

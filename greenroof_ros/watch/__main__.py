@@ -81,8 +81,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--host", metavar="ADDRESS",
         help="address of this machine on which other machines reach the page, to look and to stop "
-        "the pump; 0.0.0.0 means all addresses. Any address except 127.0.0.1 needs a token, which "
-        f"is printed with the address; the connection is not encrypted (default: {LOOPBACK})",
+        "the pump; 0.0.0.0 means all addresses. An address that others can reach needs a token, "
+        "which is printed with it; the connection is not encrypted "
+        f"(default: {LOOPBACK})",
     )
     parser.add_argument(
         "--port", type=within(1, 65535, int), metavar="N",

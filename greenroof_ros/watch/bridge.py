@@ -60,7 +60,8 @@ class Bridge:
             prefix: of Home Assistant's topics.
 
         Raises:
-            ConfigurationError: the MQTT library is missing, or the login or certificate file wrong.
+            ConfigurationError: the MQTT library is missing, or the login or certificate file is
+                wrong.
         """
         site = store.namespace.strip("/").replace("/", "_") or "roof"
         self._store, self._feed, self._broker = store, feed, broker

@@ -216,7 +216,7 @@ def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
             "ROS_DOMAIN_ID and --namespace."
         )
     if store.mode == "ended":
-        return "This is a recording: it does not show the present."
+        return "The run is over: this is not the present."
     if {roof, pump["state"]} & {"unknown", "alarm"}:
         return (
             "Nothing is reported as wrong, but some values are unknown: check whether sensors and "
@@ -239,11 +239,14 @@ def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
 LOCK_OUT = (
     "Anyone working on the pump must lock it out at the pump itself; this page does not."
 )
-# Who holds the pump off, by the pump node's name.
-_OWNERS = {"page": "a stop on this page", "service": "a stop by the service ~/stop"}
+# Who holds the pump off, by the names that the pump node uses.
+_OWNERS = {
+    "page": "a stop from a page or over MQTT", "service": "a stop by the service ~/stop",
+    "unknown state": "a stop or fault that may have been lost (see the alarm)",
+}
 _THEN = (
     "The pump then starts by itself when the controller asks for it and nothing else keeps it off, "
-    "but not before the required pause after its last run. "
+    "but not before its least time off has passed (least_off). "
 )
 
 

@@ -1,8 +1,9 @@
 """The page over HTTP: its files, what is pushed to it, and the actions that it can request.
 
 Everybody who reaches the address may look, and may stop the pump; if there is a token, only with
-the token. A stop from here may be released here if that was allowed, which needs a token. With it,
-a dose may also be given if the site file allows doses.
+the token. A stop from a page or over MQTT may be released here if that was allowed, which needs a
+token. With it, a dose may also be given if the site file allows doses.
+
 Each path is a route, and none leads to a file. Another page in the same browser can do nothing: a
 request must name this host (not another name that leads here), and an action needs a header that
 only this page can send. No connection can hold up others: their number is limited, each has a time
@@ -430,7 +431,7 @@ async def _body(request: web.Request) -> dict[str, Any]:
     try:
         content = json.loads(await asyncio.wait_for(request.read(), _BODY_S))
     except asyncio.TimeoutError:
-        raise web.HTTPRequestTimeout(reason="the request ended early") from None
+        raise web.HTTPRequestTimeout(reason="the request was not complete within 5 s") from None
     except (ValueError, RecursionError, web.RequestPayloadError):
         content = None
     if not isinstance(content, dict):

@@ -51,8 +51,8 @@ _QUIET_S = 2.0
 _SET_BACK_S = 60.0
 # A forecast is reported as new if its rain differs by this much (m), at most once in this time (s).
 _NEW_FORECAST_M, _NEW_FORECAST_S = 2e-3, 3600.0
-# How long before its time the expected level was planned that is compared with the measured one,
-# and how often an expected level is kept (s).
+# How long ahead a level was predicted if it is compared with the measured level, and how often such
+# a prediction is kept (s).
 _LEAD_S, _EXPECTED_EVERY_S = 3600.0, 300.0
 _MOST_TEXT = 500
 # The most steps of a forecast or a plan, as the longest look-ahead has.

@@ -126,7 +126,7 @@ def cistern(store: Store) -> Tile:
 def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """Return the tile of the pump: its state, and below it the flow, the command, and why.
 
-    ``alarm`` is whether the pump may turn unknown to anybody; ``idle`` whether it is off only
+    ``alarm`` is whether the pump may turn and nobody knows it; ``idle`` whether it is off only
     because the controller commands nothing.
 
     Args:

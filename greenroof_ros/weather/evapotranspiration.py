@@ -165,7 +165,7 @@ def why_missing(records: Records, hours: NDArray[np.int64]) -> str:
                 reasons.append(f"{name} at {', '.join(name_hours(records.first, missing))}")
     if not reasons:
         return "the file does not cover the whole day (0 to 24 h of local standard time)"
-    return "missing: " + "; ".join(reasons)
+    return "the file lacks " + "; ".join(reasons)
 
 
 Values = NDArray[np.float64]

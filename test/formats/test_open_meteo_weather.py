@@ -125,7 +125,7 @@ def test_missing_cells(tmp_path: Path) -> None:
     """Rain and radiation are never filled; a run that needs them names the missing hours."""
     for line, cell, needed in (
         (2, ",0.30,", r"precipitation is missing at 2021-07-07T11:"),
-        (2, ",120.0", r"missing: solar radiation at 2021-07-07T11:"),
+        (2, ",120.0", r"the file lacks solar radiation at 2021-07-07T11:"),
     ):
         hours = edited(line, cell, cell[0] + cell[-1] * (cell[-1] == ","))
         weather = read_weather([write(tmp_path, hours)], TORONTO)

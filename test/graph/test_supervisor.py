@@ -173,7 +173,7 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(site: Site) -> None:
     assert len(site.stops) == 2  # at the end, whatever the pump node says
     assert [reason for _, reason in site.failures] == [
         "ended (SIGKILL); starts again in 1 s",
-        "left the drive to bringup; the drive stands",
+        "did not stop the drive; the drive stands",
         "ended (SIGKILL); the drive stands",
     ]
 
@@ -203,7 +203,7 @@ def test_a_pump_that_turns_on_is_stopped_once_more(
     site.end()
     assert site.failures[:2] == [
         ("pump", f"{did} (weather is starting): killed; starts again in 1 s"),
-        ("pump", "left the drive to bringup; the drive stands"),
+        ("pump", "did not stop the drive; the drive stands"),
     ]
     assert len(site.stops) == 2 and len(site.starts("pump")) == 2  # and at the end
 

@@ -306,7 +306,7 @@ def test_a_live_site_with_drive_and_sensors(domain: int, tmp_path: Path, site: S
         (incident["node"], incident["cause"]) for incident in summary["incidents"]
         if incident["part"] == "process"
     ]
-    stopped = r"left the drive to bringup; .*drive to stop; it then reported: speed [01]"
+    stopped = r"did not stop the drive; .*drive to stop; it then reported: speed [01]"
     for (node, cause), (expected, pattern) in zip(causes[:2], [
         ("pump", r"had not answered for 2 s \(stopped\): killed; starts"),
         ("pump", stopped),

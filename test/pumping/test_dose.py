@@ -92,7 +92,7 @@ def test_a_site_that_does_not_allow_it_gives_none() -> None:
 
 
 def test_before_anything_is_known_none_is_given() -> None:
-    assert "the pump may not run" in ask(Rig(site=SITE))
+    assert "the pump must not run now" in ask(Rig(site=SITE))
 
 
 def test_a_request_counts_once(rig: Rig) -> None:

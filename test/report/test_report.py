@@ -422,7 +422,7 @@ def test_seeds_page(seeds: Report) -> None:
         "1013.00", "1024.20", "1025.00", "2.0260", "2.0484", "2.0500",
     ]
     assert "Results of each run" not in text
-    assert "They are one case" in text
+    assert "are one case for each controller" in text
     # 25 different numbers of ticks give one note.
     assert text.count("found no solution in some ticks") == 1
     assert (

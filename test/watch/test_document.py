@@ -581,7 +581,7 @@ def test_a_fault_is_cleared_and_the_stop_of_the_page_stays() -> None:
     pump_says(graph, 100.0, "held: stopped", stop="stopped", stopped_by=["page"], stands=True,
               fault="slow", page_may_not_clear="")
     stop = shown(graph)["stop"]
-    assert "also held off by a stop on this page." in stop["clear_then"]
+    assert "also held off by a stop from a page or over MQTT." in stop["clear_then"]
     assert "starts by itself" in stop["release_then"]
 
 
@@ -849,7 +849,7 @@ def test_a_recording_has_no_stop_and_is_never_said_to_be_fine(
     assert (summary["word"], summary["level"]) == ("Alarms are not known.", level)
     assert document["notes"] == ["A recording does not tell which alarms there were."]
     assert (document["alarms_known"], shown(watched())["alarms_known"]) == (False, True)
-    assert document["advice"] == "This is a recording: it does not show the present."
+    assert document["advice"] == "The run is over: this is not the present."
 
 
 def test_the_pump_nodes_word_is_of_now_though_the_flow_is_old() -> None:
