@@ -60,7 +60,7 @@ BROKEN = {
             "stops in frost", r"m3/s 3 s after 1 on /weather/frost",
         ),
         (
-            "SUCTION  # a NaN",
+            "SUCTION  # an unknown level",
             'SUCTION + last[0]; last[0] += state["cistern/level"] <= SUCTION  #',
             "runs again when the cistern has filled again",
             r"m3/s after 12 s at command 0\.5",
@@ -127,7 +127,8 @@ def wrong_verdicts(domain: int, directory: Path) -> list[str]:
     """Check drivers side by side, and return the verdicts that are wrong, with the reason."""
     directory.mkdir()
     names = ("example", *BROKEN)
-    drivers = {name: start(domain, directory, name, source_of(name)) for name in names}
+    sources = {name: source_of(name) for name in names}  # all, before a process is started
+    drivers = {name: start(domain, directory, name, source) for name, source in sources.items()}
     wrong = []
     try:
         checks = {name: check(domain, directory, name) for name in names}

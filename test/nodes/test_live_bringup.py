@@ -408,7 +408,7 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     fast = (*PUMPING, "--hours", "0.02", "--speed", "20")
     stopped = hardware.in_the_loop(*fast, output="stopped")
     assert stopped.wait(300) == 1, stopped.stderr()
-    assert f"off, by {state}: the drive reports: overload" in stopped.stderr()
+    assert f"{state} keeps the pump off: the drive reports: overload" in stopped.stderr()
     end = summary_of(tmp_path / "stopped")
     assert end["pumped_m3"] == 0
     (incident,) = end["incidents"]

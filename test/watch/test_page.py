@@ -227,7 +227,7 @@ def test_it_says_how_it_is_by_word_shape_and_colour(open_page: Open) -> None:
     why = "off: it is not known whether the pump is at rest"
     said[:] = node("/pump", "pump", ("pump", 1, why), pump=why, stands=False, speed=None, flow=None)
     tile = until_shown(page, ".tile[data-key=pump][data-tone=error]", "unknown")
-    until_shown(page, "#summary[data-level=error]", "whether the pump stood is not known")
+    until_shown(page, "#summary[data-level=error]", "it is not known whether the pump was at rest")
     assert "L/min" not in tile.inner_text() and "\noff" not in tile.inner_text()
     wait_for(lambda: page.evaluate("charts.rows.flow.at(-1).v") is None, 60, "a gap")
     watched.set_present(mode="simulated", factor=30.0, note="")

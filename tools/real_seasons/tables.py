@@ -179,13 +179,12 @@ def resolution(inputs: Inputs, roof: str, period: Period) -> Iterator[str]:
 def of_ideal(results: Results) -> Iterator[str]:
     """Yield the table of what the best use of each service gains, beside what it gains."""
     weeks = _weeks(results)
-    dry, perfect = (_named(weeks, source) for source in (NO_RAIN, PERFECT))
     ideal = [case for case in weeks if case.form == IDEAL]
-    if ideal:
-        draws = dict.fromkeys(case.draw for case in ideal)
-        yield from _head([
-            "forecast", ISSUED, DRESSED, *(f"{IDEAL}, draw {draw}" for draw in draws)
-        ])
+    if not ideal:
+        return
+    dry, perfect = (_named(weeks, source) for source in (NO_RAIN, PERFECT))
+    draws = dict.fromkeys(case.draw for case in ideal)
+    yield from _head(["forecast", ISSUED, DRESSED, *(f"{IDEAL}, draw {draw}" for draw in draws)])
     for source in dict.fromkeys(case.source for case in ideal):
         shown = [
             case for form in (ISSUED, DRESSED, IDEAL) for case in weeks
