@@ -261,7 +261,8 @@ def seasons() -> Result:
         level, horizon = row.get("parameter:level") or "1.0", row["parameter:horizon"]
         name = _setting(row)
         name += f", level {level}" if level != "1.0" else ""
-        name += f", perfect {float(horizon):g} h" if horizon == "240.0" else ""
+        if horizon and row["forecast"] == "perfect":
+            name += f", perfect{' 240 h' if horizon == '240.0' else ''}"
         name += ", no skill" if row["forecast_skill"] == "none" else ""
         case = _roof(row), name
         marks[case] = _ratio(*case, row)

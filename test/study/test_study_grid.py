@@ -152,7 +152,7 @@ YEARS = {
     # On each roof two on/off, mpc and a perfect forecast; ten seeds on the paper's roof, three on
     # the measured one.
     "seasons.yaml": (2, {10}, (2 + 1 + 1 + 10) + (2 + 1 + 1 + 3)),
-    "lookahead.yaml": (2, {60}, 2 * (1 + 4)),
+    "lookahead.yaml": (2, {60}, 2 * (1 + 5)),
     "horizons.yaml": (2, {60}, 2 * (1 + 5 * (3 + 1))),
     "sizing.yaml": (18, {60}, 2 * 18),
     "skills.yaml": (2, {60}, 2 * (1 + 4 * 3)),
