@@ -30,7 +30,7 @@ sys.path[:0] = [str(DOC), str(DOC.parent)]
 from layouts import LAYOUTS
 from layouts import rows as displays
 from result_figures import draw
-from result_tables import RESULTS
+from result_tables import RESULTS, choices
 from who_publishes import WAYS, drawing
 from worth import drawing as drawing_of_worth
 
@@ -447,6 +447,11 @@ def result(name: str) -> str:
     return f"{markdown(made.header, made.rows)}\n{picture}"
 
 
+def which_controller() -> str:
+    """Return what each controller achieves, for the page that helps choose."""
+    return markdown(*choices())
+
+
 # --- commands -------------------------------------------------------------------------------------
 
 
@@ -626,6 +631,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "drive faults": drive_faults,
     "relay faults": relay_faults,
     "site faults": site_faults,
+    "which controller": which_controller,
     **{f"results {name}": partial(result, name) for name in RESULTS},
 }
 

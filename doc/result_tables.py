@@ -345,6 +345,37 @@ def sizing() -> Result:
     )
 
 
+_GENERATED = {
+    ("anticipating_onoff", "real"): "`anticipating_onoff`, generated forecasts",
+    ("lookahead", "real"): "`lookahead`, generated",
+    ("lookahead", "none"): "`lookahead`, generated without skill",
+    ("mpc", ""): "the paper's `mpc`, perfect",
+}
+_ISSUED = {
+    "with issued forecasts": "`lookahead`, issued",
+    "with dressed forecasts": "`lookahead`, issued and dressed",
+}
+
+
+def choices() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return the table that helps choose: deviations over on/off's, generated and issued."""
+    cells: dict[str, dict[str, str]] = {}
+    for row in [*read("seasons"), *read("lookahead")]:
+        name = _GENERATED.get((row["controller"], row["forecast_skill"]))
+        if name is not None:
+            cells.setdefault(name, {})[_roof(row)] = _interval(_ratio("", "", row))
+    with (_RESULTS.parent / "reference" / "worth.csv").open(encoding="utf-8") as stream:
+        for roof, words, _, *shares in list(csv.reader(stream))[1:]:
+            if words in _ISSUED:
+                place = "the paper's roof" if roof == "paper" else "a measured roof"
+                text = "{} ({} to {})".format(*shares)
+                cells.setdefault(_ISSUED[words], {})[place] = text
+    roofs = tuple(_ROOFS.values())
+    names = (*_GENERATED.values(), *_ISSUED.values())
+    rows = [(name, *(cells[name][roof] for roof in roofs)) for name in names]
+    return ("controller and forecast", *roofs), rows
+
+
 # --- from marks to cells and drawings -------------------------------------------------------------
 
 
