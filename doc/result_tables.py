@@ -308,17 +308,6 @@ def horizons() -> Result:
     )
 
 
-def skills() -> Result:
-    """Return the deviation by skill of the forecasts."""
-    figure = Figure("By skill", _RATIO, tuple(
-        _ratio(_roof(row), row["forecast_skill"], row)
-        for row in read("skills") if row["forecast_skill"]
-    ), 2, ratio=True)
-    return Result(
-        ("skill", *_ROOFS.values()), _by_row(figure, lambda mark: (_interval(mark),)), figure
-    )
-
-
 def sizing() -> Result:
     """Return the mains water that each cistern saves, beginning as empty as allowed, and full."""
     saved = {
@@ -410,6 +399,5 @@ RESULTS: dict[str, Callable[[], Result]] = {
     "month": month,
     "seasons": seasons,
     "horizons": horizons,
-    "skills": skills,
     "sizing": sizing,
 }

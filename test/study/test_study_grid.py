@@ -155,7 +155,6 @@ YEARS = {
     "lookahead.yaml": (2, {60}, 2 * (1 + 5)),
     "horizons.yaml": (2, {60}, 2 * (1 + 5 * (3 + 1))),
     "sizing.yaml": (18, {60}, 2 * 18),
-    "skills.yaml": (2, {60}, 2 * (1 + 4 * 3)),
     "ticks.yaml": (4, {1, 10}, 4 * 4),
 }
 GRIDS = {path.name: path for path in (CONFIG / "studies").iterdir()}
