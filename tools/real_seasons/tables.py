@@ -110,7 +110,8 @@ def _rows(weeks: Mapping[Case, Array], columns: Sequence[str], chosen: Any) -> I
     )
     yield ""
     heads = [
-        f"{form}: {what}" for form in columns for what in ("over on/off", "over no rain", "gained")
+        f"{form.removeprefix(f'{CROSSED} ')}: {what}"
+        for form in columns for what in ("over on/off", "over no rain", "gained")
     ]
     yield from _head(["forecast", *heads])
     for source, trusts in dict.fromkeys((case.source, case.trusts) for case in weeks):

@@ -7,8 +7,8 @@ reduced to ``doc/results/NAME.csv``; ``python doc/generate.py`` makes the page's
 A table of runs has a row for each run, in all digits: what differs between the runs, and their
 deviation. A table of seeds or seasons has a row for each controller, over all of them. The studies
 of seasons take hours, and need the records of ``doc/running/seasons.md`` in ``--weather DIR``.
-Until they are run again, the files of forecasts, seasons and horizons have the few digits of
-earlier tables, and of seasons only ``lookahead`` has mm.
+Until they are run again, the files of seasons and horizons have the few digits of earlier
+tables, and of seasons only ``lookahead`` has mm.
 """
 
 from __future__ import annotations
