@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from worth import FILE as WORTH
 
 from greenroof_ros.common.files import shared_directory
 
@@ -353,13 +354,13 @@ def choices() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         name = _GENERATED.get((row["controller"], row["forecast_skill"]))
         if name is not None:
             cells.setdefault(name, {})[_roof(row)] = _interval(_ratio("", "", row))
-    with (_RESULTS.parent / "reference" / "worth.csv").open(encoding="utf-8") as stream:
+    roofs = tuple(_ROOFS.values())
+    places = dict(zip(("paper", "measured"), roofs, strict=True))
+    with WORTH.open(encoding="utf-8") as stream:
         for roof, words, _, *shares in list(csv.reader(stream))[1:]:
             if words in _ISSUED:
-                place = "the paper's roof" if roof == "paper" else "a measured roof"
                 text = "{} ({} to {})".format(*shares)
-                cells.setdefault(_ISSUED[words], {})[place] = text
-    roofs = tuple(_ROOFS.values())
+                cells.setdefault(_ISSUED[words], {})[places[roof]] = text
     names = (*_GENERATED.values(), *_ISSUED.values())
     rows = [(name, *(cells[name][roof] for roof in roofs)) for name in names]
     return ("controller and forecast", *roofs), rows

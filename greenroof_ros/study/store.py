@@ -209,9 +209,9 @@ class _WithoutTexts(ast.NodeTransformer):
 def _numbers(engine: str) -> dict[str, str]:
     """Return the versions of everything that affects a run's numbers; stored runs must match.
 
-    For this package they are a digest of the relevant code, without comments and
-    docstrings, and the constants of the named forecast skills. With the engine ``ros``, graph and
-    nodes are relevant, too.
+    For this package they are a digest of the relevant code, without comments and docstrings, and
+    the constants of the named forecast skills. With the engine ``ros``, graph and nodes are
+    relevant, too.
     """
     package = Path(__file__).parent.parent
     digest = hashlib.sha256()
