@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -114,28 +111,16 @@ def test_a_node_is_named_after_the_class() -> None:
 def test_classes_that_are_no_controllers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, message: str
 ) -> None:
-    """Whatever the user's module does, the error has the class's path."""
+    """Whatever the user's module does, the error has the class's path.
+
+    The module is beside the current directory, where a console script finds it, too.
+    """
     (tmp_path / "mine.py").write_text(code)
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
+    monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "mine", raising=False)
     with pytest.raises(ConfigurationError, match=f"controller = 'mine:Mine': {message}"):
         _ = find_controller("mine:Mine").kind
-
-
-def test_a_class_beside_the_current_directory_and_its_parameters(tmp_path: Path) -> None:
-    """A console script finds it, too, and its parameter is an option."""
-    (tmp_path / "mine.py").write_text((CHECKOUT / "examples" / "proportional.py").read_text())
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", "from greenroof_ros.simulate import main; main()", "--hours",
-         "0.02", "--json", "--controller", "mine:Proportional", "--gain", "40"],
-        cwd=tmp_path, env={**os.environ, "PYTHONPATH": f"{CHECKOUT}"}, capture_output=True,
-        text=True, timeout=60, check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert summary["controller"] == "proportional"
-    assert summary["controller_reference"] == "mine:Proportional"
-    assert summary["parameters"] == {"gain": 40.0}
 
 
 def test_a_controller_that_a_package_registers(

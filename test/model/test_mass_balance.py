@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import pytest
 from hypothesis import example, given, settings
@@ -53,6 +52,7 @@ def test_each_tank_changes_by_what_flows(
     for rain, evaporated, command, external in ticks:
         x1, x2, stored = plant.x1, plant.x2, plant.x2 + plant.layer
         demand = exact_flows(site, x1, x2, command)
+        assert plant.pump_flow(command) == pytest.approx(demand[1], rel=1e-9, abs=1e-12)
         pump = plant.pump_flow(command) if external is None else external
         flows = plant.flows(rain, evaporated, pump)
         plant.step(rain, flows)
@@ -108,9 +108,6 @@ def assert_balance(run: Run) -> None:
     assert (metrics["final_cistern_m3"], metrics["final_roof_m3"]) == (ticks[-1].x1, ticks[-1].x2)
     assert min(min(tick.x1, tick.x2) for tick in ticks) >= 0
     assert metrics["limited_steps"] == sum(tick.flows.limited for tick in ticks[:-1])
-    running = [False, *(tick.flows.pump > 0 for tick in ticks[:-1])]
-    assert metrics["pump_starts"] == sum(now and not before for before, now in pairwise(running))
-    assert (metrics["hydraulic_energy_kwh"] > 0) == (metrics["pumped_m3"] > 0)
 
 
 @settings(max_examples=40)
