@@ -190,10 +190,6 @@ def test_a_low_outlet_limits_the_waiting_by_hand() -> None:
         loss.move(40.0, 1.0, 1.0, 1.0, 0.0)
         seconds += 1
     assert seconds == pytest.approx(153, abs=1)
-    without = RegretBudget(PAPER_SITE, 1.0, 0.0)
-    for _ in range(seconds + 60):
-        assert not without.judge(40.0, 1.0, 1.0)
-        without.move(40.0, 1.0, 1.0, 1.0, 0.0)
 
 
 def test_ticks_in_frost_count() -> None:
