@@ -56,8 +56,9 @@ class Lookahead:
     forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
     :func:`~greenroof_ros.controllers.order_up_to.halved_by_rain` assumes when it becomes known
     which members are wrong. Without a forecast it fills the roof to its target and holds it there,
-    which is best if no rain comes. A short loss of the forecast does not end a wait for rain: the
-    last plan is followed until it is old. Meanwhile the present rain is the gauge's, and
+    which is best if no rain comes. So it does if a value of the forecast is missing when it plans.
+    A short loss of the forecast does not end a wait for rain: the last plan is followed until it
+    is old. Meanwhile the present rain is the gauge's, and
     evapotranspiration is the mean of the past day.
 
     It makes a new plan when the plan is older than an hour or a 48th of the horizon, when a
@@ -216,7 +217,7 @@ class Lookahead:
             forecast = precipitation, evapotranspiration
             rain, evaporated = self._after.checked(*forecast, MOST_MEMBERS)
         x1 = site.cistern_volume(cistern_level)
-        if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
+        if not math.isfinite(x1 + roof_level):
             self.skip()
             return 0.0
         self._rows = _NO_NEW_PLAN
@@ -224,19 +225,21 @@ class Lookahead:
         x2 = self._observer.correct(roof_level)
         fraction = min(self._max_command, 1.0)
         rain_counts = not self._regret_budget.judge(x1, x2, fraction)
-        if evaporated.size:
+        plans = evaporated.size > 0 and (
+            self._must_plan(rain, rain_counts) or quiet != self._quiet_when_planned
+        )
+        now = self.gauge_rain, self._after.mean
+        if _are_numbers(rain, evaporated, plans):
+            now = float(rain[0, 0]), float(evaporated[0])
             self._after.pass_tick(evaporated)
-            if self._must_plan(rain, rain_counts) or quiet != self._quiet_when_planned:
+            if plans:
                 self._rain_counts, self._quiet_when_planned = rain_counts, quiet
                 self._planned_rain = self._total(rain)
                 if not rain_counts:
-                    rain[:, 1:] = 0.0
+                    rain = np.hstack((rain[:, :1], np.zeros_like(rain[:, 1:])))
                 self._plan(x1, x2, *self._after.lengthen(rain, evaporated))
         elif self._age >= self._longest or rain_counts != self._rain_counts:
             self._policy = None
-        now = self.gauge_rain, self._after.mean
-        if evaporated.size:
-            now = float(rain[0, 0]), float(evaporated[0])
         self._fallen += now[0] * site.tau
         if self._trust.pass_tick(x2, *now):
             able = cistern_level >= site.suction_level and not quiet
@@ -370,6 +373,15 @@ class Lookahead:
         self._age += self._site.tau
         self._unlooked += self._site.tau
         self._since_start += self._site.tau
+
+
+def _are_numbers(rain: Array, evaporated: Array, all_of_them: bool) -> bool:
+    """Whether there is a forecast, and its present entries, or all of them, are numbers."""
+    if not evaporated.size:
+        return False
+    if all_of_them:
+        return math.isfinite(float(rain.sum() + evaporated.sum()))
+    return math.isfinite(float(rain[0, 0]) + float(evaporated[0]))
 
 
 def _put_together(edges: Array, shortest: float, share: float) -> list[int]:

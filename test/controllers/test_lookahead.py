@@ -344,7 +344,7 @@ def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain() -> None:
 
 
 def test_forecasts_of_another_shape_are_refused() -> None:
-    """And with NaN nothing is planned."""
+    """They belong to another horizon."""
     controller = lookahead()
     for rain, evaporated in (
         ([[0.0] * 5], DRY), ([DRY], [0.0] * 5), ([], DRY),
@@ -352,8 +352,21 @@ def test_forecasts_of_another_shape_are_refused() -> None:
     ):
         with pytest.raises(ConfigurationError, match="give weather and controller the same"):
             controller.command(2.3, 0.04, rain, evaporated)
-    assert controller.command(2.3, 0.04, [[math.nan] * STEPS], DRY) == 0.0
-    assert math.isnan(controller.fill_to)
+
+
+@pytest.mark.parametrize("gap", [0, STEPS - 1])
+def test_a_forecast_with_a_gap_counts_as_missing(gap: int) -> None:
+    """Without a plan the roof is filled to its target; a plan is followed until it is old."""
+    holed = [rain_in((3, 6), 0.03)]
+    holed[0][gap] = math.nan
+    controller = lookahead()
+    assert controller.command(2.3, 0.03, holed, DRY) > 0
+    assert controller.fill_to == pytest.approx(PAPER_SITE.z_veg) and controller.solves == 0
+    controller = lookahead()
+    assert controller.command(2.3, 0.03, [rain_in((3, 6), 0.03)], DRY) == 0.0
+    waited = [controller.command(2.3, 0.03, holed, DRY) for _ in range(899)]
+    assert not any(waited)
+    assert controller.command(2.3, 0.03, holed, DRY) > 0
 
 
 @pytest.mark.parametrize("horizon", [0.5, 12.0, 120.0])
