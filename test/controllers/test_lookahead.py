@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -315,11 +316,7 @@ def test_what_it_plans_if_no_rain_comes() -> None:
 
 
 def test_without_a_forecast_it_fills_to_the_target_and_holds_it() -> None:
-    """As with a forecast of no rain; it continues when there is a forecast again."""
-    controller = lookahead()
-    assert controller.command(2.3, 0.04, [], []) == 1.0
-    assert controller.fill_to == pytest.approx(PAPER_SITE.z_veg)
-    assert controller.command(2.3, 0.04, [DRY], DRY) == 1.0
+    """As with a forecast of no rain."""
     plant, commands = Plant(PAPER_SITE, 57.0, 2.0), []
     controller = lookahead()
     for _ in range(900):
@@ -331,16 +328,24 @@ def test_without_a_forecast_it_fills_to_the_target_and_holds_it() -> None:
     assert plant.x2 == pytest.approx(PAPER_SITE.x2_star, abs=2e-5)
 
 
-def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain() -> None:
-    """A plan for 12 h is followed for a quarter of an hour; only then is the roof filled."""
+@pytest.mark.parametrize("gap", [None, 0, STEPS - 1])
+def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain(gap: int | None) -> None:
+    """A plan for 12 h is followed for a quarter of an hour; only then is the roof filled.
+
+    A forecast with a gap counts as missing.
+    """
+    wet = [rain_in((3, 6), 0.03)], DRY
+    missing: tuple[list[Any], list[float]] = [], []
+    if gap is not None:
+        missing = [rain_in((3, 6), 0.03)], DRY
+        missing[0][0][gap] = math.nan
     controller = lookahead()
-    nothing: list[float] = []
-    assert controller.command(2.3, 0.03, [rain_in((3, 6), 0.03)], DRY) == 0.0
-    waited = [controller.command(2.3, 0.03, nothing, nothing) for _ in range(899)]
+    assert controller.command(2.3, 0.03, *wet) == 0.0
+    waited = [controller.command(2.3, 0.03, *missing) for _ in range(899)]
     assert not any(waited)
-    assert controller.command(2.3, 0.03, nothing, nothing) > 0
-    assert controller.fill_to == pytest.approx(PAPER_SITE.z_veg)
-    assert controller.command(2.3, 0.03, [rain_in((3, 6), 0.03)], DRY) == 0.0
+    assert controller.command(2.3, 0.03, *missing) > 0
+    assert controller.fill_to == pytest.approx(PAPER_SITE.z_veg) and controller.solves == 1
+    assert controller.command(2.3, 0.03, *wet) == 0.0
 
 
 def test_forecasts_of_another_shape_are_refused() -> None:
@@ -352,21 +357,6 @@ def test_forecasts_of_another_shape_are_refused() -> None:
     ):
         with pytest.raises(ConfigurationError, match="give weather and controller the same"):
             controller.command(2.3, 0.04, rain, evaporated)
-
-
-@pytest.mark.parametrize("gap", [0, STEPS - 1])
-def test_a_forecast_with_a_gap_counts_as_missing(gap: int) -> None:
-    """Without a plan the roof is filled to its target; a plan is followed until it is old."""
-    holed = [rain_in((3, 6), 0.03)]
-    holed[0][gap] = math.nan
-    controller = lookahead()
-    assert controller.command(2.3, 0.03, holed, DRY) > 0
-    assert controller.fill_to == pytest.approx(PAPER_SITE.z_veg) and controller.solves == 0
-    controller = lookahead()
-    assert controller.command(2.3, 0.03, [rain_in((3, 6), 0.03)], DRY) == 0.0
-    waited = [controller.command(2.3, 0.03, holed, DRY) for _ in range(899)]
-    assert not any(waited)
-    assert controller.command(2.3, 0.03, holed, DRY) > 0
 
 
 @pytest.mark.parametrize("horizon", [0.5, 12.0, 120.0])
