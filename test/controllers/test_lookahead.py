@@ -258,12 +258,6 @@ def test_water_that_fades_is_pumped_once() -> None:
     assert volumes[controller.plan[:, 0] <= 600].sum() == pytest.approx(0.5)
 
 
-def test_the_last_water_is_pumped() -> None:
-    """The cistern has 50 litres, the roof lacks ten times as much, and no rain comes."""
-    level = PAPER_SITE.suction_level + 0.05 / PAPER_SITE.a1
-    assert lookahead().command(level, PAPER_SITE.roof_level(2.6), [DRY], DRY) > 0.9
-
-
 def test_what_a_low_outlet_would_take_is_on_the_roof_before_it_is_gone() -> None:
     """One forecast of three has rain for 0.9 of the lack: it waits, if it can fill later.
 
