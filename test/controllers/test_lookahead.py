@@ -424,3 +424,16 @@ def test_from_one_start_to_the_next_it_waits() -> None:
         if controller.command(2.3, level, [DRY], DRY):
             started.append(second)
     assert started == [0, 180, 360, 540]
+
+
+def test_filling_lasts_as_long_as_the_pumps_must_be_on() -> None:
+    """Two minutes instead of one, at one flow, without a break."""
+    controller, commands = lookahead(least_on=120.0), []
+    plant = Plant(PAPER_SITE, PAPER_SITE.cistern_volume(2.3), PAPER_SITE.roof_volume(0.04))
+    for _ in range(400):
+        commands.append(controller.command(*plant.levels(), [DRY], DRY))
+        plant.step(0.0, plant.flows(0.0, 0.0, plant.pump_flow(commands[-1])))
+    on = [command for command in commands if command]
+    assert 118 <= len(on) <= 122 and commands[: len(on)] == on
+    assert on[:-3] == pytest.approx([on[0]] * (len(on) - 3), rel=0.02)
+    assert plant.levels()[1] == pytest.approx(PAPER_SITE.z_veg, abs=1e-5)
