@@ -65,14 +65,6 @@ def test_packaged_site_is_table_i() -> None:
     assert (type(site["M"]), type(site["N"])) == (int, int)
 
 
-def test_constants_by_hand() -> None:
-    """c_out and b of Eqs. (2) and (3e), and the suction level, to 12 digits."""
-    assert PAPER_SITE.c_out == pytest.approx(0.132632279958400, rel=1e-12)
-    assert PAPER_SITE.pipe_resistance == pytest.approx(16944.7027404301, rel=1e-12)
-    assert PAPER_SITE.b == pytest.approx(0.00129646769313485, rel=1e-12)
-    assert PAPER_SITE.suction_level == 0.75
-
-
 @settings(max_examples=20)
 @given(site=sites())
 @example(replace(PAPER_SITE, k_L=0.0, z_pump=0.0, z_H=0.0))
