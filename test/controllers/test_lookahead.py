@@ -333,7 +333,7 @@ def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain(gap: int |
     if gap is not None:
         missing = [rain_in((3, 6), 0.03)], DRY
         missing[0][0][gap] = math.nan
-    controller = lookahead()
+    controller = lookahead(observer_time_constant=300.0)
     assert controller.command(2.3, 0.03, *wet) == 0.0
     waited = [controller.command(2.3, 0.03, *missing) for _ in range(899)]
     assert not any(waited)

@@ -49,7 +49,8 @@ def test_shares_by_hand(x2: float, filled: float, kept: float, stress: float) ->
 def test_percolation_by_hand() -> None:
     """At 5 m3 9/16 of what arrives; above field capacity all of it, plus the excess, in a tick.
 
-    In a long step S = tanh(artanh S + i/4) stays, after what is missing at the wilting point.
+    In a long step water first fills the soil to the wilting point; then S becomes
+    tanh(artanh S + i/4).
     """
     assert SOIL.drained(5.0, 0.01, 10.0) == pytest.approx(0.005625, rel=1e-12)
     for percolation in (SOIL.drained, SOIL.mean_percolation):
@@ -108,8 +109,8 @@ def test_a_layer_by_hand(
 @pytest.mark.parametrize(
     ("x2", "rain", "potential", "left"),
     [
-        # Rain as in a long step; then all that is asked for down to 4 m3, below it exp(-e/2) of
-        # what is above 2 m3.
+        # First the rain, as above. Then all the potential evaporates down to 4 m3; below it,
+        # exp(-e/2) of what is above 2 m3 stays.
         (5.5, 0.0, 0.5, 5.0), (6.0, 2.0, 0.5, 5.5), (1.5, 0.2, 1.0, 1.7),
         (5.0, 0.0, 2.0, 2 + 2 * math.exp(-0.5)),
         (3.0, 1.0, 1.0, 2 + 4 * math.tanh(math.atanh(0.25) + 0.25) * math.exp(-0.5)),
