@@ -26,7 +26,7 @@ from greenroof_ros.model.plant import (
     WATER_DENSITY,
     Flows,
     head_loss,
-    mains_flows,
+    mains_flow,
 )
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
@@ -62,10 +62,10 @@ class Samples:
         drainage: off the roof (m3/s).
         evapotranspiration: off the roof, at most what it held (m3/s).
         layer: water volume in the drainage layer of a measured roof (m3); 0 on others.
+        potential: evapotranspiration of plants that lack no water (m3/s).
+        time: start of each sample, since the run's start (s).
         mains: from the mains into the cistern (m3/s); None if there is no valve.
         limited: 1 if a tank held less than was demanded, else 0; None if unknown.
-        potential: evapotranspiration of plants that lack no water (m3/s); None if unknown.
-        time: start of each sample, since the run's start (s); None if unknown.
         pumping_before: whether there was a pump flow in the sample before the first.
         earlier_starts: times of pump starts in the hour before the first sample (s, negative).
     """
@@ -80,10 +80,10 @@ class Samples:
     drainage: Values
     evapotranspiration: Values
     layer: Values
+    potential: Values
+    time: Values
     mains: Values | None = None
     limited: Values | None = None
-    potential: Values | None = None
-    time: Values | None = None
     pumping_before: bool = False
     earlier_starts: Values = field(default_factory=lambda: np.empty(0))
 
@@ -242,12 +242,6 @@ def _deviation(site: Site, samples: Samples) -> Values:
     return np.abs(samples.roof - site.x2_star) * (samples.duration / site.tau)
 
 
-def _actual_and_potential(site: Site, samples: Samples) -> Values | None:
-    if samples.potential is None:
-        return None
-    return samples.duration * np.stack((samples.evapotranspiration, samples.potential))
-
-
 def _volume(flow: str) -> Callable[[Site, Samples], Values | None]:
     """Return a function that gives the volume of a flow (m3)."""
 
@@ -263,10 +257,8 @@ def _ticks_where(condition: Callable[[Site, Samples], Any]) -> Callable[[Site, S
     return lambda site, samples: samples.duration / site.tau * condition(site, samples)
 
 
-def _roof_water(site: Site, samples: Samples) -> Values | None:
+def _roof_water(site: Site, samples: Samples) -> Values:
     """Return each sample's hour of the run, and its rain, pumped and drained water (m3)."""
-    if samples.time is None:
-        return None
     hour = (samples.time + site.tau / 2) // _HOUR_S  # half a tick more: the times are rounded
     return np.stack((
         hour, samples.duration * samples.precipitation * site.a2, samples.duration * samples.pump,
@@ -303,7 +295,11 @@ METRICS = (
     ),
     Metric(
         "evapotranspiration_ratio", "1", "evapotranspiration ratio",
-        "actual over potential", _actual_and_potential, _sums, ".1%", finish=_ratio,
+        "actual over potential",
+        lambda site, samples: (
+            samples.duration * np.stack((samples.evapotranspiration, samples.potential))
+        ),
+        _sums, ".1%", finish=_ratio,
     ),
     Metric(
         "rain_kept_share", "1", "rain kept", "share of the rain on the roof that did not drain off",
@@ -511,7 +507,7 @@ class Metrics:
         return Samples(
             duration=np.full(count, site.tau), pumping_before=self._pumping,
             earlier_starts=self._starts, time=site.tau * (first + np.arange(count, dtype=float)),
-            mains=None if site.mains_level is None else mains_flows(site, columns["cistern"]),
+            mains=None if site.mains_level is None else mains_flow(site, columns["cistern"]),
             **columns,
         )
 
@@ -527,6 +523,5 @@ class Metrics:
 
     def _weekly(self, samples: Samples) -> Values:
         """Return the deviation of each week, further samples included, shape (1, weeks)."""
-        assert samples.time is not None
         week = (samples.time + self._site.tau / 2) // _WEEK_S
         return _sums_by(self._weeks, np.stack((week, _deviation(self._site, samples))))
