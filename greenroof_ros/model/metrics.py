@@ -21,18 +21,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.plant import (
-    JOULES_PER_KWH,
-    WATER_DENSITY,
-    Flows,
-    head_loss,
-    mains_flow,
-)
+from greenroof_ros.model.plant import Flows, head_loss, mains_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
 _HOUR_S = 3600.0
 _WEEK_S = 7 * 24 * _HOUR_S
+_WATER_DENSITY = 1000.0  # kg/m3
+_JOULES_PER_KWH = 3.6e6
 # A roof drains water that came within this many hours; as many hours without rain end an event.
 _DRAINS_H = 6
 # Sums of rain are rounded: 20 mm must not count as more than 20 mm.
@@ -234,7 +230,7 @@ def _excess_starts(site: Site, samples: Samples) -> Values:
 
 def _hydraulic_energy(site: Site, samples: Samples) -> Values:
     head = head_loss(site, samples.cistern, samples.pump)
-    return WATER_DENSITY * site.g * samples.pump * head * samples.duration / JOULES_PER_KWH
+    return _WATER_DENSITY * site.g * samples.pump * head * samples.duration / _JOULES_PER_KWH
 
 
 def _deviation(site: Site, samples: Samples) -> Values:

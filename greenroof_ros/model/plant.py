@@ -15,10 +15,6 @@ from numpy.typing import NDArray
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import Soil, soil_of
 
-WATER_DENSITY = 1000.0
-"""kg/m3"""
-JOULES_PER_KWH = 3.6e6
-
 Values = NDArray[np.float64]
 
 # Makes a named tuple from a tuple in half the time of its own class.
