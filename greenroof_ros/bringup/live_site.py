@@ -256,7 +256,8 @@ def _forecast(arguments: argparse.Namespace) -> Path | str | None:
     """Return the forecast file, or ``open-meteo`` if forecasts are fetched; None for neither.
 
     Raises:
-        ConfigurationError: there is no such file, or a fetch option is given without a fetch.
+        ConfigurationError: there is no such file, it is no CSV file, or a fetch option is given
+            without a fetch.
     """
     for option in ("fetch_model", "fetch_url", "fetch_every"):
         value = getattr(arguments, option)
@@ -266,7 +267,13 @@ def _forecast(arguments: argparse.Namespace) -> Path | str | None:
         ))
     if arguments.forecast in (None, OPEN_METEO):
         return arguments.forecast
-    return _readable(arguments.forecast, "--forecast")
+    file = _readable(arguments.forecast, "--forecast")
+    refuse((
+        file.suffix.lower() != ".csv", "--forecast", arguments.forecast,
+        "must be a FILE.csv, which is read again whenever it is replaced; only simulated runs read "
+        "other kinds of file",
+    ))
+    return file
 
 
 def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:

@@ -72,7 +72,7 @@ class AfterForecast:
     def checked(
         self, rain: Sequence[Any], evapotranspiration: Sequence[float], most: int
     ) -> tuple[Array, Array]:
-        """Return the forecasts as arrays of shape (members, steps) and (steps,).
+        """Return the forecasts as arrays of shape (members, steps) and (steps,), not copied.
 
         Args:
             rain: (m/s), of all members or of one.
@@ -82,8 +82,8 @@ class AfterForecast:
         Raises:
             ConfigurationError: they have another shape, or too many members.
         """
-        rains = np.array(rain, dtype=float, order="C", ndmin=2)
-        evaporated = np.array(evapotranspiration, dtype=float)
+        rains = np.array(rain, dtype=float, order="C", ndmin=2, copy=None)
+        evaporated = np.asarray(evapotranspiration, dtype=float)
         if (rains.shape[1], *evaporated.shape) != (self.steps, self.steps) or len(rains) > most:
             raise ConfigurationError(
                 f"the forecasts of rain have {len(rains)} members of {rains.shape[1]} entries, "

@@ -56,8 +56,9 @@ class Lookahead:
     forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
     :func:`~greenroof_ros.controllers.order_up_to.halved_by_rain` assumes when it becomes known
     which members are wrong. Without a forecast it fills the roof to its target and holds it there,
-    which is best if no rain comes. A short loss of the forecast does not end a wait for rain: the
-    last plan is followed until it is old. Meanwhile the present rain is the gauge's, and
+    which is best if no rain comes. So it does if a value of the forecast is missing when it plans.
+    A short loss of the forecast does not end a wait for rain: the last plan is followed until it
+    is old. Meanwhile the present rain is the gauge's, and
     evapotranspiration is the mean of the past day.
 
     It makes a new plan when the plan is older than an hour or a 48th of the horizon, when a
@@ -68,8 +69,9 @@ class Lookahead:
     During quiet hours it plans to pump nothing: a step's largest flow is reduced by the share of
     the step that is quiet. It makes a new plan when quiet hours begin and end.
 
-    Between two starts of the pumps it waits at least 3600 s / ``starts_per_hour`` of the site. At
-    the level it balances evapotranspiration by a small flow, which needs no starts.
+    Between two starts of the pumps it waits at least 3600 s / ``starts_per_hour`` of the site, and
+    fills the roof slowly enough that the pumps are on for ``least_on``. At the level it balances
+    evapotranspiration by a small flow, which needs no starts.
 
     An observer filters the roof's level, and rain forecasts are trusted only as far as this paid
     recently, within a budget: :class:`~greenroof_ros.controllers.roof_observer.RoofObserver`,
@@ -109,6 +111,10 @@ class Lookahead:
             "cvar_level", 0.0, "1", 0.0, 0.99, "share of the members to leave out, those with "
             "the least deviation: 0 for the mean of all, 0.8 for the worst fifth",
         ),
+        Parameter(
+            "least_on", 0.0, "s", 0.0, _HOUR_S, "the pumps' shortest time on: filling takes at "
+            "least this long, so that they do not have to run on at the level",
+        ),
         OBSERVER_TIME_CONSTANT,
         TRUST_MEMORY,
         WAITING_BUDGET,
@@ -131,6 +137,7 @@ class Lookahead:
         max_command: float,
         recourse: float,
         cvar_level: float,
+        least_on: float,
         observer_time_constant: float,
         trust_memory: float,
         waiting_budget: float,
@@ -139,6 +146,7 @@ class Lookahead:
         """Take the site and the parameters; :attr:`parameters` has their units and meanings."""
         self._site, self._soil = site, soil_of(site)
         self._max_command = max_command
+        self._least_on = max(least_on, site.tau)
         self._recourse = recourse * _HOUR_S
         self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
@@ -163,6 +171,7 @@ class Lookahead:
         self._fallen = 0.0  # rain since the plan (m)
         self._flow = 0.0  # commanded in the last tick (m3/s)
         self._since_start = math.inf  # of the pumps (s)
+        self._steady = math.inf  # largest command for ``least_on`` after a start
         self._quiet_when_planned = False
         self.time_ns = 0
         self.gauge_rain = 0.0
@@ -216,7 +225,7 @@ class Lookahead:
             forecast = precipitation, evapotranspiration
             rain, evaporated = self._after.checked(*forecast, MOST_MEMBERS)
         x1 = site.cistern_volume(cistern_level)
-        if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
+        if not math.isfinite(x1 + roof_level):
             self.skip()
             return 0.0
         self._rows = _NO_NEW_PLAN
@@ -224,19 +233,21 @@ class Lookahead:
         x2 = self._observer.correct(roof_level)
         fraction = min(self._max_command, 1.0)
         rain_counts = not self._regret_budget.judge(x1, x2, fraction)
-        if evaporated.size:
+        plans = evaporated.size > 0 and (
+            self._must_plan(rain, rain_counts) or quiet != self._quiet_when_planned
+        )
+        now = self.gauge_rain, self._after.mean
+        if _are_numbers(rain, evaporated, plans):
+            now = float(rain[0, 0]), float(evaporated[0])
             self._after.pass_tick(evaporated)
-            if self._must_plan(rain, rain_counts) or quiet != self._quiet_when_planned:
+            if plans:
                 self._rain_counts, self._quiet_when_planned = rain_counts, quiet
                 self._planned_rain = self._total(rain)
                 if not rain_counts:
-                    rain[:, 1:] = 0.0
+                    rain = np.hstack((rain[:, :1], np.zeros_like(rain[:, 1:])))
                 self._plan(x1, x2, *self._after.lengthen(rain, evaporated))
         elif self._age >= self._longest or rain_counts != self._rain_counts:
             self._policy = None
-        now = self.gauge_rain, self._after.mean
-        if evaporated.size:
-            now = float(rain[0, 0]), float(evaporated[0])
         self._fallen += now[0] * site.tau
         if self._trust.pass_tick(x2, *now):
             able = cistern_level >= site.suction_level and not quiet
@@ -363,13 +374,27 @@ class Lookahead:
             # Half a tick less: the sum of the ticks is rounded.
             if self._since_start < _HOUR_S / self._site.starts_per_hour - self._site.tau / 2:
                 return 0.0
+            self._steady = share * self._site.tau / self._least_on
+            if self._steady < _LEAST_COMMAND:
+                return 0.0
             self._since_start = 0.0
+        if self._since_start < self._least_on:
+            share = min(share, self._steady)
         return min(share, self._max_command)
 
     def _pass_tick(self) -> None:
         self._age += self._site.tau
         self._unlooked += self._site.tau
         self._since_start += self._site.tau
+
+
+def _are_numbers(rain: Array, evaporated: Array, all_of_them: bool) -> bool:
+    """Whether there is a forecast, and its present entries, or all of them, are numbers."""
+    if not evaporated.size:
+        return False
+    if all_of_them:
+        return math.isfinite(float(rain.sum() + evaporated.sum()))
+    return math.isfinite(float(rain[0, 0]) + float(evaporated[0]))
 
 
 def _put_together(edges: Array, shortest: float, share: float) -> list[int]:

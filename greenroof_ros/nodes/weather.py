@@ -152,7 +152,7 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
     name = "forecast"
     try:
         choice = choose(values[name])
-        if values["live"] and choice.file is None:
+        if values["live"] and (choice.file is None or choice.file.suffix.lower() != ".csv"):
             raise ValueError("must be a FILE.csv in a live graph, or empty for none")
         name = "forecast_skill"
         check_skill(values[name])

@@ -106,6 +106,7 @@ WRONG = {
     f"{WEATHERED} --thermometer external --controller onoff --dressed d.csv":
         "--dressed = 'd.csv': is for forecasts of --forecast FILE.csv",
     f"{WEATHERED} --forecast no.csv": "--forecast = 'no.csv': must be an existing file",
+    f"{WEATHERED} --forecast {CHECKOUT}/package.xml": "package.xml': must be a FILE.csv, which is",
     f"{WEATHERED} --weather external --forecast forecast.csv":
         "--forecast = 'forecast.csv': is for the weather node",
     f"run --pump external {DRIVE}": "--pump = 'external': leaves the pump to somebody else's node",

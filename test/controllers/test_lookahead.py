@@ -368,7 +368,7 @@ def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain() -> None:
 
 
 def test_forecasts_of_another_shape_are_refused() -> None:
-    """And with NaN nothing is planned."""
+    """They belong to another horizon."""
     controller = lookahead()
     for rain, evaporated in (
         ([[0.0] * 5], DRY), ([DRY], [0.0] * 5), ([], DRY),
@@ -376,8 +376,21 @@ def test_forecasts_of_another_shape_are_refused() -> None:
     ):
         with pytest.raises(ConfigurationError, match="give weather and controller the same"):
             controller.command(2.3, 0.04, rain, evaporated)
-    assert controller.command(2.3, 0.04, [[math.nan] * STEPS], DRY) == 0.0
-    assert math.isnan(controller.fill_to)
+
+
+@pytest.mark.parametrize("gap", [0, STEPS - 1])
+def test_a_forecast_with_a_gap_counts_as_missing(gap: int) -> None:
+    """Without a plan the roof is filled to its target; a plan is followed until it is old."""
+    holed = [rain_in((3, 6), 0.03)]
+    holed[0][gap] = math.nan
+    controller = lookahead()
+    assert controller.command(2.3, 0.03, holed, DRY) > 0
+    assert controller.fill_to == pytest.approx(PAPER_SITE.z_veg) and controller.solves == 0
+    controller = lookahead()
+    assert controller.command(2.3, 0.03, [rain_in((3, 6), 0.03)], DRY) == 0.0
+    waited = [controller.command(2.3, 0.03, holed, DRY) for _ in range(899)]
+    assert not any(waited)
+    assert controller.command(2.3, 0.03, holed, DRY) > 0
 
 
 @pytest.mark.parametrize("horizon", [0.5, 12.0, 120.0])
@@ -451,3 +464,16 @@ def test_from_one_start_to_the_next_it_waits() -> None:
         if controller.command(2.3, level, [DRY], DRY):
             started.append(second)
     assert started == [0, 180, 360, 540]
+
+
+def test_filling_lasts_as_long_as_the_pumps_must_be_on() -> None:
+    """Two minutes instead of one, at one flow, without a break."""
+    controller, commands = lookahead(least_on=120.0), []
+    plant = Plant(PAPER_SITE, PAPER_SITE.cistern_volume(2.3), PAPER_SITE.roof_volume(0.04))
+    for _ in range(400):
+        commands.append(controller.command(*plant.levels(), [DRY], DRY))
+        plant.step(0.0, plant.flows(0.0, 0.0, plant.pump_flow(commands[-1])))
+    on = [command for command in commands if command]
+    assert 118 <= len(on) <= 122 and commands[: len(on)] == on
+    assert on[:-3] == pytest.approx([on[0]] * (len(on) - 3), rel=0.02)
+    assert plant.levels()[1] == pytest.approx(PAPER_SITE.z_veg, abs=1e-5)
