@@ -60,7 +60,7 @@ class Samples:
         layer: water volume in the drainage layer of a measured roof (m3); 0 on others.
         potential: evapotranspiration of plants that lack no water (m3/s).
         time: start of each sample, since the run's start (s).
-        mains: from the mains into the cistern (m3/s); None if there is no valve.
+        mains: from the mains into the cistern (m3/s); 0 if there is no valve.
         limited: 1 if a tank held less than was demanded, else 0; None if unknown.
         pumping_before: whether there was a pump flow in the sample before the first.
         earlier_starts: times of pump starts in the hour before the first sample (s, negative).
@@ -78,7 +78,7 @@ class Samples:
     layer: Values
     potential: Values
     time: Values
-    mains: Values | None = None
+    mains: Values
     limited: Values | None = None
     pumping_before: bool = False
     earlier_starts: Values = field(default_factory=lambda: np.empty(0))
@@ -238,14 +238,9 @@ def _deviation(site: Site, samples: Samples) -> Values:
     return np.abs(samples.roof - site.x2_star) * (samples.duration / site.tau)
 
 
-def _volume(flow: str) -> Callable[[Site, Samples], Values | None]:
+def _volume(flow: str) -> Callable[[Site, Samples], Values]:
     """Return a function that gives the volume of a flow (m3)."""
-
-    def volume(site: Site, samples: Samples) -> Values | None:
-        rate: Values | None = getattr(samples, flow)
-        return None if rate is None else samples.duration * rate
-
-    return volume
+    return lambda site, samples: samples.duration * getattr(samples, flow)
 
 
 def _ticks_where(condition: Callable[[Site, Samples], Any]) -> Callable[[Site, Samples], Values]:
@@ -313,13 +308,13 @@ METRICS = (
     ),
     Metric(
         "mains_m3", "m3", "mains water used", "into the cistern, if there is a top-up",
-        _volume("mains"),
+        lambda site, samples: (
+            None if site.mains_level is None else samples.duration * samples.mains
+        ),
     ),
     Metric(
         "saved_m3", "m3", "mains water saved", "pumped, less the mains water used",
-        lambda site, samples: samples.duration * (
-            samples.pump if samples.mains is None else samples.pump - samples.mains
-        ),
+        lambda site, samples: samples.duration * (samples.pump - samples.mains),
     ),
     Metric(
         "final_cistern_m3", "m3", "cistern at the end", "the last x1",
@@ -490,8 +485,7 @@ class Metrics:
         if self._ticks:
             self._add_ticks()
         state = _pack_tick(*self._state, *[0.0] * (len(_TICK) - len(self._state)))
-        end = self._samples(state, max(0, self._done - 1))
-        return end if end.mains is None else replace(end, mains=np.zeros(1))
+        return replace(self._samples(state, max(0, self._done - 1)), mains=np.zeros(1))
 
     def __getitem__(self, name: str) -> float:
         """Return the metric of that name."""
@@ -503,8 +497,7 @@ class Metrics:
         return Samples(
             duration=np.full(count, site.tau), pumping_before=self._pumping,
             earlier_starts=self._starts, time=site.tau * (first + np.arange(count, dtype=float)),
-            mains=None if site.mains_level is None else mains_flow(site, columns["cistern"]),
-            **columns,
+            mains=mains_flow(site, columns["cistern"]), **columns,
         )
 
     def _add_ticks(self) -> None:

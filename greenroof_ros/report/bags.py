@@ -197,8 +197,6 @@ def samples_of(site: Site, trajectory: Trajectory) -> Samples:
         site.initial_layer, trajectory.roof, flows["precipitation"], flows["pump"],
         flows["potential"], flows["drainage"], dt,
     )
-    if site.mains_level is None:
-        flows["mains"] = None
     return Samples(
         **flows, duration=dt, cistern=trajectory.cistern, roof=trajectory.roof,
         evapotranspiration=followed.evaporated, layer=followed.layer, time=trajectory.time,
