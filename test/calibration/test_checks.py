@@ -111,6 +111,13 @@ def test_right_records_have_nothing_wrong_and_wrong_ones_have(hours: int) -> Non
         assert (*finding, "")[:4] in cases(changed(alone, *change)), name
 
 
+def test_the_shift_of_a_clock_is_said_in_minutes_or_hours() -> None:
+    """The runoff of an hour later, or of eight hours earlier; it follows rain within 10 minutes."""
+    for hours, spans in ((-1, ["50 min", "55 min", "60 min"]), (8, ["8.0 h", "8.1 h", "8.2 h"])):
+        (finding,) = check_record(changed(twin(30), "runoff", shifted(hours)), TWIN)
+        assert finding.figures["span"] in spans
+
+
 def test_a_column_of_nothing_is_refused() -> None:
     nothing = changed(twin(30), "level", fixed(np.nan, 0))
     refusal(cases, nothing, match="level: has 0 values; it must have at least 100")

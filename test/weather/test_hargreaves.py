@@ -61,7 +61,7 @@ def test_whole_days_keep_their_sum_and_parts_theirs() -> None:
     assert steps[(seconds % 86400) < 3 * 3600].tolist() == [0.0] * 72
 
 
-def test_longer_steps_have_the_sums_of_five_minutes() -> None:
+def test_longer_and_shorter_steps_have_the_sums_of_five_minutes() -> None:
     first = np.datetime64("2015-06-01", "s").astype(np.int64)
     daily = np.array([4.0, 5.0, 6.0])
 
@@ -70,7 +70,9 @@ def test_longer_steps_have_the_sums_of_five_minutes() -> None:
         day = seconds // 86400 - first // 86400
         return over_the_day(daily, 52.5, seconds, day, float(step_s), -1.5)
 
-    assert over(3600 * 6) == pytest.approx(over(300).reshape(-1, 12 * 6).sum(axis=1))
+    quarters = over(300).reshape(-1, 12 * 6).sum(axis=1)
+    assert over(3600 * 6) == pytest.approx(quarters)
+    assert over(60).reshape(-1, 60 * 6).sum(axis=1) == pytest.approx(quarters, rel=1e-3)
 
 
 def test_july_in_toronto_by_both_methods() -> None:
