@@ -25,13 +25,18 @@ def table(*rows: str, header: str = HEADER) -> Table:
 
 
 def test_cells_numbers_and_times() -> None:
-    """Comments and empty lines may be anywhere; cells are stripped of spaces."""
+    """Comments and empty lines may be anywhere; cells are stripped of spaces.
+
+    A row, also the first, may end before the values of its hour.
+    """
     read = table(ROWS[0], "# gauge read", "", ROWS[1])
     assert read.header == ["time", "rain [mm/h]", "temperature"]
     assert read.lines == [4, 7]
     assert read.numbers("rain [mm/h]", RAIN).tolist() == [0.2, 3.0]
     assert read.first_hour("time") == datetime.fromisoformat("2021-07-07T03:00-05:00")
     assert table('"2021-07-07T03:00Z","1,5",2').columns["rain [mm/h]"] == ["1,5"]
+    lines = numbered_lines(f"{HEADER}2021-07-07T03:00-05:00\n{ROWS[1]}\n")
+    assert table_of(FILE, lines, {"rain [mm/h]"}).columns["temperature"] == ["", "21"]
 
 
 def test_what_is_no_table() -> None:
