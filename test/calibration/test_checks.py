@@ -118,6 +118,16 @@ def test_the_shift_of_a_clock_is_said_in_minutes_or_hours() -> None:
         assert finding.figures["span"] in spans
 
 
+def test_a_blocked_gauge_is_dry_from_its_last_rain_to_the_end() -> None:
+    """The gauge of 100 days is blocked on day 30."""
+    findings = check_record(changed(twin(100, 1), "rain", fixed(0.0, 30)), TWIN)
+    (blocked,) = [
+        finding for finding in findings
+        if (finding.code, finding.case) == ("gauge-blocked", "runoff")
+    ]
+    assert 70 <= float(blocked.figures["days"]) < 80
+
+
 def test_a_column_of_nothing_is_refused() -> None:
     nothing = changed(twin(30), "level", fixed(np.nan, 0))
     refusal(cases, nothing, match="level: has 0 values; it must have at least 100")

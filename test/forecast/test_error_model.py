@@ -297,15 +297,20 @@ def test_the_same_in_any_order(rain: dict[int, Array]) -> None:
 
 
 def test_evapotranspiration(rain: dict[int, Array]) -> None:
-    """Right on average, known at once; the error grows with the lead up to the skill's share."""
+    """Right on average, known at once; the error grows with the lead up to the skill's share.
+
+    If the logarithm of a factor is normal, and its mean is 1, the logarithm's is -variance / 2.
+    """
+    large = replace(REAL, errors=replace(REAL.errors, evapotranspiration=1.0))
     factors = np.array([
-        ErrorModel(season_weather(2016, rain[2016][:700]), seed, REAL).known(301, 241)[1] / 2
+        ErrorModel(season_weather(2016, rain[2016][:700]), seed, large).known(301, 241)[1] / 2
         for seed in range(150)
     ])
     assert (factors[:, 0] == 1).all()
-    spread = factors.std(axis=0)
-    assert factors.mean(axis=0)[[24, 120, 240]] == pytest.approx(1, abs=4 * spread.max() / 12)
-    assert 0 < spread[6] < spread[48] < spread[240] < REAL.errors.evapotranspiration * 1.1
+    mean, spread = np.log(factors).mean(axis=0), np.log(factors).std(axis=0)
+    for lead in (120, 240):
+        assert mean[lead] == pytest.approx(-spread[lead] ** 2 / 2, abs=3 * spread[lead] / 12)
+    assert 0 < spread[6] < spread[48] < spread[240] < 1.1
 
 
 def test_believable(rain: dict[int, Array]) -> None:

@@ -160,6 +160,12 @@ def interval(count: int, of: int) -> tuple[float, float, float]:
     return round(share, 3), round(middle - half, 3), round(middle + half, 3)
 
 
+def _not_copied(directory: str, names: list[str]) -> set[str]:
+    """Return what a copy of the checkout does not need; ``config/studies`` is needed."""
+    made = {"runs", "studies", "build", "install", "log"} if Path(directory) == CHECKOUT else set()
+    return {name for name in names if name.startswith(".") or name in made}
+
+
 def write(path: Path, kind: type[Row] | type[Survivor], folder: str, rows: list[Any]) -> None:
     """Replace a folder's rows in a table."""
     kept = []
@@ -196,8 +202,7 @@ def main() -> int:
     survivors_file = table.with_name(f"{table.stem}_survivors.csv")
     with tempfile.TemporaryDirectory(prefix="mutation-") as directory:
         copy = Path(directory, "checkout")
-        ignored = shutil.ignore_patterns(".*", "runs", "studies", "build", "install", "log")
-        shutil.copytree(CHECKOUT, copy, ignore=ignored)
+        shutil.copytree(CHECKOUT, copy, ignore=_not_copied)
         os.chdir(copy)
         os.environ["PYTHONPATH"] = str(copy)
         os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
