@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from worth import FILE as WORTH
+from real_season_tables import ALL, DRESSED, ISSUED, OVER_ONOFF, SEASON, numbers
 
 from greenroof_ros.common.files import shared_directory
 
@@ -342,8 +342,8 @@ _GENERATED = {
     ("mpc", ""): "the paper's `mpc`, perfect",
 }
 _ISSUED = {
-    "with issued forecasts": "`lookahead`, issued",
-    "with dressed forecasts": "`lookahead`, issued and dressed",
+    ISSUED: "`lookahead`, issued",
+    DRESSED: "`lookahead`, issued and dressed",
 }
 
 
@@ -355,12 +355,11 @@ def choices() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         if name is not None:
             cells.setdefault(name, {})[_roof(row)] = _interval(_ratio("", "", row))
     roofs = tuple(_ROOFS.values())
-    places = dict(zip(("paper", "measured"), roofs, strict=True))
-    with WORTH.open(encoding="utf-8") as stream:
-        for roof, words, _, *shares in list(csv.reader(stream))[1:]:
-            if words in _ISSUED:
-                text = "{} ({} to {})".format(*shares)
-                cells.setdefault(_ISSUED[words], {})[places[roof]] = text
+    for form, name in _ISSUED.items():
+        cells[name] = {
+            place: numbers()[roof, SEASON, ALL, "three", form, OVER_ONOFF].text("{:.3f}")
+            for roof, place in zip(("paper", "measured"), roofs, strict=True)
+        }
     names = (*_GENERATED.values(), *_ISSUED.values())
     rows = [(name, *(cells[name][roof] for roof in roofs)) for name in names]
     return ("controller and forecast", *roofs), rows

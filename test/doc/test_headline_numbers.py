@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 
 from places import CHECKOUT
@@ -15,12 +14,13 @@ import worth
 def test_readme_says_what_its_figure_shows() -> None:
     """The figure and the README's percentages come from the same stored file."""
     assert (CHECKOUT / "doc" / "_static" / "worth.svg").read_text() == worth.drawing()
-    with worth.FILE.open(newline="") as stream:
-        rows = list(csv.DictReader(stream))
+    rows = [row for roof in ("measured", "paper") for row in worth.rows(roof)]
     readme = " ".join((CHECKOUT / "README.md").read_text().split())
-    shares = [100 * float(row["share of on/off's"]) for row in rows]
+    shares = [100 * row.share.value for row in rows]
     _, none, issued, dressed, perfect, plan, _, *paper = shares
-    bound = 100 * float(rows[5]["its low end"])
+    low = rows[5].share.low
+    assert low is not None
+    bound = 100 * low
     assert (
         f"Measured roof: lookahead without a forecast {none:.0f}, with issued forecasts "
         f"{issued:.0f}, dressed {dressed:.0f}, perfect {perfect:.0f}, least possible {bound:.0f} "
