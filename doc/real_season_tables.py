@@ -18,7 +18,6 @@ YEAR, SEASON = "20 February to 31 December", "May to October"
 ALL, _DRIER, _WETTER = "all weeks", "drier half", "wetter half"
 ISSUED, DRESSED, CROSSED = "as issued", "dressed", "dressed by the other half"
 _NESTED = f"{CROSSED} with its own numbers"
-_DRAWS = tuple(f"used ideally, draw {draw}" for draw in (1, 2, 3))
 OVER_ONOFF, _GAINED, MEAN = "over on/off", "gained", "mean deviation (mm)"
 _SERVICES = ("GEM", "KNMI", "GFS")
 
@@ -31,8 +30,8 @@ _OWNER = {
     "share of it drained": ("of it drained", "{:.0%}"),
     "mains water (m³)": ("mains (m³)", "{:.0f}"),
     "rain kept": ("rain kept", "{:.0%}"),
-    "rain kept above 20 mm/h": ("above 20 mm/h", "{:.0%}"),
-    "rain kept above 10 mm in 24 h": ("above 10 mm in 24 h", "{:.0%}"),
+    "rain kept above 20 mm/h": ("kept above 20 mm/h", "{:.0%}"),
+    "rain kept above 10 mm in 24 h": ("kept above 10 mm in 24 h", "{:.0%}"),
 }
 _TARGETS = {"45.7 mm": "measured", "39 mm": "measured, target 39 mm"}
 
@@ -113,13 +112,17 @@ def season() -> Table:
 
 def best_use() -> Table:
     """Return what the best use of each service would gain, beside what it gains."""
-    forms = (ISSUED, DRESSED, *_DRAWS)
-    return ("forecast", *forms), [
-        (source, *(
-            numbers()["measured", SEASON, ALL, source, form, _GAINED].text("{:.0%}")
-            for form in forms
-        ))
+    forms = (
+        ISSUED, DRESSED, "scaled by the other half", "scaled by its own half",
+        *(f"used ideally, draw {draw}" for draw in (1, 2, 3)),
+    )
+    keys = {
+        source: [("measured", SEASON, ALL, source, form, _GAINED) for form in forms]
         for source in _SERVICES
+    }
+    return ("forecast", *forms), [
+        (source, *(numbers()[key].text("{:.0%}") if key in numbers() else "" for key in row))
+        for source, row in keys.items()
     ]
 
 
