@@ -21,11 +21,13 @@ _NESTED = f"{CROSSED} with its own numbers"
 OVER_ONOFF, _GAINED, MEAN = "over on/off", "gained", "mean deviation (mm)"
 _SERVICES = ("GEM", "KNMI", "GFS")
 
-# What an owner sees, by measure: heading and format. Shares are in percent.
+_EVAPOTRANSPIRATION = "actual over potential evapotranspiration"
+
+# What an owner sees, by measure: heading and format.
 _OWNER = {
     MEAN: (MEAN, "{:.2f}"),
     "water stress (h)": ("water stress (h)", "{:.0f}"),
-    "actual over potential evapotranspiration": ("actual over potential evapotranspiration", "{:.3f}"),
+    _EVAPOTRANSPIRATION: (_EVAPOTRANSPIRATION, "{:.3f}"),
     "pumped (m³)": ("pumped (m³)", "{:.1f}"),
     "share of it drained": ("of it drained", "{:.0%}"),
     "mains water (m³)": ("mains (m³)", "{:.0f}"),
