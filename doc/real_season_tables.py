@@ -30,7 +30,6 @@ _OWNER = {
     _EVAPOTRANSPIRATION: (_EVAPOTRANSPIRATION, "{:.3f}"),
     "pumped (m³)": ("pumped (m³)", "{:.1f}"),
     "share of it drained": ("of it drained", "{:.0%}"),
-    "mains water (m³)": ("mains (m³)", "{:.0f}"),
     "rain kept": ("rain kept", "{:.0%}"),
     "rain kept above 20 mm/h": ("kept above 20 mm/h", "{:.0%}"),
     "rain kept above 10 mm in 24 h": ("kept above 10 mm in 24 h", "{:.0%}"),
@@ -68,8 +67,8 @@ def numbers() -> dict[tuple[str, ...], Number]:
 
 
 def compared(roof: str, period: str, weeks: str, forms: Sequence[str]) -> Table:
-    """Return each forecast's deviation over on/off's and over no rain's, and what it gains."""
-    measures = {OVER_ONOFF: "{:.3f}", "over no rain": "{:.3f}", _GAINED: "{:.0%}"}
+    """Return each forecast's deviation over on/off's, and what it gains."""
+    measures = {OVER_ONOFF: "{:.3f}", _GAINED: "{:.0%}"}
     named = [key for key in numbers() if key[:3] == (roof, period, weeks)]
     rows = []
     for forecast in dict.fromkeys(key[3] for key in named):
@@ -163,7 +162,7 @@ def owner(period: str, measures: Sequence[str], interval: bool) -> Table:
 REAL_SEASONS: dict[str, Callable[[], Table]] = {
     "season": season,
     "owner": partial(owner, YEAR, [
-        measure for measure in _OWNER if measure not in ("share of it drained", "mains water (m³)")
+        measure for measure in _OWNER if measure != "share of it drained"
     ], interval=False),
     "owner year": partial(owner, YEAR, list(_OWNER), interval=True),
     "owner season": partial(owner, SEASON, list(_OWNER), interval=True),

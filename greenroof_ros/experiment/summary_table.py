@@ -108,7 +108,8 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
             "FORECAST", f"{longest} h",
             f"is the longest issue, the horizon {horizon:g} h: no rain is assumed after its end",
         )
-    if not SensorPumpErrors(**summary["sensor_pump_errors"]).none:
+    errors = SensorPumpErrors(**summary["sensor_pump_errors"])
+    if not (errors.exact_sensor and errors.instant_pump):
         yield "sensor and pump", "", _listed(summary["sensor_pump_errors"])
     messages = summary["messages"]
     if messages:
