@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from greenroof_ros.common.command_line import command, print_findings, within
+from greenroof_ros.common.command_line import Parser, command, print_findings, within
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.model.site import read_site
@@ -43,9 +43,9 @@ _TIMES = (
 )
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof check-pump",
         description="Check a running pump driver, this package's or your own in any language, "
         "against the interface, using topics only: off at start, one flow for each command, "

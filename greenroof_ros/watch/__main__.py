@@ -9,7 +9,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, command, namespace, within
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, namespace, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.model.site import read_site
@@ -45,9 +45,9 @@ exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
 """
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof watch",
         usage="%(prog)s [options]",
         description=_DESCRIPTION,
