@@ -32,7 +32,7 @@ def make_parser() -> Parser:
         description="Check that a controller does what the node graph, simulate, studies and "
         "reports rely on: commands finite and not negative, the same for the same inputs, skipped "
         "ticks, missing forecasts, parameters. Each failure is listed with the correct behaviour.",
-        epilog="example:\n  greenroof check-controller examples.proportional:Proportional\n\n"
+        epilog="example:\n  greenroof check-controller my_package.my_module:MyController\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 it cannot be imported",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -52,7 +52,7 @@ def make_parser() -> Parser:
         "refused values, watchdog, a second publisher, frost, unknown levels and frost, a cistern "
         "at the suction level, and that it runs again after each. It plays plant, weather and "
         f"controller itself, so start no bringup; THE PUMP WILL RUN. {_INVENTED} {_LIMIT}",
-        epilog="example:\n  python examples/pump_driver.py &\n"
+        epilog="example:\n  python my_driver.py &\n"
         "  greenroof check-pump --node pump\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 there is no such driver, 3 a graph is "
         "running",

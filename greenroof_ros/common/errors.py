@@ -40,6 +40,14 @@ class OccupiedError(ConfigurationError):
     """Another graph already runs where this one should run; commands end with exit code 3."""
 
 
+def with_extra(extra: str) -> str:
+    """Return a clause for a message: how to get the packages of an extra.
+
+    It names no command, since the package may come from an index, a wheel or a checkout.
+    """
+    return f"install greenroof_ros with its extra [{extra}]"
+
+
 @contextmanager
 def in_extra(extra: str) -> Iterator[None]:
     """Guard the import of a package that a plain installation does not have.
@@ -54,9 +62,7 @@ def in_extra(extra: str) -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
-        raise ConfigurationError(
-            f"needs {package}: pip install 'greenroof_ros[{extra}]'"
-        ) from error
+        raise ConfigurationError(f"needs {package}: {with_extra(extra)}") from error
 
 
 # The least similarity of two names, 0 to 1: one of three letters may be wrong.

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, namespace, within
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, with_extra
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch.feed import Feed
@@ -148,7 +148,7 @@ def main() -> int:
         from greenroof_ros.watch.server import serve
     except ModuleNotFoundError as error:
         raise ConfigurationError(
-            f"needs {error.name}: pip install 'greenroof_ros[watch]'; --terminal does not need it"
+            f"needs {error.name}: {with_extra('watch')}; --terminal does not need it"
         ) from error
     host, port = arguments.host or LOOPBACK, arguments.port
     # Releasing always needs a token: behind a proxy each request comes from this machine.
