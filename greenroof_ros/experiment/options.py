@@ -68,7 +68,7 @@ def add_run_arguments(
         "persistence: it stays unchanged; errors: a forecast as good as real ones; ensemble: "
         "several of these; a file, or a directory of files: archived forecasts, in this project's "
         "CSV, CSV or JSON of Open-Meteo, or NetCDF of CaSPAr. All but perfect are issued every 6 "
-        "hours, those of a file at its own times (default: %(default)s)",
+        "hours, archived forecasts at their own times (default: %(default)s)",
     )
     add_forecast_options(group)
     _add_parameters(
@@ -185,7 +185,7 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
     """Add the options that only some forecasts have."""
     group.add_argument(
         "--forecast-skill", type=_skill, metavar=f"{{{','.join(SKILLS)},FILE.yaml}}",
-        help="errors, ensemble: how good the forecasts are. real: like those of weather services; "
+        help="errors, ensemble: how good the forecasts are. real: as good as a weather service's; "
         "better: like real ones at half the lead time; worse: at twice the lead time; a "
         f"file: as it states (default: {ForecastChoice().skill})",
     )

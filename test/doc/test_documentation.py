@@ -76,6 +76,14 @@ def test_phrases_that_nobody_says_are_refused(tmp_path: Path) -> None:
     assert named == [("page", each) for each in phrases], done.stderr
 
 
+def test_phrases_that_nobody_says_are_not_split_between_lines() -> None:
+    """``make lint`` reads line by line. Comments, docstrings and messages of the code count, too."""
+    phrases = re.findall("^(.* .*)->", (CHECKOUT / "phrases.txt").read_text(), re.MULTILINE)
+    split = "|".join(phrase.replace(" ", r'[ "]*\n[\s"#]*') for phrase in phrases)
+    for path in [*PAGES, *(CHECKOUT / "greenroof_ros").rglob("*.py")]:
+        assert not re.findall(rf"\b({split})\b", path.read_text(), re.IGNORECASE), path
+
+
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if "<!-- table: " in page.read_text()], ids=name
 )
