@@ -77,7 +77,7 @@ def test_phrases_that_nobody_says_are_refused(tmp_path: Path) -> None:
 
 
 def test_phrases_that_nobody_says_are_not_split_between_lines() -> None:
-    """``make lint`` reads line by line. Comments, docstrings and messages of the code count, too."""
+    """``make lint`` reads line by line. Comments, docstrings and messages in code count, too."""
     phrases = re.findall("^(.* .*)->", (CHECKOUT / "phrases.txt").read_text(), re.MULTILINE)
     split = "|".join(phrase.replace(" ", r'[ "]*\n[\s"#]*') for phrase in phrases)
     for path in [*PAGES, *(CHECKOUT / "greenroof_ros").rglob("*.py")]:
