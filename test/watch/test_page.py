@@ -521,7 +521,7 @@ def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:
     assert not page.locator("#ask").is_visible()
     stop.focus()
     stop.press("Enter")
-    until_shown(page, "#ask", "somebody releases it")
+    until_shown(page, "#ask", "somebody releases it. Anyone working on the pump must lock it out")
     page.keyboard.press("Escape")
     assert posted(page) == []
     stop.click()
