@@ -114,7 +114,9 @@ def test_another_band_needs_what_happened(tmp_path: Path) -> None:
     assert [unknown in " ".join(note.text for note in of_run) for of_run in notes] == [
         False, True, False
     ]
-    assert unknown in page_of(report)
+    text = page_of(report)
+    assert unknown in text
+    assert len(re.findall(r"<td [^>]*>unknown<", text)) == 4  # the time and its share, of two runs
     for usual in report_of(path, band=NEAR_TARGET).single:
         assert usual["near_target_hours"] == example.row["near_target_hours"]
 

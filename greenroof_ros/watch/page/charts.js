@@ -233,7 +233,7 @@ export class Charts {
       },
       hooks: {
         drawClear: [(plot) => this.drawBehind(plot, view)],
-        draw: [(plot) => this.drawMarks(plot, view)],
+        drawAxes: [(plot) => this.drawMarks(plot, view)],
         setSelect: [(plot) => {
           const { left, width } = plot.select;
           if (width < 1) return;
@@ -257,7 +257,7 @@ export class Charts {
     ctx.fillRect(bbox.left, top, bbox.width, bottom - top);
   }
 
-  // The present time, and the references with their words.
+  // The present time, and the references with their words, behind the series: no value is hidden.
   drawMarks(plot, { marks }) {
     const { ctx, bbox } = plot;
     const ratio = devicePixelRatio;
@@ -281,7 +281,7 @@ export class Charts {
       const y = plot.valToPos(v, "left", true);
       if (inside) line(bbox.left, y, bbox.left + bbox.width, y, [3 * ratio, 2 * ratio]);
       ctx.textBaseline = above ? "top" : "bottom";
-      // The words stay readable where a line crosses them.
+      // Neither the grid nor the line of the present time crosses the words.
       const place = [text, bbox.left + 4 * ratio, y + (above ? 3 : -2) * ratio];
       ctx.save();
       ctx.setLineDash([]);
