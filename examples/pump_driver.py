@@ -5,7 +5,6 @@ This pump's flow follows the command with a first-order lag.
 """
 
 import math
-from contextlib import suppress
 from functools import partial
 
 import rclpy
@@ -62,5 +61,10 @@ publisher = node.create_publisher(Float64, "pump/flow", qos)
 watchdog = node.create_timer(SILENCE, on_silence, clock=Clock(clock_type=ClockType.STEADY_TIME))
 events = SubscriptionEventCallbacks(liveliness=on_liveliness)
 node.create_subscription(Float64, "pump/command", on_command, qos, event_callbacks=events)
-with suppress(KeyboardInterrupt, ExternalShutdownException):  # SIGINT, SIGTERM: the pump stops
+try:
     rclpy.spin(node)
+except (KeyboardInterrupt, ExternalShutdownException):  # SIGINT, SIGTERM: the pump stops
+    pass
+except RuntimeError:  # also SIGTERM, just as rclpy begins to wait
+    if rclpy.ok():
+        raise

@@ -4,44 +4,25 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.clairvoyant import _BLOCK_S, Bound, NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
 from greenroof_ros.experiment.plan import CarriedOut, recursion_plan
-from greenroof_ros.experiment.run import Run
+from greenroof_ros.experiment.run import Run, count_ticks
 from greenroof_ros.experiment.summary_table import grid
-from greenroof_ros.model.site import Site
 
 _LARGEST_COMMAND = 100.0
 
 _PATIENCE_S = 2.0
-
-
-def _block_ticks(site: Site, block_s: float) -> int:
-    """Return how many ticks a block of this many seconds has.
-
-    Raises:
-        ConfigurationError: it is not a whole number of ticks, at least one.
-    """
-    ticks = round(block_s / site.tau)
-    if ticks < 1 or not math.isclose(ticks * site.tau, block_s, rel_tol=1e-9):
-        raise ConfigurationError(
-            f"must be a whole number of ticks of {site.tau:g} s, at least one",
-            key="--block", value=block_s,
-        )
-    return ticks
 
 
 @contextmanager
@@ -65,7 +46,7 @@ def _result(
         "bound_m3": bound.bound_m3,
         "plan_m3": bound.plan_m3,
         "recursion_m3": recursion.total_m3,
-        "gap": replace(bound, plan_m3=attained).gap,
+        "gap": attained / bound.bound_m3 - 1 if bound.bound_m3 > 0 else None,
         "pumped_m3": bound.pumped_m3,
         "recursion_pumped_m3": recursion.pumped_m3,
         "max_command": max_command,
@@ -154,7 +135,9 @@ def main() -> int:
     """Compute the bound of the run on the command line."""
     arguments = make_parser().parse_args()
     run = run_from_arguments(arguments)
-    block = None if arguments.block is None else _block_ticks(run.site, arguments.block)
+    block = None
+    if arguments.block is not None:
+        block = count_ticks(run.site, arguments.block, "--block", unit_s=1.0)
     try:
         with _note_if_slow(f"solving for {run.steps} ticks ..."):
             bound = clairvoyant_bound(run, arguments.max_command, block)

@@ -110,7 +110,7 @@ def main() -> int:
                 time.sleep(max(0.0, due - now))
             if now - shown > INTERVAL_S or tick.k == run.steps:
                 shown = now
-                progress.update(tick.k, tick.cistern_level, tick.roof_level, tick.command)
+                progress.show(tick.k, tick.cistern_level, tick.roof_level, tick.command)
         wall = time.monotonic() - began
     result = summary.build(
         run,

@@ -305,7 +305,7 @@ def test_pip_install_with_ros_runs_a_graph_and_shows_it(with_ros, tmp_path, doma
     try:
         address = wait_for(
             lambda: page.poll() is not None or re.search(r"http://\S+", log.read_text()),
-            60, "an address",
+            300, "an address",
         )
         assert page.poll() is None, log.read_text()
         with urllib.request.urlopen(address[0], timeout=60) as answer:

@@ -206,7 +206,7 @@ def _watch(
         else:
             before, tick = tick, _tick(supervisor)
             if tick != before and last["plant"].keys() >= set(_SHOWN):
-                progress.update(*(last["plant"][name] for name in _SHOWN))
+                progress.show(*(last["plant"][name] for name in _SHOWN))
             log.look(last, tick)
         supervisor.check(START_LIMIT_S if waiting else limit)
 

@@ -92,7 +92,7 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
         try:
             check(_Trial(choice, site))
         except Exception as error:  # whatever a user's class raises
-            known = isinstance(error, _ProblemError)
+            known = isinstance(error, (_ProblemError, ConfigurationError))
             problem = str(error) if known else f"raises {type(error).__name__}: {error}"
         findings.append(Finding(name, problem))
     return findings
@@ -198,13 +198,9 @@ def _may_change(trial: _Trial) -> None:
 
 
 def _outputs(trial: _Trial) -> None:
-    try:
-        topics = optional_topics(trial.choice.outputs)
-    except ConfigurationError as error:
-        raise _ProblemError(str(error)) from error
     controller = trial.make()
     _checked_command(controller, *next(trial.inputs()))
-    for topic, attribute in topics:
+    for topic, attribute in optional_topics(trial.choice.outputs):
         value, expected = getattr(controller, attribute, None), "number"
         right = isinstance(value, (int, float))
         if isinstance(topic.undecided, array):

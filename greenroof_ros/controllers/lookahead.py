@@ -69,8 +69,9 @@ class Lookahead:
     During quiet hours it plans to pump nothing: a step's largest flow is reduced by the share of
     the step that is quiet. It makes a new plan when quiet hours begin and end.
 
-    Between two starts of the pumps it waits at least 3600 s / ``starts_per_hour`` of the site. At
-    the level it balances evapotranspiration by a small flow, which needs no starts.
+    Between two starts of the pumps it waits at least 3600 s / ``starts_per_hour`` of the site, and
+    fills the roof slowly enough that the pumps are on for ``least_on``. At the level it balances
+    evapotranspiration by a small flow, which needs no starts.
 
     An observer filters the roof's level, and rain forecasts are trusted only as far as this paid
     recently, within a budget: :class:`~greenroof_ros.controllers.roof_observer.RoofObserver`,
@@ -110,6 +111,10 @@ class Lookahead:
             "cvar_level", 0.0, "1", 0.0, 0.99, "share of the members to leave out, those with "
             "the least deviation: 0 for the mean of all, 0.8 for the worst fifth",
         ),
+        Parameter(
+            "least_on", 0.0, "s", 0.0, _HOUR_S, "the pumps' shortest time on: filling takes at "
+            "least this long, so that they do not have to run on at the level",
+        ),
         OBSERVER_TIME_CONSTANT,
         TRUST_MEMORY,
         WAITING_BUDGET,
@@ -132,6 +137,7 @@ class Lookahead:
         max_command: float,
         recourse: float,
         cvar_level: float,
+        least_on: float,
         observer_time_constant: float,
         trust_memory: float,
         waiting_budget: float,
@@ -140,6 +146,7 @@ class Lookahead:
         """Take the site and the parameters; :attr:`parameters` has their units and meanings."""
         self._site, self._soil = site, soil_of(site)
         self._max_command = max_command
+        self._least_on = max(least_on, site.tau)
         self._recourse = recourse * _HOUR_S
         self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
@@ -164,6 +171,7 @@ class Lookahead:
         self._fallen = 0.0  # rain since the plan (m)
         self._flow = 0.0  # commanded in the last tick (m3/s)
         self._since_start = math.inf  # of the pumps (s)
+        self._steady = math.inf  # largest command for ``least_on`` after a start
         self._quiet_when_planned = False
         self.time_ns = 0
         self.gauge_rain = 0.0
@@ -366,7 +374,12 @@ class Lookahead:
             # Half a tick less: the sum of the ticks is rounded.
             if self._since_start < _HOUR_S / self._site.starts_per_hour - self._site.tau / 2:
                 return 0.0
+            self._steady = share * self._site.tau / self._least_on
+            if self._steady < _LEAST_COMMAND:
+                return 0.0
             self._since_start = 0.0
+        if self._since_start < self._least_on:
+            share = min(share, self._steady)
         return min(share, self._max_command)
 
     def _pass_tick(self) -> None:

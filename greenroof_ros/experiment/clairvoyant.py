@@ -44,11 +44,6 @@ class Bound:
     block: int
     solver: str
 
-    @property
-    def gap(self) -> float | None:
-        """How far the plan is above the bound, as a share of it; None if the bound is 0."""
-        return self.plan_m3 / self.bound_m3 - 1 if self.bound_m3 > 0 else None
-
 
 def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = None) -> Bound:
     r"""Bound the total deviation sum_{k=0..N} \|x_{k,2} - x2*\| of a run from below.

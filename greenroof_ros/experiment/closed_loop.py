@@ -53,33 +53,30 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
     site, series, steps, until = run.site, run.series, run.steps, 0
     plant = Plant(site, run.x1, run.x2)
     sensor, pump = RoofSensor(run.sensor_pump_errors), Pump(run.sensor_pump_errors, site.tau)
-    # Looked up once: the time of a tick counts.
-    reading, pumps = sensor.reading, pump.flow
-    coming_rain, coming_loss = run.forecast.precipitation, run.forecast.evapotranspiration
-    observe, add = metrics.observe, metrics.step
-    levels, moving, move = plant.levels, plant.flows, plant.step
-    hours, quiet = site.quiet, False
+    forecast, hours, quiet = run.forecast, site.quiet, False
     for k in range(steps + 1):
         if k == until:
             precipitation, evapotranspiration, frost, until = series.at(k)
-        cistern_level, roof_level = levels()
-        roof_level = reading(k, roof_level)
+        cistern_level, roof_level = plant.levels()
+        roof_level = sensor.reading(k, roof_level)
         if hours is not None:
             quiet = hours.quiet_at(run.time_ns(k))
             set_time(controller, run.time_ns(k))
         command = decide(
-            controller, not frost, cistern_level, roof_level, coming_rain(k), coming_loss(k), quiet
+            controller, not frost, cistern_level, roof_level,
+            forecast.precipitation(k), forecast.evapotranspiration(k), quiet,
         )
-        flows = moving(precipitation, evapotranspiration, pumps(plant, command, frost > 0 or quiet))
+        pumped = pump.flow(plant, command, frost > 0 or quiet)
+        flows = plant.flows(precipitation, evapotranspiration, pumped)
         x1, x2, layer = plant.x1, plant.x2, plant.layer
-        observe(site, x1, x2, layer)
+        metrics.observe(site, x1, x2, layer)
         yield _new(Tick, (
             k, x1, x2, layer, cistern_level, roof_level,
             precipitation, evapotranspiration, frost, command, flows,
         ))
         if k < steps:
-            add(command, precipitation, evapotranspiration, flows)
-            move(precipitation, flows)
+            metrics.step(command, precipitation, evapotranspiration, flows)
+            plant.step(precipitation, flows)
 
 
 # Column of a trajectory: attribute of a tick.

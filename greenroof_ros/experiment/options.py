@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from greenroof_ros.common.command_line import within
 from greenroof_ros.common.errors import ConfigurationError
@@ -122,6 +123,14 @@ def _add_parameters(
             type=within(int(low), int(high), int) if parameter.whole else within(low, high),
             help=f"{parameter.meaning} ({unit}default: {parameter.default:g})",
         )
+
+
+def _given(
+    arguments: argparse.Namespace, names: Iterable[str], prefix: str = ""
+) -> dict[str, Any]:
+    """Return the options that a command line gives, by their names without the prefix."""
+    values = {name: getattr(arguments, f"{prefix}{name}") for name in names}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _option(parameter: str) -> str:
@@ -261,11 +270,7 @@ def controller_from_arguments(
     parameters = controller.defaults(site)
     if arguments.parameters is not None:
         parameters = controller.read_parameters(arguments.parameters, site)
-    for name in parameters:
-        value = getattr(arguments, f"{_PARAMETER}{name}")
-        if value is not None:
-            parameters[name] = value
-    return controller, parameters
+    return controller, parameters | _given(arguments, parameters, _PARAMETER)
 
 
 def run_from_arguments(arguments: argparse.Namespace) -> Run:
@@ -281,10 +286,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     if "controller" in arguments:
         controller, parameters = controller_from_arguments(arguments, site)
         choice = forecast_from_arguments(arguments, arguments.forecast, "--forecast")
-        errors_given = {name: getattr(arguments, name) for name in PARAMETERS}
-        errors = SensorPumpErrors(
-            **{key: value for key, value in errors_given.items() if value is not None}
-        )
+        errors = SensorPumpErrors(**_given(arguments, PARAMETERS))
     else:
         controller = find_controller("onoff")
         parameters, choice = controller.defaults(site), ForecastChoice()
@@ -333,8 +335,7 @@ def forecast_from_arguments(
         choice = choose(text)
     except ValueError as error:
         raise ConfigurationError(str(error), key=key, value=text) from error
-    chosen = {option: getattr(arguments, f"forecast_{option}") for option in OPTIONS}
-    chosen = {option: value for option, value in chosen.items() if value is not None}
+    chosen = _given(arguments, OPTIONS, "forecast_")
     for option in chosen:
         if option not in choice.takes:
             owners = [

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+from greenroof_ros.common.times import hours_minutes_seconds
+
 # Often enough for the eye, seldom enough to cost nothing.
 INTERVAL_S = 0.2
 
 
-class RunProgress:
+class RunProgress(Progress):
     """Shows simulated time, both levels, the command and the speed of a run."""
 
     def __init__(self, steps: int, tau: float, file: Any = None) -> None:
@@ -24,11 +25,7 @@ class RunProgress:
             tau: duration of a tick (s).
             file: where it is drawn; standard error if None.
         """
-        self._steps = steps
-        self._tau = tau
-        self._began: tuple[float, int] | None = None
-        self._warned: set[str] = set()
-        self._progress = Progress(
+        super().__init__(
             TextColumn("{task.fields[clock]}"),
             BarColumn(bar_width=None),
             TextColumn("{task.percentage:>3.0f} %"),
@@ -37,17 +34,9 @@ class RunProgress:
             # Redrawn when there is news, not by a thread that would compete with the run.
             auto_refresh=False,
         )
-        self._task = self._progress.add_task("", total=steps, clock="0:00:00", state="starting")
-
-    def __enter__(self) -> RunProgress:
-        """Show the bar."""
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Leave the bar in its last state."""
-        self._progress.refresh()
-        self._progress.stop()
+        self._run = self.add_task("", total=steps, clock="00:00:00", state="starting")
+        self._tau = tau
+        self._warned: set[str] = set()
 
     def warn(self, warnings: Iterable[str]) -> None:
         """Print the warnings that were not printed yet above the bar."""
@@ -58,13 +47,13 @@ class RunProgress:
 
     def say(self, text: str) -> None:
         """Print a line above the bar."""
-        self._progress.console.print(text, markup=False, highlight=False, soft_wrap=True)
+        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def waiting(self, for_what: str) -> None:
         """Show what the run waits for before its first tick."""
-        self._progress.update(self._task, state=for_what, refresh=True)
+        self.update(self._run, state=for_what, refresh=True)
 
-    def update(self, tick: int, cistern: float, roof: float, command: float) -> None:
+    def show(self, tick: int, cistern: float, roof: float, command: float) -> None:
         """Show a tick.
 
         Args:
@@ -73,19 +62,12 @@ class RunProgress:
             roof: level (m).
             command: share of the maximum flow (1).
         """
-        now = time.monotonic()
-        if self._began is None:
-            self._began = (now, tick)
-        elapsed = now - self._began[0]
-        speed = ""
-        if elapsed > INTERVAL_S:
-            speed = f", {(tick - self._began[1]) * self._tau / elapsed:.0f}x real time"
-        minutes, seconds = divmod(int(tick * self._tau), 60)
-        hours, minutes = divmod(minutes, 60)
-        self._progress.update(
-            self._task,
+        ticks_per_s = self.tasks[0].speed
+        speed = f", {ticks_per_s * self._tau:.0f}x real time" if ticks_per_s else ""
+        self.update(
+            self._run,
             completed=tick,
-            clock=f"{hours}:{minutes:02}:{seconds:02}",
+            clock=hours_minutes_seconds(tick * self._tau),
             state=f"cistern {cistern:.3f} m, roof {roof:.4f} m, command {command:.3f}{speed}",
             refresh=True,
         )

@@ -64,20 +64,26 @@ class Run:
         return self.controller.make(self.site, self.parameters)
 
 
-def count_ticks(site: Site, hours: float | None, key: str) -> int:
-    """Return N for a run of this many hours; the site's own N if None.
+def count_ticks(site: Site, length: float | None, key: str, unit_s: float = 3600.0) -> int:
+    """Return how many ticks a length of time has, such as a run's N; the site's own N if None.
+
+    Args:
+        site: with the duration of a tick.
+        length: of the run (h), or of something else in another unit.
+        key: the option or key that gives it, for messages.
+        unit_s: its unit (s).
 
     Raises:
-        ConfigurationError: this is not a whole number of ticks, at least one; the message names
-            ``key``.
+        ConfigurationError: it is not a whole number of ticks, at least one.
     """
-    if hours is None:
+    if length is None:
         return site.N
-    seconds = hours * 3600
+    seconds = length * unit_s
     steps = round(seconds / site.tau) if math.isfinite(seconds) else 0
     if steps < 1 or not math.isclose(steps * site.tau, seconds, rel_tol=1e-9):
         raise ConfigurationError(
-            f"must be a whole number of ticks of {site.tau:g} s, at least one", key=key, value=hours
+            f"must be a whole number of ticks of {site.tau:g} s, at least one",
+            key=key, value=length,
         )
     return steps
 

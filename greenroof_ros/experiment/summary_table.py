@@ -102,7 +102,8 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     repeats_from = summary["forecast_repeats_last_record_from"]
     if repeats_from:
         yield "forecast", "ends", f"at {repeats_from}; later values are assumed"
-    if not SensorPumpErrors(**summary["sensor_pump_errors"]).none:
+    errors = SensorPumpErrors(**summary["sensor_pump_errors"])
+    if not (errors.exact_sensor and errors.instant_pump):
         yield "sensor and pump", "", _listed(summary["sensor_pump_errors"])
     messages = summary["messages"]
     if messages:

@@ -21,18 +21,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.plant import (
-    JOULES_PER_KWH,
-    WATER_DENSITY,
-    Flows,
-    head_loss,
-    mains_flows,
-)
+from greenroof_ros.model.plant import Flows, head_loss, mains_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
 _HOUR_S = 3600.0
 _WEEK_S = 7 * 24 * _HOUR_S
+_WATER_DENSITY = 1000.0  # kg/m3
+_JOULES_PER_KWH = 3.6e6
 # A roof drains water that came within this many hours; as many hours without rain end an event.
 _DRAINS_H = 6
 # Sums of rain are rounded: 20 mm must not count as more than 20 mm.
@@ -62,10 +58,10 @@ class Samples:
         drainage: off the roof (m3/s).
         evapotranspiration: off the roof, at most what it held (m3/s).
         layer: water volume in the drainage layer of a measured roof (m3); 0 on others.
-        mains: from the mains into the cistern (m3/s); None if there is no valve.
+        potential: evapotranspiration of plants that lack no water (m3/s).
+        time: start of each sample, since the run's start (s).
+        mains: from the mains into the cistern (m3/s); 0 if there is no valve.
         limited: 1 if a tank held less than was demanded, else 0; None if unknown.
-        potential: evapotranspiration of plants that lack no water (m3/s); None if unknown.
-        time: start of each sample, since the run's start (s); None if unknown.
         pumping_before: whether there was a pump flow in the sample before the first.
         earlier_starts: times of pump starts in the hour before the first sample (s, negative).
     """
@@ -80,10 +76,10 @@ class Samples:
     drainage: Values
     evapotranspiration: Values
     layer: Values
-    mains: Values | None = None
+    potential: Values
+    time: Values
+    mains: Values
     limited: Values | None = None
-    potential: Values | None = None
-    time: Values | None = None
     pumping_before: bool = False
     earlier_starts: Values = field(default_factory=lambda: np.empty(0))
 
@@ -234,7 +230,7 @@ def _excess_starts(site: Site, samples: Samples) -> Values:
 
 def _hydraulic_energy(site: Site, samples: Samples) -> Values:
     head = head_loss(site, samples.cistern, samples.pump)
-    return WATER_DENSITY * site.g * samples.pump * head * samples.duration / JOULES_PER_KWH
+    return _WATER_DENSITY * site.g * samples.pump * head * samples.duration / _JOULES_PER_KWH
 
 
 def _deviation(site: Site, samples: Samples) -> Values:
@@ -242,20 +238,9 @@ def _deviation(site: Site, samples: Samples) -> Values:
     return np.abs(samples.roof - site.x2_star) * (samples.duration / site.tau)
 
 
-def _actual_and_potential(site: Site, samples: Samples) -> Values | None:
-    if samples.potential is None:
-        return None
-    return samples.duration * np.stack((samples.evapotranspiration, samples.potential))
-
-
-def _volume(flow: str) -> Callable[[Site, Samples], Values | None]:
+def _volume(flow: str) -> Callable[[Site, Samples], Values]:
     """Return a function that gives the volume of a flow (m3)."""
-
-    def volume(site: Site, samples: Samples) -> Values | None:
-        rate: Values | None = getattr(samples, flow)
-        return None if rate is None else samples.duration * rate
-
-    return volume
+    return lambda site, samples: samples.duration * getattr(samples, flow)
 
 
 def _ticks_where(condition: Callable[[Site, Samples], Any]) -> Callable[[Site, Samples], Values]:
@@ -263,10 +248,8 @@ def _ticks_where(condition: Callable[[Site, Samples], Any]) -> Callable[[Site, S
     return lambda site, samples: samples.duration / site.tau * condition(site, samples)
 
 
-def _roof_water(site: Site, samples: Samples) -> Values | None:
+def _roof_water(site: Site, samples: Samples) -> Values:
     """Return each sample's hour of the run, and its rain, pumped and drained water (m3)."""
-    if samples.time is None:
-        return None
     hour = (samples.time + site.tau / 2) // _HOUR_S  # half a tick more: the times are rounded
     return np.stack((
         hour, samples.duration * samples.precipitation * site.a2, samples.duration * samples.pump,
@@ -303,7 +286,11 @@ METRICS = (
     ),
     Metric(
         "evapotranspiration_ratio", "1", "evapotranspiration ratio",
-        "actual over potential", _actual_and_potential, _sums, ".1%", finish=_ratio,
+        "actual over potential",
+        lambda site, samples: (
+            samples.duration * np.stack((samples.evapotranspiration, samples.potential))
+        ),
+        _sums, ".1%", finish=_ratio,
     ),
     Metric(
         "rain_kept_share", "1", "rain kept", "share of the rain on the roof that did not drain off",
@@ -321,13 +308,13 @@ METRICS = (
     ),
     Metric(
         "mains_m3", "m3", "mains water used", "into the cistern, if there is a top-up",
-        _volume("mains"),
+        lambda site, samples: (
+            None if site.mains_level is None else samples.duration * samples.mains
+        ),
     ),
     Metric(
         "saved_m3", "m3", "mains water saved", "pumped, less the mains water used",
-        lambda site, samples: samples.duration * (
-            samples.pump if samples.mains is None else samples.pump - samples.mains
-        ),
+        lambda site, samples: samples.duration * (samples.pump - samples.mains),
     ),
     Metric(
         "final_cistern_m3", "m3", "cistern at the end", "the last x1",
@@ -498,8 +485,7 @@ class Metrics:
         if self._ticks:
             self._add_ticks()
         state = _pack_tick(*self._state, *[0.0] * (len(_TICK) - len(self._state)))
-        end = self._samples(state, max(0, self._done - 1))
-        return end if end.mains is None else replace(end, mains=np.zeros(1))
+        return replace(self._samples(state, max(0, self._done - 1)), mains=np.zeros(1))
 
     def __getitem__(self, name: str) -> float:
         """Return the metric of that name."""
@@ -511,8 +497,7 @@ class Metrics:
         return Samples(
             duration=np.full(count, site.tau), pumping_before=self._pumping,
             earlier_starts=self._starts, time=site.tau * (first + np.arange(count, dtype=float)),
-            mains=None if site.mains_level is None else mains_flows(site, columns["cistern"]),
-            **columns,
+            mains=mains_flow(site, columns["cistern"]), **columns,
         )
 
     def _add_ticks(self) -> None:
@@ -527,6 +512,5 @@ class Metrics:
 
     def _weekly(self, samples: Samples) -> Values:
         """Return the deviation of each week, further samples included, shape (1, weeks)."""
-        assert samples.time is not None
         week = (samples.time + self._site.tau / 2) // _WEEK_S
         return _sums_by(self._weeks, np.stack((week, _deviation(self._site, samples))))

@@ -7,17 +7,13 @@ third state: the water in its drainage layer.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import Soil, soil_of
-
-WATER_DENSITY = 1000.0
-"""kg/m3"""
-JOULES_PER_KWH = 3.6e6
 
 Values = NDArray[np.float64]
 
@@ -30,10 +26,7 @@ def outlet_flow(site: Site, x1: float) -> float:
 
     If there is a low outlet, it is the flow of both outlets.
     """
-    level = x1 / site.a1
-    if level <= site.lowest_outlet:
-        return 0.0
-    head = level - site.z_o
+    head = x1 / site.a1 - site.z_o
     flow = site.c_out * math.sqrt(head) if head > 0 else 0.0
     return flow + low_outlet_flow(site, x1)
 
@@ -46,21 +39,12 @@ def low_outlet_flow(site: Site, x1: float) -> float:
     return site.c_low * math.sqrt(head) if head > 0 else 0.0
 
 
-def mains_flow(site: Site, x1: float) -> float:
-    """The mains' flow (m3/s) into a cistern holding x1 (m3): the valve's flow below its level.
+def mains_flow(site: Site, x1: Any) -> Any:
+    """The mains' flow (m3/s) into a cistern holding x1 (m3, of any shape): the valve's, or 0.
 
-    The valve is checked once a tick, and is open for the whole tick.
+    The valve is checked once a tick, and is open for the whole tick if the level is below its own.
     """
-    if site.mains_level is None or site.mains_flow is None:
-        return 0.0
-    return site.mains_flow if site.cistern_level(x1) < site.mains_level else 0.0
-
-
-def mains_flows(site: Site, x1: Values) -> Values:
-    """The mains' flow (m3/s) at each of these volumes (m3), as :func:`mains_flow`."""
-    if site.mains_level is None or site.mains_flow is None:
-        return np.zeros_like(x1)
-    return np.where(x1 / site.a1 < site.mains_level, site.mains_flow, 0.0)
+    return (site.mains_flow or 0.0) * (x1 / site.a1 < (site.mains_level or 0.0))
 
 
 def maximum_pump_flow(site: Site, x1: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
 
 
@@ -35,11 +36,7 @@ def fit_pump_curve(flow: ArrayLike, head: ArrayLike) -> PumpCurve:
     heads = np.asarray(head, dtype=float)
     if flows.size < 2 or np.ptp(flows) <= 1e-6 * flows.max():
         raise ValueError("at least two different flows are needed")
-    # Flows are around 0.01 m3/s, their squares around 1e-4: scaled to 1, the fit loses no digits.
-    scale = flows.max() ** 2
-    design = np.column_stack([flows**2 / scale, np.ones_like(flows)])
-    (slope, c_hat), *_ = np.linalg.lstsq(design, heads, rcond=None)
-    a_hat = slope / scale
-    if slope >= -1e-9 * heads.max():
+    c_hat, a_hat = Polynomial.fit(flows**2, heads, 1).convert().coef
+    if a_hat * flows.max() ** 2 >= -1e-9 * heads.max():
         raise ValueError("the head must fall as the flow rises; are flow and head swapped?")
     return PumpCurve(float(a_hat), float(c_hat))

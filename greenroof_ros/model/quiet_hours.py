@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Sequence
 from datetime import datetime, tzinfo
@@ -14,7 +15,10 @@ _MINUTE_NS = 60 * _SECOND_NS
 _DAY_S, _DAY_MINUTES = 86_400, 1440
 # Number of days kept: more than a look-ahead with the days after its forecast.
 _MOST_DAYS = 60
-_INTERVAL = re.compile(r"([0-9]{2}):([0-5][0-9])-([0-9]{2}):([0-5][0-9])")
+# 24:00 is only an end.
+_INTERVAL = re.compile(
+    r"([01][0-9]|2[0-3]):([0-5][0-9])-([01][0-9]|2[0-3]|24(?=:00)):([0-5][0-9])"
+)
 
 
 class QuietHours:
@@ -44,12 +48,11 @@ class QuietHours:
             self._by_clock |= np.logical_and(*quiet) if begin < end else np.logical_or(*quiet)
         if self._by_clock.all():
             raise ValueError("they leave no time to pump")
-        self._days: dict[int, NDArray[np.bool_]] = {}
 
     def quiet_at(self, time_ns: int) -> bool:
         """Whether a time (ns since 1970) is in quiet hours."""
         day, minute = divmod(time_ns // _MINUTE_NS, _DAY_MINUTES)
-        return bool(self._day(day)[minute])
+        return bool(self._by_clock[_clock(day, self._zone)[minute]])
 
     def end_after(self, time_ns: int) -> datetime:
         """Return when the quiet hours around a time (ns since 1970) end, in the zone."""
@@ -76,17 +79,16 @@ class QuietHours:
 
     def _day(self, day: int) -> NDArray[np.bool_]:
         """Return whether each minute of a day in UTC (since 1970) is quiet."""
-        quiet = self._days.get(day)
-        if quiet is None:
-            if len(self._days) >= _MOST_DAYS:
-                self._days.clear()
-            clocks = (
-                datetime.fromtimestamp(day * _DAY_S + 60 * minute, self._zone)
-                for minute in range(_DAY_MINUTES)
-            )
-            quiet = self._by_clock[[60 * clock.hour + clock.minute for clock in clocks]]
-            self._days[day] = quiet
-        return quiet
+        return self._by_clock[_clock(day, self._zone)]
+
+
+@functools.lru_cache(_MOST_DAYS)
+def _clock(day: int, zone: tzinfo) -> NDArray[np.intp]:
+    """Return what the local clock shows in each minute of a day in UTC, in minutes of the day."""
+    times = (
+        datetime.fromtimestamp(day * _DAY_S + 60 * minute, zone) for minute in range(_DAY_MINUTES)
+    )
+    return np.array([60 * time.hour + time.minute for time in times])
 
 
 def _minutes(interval: str) -> tuple[int, int]:
@@ -99,7 +101,4 @@ def _minutes(interval: str) -> tuple[int, int]:
     if match is None:
         raise ValueError("an interval is invalid")
     hour, minute, last_hour, last_minute = map(int, match.groups())
-    begin, end = 60 * hour + minute, 60 * last_hour + last_minute
-    if begin >= _DAY_MINUTES or end > _DAY_MINUTES or begin == end:
-        raise ValueError("an interval is invalid")
-    return begin, end
+    return 60 * hour + minute, 60 * last_hour + last_minute

@@ -51,11 +51,6 @@ class SensorPumpErrors:
         """Whether the pumps follow each command at once."""
         return self.minimum_on == 0 and self.minimum_off == 0
 
-    @property
-    def none(self) -> bool:
-        """Whether the site is the paper's."""
-        return self.exact_sensor and self.instant_pump
-
     def values(self) -> dict[str, float]:
         """Return each of :data:`PARAMETERS` with its value."""
         return asdict(self)

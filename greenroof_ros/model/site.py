@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from datetime import timezone
 from functools import cached_property
@@ -41,6 +41,12 @@ _FOLLOW = {
 }
 _CLIMATE = "monthly_evapotranspiration"
 _QUIET, _ZONE = "quiet_hours", "time_zone"
+_OF_CLOCK = {
+    _QUIET: 'must be times of day in brackets, such as ["22:00-06:00", "12:00-13:30"], which '
+    "leave time to pump",
+    _ZONE: "must be the IANA name of a time zone that this machine knows (package tzdata), such as "
+    "America/Toronto",
+}
 # Key of the file that has what a site file omits.
 _EXTENDS = "extends"
 # Parameters of earlier versions, without effect: site files kept by older runs have them.
@@ -488,8 +494,11 @@ def read_site(path: Path) -> Site:
                 )
             values[name] = tuple(map(float, value))
             continue
-        if name in (_QUIET, _ZONE):
-            values[name] = _quiet_value(name, value, refuse)
+        if name in _OF_CLOCK:
+            try:
+                values[name] = _of_clock(name, value)
+            except (TypeError, AttributeError, OSError, ValueError, KeyError):
+                raise refuse(name, _OF_CLOCK[name]) from None
             continue
         if type(value) not in (int, float):
             raise refuse(name, "must be a number")
@@ -506,31 +515,13 @@ def read_site(path: Path) -> Site:
     return site
 
 
-def _quiet_value(
-    name: str, value: Any, refuse: Callable[[str, str], ConfigurationError]
-) -> tuple[str, ...] | str:
-    """Return the value of ``quiet_hours`` or ``time_zone``.
-
-    Raises:
-        ConfigurationError: it is invalid; ``refuse`` makes the error.
-    """
+def _of_clock(name: str, value: Any) -> tuple[str, ...] | str:
+    """Return the value of ``quiet_hours`` or ``time_zone``; it raises many errors if invalid."""
     if name == _ZONE:
-        try:
-            return ZoneInfo(value).key
-        except (TypeError, AttributeError, OSError, ValueError, KeyError):
-            raise refuse(
-                name, "must be the IANA name of a time zone that this machine knows (package "
-                "tzdata), such as America/Toronto",
-            ) from None
-    try:
-        if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
-            raise ValueError("it is not a list of strings")
-        QuietHours(value, timezone.utc)
-    except ValueError as error:
-        raise refuse(
-            name, 'must be times of day in brackets, such as ["22:00-06:00", "12:00-13:30"]; '
-            f"here {error}",
-        ) from None
+        return ZoneInfo(value).key
+    if not isinstance(value, list):
+        raise TypeError
+    QuietHours(value, timezone.utc)
     return tuple(value)
 
 

@@ -21,7 +21,7 @@ from greenroof_ros.experiment.run import build_run
 from greenroof_ros.experiment.summary import site_file_of
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.metrics import Samples, totals_of
-from greenroof_ros.model.plant import mains_flows
+from greenroof_ros.model.plant import mains_flow
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
 from greenroof_ros.recording.bag_reader import Recorded, load_bag
@@ -186,7 +186,7 @@ def samples_of(site: Site, trajectory: Trajectory) -> Samples:
     dt = np.append(np.diff(trajectory.time), site.tau)
     values = {
         "pump": trajectory.pump_flow, "potential": trajectory.evapotranspiration,
-        "mains": mains_flows(site, trajectory.cistern), **{
+        "mains": mains_flow(site, trajectory.cistern), **{
             name: getattr(trajectory, name)
             for name in ("command", "precipitation", "outflow", "drainage")
         },
@@ -197,8 +197,6 @@ def samples_of(site: Site, trajectory: Trajectory) -> Samples:
         site.initial_layer, trajectory.roof, flows["precipitation"], flows["pump"],
         flows["potential"], flows["drainage"], dt,
     )
-    if site.mains_level is None:
-        flows["mains"] = None
     return Samples(
         **flows, duration=dt, cistern=trajectory.cistern, roof=trajectory.roof,
         evapotranspiration=followed.evaporated, layer=followed.layer, time=trajectory.time,

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greenroof_ros.model.metrics import METRICS, Samples
-from greenroof_ros.model.plant import mains_flows, outlet_flow
+from greenroof_ros.model.plant import mains_flow, outlet_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 from greenroof_ros.watch.history import Stamps, Values
@@ -284,7 +284,7 @@ class Account:
         flow = np.nan_to_num(known[_FLOW])
         if self.measured:  # a driver may report a greater flow than the plant gave it
             left = cistern / duration + rain * site.effective_catchment - outflow
-            left = left + mains_flows(site, cistern)
+            left = left + mains_flow(site, cistern)
             flow = np.fmin(flow, np.maximum(left, 0.0))
         drainage = np.nan_to_num(known[_DRAINAGE]) if self.measured else None
         followed = self._soil.follow(
@@ -302,7 +302,7 @@ class Account:
             drainage=followed.drained if drainage is None else drainage,
             evapotranspiration=followed.evaporated,
             layer=followed.layer,
-            mains=mains_flows(site, np.nan_to_num(cistern)),
+            mains=mains_flow(site, np.nan_to_num(cistern)),
             potential=np.nan_to_num(known[_EVAPORATED]),
             time=(times - since) / 1e9,
         )

@@ -22,8 +22,7 @@ from greenroof_ros.forecast.models import PerfectModel
 from greenroof_ros.forecast.resampling import SteppedForecast
 from greenroof_ros.model.look_ahead import growing_steps
 
-LENGTHS = np.diff(growing_steps(12))
-STEPS = len(LENGTHS)
+STEPS = len(growing_steps(12)) - 1
 DRY = [0.0] * STEPS
 Array = NDArray[np.float64]
 

@@ -73,15 +73,6 @@ def test_no_controller_pumps_in_quiet_hours(controller: str) -> None:
     assert max(commands[360:]) > 0
 
 
-def test_without_quiet_hours_in_the_run_every_bit_is_as_without_any() -> None:
-    rain = {4: 2.0}
-    far = replace(EVENING, quiet_hours=("16:00-17:00",))
-    without = replace(SLOW, quiet_hours=None)
-    for controller in ("onoff", "mpc"):
-        ours, theirs = (ticks_of(run_of(controller, rain, site)) for site in (far, without))
-        assert ours == theirs
-
-
 LOOKAHEAD = {
     "horizon": 24.0, "days_after": 0.0, "observer_time_constant": 0.0, "waiting_budget": math.inf,
 }

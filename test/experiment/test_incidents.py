@@ -101,40 +101,37 @@ def test_a_sensor_is_lost_after_three_seconds(monkeypatch: pytest.MonkeyPatch) -
         assert log.count == count, at
 
 
-def test_what_follows_from_a_loss_is_none_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Refused levels while a sensor is lost do not count; alone, they do after half a minute."""
+@pytest.mark.parametrize(
+    ("loss", "end", "consequence"),
+    [
+        (
+            report_of("roof_sensor", sensor="ERROR"), report_of("roof_sensor", sensor="OK"),
+            report_of("pump", levels="ERROR"),
+        ),
+        # The controller reports the loss of a forecast only if the weather node reports nothing.
+        (
+            report_of("weather", forecast="ERROR"), report_of("weather", forecast="OK"),
+            report_of("mpc", "no_forecast", forecast="WARN"),
+        ),
+    ],
+)
+def test_what_follows_from_a_loss_is_none_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, loss: dict[str, Any], end: dict[str, Any],
+    consequence: dict[str, Any],
+) -> None:
+    """It does not count while something is lost; alone, it does after half a minute."""
     clock = iter(range(1000))
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     log = IncidentLog(lambda _: None)
-    errors = {**report_of("roof_sensor", sensor="ERROR"), **report_of("pump", levels="ERROR")}
     for _ in range(40):
-        log.look(errors)
-    assert [incident.part for incident in log.incidents] == ["sensor"]
-    alone = {**report_of("roof_sensor", sensor="OK"), **report_of("pump", levels="ERROR")}
+        log.look({**consequence, **loss})
+    assert [incident.node for incident in log.incidents] == list(loss)
     looks = 0
     while log.count == 1:
-        log.look(alone)
+        log.look({**end, **consequence})
         looks += 1
     assert looks > 25
-    assert [incident.part for incident in log.incidents] == ["sensor", "levels"]
-
-
-def test_a_forecast_that_is_lost_is_one_incident(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reported by the weather node; by the controller only if the weather node reports nothing."""
-    clock = iter(range(1000))
-    monkeypatch.setattr(time, "monotonic", lambda: next(clock))
-    log = IncidentLog(lambda _: None)
-    for _ in range(40):
-        log.look({
-            **report_of("mpc", "no_forecast", forecast="WARN"),
-            **report_of("weather", forecast="ERROR"),
-        })
-    assert [incident.node for incident in log.incidents] == ["weather"]
-    log.look({**report_of("mpc", forecast="OK"), **report_of("weather", forecast="OK")})
-    assert not log.lasting
-    for _ in range(40):
-        log.look(report_of("mpc", "no_forecast", forecast="WARN"))
-    assert [incident.node for incident in log.incidents] == ["weather", "mpc"]
+    assert [incident.node for incident in log.incidents] == [*loss, *consequence]
 
 
 def test_what_has_not_come_yet_is_not_lost() -> None:

@@ -54,6 +54,14 @@ def test_progress_that_cannot_be_shown(tmp_path: Path) -> None:
     assert f"written to {tmp_path / 'run'}\n" in done.stdout
 
 
+def test_output_that_nobody_reads(tmp_path: Path) -> None:
+    """As with '| head': no message, and the run's directory is complete."""
+    done = run_in_shell("{ $SIMULATE --json; echo $? >code; } | :", tmp_path)
+    assert (tmp_path / "code").read_text() == "1\n"
+    assert "error" not in done.stderr.lower()
+    assert (tmp_path / "run" / "summary.json").exists()
+
+
 def test_help_that_cannot_be_printed(tmp_path: Path) -> None:
     """argparse alone would not report it."""
     done = run_in_shell("$SIMULATE --help >/dev/full", tmp_path)

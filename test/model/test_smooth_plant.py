@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import PAPER_SITE, linear_model, measured_sites, sites
 
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.smooth_plant import linearise, sigma
+from greenroof_ros.model.smooth_plant import linearise
 
 
 @st.composite
@@ -61,10 +58,3 @@ def test_linear_model_equals_complex_steps(
     # The terms of f cancel; the rest is right to 1e-9 of the terms.
     terms = np.abs(C) @ np.abs(point[3:]) + np.abs(B * point[2]) + np.abs(b)
     np.testing.assert_allclose(model.b, b, rtol=0, atol=1e-9 * terms.max())
-
-
-def test_sigmoid_by_hand() -> None:
-    """1 / (1 + exp(-y)) of y over epsilon: 3/4 at ln 3, and its limits where exp overflows."""
-    expected = {0.0: 0.5, math.log(3): 0.75, -math.log(3): 0.25, 1e4: 1.0, -1e4: 0.0}
-    computed = {y: sigma(0.5 * y, 0.5) for y in expected}
-    assert computed == pytest.approx(expected, rel=1e-15, abs=0)
