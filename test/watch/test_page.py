@@ -260,12 +260,17 @@ def test_hostile_texts_are_texts(open_page: Open) -> None:
 
 
 def test_it_fits_every_width(open_page: Open) -> None:
-    """No list is cut at its end, and no texts overlap, not even three references."""
+    """No list is cut at its end, no texts overlap, not even three references, or leave their tile.
+
+    The target of 450 mm in 500 mm of soil is in the middle of its tile.
+    """
     watched = site_watched("simulated")
     long = "the drive at its gateway does not answer " * 12
     parts = [(f"part {i}", ERROR, long) for i in range(12)]
     page = open_page(watched, [*pump(), *node("/mpc", "controller", *parts)])
-    watched.set_site(replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02))
+    watched.set_site(replace(
+        SITE, low_outlet_level=1.0, low_outlet_radius=0.02, z_veg=0.45, x2_star=0.45 * SITE.a2
+    ))
     until_drawn(page)
     until_shown(page, ".alarm")
     read = "charts.views.get('cistern').marks"
@@ -294,16 +299,25 @@ def test_it_fits_every_width(open_page: Open) -> None:
         )
         assert len(lines) > 12
         assert all(line[1] <= below[0] + 1 for line, below in pairwise(lines))
-        words = page.evaluate(
-            "[...document.querySelectorAll('.tile[data-key=cistern] .text')]"
-            ".map((word) => word.getBoundingClientRect())"
-        )
-        assert len(words) == 3
-        for word, other in combinations(words, 2):
-            assert (
-                word["right"] <= other["left"] or other["right"] <= word["left"]
-                or word["bottom"] <= other["top"] + 1 or other["bottom"] <= word["top"] + 1
+        references = page.evaluate("""[...document.querySelectorAll(".gauge")].map((gauge) => {
+            const words = [...gauge.querySelectorAll(".text")].map((text) => {
+                const range = document.createRange();
+                range.selectNodeContents(text);
+                return range.getBoundingClientRect();
+            });
+            return { gauge: gauge.getBoundingClientRect(), words };
+        })""")
+        assert [len(tile["words"]) for tile in references] == [2, 3]
+        for gauge, words in map(dict.values, references):
+            assert all(
+                gauge["left"] - 1 <= word["left"] and word["right"] <= gauge["right"] + 1
+                for word in words
             )
+            for word, other in combinations(words, 2):
+                assert (
+                    word["right"] <= other["left"] or other["right"] <= word["left"]
+                    or word["bottom"] <= other["top"] + 1 or other["bottom"] <= word["top"] + 1
+                )
 
 
 def test_a_recording_has_no_tick_and_shows_its_incidents(open_page: Open) -> None:
@@ -521,7 +535,7 @@ def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:
     assert not page.locator("#ask").is_visible()
     stop.focus()
     stop.press("Enter")
-    until_shown(page, "#ask", "somebody releases it")
+    until_shown(page, "#ask", "somebody releases it. Anyone working on the pump must lock it out")
     page.keyboard.press("Escape")
     assert posted(page) == []
     stop.click()
