@@ -67,8 +67,8 @@ def numbers() -> dict[tuple[str, ...], Number]:
 
 
 def compared(roof: str, period: str, weeks: str, forms: Sequence[str]) -> Table:
-    """Return each forecast's deviation over on/off's, and what it gains."""
-    measures = {OVER_ONOFF: "{:.3f}", _GAINED: "{:.0%}"}
+    """Return each forecast's deviation over on/off's and over no rain's, and what it gains."""
+    measures = {OVER_ONOFF: "{:.3f}", "over no rain": "{:.3f}", _GAINED: "{:.0%}"}
     named = [key for key in numbers() if key[:3] == (roof, period, weeks)]
     rows = []
     for forecast in dict.fromkeys(key[3] for key in named):

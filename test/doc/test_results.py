@@ -71,6 +71,24 @@ def test_file_has_what_a_run_gives(controller: str) -> None:
         assert str(results["mean_deviation_mm"]) == row["mean_deviation_mm"]
 
 
+@pytest.mark.parametrize("name", ["seasons", "horizons"])
+def test_ratios_come_after_the_mean_deviation(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In each cell, also of files that were written before runs were kept: 10 mm for on/off."""
+    for path in (DOC / "results").glob("*.csv"):
+        rows = read(path)
+        for row in rows:
+            if row.get("over_onoff"):
+                row["mean_deviation_mm"] = str(10.0 * float(row["over_onoff"]))
+        write(tmp_path / path.name, rows)
+    monkeypatch.setattr("result_tables._RESULTS", tmp_path)
+    for cell in (cell for row in RESULTS[name]().rows for cell in row[1:]):
+        millimetres, _, ratio = cell.partition(" mm")
+        share = float(ratio.removeprefix(", ").partition(" ")[0] or 1.0)
+        assert float(millimetres) == pytest.approx(10.0 * share, abs=0.011)
+
+
 def study(directory: Path, rows: list[dict[str, Any]]) -> Path:
     """Write a study's table, with the values that all its rows share."""
     alike = {"run": "", "site": "site.yaml", "forecast_seed": 1}
