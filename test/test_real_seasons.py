@@ -13,16 +13,30 @@ import pytest
 from real_seasons.ideal import squared
 from real_seasons.inputs import AUTUMN, BLOCK_WEEKS, SEASON, SERVICES, YEAR, Inputs
 from real_seasons.least import least_possible
-from real_seasons.runs import NO_RAIN, ONOFF_NAME, PERFECT, Case, build
-from real_seasons.tables import Row, interval, rows, write
+from real_seasons.runs import (
+    CROSSED,
+    NO_RAIN,
+    ONOFF_NAME,
+    PERFECT,
+    SCALED_BY_ITSELF,
+    Case,
+    build,
+)
+from real_seasons.tables import DRIER, OVER_ONOFF, WETTER, Row, interval, rows, write
 
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.model.look_ahead import growing_steps
 
 HOUR = timedelta(hours=1)
-# Of the rain that falls, in the forecasts of GFS; those of the others are right.
-SHARE_OF_GFS = 0.4
+# Share of the rain that GFS forecasts, in the season's wetter half and otherwise. The others are
+# right.
+WETTER_SHARE, DRIER_SHARE = 0.4, 0.8
+
+
+def share_of_gfs(time: datetime) -> float:
+    """Return the share of an hour's rain. Heavy months are in every other block of four weeks."""
+    return WETTER_SHARE if (time - SEASON.start).days // 28 in (0, 2, 4) else DRIER_SHARE
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +52,13 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
     stamps = [f"{begin + hour * HOUR:%Y-%m-%d %H:%M:%S}" for hour in range(hours)]
     heads = ",".join(f"precipitation_previous_day{day}" for day in range(1, 6))
     for source, name in SERVICES.items():
-        share = SHARE_OF_GFS if source == "GFS" else 1.0
+        shares = [  # a service's hours end at their time
+            share_of_gfs(begin + (hour - 1) * HOUR) if source == "GFS" else 1.0
+            for hour in range(hours)
+        ]
         forecast = "\n".join(
             f"{at},{','.join([f'{share * float(mm):g}'] * 5)}"
-            for at, mm in zip(stamps, rain, strict=True)
+            for at, mm, share in zip(stamps, rain, shares, strict=True)
         )
         (directory / f"{name}_previous_runs.csv").write_text(f"datetime,{heads}\n{forecast}\n")
     observed = "\n".join(f"{at},{mm}" for at, mm in zip(stamps, rain, strict=True))
@@ -137,16 +154,48 @@ def test_what_a_forecast_gains(inputs: Inputs) -> None:
         assert of_three[key] == pytest.approx((value, value, value))
 
 
-def test_a_scaled_half_has_the_gauges_water(inputs: Inputs) -> None:
-    """Forecasts have 0.4 of the rain in both halves, so that each gives the rain that fell.
+def test_halves_are_named(inputs: Inputs) -> None:
+    """September is wetter than October: half of on/off's deviation in September, 0.9 in October."""
+    made = rows({
+        Case("paper", AUTUMN, ONOFF_NAME): {"weeks": [10.0] * 9},
+        Case("paper", AUTUMN, "three", CROSSED): {"weeks": [5.0] * 4 + [9.0] * 5},
+    }, inputs, "paper", AUTUMN)
+    ratios = {
+        row.weeks: row.value for row in made if (row.form, row.measure) == (CROSSED, OVER_ONOFF)
+    }
+    assert ratios == {WETTER: pytest.approx(0.5), DRIER: pytest.approx(0.9)}
+
+
+@pytest.mark.parametrize("own_half", [True, False])
+def test_a_scaled_half_has_the_gauges_water(inputs: Inputs, own_half: bool) -> None:
+    """Or what the other half's factor makes of it. Before the season the wetter half's factor.
 
     The sums may differ by an hour at either end, since the service's hours end at their time.
     """
-    for own_half in (True, False):
-        scaled = inputs.scaled("measured", "GFS", SEASON, own_half)
-        for issue, right in zip(scaled.issues, inputs.issued["GEM"].issues, strict=True):
-            assert issue.issued == right.issued
-            np.testing.assert_allclose(issue.rain, right.rain[:, : issue.hours], rtol=3e-3)
+    scaled = inputs.scaled("measured", "GFS", SEASON, own_half)
+    for issue, right in zip(scaled.issues, inputs.issued["GEM"].issues, strict=True):
+        assert issue.issued == right.issued
+        if issue.issued >= SEASON.start + SEASON.hours * HOUR:
+            break
+        wetter = issue.issued < SEASON.start or (
+            (share_of_gfs(issue.issued) == WETTER_SHARE) is own_half
+        )
+        factor = 1 / (WETTER_SHARE if wetter else DRIER_SHARE)
+        shares = [share_of_gfs(issue.issued + hour * HOUR) for hour in range(issue.hours)]
+        np.testing.assert_allclose(
+            issue.rain, factor * np.array(shares) * right.rain[:, : issue.hours], rtol=3e-3
+        )
+
+
+def test_factors_of_the_halves_are_stored(inputs: Inputs) -> None:
+    """The gauge's rain over the forecast's, each beside the name of its half."""
+    roof = "measured, target 39 mm"
+    case = Case(roof, SEASON, "GFS", SCALED_BY_ITSELF)
+    made = rows({case: {"weeks": [1.0] * SEASON.weeks}}, inputs, roof, SEASON)
+    assert {row.weeks: row.value for row in made} == {
+        DRIER: pytest.approx(1 / DRIER_SHARE, rel=3e-3),
+        WETTER: pytest.approx(1 / WETTER_SHARE, rel=3e-3),
+    }
 
 
 def test_a_file_has_all_digits(tmp_path: Path) -> None:

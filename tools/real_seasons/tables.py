@@ -20,6 +20,7 @@ from real_seasons.runs import (
     NO_RAIN,
     ONOFF_NAME,
     PERFECT,
+    SCALED_BY_ITSELF,
     SOURCES,
     Case,
 )
@@ -122,6 +123,10 @@ def rows(results: Results, inputs: Inputs, roof: str, period: Period) -> Iterato
     yield from _present_hour(weeks)
     if roof == "measured" and period is not AUTUMN:
         yield from _known(inputs, roof, period)
+    for case in results:
+        if case.form == SCALED_BY_ITSELF:
+            for wet, factor in inputs.factors(roof, case.source, period).items():
+                yield _row(case, WETTER if wet else DRIER, "factor", factor)
 
 
 def _row(case: Case, weeks: str, measure: str, *numbers: float) -> Row:
