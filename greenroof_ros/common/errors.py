@@ -72,7 +72,7 @@ _ALIKE, _SHORT_ALIKE = 0.6, 0.5
 def alike(name: str, known: Collection[str]) -> list[str]:
     """Return the known names that a shortened or mistyped name probably means."""
     alikeness = {
-        word: 1.0 if name and word.startswith(name)
+        word: 1.0 if name and word.casefold().startswith(name.casefold())
         else SequenceMatcher(None, name.casefold(), word.casefold()).ratio()
         for word in known
     }
