@@ -29,6 +29,7 @@ sys.path[:0] = [str(DOC), str(DOC.parent)]
 
 from layouts import LAYOUTS
 from layouts import rows as displays
+from real_season_tables import REAL_SEASONS
 from result_figures import draw
 from result_tables import RESULTS, choices
 from who_publishes import WAYS, drawing
@@ -447,6 +448,11 @@ def result(name: str) -> str:
     return f"{markdown(made.header, made.rows)}\n{picture}"
 
 
+def real_seasons(name: str) -> str:
+    """Return a table of real seasons."""
+    return markdown(*REAL_SEASONS[name]())
+
+
 def which_controller() -> str:
     """Return what each controller achieves, for the page that helps choose."""
     return markdown(*choices())
@@ -633,6 +639,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "site faults": site_faults,
     "which controller": which_controller,
     **{f"results {name}": partial(result, name) for name in RESULTS},
+    **{f"real seasons {name}": partial(real_seasons, name) for name in REAL_SEASONS},
 }
 
 

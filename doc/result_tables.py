@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from worth import FILE as WORTH
+from real_season_tables import ALL, DRESSED, ISSUED, OVER_ONOFF, SEASON, numbers
 
 from greenroof_ros.common.files import shared_directory
 
@@ -252,6 +252,12 @@ def _interval(mark: Mark) -> str:
     return f"{mark.value:.3f} ({mark.low:.3f} to {mark.high:.3f})"
 
 
+def _with_mm(row: Row, ratio: str, share: float = 1.0) -> str:
+    """Return a ratio after the mean deviation (mm), or a share of it, if the file has that."""
+    mm = row["mean_deviation_mm"]
+    return f"{share * float(mm):.2f} mm, {ratio}" if mm else ratio
+
+
 def seasons() -> Result:
     """Return the controllers over whole seasons on both roofs."""
     roofs = list(_ROOFS.values())
@@ -267,16 +273,16 @@ def seasons() -> Result:
         name += ", no skill" if row["forecast_skill"] == "none" else ""
         case = _roof(row), name
         marks[case] = _ratio(*case, row)
-        # On/off is in both tables: in one with mm, in the other with the least possible.
-        texts = [
-            cells.get(case, ""), f"{_mm(row):.2f} mm" if row["mean_deviation_mm"] else "",
-            "" if row["over_onoff"] == "1.0" else _interval(marks[case]),
-        ]
-        cells[case] = ", ".join(text for text in texts if text)
-        if row["over_onoff"] == "1.0" and row.get("over_least"):
+        if row["over_onoff"] != "1.0":
+            cells[case] = _with_mm(row, _interval(marks[case]))
+            continue
+        # On/off is in both tables; the second also has the least possible.
+        if case not in cells:
+            cells[case] = f"{_mm(row):.2f} mm"
+        if row.get("over_least"):
             least = 1.0 / float(row["over_least"])
             marks[case[0], LEAST] = Mark(case[0], LEAST, LEAST, least)
-            cells[case[0], LEAST] = f"{least:.3f}"
+            cells[case[0], LEAST] = _with_mm(row, f"{least:.3f}", least)
     figure = Figure(
         "By controller", _RATIO,
         tuple(sorted(marks.values(), key=lambda mark: roofs.index(mark.panel))), 2, ratio=True,
@@ -290,23 +296,23 @@ def seasons() -> Result:
 
 def horizons() -> Result:
     """Return the deviation by horizon of forecasts with errors, and of perfect ones."""
-    rows = [row for row in read("horizons") if row["parameter:horizon"]]
-    perfect = {
-        (_roof(row), row["parameter:horizon"]): float(row["over_onoff"])
-        for row in rows if row["forecast"] == "perfect"
+    rows = {
+        (_roof(row), f"{float(row['parameter:horizon']):g} h", row["forecast"] == "perfect"): row
+        for row in read("horizons") if row["parameter:horizon"]
     }
     figure = Figure(
         "By horizon", _RATIO, tuple(
-            _ratio(_roof(row), f"{float(row['parameter:horizon']):g} h", row,
-                   perfect[_roof(row), row["parameter:horizon"]])
-            for row in rows if row["forecast"] != "perfect"
+            _ratio(roof, horizon, row, float(rows[roof, horizon, True]["over_onoff"]))
+            for (roof, horizon, perfect), row in rows.items() if not perfect
         ), 2, ratio=True,
     )
+
+    def cells(mark: Mark) -> tuple[str, str]:
+        errors, perfect = (rows[mark.panel, mark.row, perfect] for perfect in (False, True))
+        return _with_mm(errors, _interval(mark)), _with_mm(perfect, f"{mark.beside:.3f}")
+
     heads = [text for roof in _ROOFS.values() for text in (roof, "perfect")]
-    return Result(
-        ("`horizon`", *heads),
-        _by_row(figure, lambda mark: (_interval(mark), f"{mark.beside:.3f}")), figure,
-    )
+    return Result(("`horizon`", *heads), _by_row(figure, cells), figure)
 
 
 def sizing() -> Result:
@@ -342,8 +348,8 @@ _GENERATED = {
     ("mpc", ""): "the paper's `mpc`, perfect",
 }
 _ISSUED = {
-    "with issued forecasts": "`lookahead`, issued",
-    "with dressed forecasts": "`lookahead`, issued and dressed",
+    ISSUED: "`lookahead`, issued",
+    DRESSED: "`lookahead`, issued and dressed",
 }
 
 
@@ -355,12 +361,11 @@ def choices() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         if name is not None:
             cells.setdefault(name, {})[_roof(row)] = _interval(_ratio("", "", row))
     roofs = tuple(_ROOFS.values())
-    places = dict(zip(("paper", "measured"), roofs, strict=True))
-    with WORTH.open(encoding="utf-8") as stream:
-        for roof, words, _, *shares in list(csv.reader(stream))[1:]:
-            if words in _ISSUED:
-                text = "{} ({} to {})".format(*shares)
-                cells.setdefault(_ISSUED[words], {})[places[roof]] = text
+    for form, name in _ISSUED.items():
+        cells[name] = {
+            place: numbers()[roof, SEASON, ALL, "three", form, OVER_ONOFF].text("{:.3f}")
+            for roof, place in zip(("paper", "measured"), roofs, strict=True)
+        }
     names = (*_GENERATED.values(), *_ISSUED.values())
     rows = [(name, *(cells[name][roof] for roof in roofs)) for name in names]
     return ("controller and forecast", *roofs), rows

@@ -1,18 +1,24 @@
-"""The README's figure of what forecasts are worth, made from ``reference/worth.csv``.
+"""The README's figure of what forecasts are worth, made from ``results/real_seasons.csv``.
 
-``python tools/real_seasons ARCHIVES -o DIR`` writes that file as ``DIR/worth.csv``. The figure has
-its own background, light or dark like the reader's system.
+The figure has its own background, light or dark like the reader's system.
 """
 
 from __future__ import annotations
 
-import csv
-import itertools
 from html import escape
-from pathlib import Path
+from typing import NamedTuple
 
-FILE = Path(__file__).parent / "reference" / "worth.csv"
+from real_season_tables import ALL, DRESSED, ISSUED, MEAN, OVER_ONOFF, SEASON, Number, numbers
 
+# The runs in the figure, by their labels.
+_SHOWN = {
+    "on/off": ("on/off", ISSUED),
+    "lookahead, no forecast": ("no rain", ISSUED),
+    "with issued forecasts": ("three", ISSUED),
+    "with dressed forecasts": ("three", DRESSED),
+    "with perfect forecasts": ("perfect", ISSUED),
+    "least possible": ("least possible", ""),
+}
 _TITLES = {
     "measured": "Measured roof: drains in most storms",
     "paper": "The paper's roof: drains only when full",
@@ -33,6 +39,31 @@ _STYLE = """
 """
 
 
+class Row(NamedTuple):
+    """A row of the figure.
+
+    Attributes:
+        decided_by: its label.
+        mean: deviation from the target (mm).
+        share: of on/off's.
+    """
+
+    decided_by: str
+    mean: float
+    share: Number
+
+
+def rows(roof: str) -> list[Row]:
+    """Return the rows of a roof."""
+    return [
+        Row(
+            words, numbers()[(roof, SEASON, ALL, *shown, MEAN)].value,
+            numbers()[(roof, SEASON, ALL, *shown, OVER_ONOFF)],
+        )
+        for words, shown in _SHOWN.items()
+    ]
+
+
 def _at(percent: float) -> float:
     """Return the position of a share on the axis (px)."""
     share = (percent - _FROM) / (_TO - _FROM)
@@ -41,12 +72,10 @@ def _at(percent: float) -> float:
 
 def drawing() -> str:
     """Return the figure, as SVG."""
-    with FILE.open(encoding="utf-8", newline="") as stream:
-        lines = list(csv.DictReader(stream))
     panels = []
     top = 0
-    for roof, rows in itertools.groupby(lines, key=lambda line: line["roof"]):
-        panel, height = _panel(_TITLES[roof], list(rows), top)
+    for roof, title in _TITLES.items():
+        panel, height = _panel(title, rows(roof), top)
         panels += panel
         top += height
     return "\n".join([
@@ -60,7 +89,7 @@ def drawing() -> str:
     ]) + "\n"
 
 
-def _panel(title: str, rows: list[dict[str, str]], top: int) -> tuple[list[str], int]:
+def _panel(title: str, rows: list[Row], top: int) -> tuple[list[str], int]:
     """Return the marks of a roof, and their total height (px)."""
     bottom = top + _HEAD + _ROW * len(rows)
     parts = [
@@ -84,11 +113,9 @@ def _panel(title: str, rows: list[dict[str, str]], top: int) -> tuple[list[str],
     return parts, _HEAD + _ROW * len(rows) + _FOOT
 
 
-def _row(row: dict[str, str], y: int) -> list[str]:
-    share, low, high = (
-        _at(100 * float(row[name])) for name in ("share of on/off's", "its low end", "its high end")
-    )
-    words = row["decided by"]
+def _row(row: Row, y: int) -> list[str]:
+    share, low, high = (_at(100 * end) for end in row.share if end is not None)
+    words = row.decided_by
     kind = {"on/off": "onoff", "least possible": "least"}.get(words, "mark")
     mark = (
         f'<circle class="{kind}" cx="{share:.1f}" cy="{y}" r="5.5"/>' if kind != "least" else
@@ -100,5 +127,5 @@ def _row(row: dict[str, str], y: int) -> list[str]:
         'stroke-width="3"/>',
         mark,
         f'<text x="{_WIDTH - 16}" y="{y + 5}" text-anchor="end">'
-        f'{float(row["mean deviation [mm]"]):#.3g} mm</text>',
+        f"{row.mean:#.3g} mm</text>",
     ]

@@ -8,7 +8,8 @@ import os
 import sys
 from dataclasses import dataclass
 
-from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros import __version__
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command
 from greenroof_ros.common.errors import did_you_mean
 
 
@@ -61,7 +62,7 @@ GROUPS = {
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the parser that prints the help and refuses unknown commands."""
     groups = (
         "\n".join([
@@ -69,13 +70,18 @@ def make_parser() -> argparse.ArgumentParser:
         ])
         for title, group in GROUPS.items()
     )
-    return argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof",
         usage="%(prog)s COMMAND [options]",
         description="\n\n".join(["A green roof, watered from a storm cistern.", *groups]),
         epilog="greenroof COMMAND --help shows its options, and examples.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument(
+        "--version", action="version", version=f"greenroof_ros {__version__}",
+        help="print the version and exit",
+    )
+    return parser
 
 
 def main() -> None:
@@ -98,10 +104,12 @@ def _name(words: list[str]) -> str:
 
 @command
 def _explain() -> int:
-    """Print the commands, or that there is none with this name."""
+    """Print the commands or the version, or that there is no command with this name."""
     parser = make_parser()
     name = _name(sys.argv[1:])
-    if name and not any(entry.startswith(f"{name} ") for entry in COMMANDS):
+    if name.startswith("-"):
+        parser.parse_args()
+    elif name and not any(entry.startswith(f"{name} ") for entry in COMMANDS):
         parser.error(f"there is no command {name}; {did_you_mean(name, COMMANDS)}")
     parser.print_help()
     return EXIT_DONE

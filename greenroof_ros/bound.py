@@ -13,7 +13,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, within
 from greenroof_ros.experiment.clairvoyant import _BLOCK_S, Bound, NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
 from greenroof_ros.experiment.plan import CarriedOut, recursion_plan
@@ -100,9 +100,9 @@ def _table(result: dict[str, Any]) -> Table:
     return grid("Clairvoyant optimum", rows)
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof bound",
         usage="%(prog)s [options]",
         description="Compute a lower bound of the total deviation that any controller could\n"

@@ -7,7 +7,7 @@ import os
 import re
 from contextlib import suppress
 
-from greenroof_ros.common.command_line import EXIT_DONE, command, namespace
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, namespace
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import parse_broker
 from greenroof_ros.common.processes import InterruptedRun, Signals
@@ -40,9 +40,9 @@ exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
 """
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof bridge",
         usage="%(prog)s --broker mqtt://HOST[:PORT] [options]",
         description=_DESCRIPTION,

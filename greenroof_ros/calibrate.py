@@ -34,7 +34,7 @@ from greenroof_ros.calibration.site_file import (
     fit_entries,
     sheet_entries,
 )
-from greenroof_ros.common.command_line import EXIT_DONE, command, refuse_unwritable
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.quality import Finding, Severity, accept
@@ -79,9 +79,9 @@ exit codes: 0 done, 2 bad usage, configuration or record, 130 interrupted
 """
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof calibrate", description=_DESCRIPTION, epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

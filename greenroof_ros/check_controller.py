@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Finding, command, print_findings
+from greenroof_ros.common.command_line import Finding, Parser, command, print_findings
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import controller_names, find_controller
@@ -15,7 +15,7 @@ from greenroof_ros.model.site import read_site
 
 def _options(reference: str) -> Finding:
     """Check that no parameter has the name of an option of the commands."""
-    parser = argparse.ArgumentParser()
+    parser = Parser()
     problem = ""
     try:
         add_run_arguments(parser, ["--controller", reference])
@@ -25,14 +25,14 @@ def _options(reference: str) -> Finding:
     return Finding("its parameters have names that no option of the commands has", problem)
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof check-controller",
         description="Check that a controller does what the node graph, simulate, studies and "
         "reports rely on: commands finite and not negative, the same for the same inputs, skipped "
         "ticks, missing forecasts, parameters. Each failure is listed with the correct behaviour.",
-        epilog="example:\n  greenroof check-controller examples.proportional:Proportional\n\n"
+        epilog="example:\n  greenroof check-controller my_package.my_module:MyController\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 it cannot be imported",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from greenroof_ros.common.command_line import command, print_findings, within
+from greenroof_ros.common.command_line import Parser, command, print_findings, within
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.model.site import read_site
@@ -43,16 +43,16 @@ _TIMES = (
 )
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof check-pump",
         description="Check a running pump driver, this package's or your own in any language, "
         "against the interface, using topics only: off at start, one flow for each command, "
         "refused values, watchdog, a second publisher, frost, unknown levels and frost, a cistern "
         "at the suction level, and that it runs again after each. It plays plant, weather and "
         f"controller itself, so start no bringup; THE PUMP WILL RUN. {_INVENTED} {_LIMIT}",
-        epilog="example:\n  python examples/pump_driver.py &\n"
+        epilog="example:\n  python my_driver.py &\n"
         "  greenroof check-pump --node pump\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 there is no such driver, 3 a graph is "
         "running",

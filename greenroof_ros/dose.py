@@ -13,6 +13,7 @@ from typing import Any
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
+    Parser,
     command,
     namespace,
     within,
@@ -27,9 +28,9 @@ _SILENT_S = 5.0
 _LOOK_S = 0.1
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof dose",
         description="Deliver a volume once, now, regardless of the controller's command, if the "
         "site file allows it (greatest_dose) and no interlock is active, but never above the "

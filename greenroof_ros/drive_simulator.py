@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.mqtt import parse_topic
@@ -24,9 +24,9 @@ _PORT = 5020
 _LAST_PORT = 65535
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof simulators drive",
         usage="%(prog)s --drive NAME [options]",
         description="Simulate a variable-speed drive with a motor on Modbus: registers, control "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import to_people
@@ -19,9 +19,9 @@ from greenroof_ros.forecast.service import (
 from greenroof_ros.model.site import read_site
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof fetch-forecast",
         usage="%(prog)s [options]",
         description="Ask Open-Meteo for the forecast at the site, and write the file that a "

@@ -6,7 +6,7 @@ import argparse
 import time
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import DEFAULT_START, read_start
 from greenroof_ros.model.site import read_site
@@ -17,10 +17,10 @@ from greenroof_ros.weather.series import FILL
 _PORT = 8099
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
     faults = "\n".join(f"  {name:10} {meaning}" for name, meaning in FAULTS.items())
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof simulators forecast",
         usage="%(prog)s [options]",
         description="Answer as Open-Meteo's forecast and ensemble interfaces do: the contents of "

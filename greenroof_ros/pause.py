@@ -6,7 +6,7 @@ import argparse
 import sys
 from contextlib import closing
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, namespace
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, namespace
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_time, to_people
 from greenroof_ros.graph.domain import importing_ros
@@ -15,9 +15,9 @@ from greenroof_ros.graph.looker import Looker, StopFailedError
 _PATIENCE_S = 20.0
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof pause",
         description="Keep the pump off until a date, even after a restart. The pause then ends by "
         "itself; any other reason to keep the pump off remains. If the pump must not run until "

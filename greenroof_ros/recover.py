@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 from collections.abc import Collection, Iterator
@@ -13,7 +12,7 @@ from pathlib import Path
 from mcap.reader import NonSeekingReader
 from mcap.records import Channel, Message, Schema
 
-from greenroof_ros.common.command_line import command
+from greenroof_ros.common.command_line import Parser, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.recording.bag_writer import (
     DAMAGED,
@@ -154,9 +153,9 @@ def _messages(file: Path) -> Iterator[tuple[Schema | None, Channel, Message]]:
         yield from reader.iter_messages(log_time_order=False)
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof recover",
         description="Repair the bag of a run whose recorder was killed or ran out of disk: every "
         "complete tick, or every message of a live site, goes into a new bag next to the old one, "

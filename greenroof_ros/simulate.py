@@ -10,14 +10,13 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
-    parse_run_arguments,
     run_from_arguments,
 )
 from greenroof_ros.experiment.progress import INTERVAL_S, RunProgress
@@ -42,9 +41,9 @@ _COLUMNS = {
 _LAYER = {"drainage_layer_m3": "layer"}
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof simulate",
         usage="%(prog)s [options]",
         description="Run cistern, roof, pumps and controller over real weather in one process,\n"
@@ -75,7 +74,7 @@ def make_parser() -> argparse.ArgumentParser:
 @command
 def main() -> int:
     """Simulate the run that the command line asks for."""
-    arguments = parse_run_arguments(make_parser())
+    arguments = make_parser().parse_args()
     run = run_from_arguments(arguments)
     tau = run.site.tau
     if arguments.trajectory_every and arguments.trajectory is None:

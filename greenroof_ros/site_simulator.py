@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.drives.modbus_line import Address, check_installed, parse_address
 from greenroof_ros.drives.sensor_file import default_sensors, read_sensors
 from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
@@ -19,9 +19,9 @@ _MM_PER_HOUR = 1e-3 / 3600
 _MM_PER_DAY = 1e-3 / 86400
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof simulators site",
         usage="%(prog)s [options]",
         description="Simulate cistern and roof in real time and answer as their sensors, over "

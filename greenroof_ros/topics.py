@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
-
-from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command
 from greenroof_ros.common.interface import markdown_table, read_topics
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    return argparse.ArgumentParser(
+    return Parser(
         prog="greenroof topics",
         description="Print the topics of the node graph (msg_defs/topics.yaml) as a table.",
     )

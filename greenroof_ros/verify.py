@@ -15,7 +15,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from greenroof_ros.common.command_line import EXIT_DONE, command, refuse_unwritable, within
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.standard_error import progress_bar
@@ -79,9 +79,9 @@ _MOST_HOURS = 384
 _HORIZON, _MEMBER = 120, 132
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof verify", description=_DESCRIPTION, epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -21,6 +21,8 @@ TOGETHER = "all of them, a member each"
 class Adversary:
     """Hourly forecasts of one kind; the forecast replaces the first hour by the observed one."""
 
+    longest = None  # they have no end
+
     def __init__(self, kind: str, weather: Weather) -> None:
         self._kind = kind
         self._weather = weather

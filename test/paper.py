@@ -6,7 +6,6 @@ also takes complex numbers, so its derivatives come from complex steps instead o
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,6 +18,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from places import CONFIG
 
+from greenroof_ros.common.command_line import Parser
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.closed_loop import closed_loop
@@ -49,7 +49,7 @@ _STEP = 1e-30
 
 def paper_run(*options: str) -> Run:
     """Build a run like a command line with these options."""
-    parser = argparse.ArgumentParser()
+    parser = Parser()
     add_run_arguments(parser, options)
     return run_from_arguments(parser.parse_args(options))
 

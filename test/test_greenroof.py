@@ -11,6 +11,7 @@ import pytest
 from commands import run_command
 from places import CHECKOUT
 
+import greenroof_ros
 from greenroof_ros.__main__ import COMMANDS, GROUPS
 
 # Runs each of its arguments as a command, and prints which top-level packages are imported.
@@ -79,6 +80,39 @@ def test_what_is_no_command_is_refused(tmp_path: Path, words: list[str], suggest
     done = greenroof(tmp_path, *words)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.splitlines()[-1] == f"greenroof: error: there is no command {suggestion}"
+
+
+def test_version_is_printed(tmp_path: Path) -> None:
+    """As pip and the bags name it; the help lists the option."""
+    done = greenroof(tmp_path, "--version")
+    assert (done.returncode, done.stdout, done.stderr) == (
+        0, f"greenroof_ros {greenroof_ros.__version__}\n", ""
+    )
+    assert "\n  --version " in greenroof(tmp_path, "--help").stdout
+
+
+@pytest.mark.parametrize("name", ["", *COMMANDS])
+def test_an_abbreviated_option_is_refused(tmp_path: Path, name: str) -> None:
+    """Otherwise an option of a later version could make a call ambiguous that works today."""
+    done = greenroof(tmp_path, *name.split(), "--hel")
+    assert (done.returncode, done.stdout) == (2, "")
+
+
+@pytest.mark.parametrize(("words", "meant"), [
+    ("--vers", "--version"),
+    ("run --hour 0.01", "--hours"),
+    ("simulate --contr=onoff", "--controller"),
+    ("live --controller=lookahead --trust 3", "--trust-memory"),
+    ("study --job=2", "--jobs"),
+    ("topics --hlep", "--help"),
+])
+def test_an_unknown_option_is_refused_with_what_it_means(
+    tmp_path: Path, words: str, meant: str
+) -> None:
+    done = greenroof(tmp_path, *words.split())
+    assert (done.returncode, done.stdout) == (2, "")
+    option = words.split("--")[-1]
+    assert f"unrecognized arguments: --{option}; did you mean {meant}?" in done.stderr
 
 
 def test_a_command_does_what_its_module_does(tmp_path: Path) -> None:

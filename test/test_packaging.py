@@ -1,5 +1,6 @@
 """What pip and colcon make of the checkout: the real tools, in separate directories."""
 
+import ast
 import contextlib
 import filecmp
 import importlib.util
@@ -192,6 +193,16 @@ def test_a_package_index_would_take_the_release(released):
 @pytest.fixture
 def pip_environment(pip_installed, tmp_path):
     return bare_environment(tmp_path, pip_installed / "bin")
+
+
+def test_messages_name_no_file_that_the_wheel_lacks():
+    """Help and messages name a page of the documentation by its title, not by its file."""
+    for path in (CHECKOUT / "greenroof_ros").rglob("*.py"):
+        nodes = [*ast.walk(ast.parse(path.read_text()))]
+        docstrings = {node.value for node in nodes if isinstance(node, ast.Expr)}
+        for node in nodes:
+            if isinstance(node, ast.Constant) and node not in docstrings:
+                assert not re.search(r"\b(doc|tools|test)/|\bexamples[/.]\w", str(node.value))
 
 
 def test_pip_install_brings_no_ros(pip_installed, pip_environment, tmp_path):

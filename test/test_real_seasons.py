@@ -3,22 +3,40 @@
 from __future__ import annotations
 
 import json
-from datetime import timedelta
+from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from real_seasons.ideal import squared
 from real_seasons.inputs import AUTUMN, BLOCK_WEEKS, SEASON, SERVICES, YEAR, Inputs
-from real_seasons.runs import NO_RAIN, PERFECT, Case, build
-from real_seasons.tables import interval
-from real_seasons.worth import SHOWN, rows
+from real_seasons.least import least_possible
+from real_seasons.runs import (
+    CROSSED,
+    NO_RAIN,
+    ONOFF_NAME,
+    PERFECT,
+    SCALED_BY_ITSELF,
+    Case,
+    build,
+)
+from real_seasons.tables import DRIER, OVER_ONOFF, WETTER, Row, interval, rows, write
 
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.model.look_ahead import growing_steps
 
 HOUR = timedelta(hours=1)
+# Share of the rain that GFS forecasts, in the season's wetter half and otherwise. The others are
+# right.
+WETTER_SHARE, DRIER_SHARE = 0.4, 0.8
+
+
+def share_of_gfs(time: datetime) -> float:
+    """Return the share of an hour's rain. Heavy months are in every other block of four weeks."""
+    return WETTER_SHARE if (time - SEASON.start).days // 28 in (0, 2, 4) else DRIER_SHARE
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +51,15 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
     ]
     stamps = [f"{begin + hour * HOUR:%Y-%m-%d %H:%M:%S}" for hour in range(hours)]
     heads = ",".join(f"precipitation_previous_day{day}" for day in range(1, 6))
-    forecast = "\n".join(f"{at},{','.join([mm] * 5)}" for at, mm in zip(stamps, rain, strict=True))
-    for name in SERVICES.values():
+    for source, name in SERVICES.items():
+        shares = [  # a service's hours end at their time
+            share_of_gfs(begin + (hour - 1) * HOUR) if source == "GFS" else 1.0
+            for hour in range(hours)
+        ]
+        forecast = "\n".join(
+            f"{at},{','.join([f'{share * float(mm):g}'] * 5)}"
+            for at, mm, share in zip(stamps, rain, shares, strict=True)
+        )
         (directory / f"{name}_previous_runs.csv").write_text(f"datetime,{heads}\n{forecast}\n")
     observed = "\n".join(f"{at},{mm}" for at, mm in zip(stamps, rain, strict=True))
     (directory / "gauge_2024.csv").write_text(f"datetime,rain_mm\n{observed}\n")
@@ -93,21 +118,89 @@ def test_intervals_of_sums_over_weeks() -> None:
     assert low < value < high
 
 
-def test_rows_of_the_figure(inputs: Inputs, tmp_path: Path) -> None:
-    """A tenth less in each week gives 0.9 without width; the least possible has a range."""
-    results = {}
-    for number, (source, form) in enumerate(SHOWN.values()):
-        share = 1 - number / 10
-        results[Case("paper", SEASON, source, form)] = {
-            "weeks": [share * 20.0, share * 30.0, share * 10.0],
-            "metrics": {"total_deviation_m3": share * 60.0, "mean_deviation_mm": share * 4.0},
-        }
-    file = Case("paper", SEASON, PERFECT, trusts=False).file(tmp_path)
+def test_least_possible(inputs: Inputs, tmp_path: Path) -> None:
+    """From 15 m3, the bound, to 18 m3, a plan, of the 60 m3 that are on/off's."""
+    onoff = Case("paper", SEASON, ONOFF_NAME)
+    file = onoff.file(tmp_path).with_name("least_possible.json")
     file.parent.mkdir()
-    file.with_name("least_possible.json").write_text(json.dumps({"bound_m3": 15, "plan_m3": 18}))
-    made = list(rows("paper", results, inputs, tmp_path))
-    assert [row[2:] for row in made] == [
-        ("4.000", "1.000", "1.000", "1.000"), ("3.600", "0.900", "0.900", "0.900"),
-        ("3.200", "0.800", "0.800", "0.800"), ("2.800", "0.700", "0.700", "0.700"),
-        ("2.400", "0.600", "0.600", "0.600"), ("1.200", "0.300", "0.250", "0.300"),
-    ]
+    file.write_text(json.dumps({"bound_m3": 15, "plan_m3": 18}))
+    metrics = {"total_deviation_m3": 60.0, "mean_deviation_mm": 4.0}
+    share, mean = least_possible("paper", {onoff: {"metrics": metrics}}, inputs, tmp_path)
+    assert share[-4:] == ("over on/off", 0.3, 0.25, 0.3)
+    assert mean[-4:] == ("mean deviation (mm)", pytest.approx(1.2), 1.0, pytest.approx(1.2))
+
+
+def test_what_a_forecast_gains(inputs: Inputs) -> None:
+    """Perfect forecasts save 30 of 90 m3 that a forecast of no rain costs; this saves 10 of them.
+
+    The hour as forecast costs a tenth more. All weeks are alike, so that no interval has a width.
+    """
+    def result(weekly: float) -> dict[str, Any]:
+        return {"weeks": [weekly] * AUTUMN.weeks}
+
+    case = Case("paper", AUTUMN, "three")
+    made = list(rows({
+        Case("paper", AUTUMN, ONOFF_NAME): result(10.0),
+        Case("paper", AUTUMN, NO_RAIN): result(9.0),
+        Case("paper", AUTUMN, PERFECT): result(6.0),
+        case: result(8.0),
+        replace(case, hour=False): result(8.8),
+    }, inputs, "paper", AUTUMN))
+    of_three = {(row.form, row.measure): row[-3:] for row in made if row.forecast == "three"}
+    for key, value in (
+        (("as issued", "over on/off"), 0.8), (("as issued", "over no rain"), 8 / 9),
+        (("as issued", "gained"), 1 / 3), (("the hour as forecast", "over the hour known"), 1.1),
+    ):
+        assert of_three[key] == pytest.approx((value, value, value))
+
+
+def test_halves_are_named(inputs: Inputs) -> None:
+    """September is wetter than October: half of on/off's deviation in September, 0.9 in October."""
+    made = rows({
+        Case("paper", AUTUMN, ONOFF_NAME): {"weeks": [10.0] * 9},
+        Case("paper", AUTUMN, "three", CROSSED): {"weeks": [5.0] * 4 + [9.0] * 5},
+    }, inputs, "paper", AUTUMN)
+    ratios = {
+        row.weeks: row.value for row in made if (row.form, row.measure) == (CROSSED, OVER_ONOFF)
+    }
+    assert ratios == {WETTER: pytest.approx(0.5), DRIER: pytest.approx(0.9)}
+
+
+@pytest.mark.parametrize("own_half", [True, False])
+def test_a_scaled_half_has_the_gauges_water(inputs: Inputs, own_half: bool) -> None:
+    """Or what the other half's factor makes of it. Before the season the wetter half's factor.
+
+    The sums may differ by an hour at either end, since the service's hours end at their time.
+    """
+    scaled = inputs.scaled("measured", "GFS", SEASON, own_half)
+    for issue, right in zip(scaled.issues, inputs.issued["GEM"].issues, strict=True):
+        assert issue.issued == right.issued
+        if issue.issued >= SEASON.start + SEASON.hours * HOUR:
+            break
+        wetter = issue.issued < SEASON.start or (
+            (share_of_gfs(issue.issued) == WETTER_SHARE) is own_half
+        )
+        factor = 1 / (WETTER_SHARE if wetter else DRIER_SHARE)
+        shares = [share_of_gfs(issue.issued + hour * HOUR) for hour in range(issue.hours)]
+        np.testing.assert_allclose(
+            issue.rain, factor * np.array(shares) * right.rain[:, : issue.hours], rtol=3e-3
+        )
+
+
+def test_factors_of_the_halves_are_stored(inputs: Inputs) -> None:
+    """The gauge's rain over the forecast's, each beside the name of its half."""
+    roof = "measured, target 39 mm"
+    case = Case(roof, SEASON, "GFS", SCALED_BY_ITSELF)
+    made = rows({case: {"weeks": [1.0] * SEASON.weeks}}, inputs, roof, SEASON)
+    assert {row.weeks: row.value for row in made} == {
+        DRIER: pytest.approx(1 / DRIER_SHARE, rel=3e-3),
+        WETTER: pytest.approx(1 / WETTER_SHARE, rel=3e-3),
+    }
+
+
+def test_a_file_has_all_digits(tmp_path: Path) -> None:
+    """A number reads as it was; without an interval the last two cells are empty."""
+    write([Row("paper", "May", "all weeks", "GEM", "dressed", "bias", 1 / 3)], tmp_path / "a.csv")
+    assert (tmp_path / "a.csv").read_text().splitlines()[1] == (
+        "paper,May,all weeks,GEM,dressed,bias,0.3333333333333333,,"
+    )

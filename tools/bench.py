@@ -116,11 +116,12 @@ def _drain(leader: int) -> None:
 
 def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
     """Return the time of a tick of ``simulate`` (s), with metrics, and its decision times."""
+    from greenroof_ros.common.command_line import Parser
     from greenroof_ros.experiment.closed_loop import closed_loop
     from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
     from greenroof_ros.model.metrics import Metrics
 
-    parser = argparse.ArgumentParser()
+    parser = Parser()
     add_run_arguments(parser, arguments)
     run = run_from_arguments(parser.parse_args(arguments))
     controller = run.make_controller()

@@ -208,7 +208,7 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         "--watch", action="store_true",
         help="show the graph on a page in a browser, whose address is printed. The page ends with "
         "the graph; the graph does not need it. The page of greenroof watch stays. Needs "
-        "greenroof_ros[watch]",
+        "the extra [watch]",
     )
     group = parser.add_argument_group(
         "the drive",

@@ -40,7 +40,6 @@ from greenroof_ros.experiment.incidents import (
     wall_time,
     with_incidents,
 )
-from greenroof_ros.experiment.options import parse_run_arguments
 from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.supervision import PUMP
@@ -442,7 +441,7 @@ def _write_configuration(
 @command
 def main() -> int:
     """Start the site, and keep it running until it is stopped."""
-    arguments = parse_run_arguments(make_parser())
+    arguments = make_parser().parse_args()
     site = LiveSite(arguments)
     return bring_up(arguments, site.site_file, partial(run_live, site, arguments))
 

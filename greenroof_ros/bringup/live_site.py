@@ -14,7 +14,7 @@ from greenroof_ros.bringup.drive import (
     chosen_drive,
     refuse,
 )
-from greenroof_ros.common.command_line import within
+from greenroof_ros.common.command_line import Parser, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.drives.drive import PlacedDrive
@@ -177,9 +177,9 @@ class LiveSite:
             )
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the parser for the command line of a live site."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof live",
         usage="%(prog)s [options]",
         description="Keep a site with sensors and a pump running, by the system clock; nothing is\n"

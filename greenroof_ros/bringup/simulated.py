@@ -22,7 +22,13 @@ from greenroof_ros.bringup.drive import (
     refuse,
 )
 from greenroof_ros.bringup.in_the_loop import drive_parameters, wait_for_drive
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, command
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    Parser,
+    command,
+)
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.standard_error import LINES, say
 from greenroof_ros.controllers.registry import controller_names
@@ -31,7 +37,6 @@ from greenroof_ros.experiment.incidents import INCIDENTS, IncidentLog
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
-    parse_run_arguments,
     run_from_arguments,
 )
 from greenroof_ros.experiment.progress import RunProgress
@@ -46,9 +51,9 @@ _NODES = "greenroof_ros.nodes"
 _SHOWN = ("tick", "cistern_level", "roof_level", "command")  # entries of the plant's report
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the parser for the command line."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof run",
         usage="%(prog)s [options]",
         description="Start plant, weather, controller and recorder as ROS 2 nodes, each its own\n"
@@ -296,6 +301,6 @@ def _say_what_is_in_bag(directory: Path, ticks: int | None) -> None:
 @command
 def main() -> int:
     """Start the graph, watch it, and end it."""
-    arguments = parse_run_arguments(make_parser())
+    arguments = make_parser().parse_args()
     run = simulated_run(arguments)
     return bring_up(arguments, run.site_file, partial(run_graph, run, arguments))

@@ -10,12 +10,12 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
-from greenroof_ros.common.errors import ConfigurationError, OccupiedError
+from greenroof_ros.common.errors import ConfigurationError, OccupiedError, alike
 from greenroof_ros.common.processes import end_with_parent
 
 EXIT_DONE = 0
@@ -142,6 +142,35 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
         sys.exit(code)
 
     return wrapper
+
+
+class Parser(argparse.ArgumentParser):
+    """The parser of a command's options.
+
+    An option must be written in full: an abbreviation that is clear today would be ambiguous as
+    soon as a later version adds an option that begins likewise.
+
+    Attributes:
+        hint: what the message about an unknown option says besides; empty for nothing.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(allow_abbrev=False, **settings)
+        self.hint = ""
+
+    def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
+        """Parse a command line; for an unknown option, name the options that it may mean."""
+        parsed, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            option = next((word[2:] for word in unknown if word.startswith("--")), "")
+            known = [known[2:] for known in self._option_string_actions if known.startswith("--")]
+            meant = " or ".join(f"--{name}" for name in alike(option.partition("=")[0], known))
+            self.error(
+                f"unrecognized arguments: {' '.join(unknown)}"
+                + (f"; did you mean {meant}?" if meant else "")
+                + (f" ({self.hint})" if self.hint else "")
+            )
+        return parsed
 
 
 def within(

@@ -40,6 +40,14 @@ class OccupiedError(ConfigurationError):
     """Another graph already runs where this one should run; commands end with exit code 3."""
 
 
+def with_extra(extra: str) -> str:
+    """Return a clause for a message: how to get the packages of an extra.
+
+    It names no command, since the package may come from an index, a wheel or a checkout.
+    """
+    return f"install greenroof_ros with its extra [{extra}]"
+
+
 @contextmanager
 def in_extra(extra: str) -> Iterator[None]:
     """Guard the import of a package that a plain installation does not have.
@@ -54,21 +62,27 @@ def in_extra(extra: str) -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
-        raise ConfigurationError(
-            f"needs {package}: pip install 'greenroof_ros[{extra}]'"
-        ) from error
+        raise ConfigurationError(f"needs {package}: {with_extra(extra)}") from error
 
 
 # The least similarity of two names, 0 to 1: one of three letters may be wrong.
 _ALIKE, _SHORT_ALIKE = 0.6, 0.5
 
 
-def did_you_mean(name: str, known: Collection[str]) -> str:
-    """Return a clause for a message: what a mistyped name probably means, or all known names."""
-    alike = {
-        word: SequenceMatcher(None, name.casefold(), word.casefold()).ratio() for word in known
+def alike(name: str, known: Collection[str]) -> list[str]:
+    """Return the known names that a shortened or mistyped name probably means."""
+    alikeness = {
+        word: 1.0 if name and word.casefold().startswith(name.casefold())
+        else SequenceMatcher(None, name.casefold(), word.casefold()).ratio()
+        for word in known
     }
-    best = max(alike.values(), default=0.0)
-    if best >= (_SHORT_ALIKE if len(name) <= 3 else _ALIKE):
-        return f"did you mean {' or '.join(word for word in known if alike[word] == best)}?"
-    return f"choose from {', '.join(known)}"
+    best = max(alikeness.values(), default=0.0)
+    if best < (_SHORT_ALIKE if len(name) <= 3 else _ALIKE):
+        return []
+    return [word for word in known if alikeness[word] == best]
+
+
+def did_you_mean(name: str, known: Collection[str]) -> str:
+    """Return a clause for a message: what a name probably means, or all known names."""
+    meant = alike(name, known)
+    return f"did you mean {' or '.join(meant)}?" if meant else f"choose from {', '.join(known)}"

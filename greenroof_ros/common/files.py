@@ -90,9 +90,8 @@ _FALSE = {"no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
 _NOTHING = {"", "~", "null", "Null", "NULL"}
 _TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map")}
 _INTEGER = re.compile(r"[-+]?[0-9]+")
-_FLOAT = re.compile(
-    r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
-)
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 
 class YamlMapping(dict[str, Any]):
@@ -111,7 +110,9 @@ def _plain(text: str) -> Any:
     if _INTEGER.fullmatch(text):
         return int(text)
     if _FLOAT.fullmatch(text):
-        return float(re.sub(r"\.(?=inf|nan)", "", text.lower()))
+        return float(text)
+    if _NOT_FINITE.fullmatch(text):
+        return float(text.replace(".", ""))
     return None if text in _NOTHING else text
 
 
@@ -119,7 +120,7 @@ def _plain_to_rcl(text: str) -> bool | int | float | str:
     """Return a value as rcl reads it (rcl_yaml_param_parser, parse.c): 010 is 8, 1e-5 a number."""
     if text in _TRUE | _FALSE | {"Y", "y", "N", "n"}:
         return text in _TRUE | {"Y", "y"}
-    of_c = text.replace(".inf", "inf").replace(".nan", "nan").encode()
+    of_c = (text.replace(".", "") if _NOT_FINITE.fullmatch(text) else text).encode()
     libc, end = ctypes.CDLL(None, use_errno=True), ctypes.c_char_p()
     libc.strtoll.restype, libc.strtod.restype = ctypes.c_longlong, ctypes.c_double
     for number, base in ((libc.strtoll, (0,)), (libc.strtod, ())):

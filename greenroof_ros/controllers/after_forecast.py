@@ -82,7 +82,7 @@ class AfterForecast:
         Raises:
             ConfigurationError: they have another shape, or too many members.
         """
-        rains = np.array(rain, dtype=float, order="C", ndmin=2, copy=None)
+        rains = np.atleast_2d(np.asarray(rain, dtype=float, order="C"))
         evaporated = np.asarray(evapotranspiration, dtype=float)
         if (rains.shape[1], *evaporated.shape) != (self.steps, self.steps) or len(rains) > most:
             raise ConfigurationError(

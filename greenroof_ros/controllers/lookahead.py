@@ -56,10 +56,9 @@ class Lookahead:
     forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
     :func:`~greenroof_ros.controllers.order_up_to.halved_by_rain` assumes when it becomes known
     which members are wrong. Without a forecast it fills the roof to its target and holds it there,
-    which is best if no rain comes. So it does if a value of the forecast is missing when it plans.
-    A short loss of the forecast does not end a wait for rain: the last plan is followed until it
-    is old. Meanwhile the present rain is the gauge's, and
-    evapotranspiration is the mean of the past day.
+    which is best if no rain comes. A short loss of the forecast does not end a wait for rain: the
+    last plan is followed until it is old. Meanwhile the present rain is the gauge's, and
+    evapotranspiration is the mean of the past day. A forecast with a missing value counts as lost.
 
     It makes a new plan when the plan is older than an hour or a 48th of the horizon, when a
     member's total rain has changed, and when forecasts of rain begin or cease to count. Between
@@ -112,8 +111,8 @@ class Lookahead:
             "the least deviation: 0 for the mean of all, 0.8 for the worst fifth",
         ),
         Parameter(
-            "least_on", 0.0, "s", 0.0, _HOUR_S, "the pumps' shortest time on: filling takes at "
-            "least this long, so that they do not have to run on at the level",
+            "least_on", 0.0, "s", 0.0, 86_400.0, "the pumps' shortest time on, in a simulation at "
+            "least minimum_on: filling takes this long, so that they do not run on at the level",
         ),
         OBSERVER_TIME_CONSTANT,
         TRUST_MEMORY,

@@ -81,7 +81,7 @@ class ControllerChoice:
         if lacking or not all(isinstance(parameter, Parameter) for parameter in kind.parameters):
             raise ConfigurationError(
                 f"is not a controller: it lacks {', '.join(lacking) or 'a tuple of Parameter'}; "
-                "see doc/tutorials/your-controller.md",
+                "see \"Your controller\" in the documentation",
                 key="controller", value=self.reference,
             )
         clash = _OF_EVERY_NODE.intersection(parameter.name for parameter in kind.parameters)

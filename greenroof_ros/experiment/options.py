@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import within
+from greenroof_ros.common.command_line import Parser, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.parameter import Parameter
@@ -48,7 +48,7 @@ _PARAMETER = "parameter_"  # prefix of the controller's parameters among the arg
 
 
 def add_run_arguments(
-    parser: argparse.ArgumentParser, arguments: Sequence[str] | None = None
+    parser: Parser, arguments: Sequence[str] | None = None
 ) -> None:
     """Add the options that decide a run's numbers, the same for ``simulate`` and ``run``.
 
@@ -69,7 +69,7 @@ def add_run_arguments(
         "persistence: it stays unchanged; errors: a forecast as good as real ones; ensemble: "
         "several of these; a file, or a directory of files: archived forecasts, in this project's "
         "CSV, CSV or JSON of Open-Meteo, or NetCDF of CaSPAr. All but perfect are issued every 6 "
-        "hours, those of a file at its own times (default: %(default)s)",
+        "hours, archived forecasts at their own times (default: %(default)s)",
     )
     add_forecast_options(group)
     _add_parameters(
@@ -79,7 +79,7 @@ def add_run_arguments(
 
 
 def add_controller_arguments(
-    parser: argparse.ArgumentParser, group: argparse._ArgumentGroup,
+    parser: Parser, group: argparse._ArgumentGroup,
     arguments: Sequence[str] | None = None,
 ) -> None:
     """Add the options for the controller's name and for the parameters of that controller.
@@ -101,6 +101,8 @@ def add_controller_arguments(
     name = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     name.add_argument("--controller", nargs="?", default=DEFAULT)
     controller = find_controller(name.parse_known_args(arguments)[0].controller or DEFAULT)
+    options = ", ".join(_option(parameter) for parameter in controller.parameters)
+    parser.hint = f"the parameters of {controller.name} are {options}"
     of_controller = parser.add_argument_group(
         f"parameters of {controller.name}", "With another --controller, --help shows that one's."
     )
@@ -192,7 +194,7 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
     """Add the options that only some forecasts have."""
     group.add_argument(
         "--forecast-skill", type=_skill, metavar=f"{{{','.join(SKILLS)},FILE.yaml}}",
-        help="errors, ensemble: how good the forecasts are. real: like those of weather services; "
+        help="errors, ensemble: how good the forecasts are. real: as good as a weather service's; "
         "better: like real ones at half the lead time; worse: at twice the lead time; a "
         f"file: as it states (default: {ForecastChoice().skill})",
     )
@@ -224,7 +226,7 @@ def _skill(text: str) -> str:
 _skill.__name__ = f"skill: {', '.join(SKILLS)}, or a FILE.yaml"
 
 
-def add_output_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
     """Add the options that decide where a run goes and how fast; return their group."""
     group = parser.add_argument_group("output and pace")
     group.add_argument(
@@ -242,20 +244,6 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentG
         "--json", action="store_true", help="print the summary as JSON instead of a table"
     )
     return group
-
-
-def parse_run_arguments(
-    parser: argparse.ArgumentParser, arguments: Sequence[str] | None = None
-) -> argparse.Namespace:
-    """Parse a command line; if an option is unknown, name the options of the controller."""
-    parsed, unknown = parser.parse_known_args(arguments)
-    if unknown:
-        controller = find_controller(parsed.controller)
-        parser.error(
-            f"unrecognized arguments: {' '.join(unknown)} (the parameters of {controller.name} "
-            f"are {', '.join(_option(name) for name in controller.parameters)})"
-        )
-    return parsed
 
 
 def controller_from_arguments(

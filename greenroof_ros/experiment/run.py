@@ -120,6 +120,10 @@ def build_run(
         ConfigurationError: weather or forecasts do not cover the run, or it has values that the
             nodes would refuse.
     """
+    sensor_pump_errors = sensor_pump_errors or SensorPumpErrors()
+    if "least_on" in parameters:  # the controller knows its pumps
+        least_on = max(parameters["least_on"], sensor_pump_errors.minimum_on)
+        parameters = {**parameters, "least_on": least_on}
     first = read_start(start, weather.first.tzinfo)
     horizon = parameters.get("horizon", 0.0)
     series = WeatherSeries(weather, site, first, steps)
@@ -141,5 +145,5 @@ def build_run(
     forecast = make_forecast(weather, series, site, first, horizon, choice, controller.ensemble)
     return Run(
         site_file, site, weather, series, forecast, first, steps, controller, parameters, initial,
-        x1, x2, choice, sensor_pump_errors or SensorPumpErrors(),
+        x1, x2, choice, sensor_pump_errors,
     )

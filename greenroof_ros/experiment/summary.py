@@ -98,6 +98,7 @@ def build_unfinished(
             **({"dressed": str(choice.dressed)} if choice.dressed is not None else {}),
         },
         "forecast_repeats_last_record_from": repeats_from.isoformat() if repeats_from else None,
+        "longest_issue_h": run.forecast.longest,
         "sensor_pump_errors": run.sensor_pump_errors.values(),
         "filled": run.series.filled,
         "filled_hours": run.series.filled_hours,

@@ -102,6 +102,12 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     repeats_from = summary["forecast_repeats_last_record_from"]
     if repeats_from:
         yield "forecast", "ends", f"at {repeats_from}; later values are assumed"
+    longest, horizon = summary["longest_issue_h"], summary["parameters"].get("horizon") or 0.0
+    if longest is not None and longest < horizon:
+        yield (
+            "FORECAST", f"{longest} h",
+            f"is the longest issue, the horizon {horizon:g} h: no rain is assumed after its end",
+        )
     errors = SensorPumpErrors(**summary["sensor_pump_errors"])
     if not (errors.exact_sensor and errors.instant_pump):
         yield "sensor and pump", "", _listed(summary["sensor_pump_errors"])

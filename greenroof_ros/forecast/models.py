@@ -78,6 +78,9 @@ _RECORDS = 6158359
 class ForecastModel(ABC):
     """Hourly forecasts: what is known in an hour about the following ones."""
 
+    longest: int | None = None
+    """length of the longest issue (h); None if forecasts have no end"""
+
     def __init__(self, weather: Weather) -> None:
         """Take the records; missing ones are refused only when a forecast needs them."""
         self._weather = weather
@@ -164,6 +167,7 @@ class FileModel(ForecastModel):
         """
         super().__init__(weather)
         self._archive = archive
+        self.longest = max(issue.hours for issue in archive.issues)
         refuse_between_hours(archive.issues, weather)
         self._late = weather.rain_late
         # The hour of the records at whose start each issue becomes known. If their rain is late,

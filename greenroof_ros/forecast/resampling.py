@@ -125,7 +125,10 @@ class PerfectForecast:
 
     Attributes:
         repeats_from: the earliest time from which its values are assumed, not known.
+        longest: length of its longest issue (h); None if it has no end.
     """
+
+    longest = None
 
     def __init__(self, series: WeatherSeries, look_ahead: int) -> None:
         """Take the run's weather and the look-ahead M (ticks)."""
@@ -163,6 +166,7 @@ class SteppedForecast:
 
     Attributes:
         repeats_from: see :class:`PerfectForecast`.
+        longest: see there.
     """
 
     def __init__(
@@ -191,6 +195,7 @@ class SteppedForecast:
         self._known = lru_cache(maxsize=1)(self._known_in)
         self._at = lru_cache(maxsize=1)(self._outlook)
         self.repeats_from = self._ask_for_all()
+        self.longest = model.longest
 
     def precipitation(self, tick: int) -> Rain:
         """Return mean rain (m/s), shape (steps,); of all members (members, steps)."""

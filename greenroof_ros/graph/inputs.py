@@ -158,7 +158,7 @@ class Publishers:
         why = dict.fromkeys(word for info in unheard for word in lacks(info.qos_profile, needed))
         return (
             f"has a publisher that cannot be heard ({', '.join(names)}): it {' and '.join(why)}, "
-            f"but must be {requirements(self.topic.qos)} (doc/real-pump.md); change it, or end it"
+            f"but must be {requirements(self.topic.qos)}; change it, or end it"
         )
 
     def _known(self) -> list[Any]:

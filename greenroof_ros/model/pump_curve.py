@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import Polynomial
+from numpy.polynomial.polynomial import polyfit
 from numpy.typing import ArrayLike
 
 
@@ -36,7 +36,7 @@ def fit_pump_curve(flow: ArrayLike, head: ArrayLike) -> PumpCurve:
     heads = np.asarray(head, dtype=float)
     if flows.size < 2 or np.ptp(flows) <= 1e-6 * flows.max():
         raise ValueError("at least two different flows are needed")
-    c_hat, a_hat = Polynomial.fit(flows**2, heads, 1).convert().coef
+    c_hat, a_hat = polyfit(flows**2, heads, 1)
     if a_hat * flows.max() ** 2 >= -1e-9 * heads.max():
         raise ValueError("the head must fall as the flow rises; are flow and head swapped?")
     return PumpCurve(float(a_hat), float(c_hat))

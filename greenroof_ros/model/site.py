@@ -42,7 +42,7 @@ _FOLLOW = {
 _CLIMATE = "monthly_evapotranspiration"
 _QUIET, _ZONE = "quiet_hours", "time_zone"
 _OF_CLOCK = {
-    _QUIET: 'must be times of day in brackets, such as ["22:00-06:00", "12:00-13:30"], which '
+    _QUIET: 'must be times of day in brackets, such as ["22:00-06:00", "12:00-13:30"], and must '
     "leave time to pump",
     _ZONE: "must be the IANA name of a time zone that this machine knows (package tzdata), such as "
     "America/Toronto",
@@ -497,7 +497,7 @@ def read_site(path: Path) -> Site:
         if name in _OF_CLOCK:
             try:
                 values[name] = _of_clock(name, value)
-            except (TypeError, AttributeError, OSError, ValueError, KeyError):
+            except (TypeError, OSError, ValueError, KeyError):
                 raise refuse(name, _OF_CLOCK[name]) from None
             continue
         if type(value) not in (int, float):
@@ -517,9 +517,9 @@ def read_site(path: Path) -> Site:
 
 def _of_clock(name: str, value: Any) -> tuple[str, ...] | str:
     """Return the value of ``quiet_hours`` or ``time_zone``; it raises many errors if invalid."""
-    if name == _ZONE:
+    if name == _ZONE and isinstance(value, str):
         return ZoneInfo(value).key
-    if not isinstance(value, list):
+    if name == _ZONE or not isinstance(value, list):
         raise TypeError
     QuietHours(value, timezone.utc)
     return tuple(value)

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.model.metrics import NEAR_TARGET
 from greenroof_ros.report.about import controller_name
@@ -45,9 +45,9 @@ examples:
 """
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof report",
         description=_DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -242,13 +242,14 @@ class Report:
             row["near_target_hours"] = None
             if recorded is not None:
                 happened = recorded.trajectory
-                row["near_target_hours"] = near_hours(run.site, happened, self.assumptions.band)
                 spacing = float(np.diff(happened.time).max())
                 if run.bound is None and spacing > 1.5 * run.site.tau:
                     notes.append(Note(
-                        f"the time near the target is from samples every {spacing:g} s, the only "
-                        "ones kept"
+                        f"the time near the target is unknown: only samples every {spacing:g} s "
+                        "were kept"
                     ))
+                else:
+                    row["near_target_hours"] = near_hours(run.site, happened, self.assumptions.band)
         return replace(run, row=row, notes=tuple(notes))
 
     def _grouped(self, runs: list[Run]) -> pl.DataFrame:

@@ -98,7 +98,7 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
     for name, count in Counter(run.name for run in sources.runs).items():
         if count > 1:
             raise ConfigurationError(f"two runs are named {name}; give each path once")
-    sources.runs = _told_apart(sources.runs)
+    sources.runs = _with_sources(sources.runs)
     return sources
 
 
@@ -111,26 +111,26 @@ def _name(place: Path, places: list[Path]) -> str:
     )
 
 
-def _told_apart(runs: Sequence[Run]) -> list[Run]:
+def _with_sources(runs: Sequence[Run]) -> list[Run]:
     """Add the source to a name that means different things in different sources.
 
     Things that are equal share a name, with their first source, so their runs are compared.
     """
-    told = list(runs)
+    named = list(runs)
     for key, columns in (
         ("site", ["site"]), ("weather", ["weather"]), ("from", ["from"]),
         ("forecast", ["forecast", "model", "kind of forecast"]),
     ):
         sources: dict[str, dict[object, str]] = {}
-        for run in told:
+        for run in named:
             sources.setdefault(run.row[key], {}).setdefault(run.meant.get(key), run.source)
-        for place, run in enumerate(told):
+        for place, run in enumerate(named):
             of = sources[run.row[key]]
             if len({*of.values()}) > 1:  # or else all are from one source
                 source = of[run.meant.get(key)]
                 own = {column: f"{run.row[column]} ({source})" for column in columns}
-                told[place] = replace(run, row=run.row | own)
-    return told
+                named[place] = replace(run, row=run.row | own)
+    return named
 
 
 def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:

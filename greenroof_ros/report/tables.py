@@ -107,14 +107,15 @@ def _table(name: str, columns: Sequence[Column], rows: Iterable[Row], **folded: 
 
 def _cells(row: Row, columns: Sequence[Column]) -> list[Cell]:
     """Return the cells of a run or a case, with sort keys for settings and lengths."""
-    near, ended = row["near_share"], row["ended"]
+    near, ended, unknown = row["near_share"], row["ended"], Cell("unknown", -1.0)
     shown = {
         **row,
         "controller": controller_name(row["controller"]),
         "setting": Cell(row["setting"], f"{row['controller']} {row['rank']:06}"),
         "length": Cell(row["length"], row["hours"]),
         "ended": Cell(ended, ended, warning=ended != summary.DONE),
-        "near_percent": None if near is None else 100 * near,
+        "near_target_hours": unknown if near is None else row["near_target_hours"],
+        "near_percent": unknown if near is None else 100 * near,
         "ratio": share(row["ratio"]),
     }
     return [cell(shown[column.name], column.form, column.most) for column in columns]

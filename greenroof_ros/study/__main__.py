@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.choice import PERFECT
@@ -54,9 +54,9 @@ examples:
 """
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof study",
         description=_DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,

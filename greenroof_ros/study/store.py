@@ -217,6 +217,8 @@ def _numbers(engine: str) -> dict[str, str]:
     digest = hashlib.sha256()
     parts = ["model", "formats", "weather", "forecast", "controllers", "experiment"]
     parts += ["study/case_run.py", "recording/results_table.py"]
+    # They read the numbers of sites, controllers and windows.
+    parts += ["common/files.py", "common/parameter.py", "common/times.py"]
     for part in [*parts, "graph", "nodes"] if engine == "ros" else parts:
         path = package / part
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:

@@ -16,7 +16,7 @@ from multiprocessing import forkserver
 from multiprocessing.synchronize import Semaphore
 from typing import Any, NamedTuple
 
-from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.errors import ConfigurationError, in_extra, with_extra
 from greenroof_ros.common.processes import end_with
 from greenroof_ros.common.versions import versions
 
@@ -133,7 +133,7 @@ def cluster(address: str) -> Iterator[Workers]:
         from distributed import Client
     except ImportError as error:
         raise ConfigurationError(
-            "needs distributed: pip install 'greenroof_ros[dask]'", key="--scheduler"
+            f"needs distributed: {with_extra('dask')}", key="--scheduler"
         ) from error
     gone = WorkersGoneError(f"the Dask scheduler at {address} is gone")
     try:

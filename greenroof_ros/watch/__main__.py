@@ -9,8 +9,8 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, command, namespace, within
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, namespace, within
+from greenroof_ros.common.errors import ConfigurationError, with_extra
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch.feed import Feed
@@ -45,9 +45,9 @@ exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
 """
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="greenroof watch",
         usage="%(prog)s [options]",
         description=_DESCRIPTION,
@@ -148,7 +148,7 @@ def main() -> int:
         from greenroof_ros.watch.server import serve
     except ModuleNotFoundError as error:
         raise ConfigurationError(
-            f"needs {error.name}: pip install 'greenroof_ros[watch]'; --terminal does not need it"
+            f"needs {error.name}: {with_extra('watch')}; --terminal does not need it"
         ) from error
     host, port = arguments.host or LOOPBACK, arguments.port
     # Releasing always needs a token: behind a proxy each request comes from this machine.

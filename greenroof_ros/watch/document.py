@@ -282,7 +282,7 @@ def _stop(store: Store) -> dict[str, Any]:
         "sentence": two or "There is no pump node that could be stopped from here."
         if node is None else ("It was held off when last heard. " if asked and gone else "")
         + ("The pump is held" if stopped else "Holds the pump")
-        + " off until somebody releases it at the pump node.",
+        + " off until somebody releases it. " + LOCK_OUT,
         "warning": warning,
         "call": f'{call} "{{data: true}}"' if call and not stopped else "",
         "release": f'{call} "{{data: false}}"' if asked else "",

@@ -334,8 +334,10 @@ class _Release:
         asks: the text to show: a question, or its result; empty for nothing.
     """
 
-    _KEYS: ClassVar = {b"r": ("release", "release_here", "release_then"),
-                       b"c": ("clear", "clear_here", "clear_then")}
+    _KEYS: ClassVar = {
+        b"r": ("release", "Release the pump?", "release_here", "release_then"),
+        b"c": ("clear", "Clear the fault?", "clear_here", "clear_then"),
+    }
 
     def __init__(self, feed: Feed) -> None:
         self.asks = ""
@@ -365,10 +367,8 @@ class _Release:
 
     def _question(self, key: bytes, stop: Mapping[str, Any]) -> str:
         """Return the question that a key asks in this state of the pump; empty if it asks none."""
-        action, here, then = self._KEYS.get(key, ("", "", ""))
-        if not stop.get(here):
-            return ""
-        return f"{action.capitalize()} the pump? {stop[then]} y: yes, n: no"
+        _, title, here, then = self._KEYS.get(key, ("", "", "", ""))
+        return f"{title} {stop[then]} y: yes, n: no" if stop.get(here) else ""
 
 
 @contextmanager

@@ -17,8 +17,11 @@ from greenroof_ros.controllers.registry import find_controller
 VALUES = (
     "on", "off", "yes", "Y", "n", "True", "tRUE", "010", "-010", "08", "0x1F", "0x1p3", "0o17",
     "0b11", "1e-5", "1E5", "1.e3", ".5", "+.5e+3", "+5", "5.", "5-", "12e", "1_000", "3:0", "-0",
-    "1e400", "99999999999999999999", "9223372036854775807", "inf", "-.inf", ".nan", "Infinity",
-    "null", "~", "'5'", '"on"', "2021-07-01", "[010, 1]", "[1e-5, .5]", "[on, off]", "['1', x]",
+    "1e400", "99999999999999999999", "9223372036854775807", "inf", "iNf", "+inf", "Infinity",
+    ".inf", ".Inf", ".INF", "+.inf", "+.Inf", "+.INF", "-.inf", "-.Inf", "-.INF", ".iNf",
+    ".infinity", "-.infinity", "5.inf", "nan", "-nan", "nan(1)", ".nan", ".NaN", ".NAN", ".Nan",
+    "+.nan", "-.nan", ".nan(1)", "null", "~", "'5'", '"on"', "2021-07-01", "[010, 1]", "[1e-5, .5]",
+    "[on, off]", "['1', x]",
 )
 
 

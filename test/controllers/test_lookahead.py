@@ -6,14 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from paper import PAPER_SITE, lookahead, site_with
+from paper import PAPER_SITE, lookahead, paper_run, site_with
 from places import CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -322,17 +321,19 @@ def test_without_a_forecast_it_fills_to_the_target_and_holds_it() -> None:
     assert plant.x2 == pytest.approx(PAPER_SITE.x2_star, abs=2e-5)
 
 
-@pytest.mark.parametrize("gap", [None, 0, STEPS - 1])
-def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain(gap: int | None) -> None:
+@pytest.mark.parametrize("gap", [None, (0, 0), (0, -1), (1, 0), (1, -1)])
+def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain(
+    gap: tuple[int, int] | None
+) -> None:
     """A plan for 12 h is followed for a quarter of an hour; only then is the roof filled.
 
-    A forecast with a gap counts as missing.
+    A forecast with a gap, in the rain or in evapotranspiration, counts as missing.
     """
-    wet = [rain_in((3, 6), 0.03)], DRY
-    missing: tuple[list[Any], list[float]] = [], []
+    wet = rain_in((3, 6), 0.03), DRY
+    missing: tuple[list[float], list[float]] = [], []
     if gap is not None:
-        missing = [rain_in((3, 6), 0.03)], DRY
-        missing[0][0][gap] = math.nan
+        missing = rain_in((3, 6), 0.03), DRY.copy()
+        missing[gap[0]][gap[1]] = math.nan
     controller = lookahead(observer_time_constant=300.0)
     assert controller.command(2.3, 0.03, *wet) == 0.0
     waited = [controller.command(2.3, 0.03, *missing) for _ in range(899)]
@@ -340,6 +341,15 @@ def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain(gap: int |
     assert controller.command(2.3, 0.03, *missing) > 0
     assert controller.fill_to == pytest.approx(PAPER_SITE.z_veg) and controller.solves == 1
     assert controller.command(2.3, 0.03, *wet) == 0.0
+
+
+def test_rain_that_does_not_count_stays_in_the_callers_forecast() -> None:
+    """A forecast can be the cache of its model."""
+    controller, rain = lookahead(waiting_budget=0.0, waiting_share=0.0), rain_in((3, 6), 0.03)
+    forecast = np.array([rain, rain])
+    for _ in range(10):
+        command = controller.command(2.3, 0.03, forecast, DRY)
+    assert command > 0 and forecast.tolist() == [rain, rain]
 
 
 def test_forecasts_of_another_shape_are_refused() -> None:
@@ -437,3 +447,8 @@ def test_filling_lasts_as_long_as_the_pumps_must_be_on() -> None:
     assert 118 <= len(on) <= 122 and commands[: len(on)] == on
     assert on[:-3] == pytest.approx([on[0]] * (len(on) - 3), rel=0.02)
     assert plant.levels()[1] == pytest.approx(PAPER_SITE.z_veg, abs=1e-5)
+    lack = PAPER_SITE.z_veg - 1e-7  # at the least command a fill would end sooner
+    assert lookahead().command(2.3, lack, [DRY], DRY) > 0
+    assert lookahead(least_on=300.0).command(2.3, lack, [DRY], DRY) == 0.0
+    run = paper_run("--controller", "lookahead", "--minimum-on", "60")
+    assert run.parameters["least_on"] == 60.0

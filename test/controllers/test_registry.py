@@ -135,6 +135,7 @@ def test_a_controller_that_a_package_registers(
     (about / "entry_points.txt").write_text(
         "[greenroof_ros.controllers]\ngentle = gentle_roofs:Proportional\n"
     )
+    (tmp_path / "gentle.yaml").write_text("/**/gentle: {ros__parameters: {gain: 10.0}}\n")
     assert "gentle" not in controller_names()
     monkeypatch.syspath_prepend(tmp_path)
     registry._of_other_packages.cache_clear()
@@ -143,13 +144,16 @@ def test_a_controller_that_a_package_registers(
         assert controller_names() == [*BUILT_IN, "gentle"]
     finally:
         registry._of_other_packages.cache_clear()
-    assert (choice.name, list(choice.parameters)) == ("gentle", ["gain"])
+    values = choice.read_parameters(tmp_path / "gentle.yaml", PAPER_SITE)
+    assert (choice.name, values) == ("gentle", {"gain": 10.0})
 
 
 @pytest.mark.parametrize("name", ["lookahead", "anticipating_onoff"])
-def test_how_far_a_controller_looks_ahead_follows_from_the_roof(name: str) -> None:
-    """Five days; on a roof with a measured soil two."""
+def test_how_far_a_controller_looks_ahead_follows_from_the_roof(name: str, tmp_path: Path) -> None:
+    """Five days; on a roof with a measured soil two; a file overrides both."""
     choice = find_controller(name)
     measured = read_site(CONFIG / "site_catchment.yaml")
     assert choice.defaults(PAPER_SITE)["horizon"] == 120.0
     assert choice.defaults(measured)["horizon"] == 48.0
+    (tmp_path / "mine.yaml").write_text(f"{name}: {{ros__parameters: {{horizon: 24.0}}}}")
+    assert choice.read_parameters(tmp_path / "mine.yaml", measured)["horizon"] == 24.0

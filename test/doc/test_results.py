@@ -31,7 +31,8 @@ def test_figure_is_of_its_file(name: str) -> None:
 
 def test_every_file_has_its_study() -> None:
     """Each result file is written by a command, and none is missing."""
-    assert {path.stem for path in (DOC / "results").glob("*.csv")} == set(TABLES)
+    stems = {path.stem for path in (DOC / "results").glob("*.csv")}
+    assert stems == {*TABLES, "real_seasons"}  # tools/real_seasons writes the last
     assert all(grid.is_file() for grid, _ in TABLES.values())
 
 
@@ -68,6 +69,24 @@ def test_file_has_what_a_run_gives(controller: str) -> None:
         assert (case.start, case.evapotranspiration) == (row["start"], row["evapotranspiration"])
         results = run_case(case, "inprocess", None).results
         assert str(results["mean_deviation_mm"]) == row["mean_deviation_mm"]
+
+
+@pytest.mark.parametrize("name", ["seasons", "horizons"])
+def test_ratios_come_after_the_mean_deviation(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In each cell, also of files that were written before runs were kept: 10 mm for on/off."""
+    for path in (DOC / "results").glob("*.csv"):
+        rows = read(path)
+        for row in rows:
+            if row.get("over_onoff"):
+                row["mean_deviation_mm"] = str(10.0 * float(row["over_onoff"]))
+        write(tmp_path / path.name, rows)
+    monkeypatch.setattr("result_tables._RESULTS", tmp_path)
+    for cell in (cell for row in RESULTS[name]().rows for cell in row[1:]):
+        millimetres, _, ratio = cell.partition(" mm")
+        share = float(ratio.removeprefix(", ").partition(" ")[0] or 1.0)
+        assert float(millimetres) == pytest.approx(10.0 * share, abs=0.011)
 
 
 def study(directory: Path, rows: list[dict[str, Any]]) -> Path:

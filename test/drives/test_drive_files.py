@@ -194,4 +194,4 @@ def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "pymodbus", None)  # type: ignore[arg-type]
     with pytest.raises(ConfigurationError) as caught:
         DriveExchange(PlacedDrive(read_drive_file(SHIPPED[0]), parse_address("tcp://127.0.0.1")))
-    assert str(caught.value) == "needs pymodbus: pip install 'greenroof_ros[pump]'"
+    assert str(caught.value) == "needs pymodbus: install greenroof_ros with its extra [pump]"

@@ -25,7 +25,7 @@ HALF = "2021-07-07T00:30-05:00"
 # and FORECASTS.
 OPTIONS = {
     "--controller pid": "controller = 'pid'",
-    "--controller onoff --weight 0.1": "the parameters of onoff are --fraction",
+    "--controller onoff --weight 0.1": "--weight 0.1 (the parameters of onoff are --fraction",
     "--weight 0": "greater than 0",
     "--weight nan": "--weight",
     "--noise-seed 0.5": "must be a whole number from 0 to 2147483647",

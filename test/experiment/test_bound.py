@@ -131,28 +131,32 @@ def test_in_frost_the_bound_is_the_run(
 
 
 @pytest.mark.parametrize(
-    ("base", "tau", "start", "gap", "recursion"),
+    ("base", "tau", "start", "gap", "recursion", "ahead"),
     [
-        ("site.yaml", 1.0, "2021-07-07T02:00", 4e-5, 1.00002),
-        ("site.yaml", 1.0, "2021-07-08T05:00", 4e-5, 1.00002),
+        ("site.yaml", 1.0, "2021-07-07T02:00", 4e-5, 1.00002, 1.001),
+        ("site.yaml", 1.0, "2021-07-08T05:00", 4e-5, 1.00002, 1.001),
         # Drizzle while a measured roof is filled, and a storm.
-        ("site_neubrandenburg.yaml", 10.0, "2021-07-07T02:00", 0.02, 0.9995),
-        ("site_neubrandenburg.yaml", 10.0, "2021-07-08T05:00", 0.02, 1.0),
+        ("site_neubrandenburg.yaml", 10.0, "2021-07-07T02:00", 0.02, 0.9995, 1.001),
+        ("site_neubrandenburg.yaml", 10.0, "2021-07-08T05:00", 0.02, 1.0, 1.002),
     ],
 )
 def test_bound_and_plans_are_close(
-    tmp_path: Path, base: str, tau: float, start: str, gap: float, recursion: float
+    tmp_path: Path, base: str, tau: float, start: str, gap: float, recursion: float, ahead: float
 ) -> None:
-    """The least cost of twelve hours lies between the bound and both plans.
+    """The least cost of twelve hours lies between the bound and both plans; lookahead is as good.
 
     The recursion keeps the soil's equations: on a measured roof its plan beats the program's.
     """
     site = site_file(tmp_path, base=base, tau=tau)
-    run = paper_run("--site", str(site), "--start", start, "--hours", "12")
+    run = paper_run(
+        "--controller", "lookahead", "--horizon", "12", "--days-after", "0", "--site", str(site),
+        "--start", start, "--hours", "12",
+    )
     bound = clairvoyant_bound(run)
     assert bound.bound_m3 <= bound.plan_m3 < (1 + gap) * bound.bound_m3
     assert bound.pumped_m3 > 0
     assert bound.bound_m3 <= recursion_plan(run).total_m3 < recursion * bound.plan_m3
+    assert bound.bound_m3 <= metrics_of(run)["total_deviation_m3"] < ahead * bound.plan_m3
 
 
 # One tick of 10 s at full flow from 75 m3, Table I: b sqrt(3 + 55.2 - 16).
@@ -211,6 +215,7 @@ def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
     assert result["steps"] == 1800
     best = min(result["plan_m3"], result["recursion_m3"])
     assert 0 < result["bound_m3"] <= best
+    assert result["recursion_m3"] < 1.01 * result["plan_m3"]
     assert result["gap"] == pytest.approx(best / result["bound_m3"] - 1)
     assert call(monkeypatch, *options) == 0
     shown = capsys.readouterr().out

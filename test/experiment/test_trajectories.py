@@ -41,8 +41,11 @@ def test_csv(tmp_path: Path) -> None:
         "--trajectory-every", "60", cwd=tmp_path, env=environment(0),
     )
     assert done.returncode == 0, done.stderr
-    rows = csv.DictReader((tmp_path / "run.csv").open())
+    rows = list(csv.DictReader((tmp_path / "run.csv").open()))
     assert [float(row["time_s"]) for row in rows] == [0, 60, 120, 180, 198]
+    run = paper_run("--controller", "onoff", "--hours", "0.055")
+    roof = record(run, closed_loop(run, run.make_controller(), Metrics())).roof
+    assert [float(row["roof_m3"]) for row in rows] == roof[[0, 60, 120, 180, 198]].tolist()
 
 
 def test_results_do_not_depend_on_it(tmp_path: Path) -> None:

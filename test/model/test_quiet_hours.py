@@ -113,7 +113,7 @@ def test_of_a_site(tmp_path: Path) -> None:
         ("quiet_hours", '["24:00-06:00"]', "must be times of day in brackets"),
         ("quiet_hours", '["22:00-24:30"]', "must be times of day in brackets"),
         ("quiet_hours", '["06:00-06:00"]', "must be times of day in brackets"),
-        ("quiet_hours", '["00:00-12:00", "12:00-24:00"]', "which leave time to pump"),
+        ("quiet_hours", '["00:00-12:00", "12:00-24:00"]', "and must leave time to pump"),
         ("time_zone", "America/Tornto", "must be the IANA name of a time zone"),
         ("time_zone", "America", "must be the IANA name of a time zone"),
         ("time_zone", "../secret", "must be the IANA name of a time zone"),

@@ -41,10 +41,12 @@ from ros_rig import (
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from test_diagnostics import check
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.dressing import Dressing, dressing_text
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
+from greenroof_ros.nodes import weather
 from greenroof_ros.simulators.forecast_service import ForecastService
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import FILL
@@ -125,6 +127,13 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
         assert median(gaps) == pytest.approx(TAU, rel=0.5)
         assert "/onoff: forecast" not in site.diagnoses
     check(arrays)
+
+
+@pytest.mark.parametrize("forecast", ["perfect", "forecast.nc"])
+def test_a_live_weather_node_reads_no_other_forecast_than_csv(forecast: str) -> None:
+    """Only a CSV file is read again whenever it is replaced."""
+    with pytest.raises(ConfigurationError, match=r"must be a FILE.csv in a live graph, or empty"):
+        weather._forecast({"forecast": forecast, "live": True})
 
 
 # Bad rain forecasts, and what is reported: too long, an impossible value far ahead, none.

@@ -185,5 +185,5 @@ def test_without_the_extra(tmp_path: Path, missing: str) -> None:
         capture_output=True, text=True, timeout=60, check=False,
     )
     assert done.returncode == 2, done.stderr
-    assert "pip install 'greenroof_ros[study]'" in done.stderr
+    assert "install greenroof_ros with its extra [study]" in done.stderr
     assert "Traceback" not in done.stderr

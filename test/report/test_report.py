@@ -100,15 +100,23 @@ def test_what_follows_from_results(tmp_path: Path) -> None:
 
 
 def test_another_band_needs_what_happened(tmp_path: Path) -> None:
-    """From samples if not every tick was kept, with a note; unknown without a trajectory."""
+    """Unknown without a trajectory, or if it has not every tick; then a note says why."""
     example = simulate("onoff", "0.5", "low-low")
-    kept = example.trajectory.thinned(60)
-    path = write_study(tmp_path / "study", [(example.row, kept), (example.row, None)])
+    every_tick = example.trajectory
+    trajectories = (every_tick, every_tick.thinned(60), None)
+    path = write_study(tmp_path / "study", [(example.row, kept) for kept in trajectories])
     report = report_of(path, band=0.2)
-    first, second = report.single
-    assert first["near_target_hours"] == near_hours(PAPER_SITE, kept, 0.2)
-    assert second["near_target_hours"] is None
-    assert "time near the target is from samples every 60 s" in report.runs["001"].notes[-1].text
+    assert [run["near_target_hours"] for run in report.single] == [
+        near_hours(PAPER_SITE, every_tick, 0.2), None, None
+    ]
+    notes = [report.runs[run["run"]].notes for run in report.single]
+    unknown = "time near the target is unknown: only samples every 60 s were kept"
+    assert [unknown in " ".join(note.text for note in of_run) for of_run in notes] == [
+        False, True, False
+    ]
+    text = page_of(report)
+    assert unknown in text
+    assert len(re.findall(r"<td [^>]*>unknown<", text)) == 4  # the time and its share, of two runs
     for usual in report_of(path, band=NEAR_TARGET).single:
         assert usual["near_target_hours"] == example.row["near_target_hours"]
 

@@ -98,6 +98,20 @@ def test_a_study_with_dressed_forecasts(site: Path) -> None:
     assert float(dressed["total_deviation_m3"]) == deviation != float(plain["total_deviation_m3"])
 
 
+@pytest.mark.parametrize("horizon", [120, 240])
+def test_members_that_are_shorter_than_the_horizon(site: Path, horizon: int) -> None:
+    """The run says both lengths, and that no rain is assumed in the rest."""
+    done = command(
+        site, "simulate", "--weather", "gauge.csv", "--start", "2024-04-10T00:00", "--hours", "1",
+        "--controller", "lookahead", "--horizon", str(horizon), "--forecast", "archive.csv",
+        "--dressed", "dressed.csv",
+    )
+    assert done.returncode == 0, done.stderr
+    said = " ".join(done.stdout.replace("│", " ").split())
+    short = "FORECAST 132 h is the longest issue, the horizon 240 h: no rain is assumed after"
+    assert (short in said) is (horizon == 240)
+
+
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [

@@ -536,7 +536,8 @@ def test_stop_is_there_with_a_pump_node_only() -> None:
     assert shown(graph)["stop"] == {
         "possible": True, "stopped": False, "node": "/pump", "label": "Stop the pump",
         "warning": "",
-        "sentence": "Holds the pump off until somebody releases it at the pump node.",
+        "sentence": "Holds the pump off until somebody releases it. Anyone working on the pump "
+        "must lock it out at the pump itself; this page does not.",
         "call": STOP, "release": "",
         "release_here": False, "release_then": ANY, "clear_here": False, "clear_then": ANY,
         "no_clear": "", "greatest_dose": None, "dose_here": False, "dose_then": ANY, "no_dose": "",

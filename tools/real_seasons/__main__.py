@@ -4,8 +4,9 @@ ARCHIVES is a directory with the previous runs of three services and the gauge's
 to 12-31 at Budva. On a measured roof and on the paper's, both with mains, it runs on/off, and
 ``lookahead`` with a forecast of no rain, of each service, of the three as one ensemble, of a
 placebo, and a perfect one: as issued, with trust that is learned, and dressed. Each run is a file
-in DIR; the same command continues after an interruption. Prints tables in Markdown, draws trust
-over time, and writes ``worth.csv``, from which the README's figure is drawn.
+in DIR; the same command continues after an interruption. Draws trust over time, and writes
+``DIR/real_seasons.csv``: all numbers, with intervals. ``doc/results/`` has a copy of it, from which
+the documentation's tables and the README's figure are made.
 
 - **dressed**: by the same record, without the days around each issue.
 - **by the other half**: the period's blocks of four weeks are divided by their rain into a wetter
@@ -13,12 +14,14 @@ over time, and writes ``worth.csv``, from which the README's figure is drawn.
   both, because no issue within the length of a member and five days of another dresses it.
 - **with its own numbers**: the half that dresses also chooses the numbers of dressing
   (``own_numbers.py``).
+- **scaled**: the rain of GFS, which is too dry, times one factor in each half: the gauge's rain
+  over the forecast's, in the other half or in the half itself.
 - **used ideally**: an ensemble that knows as much as a service, and is reliable (``ideal.py``).
 - **the hour as forecast**: in the present hour only the rain in this minute is known.
 
 Assumed: evapotranspiration is the site file's monthly mean as a half sine over the day. Hours that
 the gauge lacks count as dry. GFS's fifth day is left out. The placebo is GEM's issues from 35 days
-later, and at the end from the first weeks: as wet, but without skill.
+later, and at the end from the first weeks: as wet as GEM, but without skill.
 """
 
 from __future__ import annotations
@@ -36,6 +39,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 import paths  # noqa: F401
 from real_seasons.ideal import DRAWS
 from real_seasons.inputs import AUTUMN, ROOFS, SEASON, SERVICES, YEAR, Inputs, Period
+from real_seasons.least import least_possible
 from real_seasons.runs import (
     CROSSED,
     DRESSED,
@@ -44,22 +48,15 @@ from real_seasons.runs import (
     NO_RAIN,
     ONOFF_NAME,
     PERFECT,
+    SCALED,
+    SCALED_BY_ITSELF,
     SOURCES,
     Case,
     write,
 )
-from real_seasons.tables import (
-    Results,
-    by_halves,
-    of_ideal,
-    of_owner,
-    of_period,
-    present_hour,
-    resolution,
-)
+from real_seasons.tables import Results, Row, rows
+from real_seasons.tables import write as write_rows
 from real_seasons.trust_figure import draw
-from real_seasons.worth import Row, rows
-from real_seasons.worth import write as write_worth
 
 PERIODS = {"year": YEAR, "season": SEASON, "autumn": AUTUMN}
 
@@ -67,14 +64,16 @@ PERIODS = {"year": YEAR, "season": SEASON, "autumn": AUTUMN}
 def cases(roof: str, period: Period) -> Iterator[Case]:
     """Yield the runs of a period on a roof, the most useful first."""
     if period is AUTUMN:
-        yield Case(roof, period, "three")
-        yield Case(roof, period, "placebo")
-        yield Case(roof, period, "three", hour=False)
+        if roof == "measured":
+            yield Case(roof, period, "three")
+            yield Case(roof, period, "three", hour=False)
         return
     yield Case(roof, period, ONOFF_NAME)
     yield Case(roof, period, NO_RAIN, trusts=False)
     if roof == "measured, target 39 mm":
         yield Case(roof, period, "three", DRESSED)
+        yield Case(roof, period, "three")
+        yield Case(roof, period, PERFECT, trusts=False)
         return
     for source in SOURCES:
         yield Case(roof, period, source)
@@ -87,6 +86,8 @@ def cases(roof: str, period: Period) -> Iterator[Case]:
     for source in SOURCES:
         yield Case(roof, period, source, DRESSED)
     if period is SEASON and roof == "measured":
+        for form in (SCALED, SCALED_BY_ITSELF):
+            yield Case(roof, period, "GFS", form)
         for source in SERVICES:
             for draw in DRAWS:
                 yield Case(roof, period, source, IDEAL, draw=draw)
@@ -96,17 +97,17 @@ def cases(roof: str, period: Period) -> Iterator[Case]:
 
 
 def main() -> None:
-    """Make the runs, and print and draw their results."""
+    """Make the runs, and write and draw their results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("archives", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--periods", nargs="+", choices=list(PERIODS), default=list(PERIODS))
     parser.add_argument("--roofs", nargs="+", choices=list(ROOFS), default=list(ROOFS))
-    parser.add_argument("--tables", action="store_true", help="print tables of existing runs only")
+    parser.add_argument("--tables", action="store_true", help="use existing runs only")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         inputs = Inputs(arguments.archives, Path(scratch))
-        worth: list[Row] = []
+        made: list[Row] = []
         for roof, name in itertools.product(arguments.roofs, arguments.periods):
             period = PERIODS[name]
             results: Results = {}
@@ -118,19 +119,12 @@ def main() -> None:
                     write(case, inputs, file)
                     print(file, file=sys.stderr, flush=True)
                 results[case] = json.loads(file.read_text(encoding="utf-8"))
-            print(f"\n## {roof}, {period.words}")
-            for lines in (
-                of_period(results), by_halves(results, inputs.wet_weeks(period)),
-                of_ideal(results), present_hour(results), of_owner(results),
-            ):
-                print("", *lines, sep="\n", flush=True)
-            if period is not AUTUMN:
-                print("", *resolution(inputs, roof, period), sep="\n", flush=True)
-            draw(results, arguments.output / f"trust_{roof.split(',')[0]}_{name}.svg")
-            if period is SEASON and "," not in roof:
-                worth += rows(roof, results, inputs, arguments.output)
-        if worth:
-            write_worth(worth, arguments.output / "worth.csv")
+            made += rows(results, inputs, roof, period)
+            if "," not in roof:
+                draw(results, arguments.output / f"trust_{roof}_{name}.svg")
+                if Case(roof, SEASON, ONOFF_NAME) in results:
+                    made += least_possible(roof, results, inputs, arguments.output)
+    write_rows(made, arguments.output / "real_seasons.csv")
 
 
 if __name__ == "__main__":

@@ -158,6 +158,31 @@ class Inputs:
             issues.append(replace(dressed, rain=rain))
         return replace(archive, issues=tuple(issues))
 
+    def scaled(self, roof: str, source: str, period: Period, own_half: bool) -> Archive:
+        """Return an archive with the rain of each half of a period scaled to the gauge's.
+
+        The factor is of the half itself or of the other half. Issues outside the period have the
+        factor of the wetter half.
+        """
+        archive, factors = self.issued[source], self.factors(roof, source, period)
+        issues = []
+        for issue in archive.issues:
+            wet = self.is_wet(period, issue.issued)
+            factor = factors[wet is not False if own_half else not wet]
+            issues.append(replace(issue, rain=factor * issue.rain))
+        return replace(archive, issues=tuple(issues))
+
+    def factors(self, roof: str, source: str, period: Period) -> dict[bool, float]:
+        """Return the gauge's rain over the forecast's in the drier half (False) and in the wetter.
+
+        In sums over the length of a dressed forecast, of issues that do not reach into the other
+        half; gaps of the gauge of up to 12 h are bridged.
+        """
+        return {
+            wet: float(by.fell.sum() / by.forecast.sum())
+            for wet, by in self.by_half(roof, source, period).items()
+        }
+
     def by_half(self, roof: str, source: str, period: Period) -> dict[bool, Dressing]:
         """Return dressings by the drier half of a period (False) and by the wetter half (True)."""
         rain = self.record.precipitation

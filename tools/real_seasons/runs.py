@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 ONOFF = {"fraction": 0.05}
 ISSUED, DRESSED, CROSSED = "as issued", "dressed", "dressed by the other half"
 NESTED = "dressed by the other half with its own numbers"
+SCALED, SCALED_BY_ITSELF = "scaled by the other half", "scaled by its own half"
 IDEAL = "used ideally"
 PERFECT, ONOFF_NAME, NO_RAIN = "perfect", "on/off", "no rain"
 SOURCES = ("three", "placebo", "GEM", "KNMI", "GFS")
@@ -146,4 +147,7 @@ def _archive(case: Case, inputs: Inputs) -> Archive | None:
         return inputs.dressed(case.roof, case.source)
     if case.form in (CROSSED, NESTED):
         return inputs.crossed(case.roof, case.source, case.period, case.form == NESTED)
+    if case.form in (SCALED, SCALED_BY_ITSELF):
+        own_half = case.form == SCALED_BY_ITSELF
+        return inputs.scaled(case.roof, case.source, case.period, own_half)
     return inputs.issued[case.source]

@@ -1,24 +1,26 @@
-"""The tables of real seasons, in Markdown, with intervals from blocks of weeks."""
+"""What the runs of real seasons give, number by number, with intervals from blocks of weeks."""
 
 from __future__ import annotations
 
+import csv
 import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import timedelta
-from typing import Any, TypeAlias
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from real_seasons.inputs import BLOCK_WEEKS, Inputs, Period
+from real_seasons.inputs import AUTUMN, BLOCK_WEEKS, Inputs, Period
 from real_seasons.runs import (
     CROSSED,
     DRESSED,
-    IDEAL,
     ISSUED,
     NESTED,
     NO_RAIN,
     ONOFF_NAME,
     PERFECT,
+    SCALED_BY_ITSELF,
     SOURCES,
     Case,
 )
@@ -32,27 +34,57 @@ RESAMPLES = 2000
 # Length of the sums of forecasts (h).
 _SUM_H = 48
 
-# What an owner sees of a run: heading, format, and the weekly sums whose ratio it is.
+ALL = "all weeks"
+DRIER, WETTER = "drier half", "wetter half"
+OVER_ONOFF, OVER_NO_RAIN, GAINED = "over on/off", "over no rain", "gained"
+DEVIATION = "mean deviation (mm)"
+
+# What an owner sees of a run, and the weekly sums whose ratio it is.
 OWNERS = {
-    "mean deviation (mm)": ("{:.2f}", "total_deviation_m3", "deviated"),
-    "water stress (h)": ("{:.0f}", "stress_hours", ""),
-    "actual over potential evapotranspiration": ("{:.3f}", "evapotranspiration_m3", "asked"),
-    "pumped (m³)": ("{:.1f}", "pumped_m3", ""),
-    "of it drained": ("{:.2f}", "lost", "pumped_m3"),
-    "mains water (m³)": ("{:.1f}", "mains_m3", ""),
-    "rain kept": ("{:.2f}", "kept", "rain_roof_m3"),
+    DEVIATION: ("total_deviation_m3", "deviated"),
+    "water stress (h)": ("stress_hours", ""),
+    "actual over potential evapotranspiration": ("evapotranspiration_m3", "asked"),
+    "pumped (m³)": ("pumped_m3", ""),
+    "share of it drained": ("lost", "pumped_m3"),
+    "mains water (m³)": ("mains_m3", ""),
+    "rain kept": ("kept", "rain_roof_m3"),
 }
-STORMS = {"rain_kept_share_day": "rain kept of 10 mm in 24 h and more"}
+STORMS = {
+    "rain kept above 20 mm/h": "rain_kept_share_hour",
+    "rain kept above 10 mm in 24 h": "rain_kept_share_day",
+}
 
 
-def _weeks(results: Results) -> dict[Case, Array]:
-    return {case: np.array(result["weeks"]) for case, result in results.items()}
+class Row(NamedTuple):
+    """A number of a run, as a row of ``real_seasons.csv``.
+
+    Attributes:
+        roof: name of the roof.
+        period: when the run was.
+        weeks: which of its weeks count.
+        forecast: the source of its forecasts, or on/off.
+        form: how they were used.
+        measure: what the number is, with its unit.
+        value: the number.
+        low: lower end of its 95 % interval; None if it has none.
+        high: upper end.
+    """
+
+    roof: str
+    period: str
+    weeks: str
+    forecast: str
+    form: str
+    measure: str
+    value: float
+    low: float | None = None
+    high: float | None = None
 
 
-def _named(weeks: Mapping[Case, Array], source: str) -> Array:
-    """Return the weeks of a run without a service; NaN if the run has not been made."""
-    missing = np.full_like(next(iter(weeks.values())), np.nan)
-    return next((result for case, result in weeks.items() if case.source == source), missing)
+def write(rows: Iterable[Row], file: Path) -> None:
+    """Write rows, in all digits."""
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerows([Row._fields, *rows])
 
 
 def drawn_weeks(weeks: int) -> NDArray[np.intp]:
@@ -72,89 +104,83 @@ def interval(own: Array, other: Array) -> tuple[float, float, float]:
     return float(own.sum() / other.sum()), float(low), float(high)
 
 
-def ratio(own: Array, other: Array) -> str:
-    """Return the ratio and its interval as a cell."""
-    value, low, high = interval(own, other)
-    return f"{value:.3f} ({low:.3f} to {high:.3f})"
+def rows(results: Results, inputs: Inputs, roof: str, period: Period) -> Iterator[Row]:
+    """Yield the numbers of all runs of a period on a roof."""
+    weeks = {case: np.array(result["weeks"]) for case, result in results.items()}
+    yield from _compared({
+        case: own for case, own in weeks.items() if case.form not in (CROSSED, NESTED)
+    }, ALL, np.full(period.weeks, True))
+    if period is not AUTUMN:
+        yield from _of_owner({
+            case: result for case, result in results.items() if case.form in (ISSUED, DRESSED)
+        })
+    if any(case.form == CROSSED for case in weeks):
+        wet = inputs.wet_weeks(period)
+        for words, chosen in ((DRIER, ~wet), (WETTER, wet)):
+            yield from _compared({
+                case: own for case, own in weeks.items() if case.form in (ISSUED, CROSSED, NESTED)
+            }, words, chosen)
+    yield from _present_hour(weeks)
+    if roof == "measured" and period is not AUTUMN:
+        yield from _known(inputs, roof, period)
+    for case in results:
+        if case.form == SCALED_BY_ITSELF:
+            for wet, factor in inputs.factors(roof, case.source, period).items():
+                yield _row(case, WETTER if wet else DRIER, "factor", factor)
 
 
-def gained(own: Array, dry: Array, perfect: Array) -> str:
-    """Return the share of what perfect forecasts gain over no rain that a forecast gains."""
-    gain, most = dry - own, dry - perfect
-    if np.isnan(gain.sum() + most.sum()):
-        return ""
-    drawn = drawn_weeks(len(own))
-    shares = gain[drawn].sum(axis=1) / most[drawn].sum(axis=1)
-    low, high = 100 * np.percentile(shares, [2.5, 97.5])
-    return f"{100 * gain.sum() / most.sum():.0f} % ({low:.0f} to {high:.0f})"
+def _row(case: Case, weeks: str, measure: str, *numbers: float) -> Row:
+    """Return a number of a case as a row."""
+    words = [case.form] if case.hour else ["the hour as forecast"]
+    words += [f"draw {case.draw}"] if case.draw else []
+    trusts = case.trusts or case.source not in SOURCES
+    return Row(
+        case.roof, case.period.words, weeks,
+        case.source if trusts else f"{case.source}, trusted in full", ", ".join(words), measure,
+        *numbers,
+    )
 
 
-def _head(cells: Sequence[str]) -> Iterator[str]:
-    yield f"| {' | '.join(cells)} |"
-    yield "|" + "---|" * len(cells)
+def _compared(weeks: Mapping[Case, Array], words: str, chosen: NDArray[np.bool_]) -> Iterator[Row]:
+    """Yield each run's deviation over on/off's and over that without rain, and what it gains.
 
-
-def _rows(weeks: Mapping[Case, Array], columns: Sequence[str], chosen: Any) -> Iterator[str]:
-    """Yield a row for each source, with columns for each form of its forecasts.
+    What it gains is the share of the gain that perfect forecasts have over a forecast of no rain.
 
     Args:
-        weeks: of all runs.
-        columns: forms of forecasts.
-        chosen: which weeks to include.
+        weeks: deviation in each week (m3).
+        words: name of the chosen weeks.
+        chosen: which weeks count.
     """
-    onoff, dry, perfect = (
-        _named(weeks, source)[chosen] for source in (ONOFF_NAME, NO_RAIN, PERFECT)
-    )
-    yield f"on/off {onoff.sum():.0f} m³; over it: no rain {ratio(dry, onoff)}; " + (
-        f"perfect {ratio(perfect, onoff)}"
-    )
-    yield ""
-    heads = [
-        f"{form.removeprefix(f'{CROSSED} ')}: {what}"
-        for form in columns for what in ("over on/off", "over no rain", "gained")
-    ]
-    yield from _head(["forecast", *heads])
-    for source, trusts in dict.fromkeys((case.source, case.trusts) for case in weeks):
-        if source not in SOURCES:
+    named = {case.source: own[chosen] for case, own in weeks.items()}
+    onoff, dry, perfect = (named.get(source) for source in (ONOFF_NAME, NO_RAIN, PERFECT))
+    for case, own in weeks.items():
+        if onoff is not None:
+            yield _row(case, words, OVER_ONOFF, *interval(own[chosen], onoff))
+        if case.source in (ONOFF_NAME, NO_RAIN) or dry is None:
             continue
-        cells = [source if trusts else f"{source}, trusted in full"]
-        for form in columns:
-            own = next((
-                result[chosen] for case, result in weeks.items()
-                if (case.source, case.form, case.trusts, case.hour) == (source, form, trusts, True)
-            ), None)
-            cells += [""] * 3 if own is None else [
-                ratio(own, onoff), ratio(own, dry), gained(own, dry, perfect)
-            ]
-        yield f"| {' | '.join(cells)} |"
+        yield _row(case, words, OVER_NO_RAIN, *interval(own[chosen], dry))
+        if perfect is not None and case.source != PERFECT:
+            yield _row(case, words, GAINED, *interval(dry - own[chosen], dry - perfect))
 
 
-def of_period(results: Results) -> Iterator[str]:
-    """Yield the table of all weeks."""
-    if any(case.source == ONOFF_NAME for case in results):
-        yield from _rows(_weeks(results), (ISSUED, DRESSED), slice(None))
+def _present_hour(weeks: Mapping[Case, Array]) -> Iterator[Row]:
+    """Yield the cost of not knowing the present hour to its end."""
+    for case, own in weeks.items():
+        if not case.hour:
+            known = next(
+                result for other, result in weeks.items()
+                if other.hour and (other.source, other.form) == (case.source, case.form)
+            )
+            yield _row(case, ALL, "over the hour known", *interval(own, known))
 
 
-def by_halves(results: Results, wet: NDArray[np.bool_]) -> Iterator[str]:
-    """Yield the table of each half, with forecasts dressed by the other half."""
-    weeks = _weeks(results)
-    forms = [form for form in (CROSSED, NESTED) if any(case.form == form for case in weeks)]
-    if forms:
-        for words, chosen in (("fit on dry, judged on wet", wet), ("fit on wet, dry", ~wet)):
-            yield f"\n{words}, {chosen.sum()} weeks: "
-            yield from _rows(weeks, (ISSUED, *forms), chosen)
-
-
-def resolution(inputs: Inputs, roof: str, period: Period) -> Iterator[str]:
+def _known(inputs: Inputs, roof: str, period: Period) -> Iterator[Row]:
     """Yield the share of the rain's variance that each service forecasts, in sums over two days.
 
     It is the squared correlation of the members' mean with the gauge. The bias is forecast over
     measured rain.
     """
-    halves = {period.words: (False, True), "drier half": (False,), "wetter half": (True,)}
-    yield from _head([
-        "forecast", *(f"{words}: {what}" for words in halves for what in ("r²", "bias"))
-    ])
+    halves = {ALL: (False, True), DRIER: (False,), WETTER: (True,)}
     end = period.start + timedelta(hours=period.hours)
     for source in SOURCES:
         for form, archive in (
@@ -166,60 +192,27 @@ def resolution(inputs: Inputs, roof: str, period: Period) -> Iterator[str]:
                 for issue in archive.issues
                 if period.start <= issue.issued < end and issue.hours >= _SUM_H
             ]
-            cells = [f"{source}, {form}"]
-            for chosen in halves.values():
+            case = Case(roof, period, source, form)
+            for words, chosen in halves.items():
                 said, fell = np.array([
                     row[1:] for row in sums if row[0] in chosen and not np.isnan(row[2])
                 ]).T
-                cells += [
-                    f"{np.corrcoef(said, fell)[0, 1] ** 2:.2f}", f"{said.sum() / fell.sum():.2f}"
-                ]
-            yield f"| {' | '.join(cells)} |"
+                yield _row(case, words, "r²", float(np.corrcoef(said, fell)[0, 1] ** 2))
+                yield _row(case, words, "bias", float(said.sum() / fell.sum()))
 
 
-def of_ideal(results: Results) -> Iterator[str]:
-    """Yield the table of what the best use of each service gains, beside what it gains."""
-    weeks = _weeks(results)
-    ideal = [case for case in weeks if case.form == IDEAL]
-    if not ideal:
-        return
-    dry, perfect = (_named(weeks, source) for source in (NO_RAIN, PERFECT))
-    draws = dict.fromkeys(case.draw for case in ideal)
-    yield from _head(["forecast", ISSUED, DRESSED, *(f"{IDEAL}, draw {draw}" for draw in draws)])
-    for source in dict.fromkeys(case.source for case in ideal):
-        shown = [
-            case for form in (ISSUED, DRESSED, IDEAL) for case in weeks
-            if (case.source, case.form, case.trusts, case.hour) == (source, form, True, True)
-        ]
-        yield f"| {source} | {' | '.join(gained(weeks[case], dry, perfect) for case in shown)} |"
-
-
-def present_hour(results: Results) -> Iterator[str]:
-    """Yield the cost of not knowing the present hour to its end."""
-    weeks = _weeks(results)
-    for case, own in weeks.items():
-        if not case.hour:
-            known = next(
-                result for other, result in weeks.items()
-                if other.hour and (other.source, other.form) == (case.source, case.form)
-            )
-            yield f"- {case.name}: {ratio(own, known)} of the run that knows it"
-
-
-def of_owner(results: Results) -> Iterator[str]:
-    """Yield the table of what an owner sees, with intervals from blocks of weeks."""
-    yield from _head(["forecast", *OWNERS, *STORMS.values()])
+def _of_owner(results: Results) -> Iterator[Row]:
+    """Yield what an owner sees, with intervals from blocks of weeks; storms have none."""
     for case, result in results.items():
-        if case.form in (IDEAL, NESTED):
-            continue
         sums = _weekly_sums(result)
-        cells = []
-        for form, above, below in OWNERS.values():
+        for measure, (above, below) in OWNERS.items():
             weeks = len(sums[above])
             other = sums[below] if below else np.full(weeks, 1 / weeks)
-            cells.append("{} ({} to {})".format(*map(form.format, interval(sums[above], other))))
-        cells += [f"{result['metrics'][name]:.2f}" for name in STORMS]
-        yield f"| {case.name} | {' | '.join(cells)} |"
+            if not other[drawn_weeks(weeks)].sum(axis=1).all():
+                continue  # nothing is pumped in most weeks of the paper's roof
+            yield _row(case, ALL, measure, *interval(sums[above], other))
+        for measure, name in STORMS.items():
+            yield _row(case, ALL, measure, result["metrics"][name])
 
 
 def _weekly_sums(result: dict[str, Any]) -> dict[str, Array]:

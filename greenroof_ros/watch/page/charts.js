@@ -6,6 +6,7 @@ const { uPlot } = window;
 const HOUR = 3600_000;
 const AHEAD = 12; // hours
 const AXIS = 64; // width of an axis and its title (px), the same for all charts: their times line up
+const TOP = 10; // px above the plot, for the upper half of the axis's highest number
 const FEWEST = 60_000; // ms: the least that a zoom shows
 
 // The lines of each chart, by the names of the series. They are on the axis of the line 'shown'; lines
@@ -213,7 +214,7 @@ export class Charts {
     const range = (name) => () => view.ranges[name] ?? [0, 1];
     return {
       width: frame.clientWidth, height: chart.height, ms: 1, legend: { show: false }, series, bands,
-      padding: [6, chart.right ? 0 : AXIS, 0, 0],
+      padding: [TOP, chart.right ? 0 : AXIS, 0, 0],
       tzDate: (at) => uPlot.tzDate(new Date(at), "Etc/UTC"),
       scales: { x: { range: range("x") }, left: { range: range("left") }, right: { range: range("right") } },
       axes: [
@@ -232,7 +233,7 @@ export class Charts {
       },
       hooks: {
         drawClear: [(plot) => this.drawBehind(plot, view)],
-        draw: [(plot) => this.drawMarks(plot, view)],
+        drawAxes: [(plot) => this.drawMarks(plot, view)],
         setSelect: [(plot) => {
           const { left, width } = plot.select;
           if (width < 1) return;
@@ -256,7 +257,7 @@ export class Charts {
     ctx.fillRect(bbox.left, top, bbox.width, bottom - top);
   }
 
-  // The present time, and the references with their words.
+  // The present time, and the references with their words, behind the series: no value is hidden.
   drawMarks(plot, { marks }) {
     const { ctx, bbox } = plot;
     const ratio = devicePixelRatio;
@@ -275,11 +276,20 @@ export class Charts {
     ctx.lineWidth = ratio;
     ctx.font = `${12 * ratio}px Arial, Helvetica, sans-serif`;
     ctx.textAlign = "left";
+    ctx.lineJoin = "round";
     for (const { v, inside, above, text } of marks) {
       const y = plot.valToPos(v, "left", true);
       if (inside) line(bbox.left, y, bbox.left + bbox.width, y, [3 * ratio, 2 * ratio]);
       ctx.textBaseline = above ? "top" : "bottom";
-      ctx.fillText(text, bbox.left + 4 * ratio, y + (above ? 3 : -2) * ratio);
+      // Neither the grid nor the line of the present time crosses the words.
+      const place = [text, bbox.left + 4 * ratio, y + (above ? 3 : -2) * ratio];
+      ctx.save();
+      ctx.setLineDash([]);
+      ctx.lineWidth = 4 * ratio;
+      ctx.strokeStyle = colour("--card");
+      ctx.strokeText(...place);
+      ctx.restore();
+      ctx.fillText(...place);
     }
     ctx.restore();
   }
@@ -370,7 +380,7 @@ export class Charts {
       view.band = chart.band && known.band ? known.band.map((level) => level * factor) : [];
       const left = this.range(chart, false, seen, [...named.map(({ value }) => value), ...view.band]);
       view.ranges = { x: seen, left, right: chart.right && this.range(chart, true, seen, []) };
-      view.marks = placed(named, unit, ...left, chart.height - 30);
+      view.marks = placed(named, unit, ...left, chart.height - 24 - TOP);
       for (const entry of head.querySelectorAll("[data-line]")) {
         const line = chart.lines.find(({ name }) => name === entry.dataset.line);
         entry.hidden = !line ? !view.band.length

@@ -128,9 +128,10 @@ const fillGauge = (gauge, data) => {
       const side = sides[i];
       const mark = element("div", `mark ${side}`);
       mark.style.left = percent(at);
-      const text = element("div", `text ${side}`, label);
-      if (share(at) < 0.5) text.style.left = `min(${percent(at)}, 60%)`;
-      else text.style.right = `${100 * (1 - share(at))}%`;
+      // The words begin at their mark, or end there in the right half; they move if they do not fit.
+      const right = share(at) >= 0.5;
+      const text = element("div", `text ${side} ${right ? "right" : ""}`, label);
+      text.style.setProperty("--space", right ? `${100 * (1 - share(at))}%` : percent(at));
       gauge.append(mark, text);
     });
   }
