@@ -19,6 +19,7 @@ from paper import PAPER_SITE
 from refusals import refusal
 
 from greenroof_ros.formats.reading import read_archive
+from greenroof_ros.study.grid import read_grid
 
 TORONTO = replace(PAPER_SITE, latitude=43.63, longitude=-79.40)
 # A rotated grid of 2.5 km about the site; its point [1, 2] is the nearest.
@@ -215,3 +216,20 @@ def test_members_that_are_missing(tmp_path: Path) -> None:
     refusal(read_archive, tmp_path, TORONTO, match="member 1 has 3, member 0 has 5")
     write(tmp_path / "2021070800_001.nc", product="GEPS")
     refusal(read_archive, tmp_path, TORONTO, match=r"001.nc: must be of REPS, as 2021070800_")
+
+
+def test_a_study_carries_a_file_in_the_own_format(tmp_path: Path) -> None:
+    """CaSPAr's file has its issue in its name, which a study may change."""
+    write(tmp_path / "2021070706.nc")
+    grid = tmp_path / "grid.yaml"
+    grid.write_text(
+        "site: site.yaml\nweather:\n"
+        "  - {file: weather/toronto_2021-07.csv, start: 2021-07-07T10:00-05:00, hours: 1}\n"
+        "initial: low-low\ncontrollers: {anticipating_onoff: {}}\nforecast: 2021070706.nc\n"
+    )
+    (case,) = read_grid(grid)
+    carried = tmp_path / "carried.csv"
+    carried.write_bytes(case.forecast_files["file"].content)
+    (issue,) = read_archive(carried, TORONTO).issues
+    assert (issue.issued.isoformat(), case.forecast.delay) == ("2021-07-07T06:00:00+00:00", 5.0)
+    assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-4)

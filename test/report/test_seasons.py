@@ -161,6 +161,9 @@ def test_means_by_hand(tmp_path: Path) -> None:
         3 / 8 * (200 + 190 + 180 + 180 + 0.4 * 170) / 4.4
     )
     assert not report.single
+    # Only a run that is a case of its own lacks its trajectory.
+    notes = [note.text for run in report.runs.values() for note in run.notes]
+    assert not any(text.startswith("no trajectory") for text in notes)
     text = page_of(report)
     for expected in (
         "Means of a season", "2015 to 2025", "11 of 11", "errors skill real", ">25.0<",
