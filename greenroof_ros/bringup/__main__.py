@@ -6,17 +6,17 @@ Simulated: :mod:`greenroof_ros.bringup.simulated`; with a drive in the loop, als
 
 from __future__ import annotations
 
-import argparse
 import sys
 
 from greenroof_ros.bringup import live, simulated
+from greenroof_ros.common.command_line import Parser
 
 make_parser = simulated.make_parser
 
 
 def main() -> int:
     """Start the graph, watch it, and end it; ``--plant external`` is ``greenroof live``."""
-    parser = argparse.ArgumentParser(prog="greenroof run", add_help=False, allow_abbrev=False)
+    parser = Parser(prog="greenroof run", add_help=False)
     parser.add_argument("--plant", choices=["internal", "external"])
     arguments, sys.argv[1:] = parser.parse_known_args()
     return live.main() if arguments.plant == "external" else simulated.main()

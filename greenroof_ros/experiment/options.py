@@ -98,7 +98,7 @@ def add_controller_arguments(
         "(default: %(default)s)",
     )
     # Its parameters are options, so its name is needed before the rest is parsed.
-    name = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    name = Parser(add_help=False, exit_on_error=False)
     name.add_argument("--controller", nargs="?", default=DEFAULT)
     controller = find_controller(name.parse_known_args(arguments)[0].controller or DEFAULT)
     options = ", ".join(_option(parameter) for parameter in controller.parameters)

@@ -516,7 +516,11 @@ def read_site(path: Path) -> Site:
 
 
 def _of_clock(name: str, value: Any) -> tuple[str, ...] | str:
-    """Return the value of ``quiet_hours`` or ``time_zone``; it raises many errors if invalid."""
+    """Return the value of ``quiet_hours`` or ``time_zone``.
+
+    Raises:
+        TypeError, OSError, ValueError, KeyError: it is invalid.
+    """
     if name == _ZONE and isinstance(value, str):
         return ZoneInfo(value).key
     if name == _ZONE or not isinstance(value, list):
