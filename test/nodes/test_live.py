@@ -353,6 +353,8 @@ def test_no_command_of_what_was_before_a_suspend(
     with site.live("controller --controller onoff", recovery_time=1.0):
         for when in ("suspended", "suspended_in_a_decision"):
             site.until(lambda: newest(commands), LATE, "a command")
+            # Its diagnostics must be received before it is paused: discovery can take seconds.
+            site.until(site.says("/onoff: inputs", OK), LATE, "all well")
             site.said.clear()
             (site.cwd / when).touch()
             site.until(lambda: newest(commands) == 0.0, LATE, "no command")
