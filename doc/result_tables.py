@@ -252,37 +252,26 @@ def _interval(mark: Mark) -> str:
     return f"{mark.value:.3f} ({mark.low:.3f} to {mark.high:.3f})"
 
 
-def _with_mm(row: Row, ratio: str, share: float = 1.0) -> str:
-    """Return a ratio after the mean deviation (mm), or a share of it, if the file has that."""
-    mm = row["mean_deviation_mm"]
-    return f"{share * float(mm):.2f} mm, {ratio}" if mm else ratio
-
-
 def seasons() -> Result:
     """Return the controllers over whole seasons on both roofs."""
     roofs = list(_ROOFS.values())
-    rows = [*read("lookahead"), *read("seasons")]
     marks: dict[tuple[str, str], Mark] = {}
     cells: dict[tuple[str, str], str] = {}
-    for row in sorted(rows, key=lambda row: float(row["over_onoff"])):
-        level, horizon = row.get("parameter:level") or "1.0", row["parameter:horizon"]
+    for row in sorted(read("seasons"), key=lambda row: float(row["over_onoff"])):
+        level = row["parameter:level"] or "1.0"
         name = _setting(row)
         name += f", level {level}" if level != "1.0" else ""
-        if horizon and row["forecast"] == "perfect":
-            name += f", perfect{' 240 h' if horizon == '240.0' else ''}"
+        name += ", perfect" if row["parameter:horizon"] and row["forecast"] == "perfect" else ""
         name += ", no skill" if row["forecast_skill"] == "none" else ""
         case = _roof(row), name
         marks[case] = _ratio(*case, row)
         if row["over_onoff"] != "1.0":
-            cells[case] = _with_mm(row, _interval(marks[case]))
+            cells[case] = f"{_mm(row):.2f} mm, {_interval(marks[case])}"
             continue
-        # On/off is in both tables; the second also has the least possible.
-        if case not in cells:
-            cells[case] = f"{_mm(row):.2f} mm"
-        if row.get("over_least"):
-            least = 1.0 / float(row["over_least"])
-            marks[case[0], LEAST] = Mark(case[0], LEAST, LEAST, least)
-            cells[case[0], LEAST] = _with_mm(row, f"{least:.3f}", least)
+        cells[case] = f"{_mm(row):.2f} mm"
+        least = 1.0 / float(row["over_least"])
+        marks[case[0], LEAST] = Mark(case[0], LEAST, LEAST, least)
+        cells[case[0], LEAST] = f"{least * _mm(row):.2f} mm, {least:.3f}"
     figure = Figure(
         "By controller", _RATIO,
         tuple(sorted(marks.values(), key=lambda mark: roofs.index(mark.panel))), 2, ratio=True,
@@ -309,7 +298,9 @@ def horizons() -> Result:
 
     def cells(mark: Mark) -> tuple[str, str]:
         errors, perfect = (rows[mark.panel, mark.row, perfect] for perfect in (False, True))
-        return _with_mm(errors, _interval(mark)), _with_mm(perfect, f"{mark.beside:.3f}")
+        return (
+            f"{_mm(errors):.2f} mm, {_interval(mark)}", f"{_mm(perfect):.2f} mm, {mark.beside:.3f}"
+        )
 
     heads = [text for roof in _ROOFS.values() for text in (roof, "perfect")]
     return Result(("`horizon`", *heads), _by_row(figure, cells), figure)
@@ -356,7 +347,7 @@ _ISSUED = {
 def choices() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return the table that helps choose: deviations over on/off's, generated and issued."""
     cells: dict[str, dict[str, str]] = {}
-    for row in [*read("seasons"), *read("lookahead")]:
+    for row in read("seasons"):
         name = _GENERATED.get((row["controller"], row["forecast_skill"]))
         if name is not None:
             cells.setdefault(name, {})[_roof(row)] = _interval(_ratio("", "", row))

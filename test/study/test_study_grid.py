@@ -149,13 +149,11 @@ def test_window_of_several_files(tmp_path: Path) -> None:
 
 # For each grid of years: sites, ticks (s), and runs of a year.
 YEARS = {
-    # On each roof two on/off, mpc and a perfect forecast; ten seeds on the paper's roof, three on
-    # the measured one.
-    "seasons.yaml": (2, {10}, (2 + 1 + 1 + 10) + (2 + 1 + 1 + 3)),
-    "lookahead.yaml": (2, {60}, 2 * (1 + 5)),
+    # On each roof two on/off, mpc, and two controllers with five forecasts.
+    "seasons.yaml": (2, {60}, 2 * (2 + 1 + 2 * 5)),
     "horizons.yaml": (2, {60}, 2 * (1 + 5 * (3 + 1))),
     "sizing.yaml": (18, {60}, 2 * 18),
-    "ticks.yaml": (4, {1, 10}, 4 * 4),
+    "ticks.yaml": (4, {1, 60}, 4 * 4),
 }
 GRIDS = {path.name: path for path in (CONFIG / "studies").iterdir()}
 

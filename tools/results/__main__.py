@@ -7,8 +7,6 @@ reduced to ``doc/results/NAME.csv``; ``python doc/generate.py`` makes the page's
 A table of runs has a row for each run, in all digits: what differs between the runs, and their
 deviation. A table of seeds or seasons has a row for each controller, over all of them. The studies
 of seasons take hours, and need the records of ``doc/running/seasons.md`` in ``--weather DIR``.
-Until they are run again, the files of seasons and horizons have the few digits of earlier
-tables, and of seasons only ``lookahead`` has mm.
 """
 
 from __future__ import annotations
@@ -34,12 +32,11 @@ TABLES: dict[str, tuple[Path, Callable[[Path], Rows]]] = {
     "useless_forecasts": (_CONFIG / "useless_forecasts.yaml", runs),
     "robustness": (_CONFIG / "robustness.yaml", runs),
     "month": (_HERE / "month.yaml", runs),
-    "lookahead": (_CONFIG / "lookahead.yaml", seasons),
     "seasons": (_CONFIG / "seasons.yaml", seasons),
     "horizons": (_CONFIG / "horizons.yaml", seasons),
     "sizing": (_CONFIG / "sizing.yaml", sizes),
 }
-OF_YEARS = ("lookahead", "seasons", "horizons", "sizing")
+OF_YEARS = ("seasons", "horizons", "sizing")
 
 
 def make(name: str, weather: Sequence[str]) -> None:
