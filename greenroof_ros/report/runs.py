@@ -206,7 +206,6 @@ def read_results(file: Path) -> pl.DataFrame:
     numbers = table.with_columns(pl.col(names).cast(pl.Float64, strict=False))
     outside = pl.col("run").is_null() | pl.col("run").str.contains("/|^[.]*$")
     done = pl.col("status") == "done"
-    weeks = table["weekly_deviation_m3"] if "weekly_deviation_m3" in table.columns else []
     for key, wrong, expected in (
         ("run", outside, "the name of a directory under runs/"),
         ("status", ~pl.col("status").fill_null("").is_in(_STATUS), "done, failed or not run"),
@@ -218,7 +217,8 @@ def read_results(file: Path) -> pl.DataFrame:
         ("total_deviation_m3", pl.lit(numbers["total_deviation_m3"] < 0), "0 or more"),
         ("start", _unreadable(datetime.fromisoformat, table["start"]),
          "a time such as 2021-07-07T02:00:00-05:00"),
-        ("weekly_deviation_m3", _unreadable(_weeks, weeks), "numbers with spaces between"),
+        ("weekly_deviation_m3", _unreadable(_weeks, table.to_dict().get("weekly_deviation_m3", ())),
+         "numbers with spaces between"),
     ):
         for place in table.select(wrong.arg_true()).to_series():
             before = "".join(cell or "" for row in table[:place].rows() for cell in row)
