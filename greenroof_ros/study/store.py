@@ -122,7 +122,7 @@ class Store:
         self._held: TextIO = (self.directory / _LOCK).open("w")
         try:
             fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             raise ConfigurationError(
                 "is in use by another process", key="--output", value=str(self.directory)
             ) from None
