@@ -202,8 +202,8 @@ _BESIDE_S = 1800
 # the soil can hold. The measured roofs had no runoff from 44 mm in four weeks.
 _LEAVES_SOME = 80.0
 # The measured roofs are not watered: they dry out, and bounds allow for evaporation meanwhile. A
-# roof that was watered within a week evaporates at the full rate, at most 1.3 times the rate of the
-# reference grass (FAO-56, Eq. 72: 1.05 to 1.3).
+# watered roof evaporates at the full rate, at most 1.3 times the rate of the reference grass
+# (FAO-56, Eq. 72: 1.05 to 1.3).
 _WATERED_S, _FULL_RATE = 7 * DAY_S, 1.3
 
 
@@ -220,13 +220,12 @@ def _watered(record: Record) -> Steps:
 def _to_hold(record: Record, site: Site) -> Values:
     """Return the gain of a roof without runoff up to each step (mm), shape (steps + 1,).
 
-    A dry roof must be able to hold the greatest rise of this gain. While a roof is watered,
+    A dry roof must be able to hold the greatest rise of this gain. From a roof with a pump,
     evapotranspiration is subtracted at its full rate, because a good controller pumps no more than
-    that.
+    that, and nothing while it rains often enough.
     """
-    rate = max(_FULL_RATE, site.crop_coefficient)
-    evaporated = np.where(_watered(record), rate * record.reference, 0.0)
-    return np.concatenate(([0.0], np.cumsum(record.came - evaporated)))
+    rate = max(_FULL_RATE, site.crop_coefficient) * bool(_watered(record).any())
+    return np.concatenate(([0.0], np.cumsum(record.came - rate * record.reference)))
 
 
 def _most_held(site: Site) -> float:

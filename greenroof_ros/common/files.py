@@ -144,7 +144,8 @@ def _nesting(text: str) -> int:
 def _compose(text: str) -> yaml.Node | None:
     """Parse YAML with libyaml; if that finds an error, with PyYAML, whose messages say more.
 
-    Libyaml is ten times as fast, and every process reads the interface when it starts.
+    Every process reads the interface when it starts. Libyaml is ten times as fast as PyYAML there,
+    and twenty times as fast as ruamel.yaml, which edits site files and keeps their comments.
     """
     try:
         return yaml.compose(text, Loader=_LibYaml)

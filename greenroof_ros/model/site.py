@@ -404,7 +404,7 @@ def _whole(path: Path) -> str:
     own_lines = [line for line in text.splitlines() if key(line) != _EXTENDS]
     further, copying = [f"# From {base}"], True
     for line in _whole(_base(path, base)).splitlines():
-        if not line[:1].isspace():  # otherwise it continues the line above
+        if not line.startswith((" ", "\t", "-", "#")):  # otherwise it continues the key above
             copying = key(line) not in mapping
         further += [line] * copying
     return "\n".join([*own_lines, "", *further, ""])

@@ -152,7 +152,8 @@ def _ratio(ratios: Array, years: int) -> Ratio:
 
     This is the correction of the expanded percentile interval: Hesterberg (2015), What Teachers
     Should Know About the Bootstrap, The American Statistician 69(4), 371-386. He uses percentiles
-    further out instead, which do not exist for four years.
+    further out instead, which do not exist for four years. A ratio cannot be negative: a lower end
+    below 0 is 0.
 
     Args:
         ratios: of the original years, then of each resample.
@@ -163,6 +164,5 @@ def _ratio(ratios: Array, years: int) -> Ratio:
     value = ratios[0]
     low, high = np.percentile(ratios[1:], [2.5, 97.5])
     wider = stdtrit(years - 1, 0.975) / ndtri(0.975) * np.sqrt(years / (years - 1))
-    return Ratio(
-        float(value), float(value + wider * (low - value)), float(value + wider * (high - value))
-    )
+    low, high = value + wider * (low - value), value + wider * (high - value)
+    return Ratio(float(value), float(max(0.0, low)), float(high))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cache, partial
@@ -205,11 +205,20 @@ def read_results(file: Path) -> pl.DataFrame:
     names = [column for column in _NUMBERS if column in table.columns]
     numbers = table.with_columns(pl.col(names).cast(pl.Float64, strict=False))
     outside = pl.col("run").is_null() | pl.col("run").str.contains("/|^[.]*$")
+    done = pl.col("status") == "done"
     for key, wrong, expected in (
         ("run", outside, "the name of a directory under runs/"),
         ("status", ~pl.col("status").fill_null("").is_in(_STATUS), "done, failed or not run"),
-        *((name, pl.col(name).is_not_null() & numbers[name].is_null(), "a number")
-          for name in names),
+        *((name, done & pl.col(name).is_null(), "given, because the run is done")
+          for name in _NEEDED if name != "error"),
+        *((name, pl.col(name).is_not_null() & ~numbers[name].is_finite().fill_null(False),
+           "a number") for name in names),
+        ("hours", pl.lit(numbers["hours"] <= 0), "more than 0"),
+        ("total_deviation_m3", pl.lit(numbers["total_deviation_m3"] < 0), "0 or more"),
+        ("start", _unreadable(datetime.fromisoformat, table["start"]),
+         "a time such as 2021-07-07T02:00:00-05:00"),
+        ("weekly_deviation_m3", _unreadable(_weeks, table.to_dict().get("weekly_deviation_m3", ())),
+         "numbers with spaces between"),
     ):
         for place in table.select(wrong.arg_true()).to_series():
             before = "".join(cell or "" for row in table[:place].rows() for cell in row)
@@ -219,6 +228,22 @@ def read_results(file: Path) -> pl.DataFrame:
             )
     volumes = pl.col("hours", "cistern_m3", "roof_m3").fill_null(0.0)
     return numbers.with_columns(volumes)
+
+
+def _unreadable(read: Callable[[str], object], cells: Iterable[str | None]) -> pl.Expr:
+    """Mark the cells that are neither empty nor readable."""
+    marks = []
+    for cell in cells:
+        try:
+            marks.append(cell is not None and not read(cell))
+        except ValueError:
+            marks.append(True)
+    return pl.lit(pl.Series(marks, dtype=pl.Boolean))
+
+
+def _weeks(text: str) -> list[float]:
+    """Return the deviation of each week (m3) in a cell of ``weekly_deviation_m3``."""
+    return [float(week) for week in text.split()]
 
 
 def _failed(row: Row, given: dict[str, float | str]) -> Row:
@@ -240,11 +265,10 @@ def _season(row: Row) -> Row:
 
     A season is the year, the date and time of its start, and the deviation of each whole week (m3).
     """
-    try:
-        start = datetime.fromisoformat(row["start"])
-        weeks = [float(week) for week in (row.get("weekly_deviation_m3") or "").split()]
-    except ValueError:
+    if row["start"] is None:  # of a run that failed
         return {}
+    start = datetime.fromisoformat(row["start"])
+    weeks = _weeks(row.get("weekly_deviation_m3") or "")
     whole = int(row["hours"] // 168)
     season = {"year": start.year, "begins": f"{start:%d %B %H:%M}", "season": weeks[:whole]}
     return {"start": to_people(start), **(season if 0 < whole <= len(weeks) else {})}

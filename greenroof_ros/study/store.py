@@ -87,7 +87,7 @@ class Store:
         for case in cases:
             content = _read(self._runs / case.identity / _OUTCOME)
             with suppress(KeyError, TypeError):
-                self.outcomes[case.identity] = Outcome(content["results"], content["timings"], {})
+                self.outcomes[case.identity] = Outcome({**content["results"]}, {**content["timings"]}, {})
         bounds = _read(self._bounds)
         self.bounds: dict[str, float] = bounds if isinstance(bounds, dict) else {}
 
@@ -122,7 +122,7 @@ class Store:
         self._held: TextIO = (self.directory / _LOCK).open("w")
         try:
             fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             raise ConfigurationError(
                 "is in use by another process", key="--output", value=str(self.directory)
             ) from None

@@ -185,7 +185,7 @@ class Alarms:
                 self._alarms[name] = Alarm(trouble, now, trouble.at_least, wall=wall)
                 continue
             before = alarm.trouble
-            if before.gist and trouble.gist and before.gist != trouble.gist:
+            if trouble.gist and before.gist != trouble.gist:
                 self._note(f"{name}: {trouble.what}; before: {before.what}")
                 self._alarms[name] = Alarm(trouble, now, trouble.at_least, wall=wall)
             else:

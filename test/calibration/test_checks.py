@@ -168,6 +168,13 @@ def test_a_well_kept_roof_off_which_nothing_runs_is_right() -> None:
     assert record.came.sum() == pytest.approx(124.75)
     assert not record.runoff.any()
     assert check_record(record, TWIN) == []
+    # After one watering it rains enough: 121 mm in 60 days, in which 240 mm could evaporate.
+    rain = np.tile([2 / DAY] * DAY, 60)
+    rainy = a_record(
+        rain, month=7, runoff=np.zeros(60 * DAY), reference=2 * rain,
+        pumped=np.where(np.arange(60 * DAY) == 72, 1.0, 0.0),
+    )
+    assert "sensor-dead" not in [finding.code for finding in check_record(rainy, TWIN)]
 
 
 def test_a_flow_meter_that_shows_nothing_of_too_much_water_is_dead() -> None:

@@ -93,6 +93,10 @@ def test_ratios_and_what_is_said_of_them() -> None:
     assert over.worst_weeks.value == pytest.approx(1 + 30 * 2.2 / (200 + 190 + 0.2 * 180))
     over = over_onoff({year: total + (-1) ** year * 30 for year, total in ONOFF.items()})
     assert over.mean.verdict == CONTAINS_1 == "contains 1" and over.better == 6  # the odd years
+    # No interval of two years is narrow, but no deviation is below 0.
+    two = {2015: 1.0, 2016: 200.0}
+    over = compare(deviations(two), deviations(dict.fromkeys(two, 100.0)))
+    assert over is not None and over.mean.low == 0.0
     # If on/off never leaves its target, or for a single year, there is no ratio.
     assert compare(deviations(ONOFF), deviations(dict.fromkeys(YEARS, 0.0))) is None
     assert compare(deviations({2015: 1.0}), deviations(ONOFF)) is None

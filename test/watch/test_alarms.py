@@ -144,6 +144,13 @@ def test_two_faults_of_a_drive_are_two_alarms() -> None:
                 alarms.acknowledge(row["id"])
     told = "/pump: drive: reports a fault: 2320; before: reports a fault: 2310"
     assert happened(alarms).count(told) == 1
+    # Also if the drive was lost in between.
+    for at, what, code in (
+        (400, "no connection", "drive_lost"), (500, "reports a fault: 2330", "drive_fault"),
+    ):
+        alarms.hear(at, at, pump(("drive", ERROR, what, code)))
+    (row,) = (row for row in alarms.rows() if row["id"] == "/pump: drive")
+    assert (row["acknowledged"], row["since"]) == (False, 500)
 
 
 def test_what_is_over_is_kept_for_a_while() -> None:
