@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from brokers import mosquitto, needs_mosquitto
+from graphs import wait_for
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import Broker, make_client, parse_broker, parse_topic
 
 
-def until(condition: Callable[[], object], seconds: float = 10.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
+SOON_S = 10.0
 
 
 def test_an_address_names_broker_and_topic() -> None:
@@ -52,16 +47,16 @@ def test_a_client_connects_again_and_hears_nothing_of_before(tmp_path: Path) -> 
         )
         client.loop_start()
         try:
-            until(lambda: connected)
+            wait_for(lambda: connected, SOON_S, "a connection")
             client.publish("level", "1")
-            until(lambda: payloads)
+            wait_for(lambda: payloads, SOON_S, "a message")
             server.kill()
-            until(lambda: not client.is_connected())
+            wait_for(lambda: not client.is_connected(), SOON_S, "the end of the connection")
             client.publish("level", "2")
             server.start()
-            until(lambda: len(connected) > 1)
+            wait_for(lambda: len(connected) > 1, SOON_S, "another connection")
             client.publish("level", "3")
-            until(lambda: b"3" in payloads)
+            wait_for(lambda: b"3" in payloads, SOON_S, "another message")
         finally:
             client.disconnect()
             client.loop_stop()
@@ -78,7 +73,7 @@ def test_a_broker_that_lets_nobody_in_is_named(tmp_path: Path) -> None:
         )
         client.loop_start()
         try:
-            until(lambda: why)
+            wait_for(lambda: why, SOON_S, "the refusal")
         finally:
             client.disconnect()
             client.loop_stop()
