@@ -11,7 +11,6 @@ from graphs import wait_for
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import Broker, make_client, parse_broker, parse_topic
 
-
 SOON_S = 10.0
 
 

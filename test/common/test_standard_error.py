@@ -18,7 +18,7 @@ TOO_LONG_S = 60
 
 
 def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
-    """Lines come in order, and the oldest are dropped; as soon as somebody reads, output is complete again."""
+    """The oldest are dropped; as soon as somebody reads, output is complete and in order again."""
     with full_pipe() as (reading, writing):
         lines = Lines(writing)
         began = time.monotonic()
