@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 from places import CHECKOUT
+from refusals import refusal
 
 from greenroof_ros.common.disk import DiskThread, Kept
-from greenroof_ros.common.errors import ConfigurationError
 
 TOO_LONG_S = 60
 
@@ -54,8 +54,7 @@ def test_the_newest_waits_once_and_a_mistake_in_one_job_ends_no_other(
 def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path, content: str) -> None:
     file = tmp_path / "numbers.json"
     file.write_text(content)
-    with pytest.raises(ConfigurationError, match=r"numbers\.json"):
-        Kept(file).read()
+    refusal(Kept(file).read, match=r"numbers\.json")
 
 
 def test_a_disk_that_hangs_holds_nobody_up(tmp_path: Path) -> None:

@@ -135,20 +135,24 @@ def test_runs_by_lead(tmp_path: Path) -> None:
     assert [float(row["crps_mm"]) for row in rows] == [0.0, 0.0]
 
 
+def rain_of_july() -> list[float]:
+    """Return the rain of July's rows; a row's time is the end of its hour."""
+    return [float(row["Precip. Amount (mm)"]) for row in rows_of(JULY)]
+
+
 def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
     """A service's rain is of the hour before its time: its right forecasts score as right."""
-    rows = rows_of(JULY)
-    lines = ["issued,time,precipitation [mm/h]"]
-    for number, row in enumerate(rows[1:]):
-        local = datetime.strptime(f"{row['Date/Time (LST)']} -0500", "%Y-%m-%d %H:%M %z") - HOUR
-        issued = local - number % 24 * HOUR
-        lines.append(f"{issued.isoformat()},{local.isoformat()},{row['Precip. Amount (mm)']}")
-    (tmp_path / "right.csv").write_text("\n".join([*lines, ""]))
+    rain = rain_of_july()[1:]  # the first row's hour was before the records
+    first = datetime.fromisoformat("2021-07-01T00:00-05:00")
+    (tmp_path / "right.csv").write_text(write_forecasts([
+        Issue(first + hour * HOUR, tmp_path, None, np.array([rain[hour:hour + 24]]))
+        for hour in range(0, len(rain), 24)
+    ]))
     (hourly,) = scores(
         tmp_path, "right.csv", "--weather", str(JULY), "--sums", "1", "--events", "1",
         "--horizon", "24",
     )
-    assert int(hourly["n"]) == len(rows) - 1  # the first row's hour was before the records
+    assert int(hourly["n"]) == len(rain)
     got = [float(hourly[name]) for name in ("r", "bias", "pod", "far")]
     assert got == pytest.approx([1.0, 1.0, 1.0, 0.0])
 
@@ -177,7 +181,7 @@ def test_models_of_the_package(tmp_path: Path) -> None:
     assert [(row["sum_hours"], row["event_mm"]) for row in rows] == 2 * [
         ("1", "1"), ("6", "2"), ("12", "3")
     ]
-    rain = [float(row["Precip. Amount (mm)"]) for row in rows_of(JULY)]
+    rain = rain_of_july()
     pairs = [
         (rain[hour], rain[hour + lead])
         for hour in range(1, len(rain), 6) for lead in range(12) if hour + lead < len(rain)
