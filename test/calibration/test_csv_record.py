@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +12,8 @@ import pytest
 from refusals import refusal
 from twins import TWIN
 
-from greenroof_ros.calibration.csv_record import read_csv_record, steps_of_rows
+from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.record import Record
-from greenroof_ros.formats.records import Table
 from greenroof_ros.model.site import Site
 
 ROWS = 120
@@ -159,32 +158,27 @@ def test_wrong_files_are_refused(name: str, file: Path) -> None:
 # --- rows and steps -------------------------------------------------------------------------------
 
 
-def steps(since_first: np.ndarray) -> tuple[list[int], float]:
-    """Return the steps of rows at these times (s) since the first."""
-    times = since(datetime(2021, 4, 1, 0, 3, tzinfo=timezone.utc), since_first / 60)
-    texts = [time.isoformat() for time in times]
-    table = Table(Path("roof.csv"), ["time"], {"time": texts}, 1, range(2, len(times) + 2))
-    slots, step_s = steps_of_rows(table, times)
-    return slots.tolist(), step_s
-
-
 @pytest.mark.parametrize(
-    ("since_first", "message"),
+    ("minutes", "message"),
     [
-        (2 * 86400.0 * np.arange(120),
-         "line 3: time = '2021-04-03T00:03:00+00:00': the rows are 2 days apart; they must be "
-         "at most a day apart"),
-        (300.0 * np.concatenate((np.arange(60), np.arange(48, 120))),
-         "line 62: time = '2021-04-01T04:03:00+00:00': must be later than the time of the row "
-         "before"),
-        (np.cumsum(np.resize([300.0, 300.0, 420.0], 200)),
-         "line 4: time = '2021-04-01T00:20:00+00:00': must be 300 s after the row before, or a "
-         "whole number of such steps, not 420 s; 66 of 200 rows are like this"),
+        (2 * 1440 * np.arange(120),
+         "line 3: time = '2021-06-03T00:00': the rows are 2 days apart; they must be at most a day "
+         "apart"),
+        (5 * np.concatenate((np.arange(60), np.arange(48, 120))),
+         "line 62: time = '2021-06-01T04:00': must be later than the time of the row before"),
+        (np.cumsum(np.resize([5, 5, 7], 200)),
+         "line 4: time = '2021-06-01T00:17': must be 300 s after the row before, or a whole number "
+         "of such steps, not 420 s; 66 of 200 rows are like this"),
     ],
 )
-def test_rows_that_are_on_no_clock_are_refused(since_first: np.ndarray, message: str) -> None:
-    assert steps(86400.0 * np.arange(120)) == (list(range(120)), 86400.0)
-    assert message in refusal(steps, since_first)
+def test_rows_that_are_on_no_clock_are_refused(
+    minutes: np.ndarray, message: str, file: Path
+) -> None:
+    """Rows a day apart are on one."""
+    days = read(file, text_of(HEADER, "0,0,0,5,15", since(JUNE, 1440 * np.arange(120))))
+    assert (days.steps, days.step_s) == (120, 86400.0)
+    text = text_of(HEADER, "0,0,0,5,15", since(JUNE, minutes))
+    assert message in refusal(read, file, text)
 
 
 def test_two_rows_of_one_step_are_put_together(file: Path) -> None:

@@ -15,7 +15,6 @@ from greenroof_ros.calibration.record import (
     comparable,
     halve,
     in_months,
-    month_numbers,
     storms,
 )
 
@@ -80,5 +79,5 @@ def test_steps_of_months() -> None:
         assert steps.sum() == days * 24
         assert str(year.times[steps][0]) == f"{first}T00:00:00"
     for text in ("4", "0-3", "4-13", "april-october"):
-        refusal(month_numbers, text, match=f"^--months = '{text}': must be the first and")
+        refusal(in_months, year, text, match=f"^--months = '{text}': must be the first and")
     refusal(in_months, of_rain(20, {}), "6-10", match=r"^roof.csv: has no row in the months 6-10")

@@ -1,4 +1,4 @@
-"""Addresses of brokers and their topics, login, and a client that reconnects."""
+"""Addresses of brokers and their topics, and a client that reconnects."""
 
 from __future__ import annotations
 
@@ -21,15 +21,6 @@ def test_an_address_names_broker_and_topic() -> None:
         refusal(parse_broker, wrong, "broker", match=r"broker = .*: must be mqtt://HOST")
     for wrong in ("mqtt://h", "mqtt://h/", "mqtt://h/a/#", "mqtt://h/+/b"):
         refusal(parse_topic, wrong, "address", match=r"address = .*: must be mqtt://HOST")
-
-
-def test_a_login_that_is_wrong_names_file_and_key(tmp_path: Path) -> None:
-    login = tmp_path / "login.yaml"
-    login.write_text("username: roof\npassword: 12\n")
-    broker = parse_broker("mqtt://127.0.0.1", "broker", str(login))
-    refusal(
-        make_client, broker, "a", print, print, match=r"login\.yaml.*password: must be text"
-    )
 
 
 @needs_mosquitto
