@@ -54,19 +54,19 @@ HEADER = "time,precipitation [mm/h],made up evapotranspiration [mm/day]"
 ROW = "2021-07-07T03:00-05:00,0.2,3.4"
 
 
-def write(directory: Path, header: str, row: str) -> Path:
-    """Write a weather file of one hour, with a comment in line 1 and the header in line 2."""
-    path = directory / "weather.csv"
-    path.write_text(f"# Nowhere\n{header}\n{row}\n")
+def write(path: Path, header: str, *rows: str) -> Path:
+    """Write a weather file with a comment in line 1 and the header in line 2."""
+    path.write_text("\n".join(["# Nowhere", header, *rows, ""]))
     return path
 
 
 def test_columns_have_any_order(tmp_path: Path) -> None:
+    path = tmp_path / "weather.csv"
     header = "time, fao56 evapotranspiration [mm/day],dew point [degC],precipitation [mm/h]"
-    weather = read_weather([write(tmp_path, header, "2021-07-07T03:00Z,1.5,-3.5,0.25")], PAPER_SITE)
+    weather = read_weather([write(path, header, "2021-07-07T03:00Z,1.5,-3.5,0.25")], PAPER_SITE)
     assert (weather.precipitation.tolist(), weather.evapotranspiration.tolist()) == ([0.25], [1.5])
     assert weather.method == "fao56"
-    unnamed = read_weather([write(tmp_path, HEADER.replace("made up ", ""), ROW)], PAPER_SITE)
+    unnamed = read_weather([write(path, HEADER.replace("made up ", ""), ROW)], PAPER_SITE)
     assert unnamed.method == "unnamed"
 
 
@@ -83,13 +83,15 @@ def test_columns_have_any_order(tmp_path: Path) -> None:
 )
 def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
     """The error has file, line and cell, and what would be right."""
-    path = write(tmp_path, header, ",".join([*ROW.split(","), "1"][:header.count(",") + 1]))
+    row = ",".join([*ROW.split(","), "1"][:header.count(",") + 1])
+    path = write(tmp_path / "weather.csv", header, row)
     assert refusal(read_weather, [path], PAPER_SITE).startswith(f"{path}, line 2: {reason}")
 
 
 def test_a_rain_gauge_alone(tmp_path: Path) -> None:
     """Some need only rain, and an empty cell is a missing hour."""
-    path = write(tmp_path, HEADER[:25], "2021-07-07T03:00Z,3.0\n2021-07-07T04:00Z,")
+    header = "time,precipitation [mm/h]"
+    path = write(tmp_path / "a.csv", header, "2021-07-07T03:00Z,3.0", "2021-07-07T04:00Z,")
     gauge = read_weather([path], PAPER_SITE, rain_only=True)
     assert gauge.precipitation.tolist() == pytest.approx([3.0, np.nan], nan_ok=True)
     assert np.isnan(gauge.evapotranspiration).all()
@@ -165,13 +167,12 @@ def test_what_cannot_be_joined(tmp_path: Path) -> None:
 
     def own(first: str, method: str = "published", rain: float = 0.1) -> Path:
         """Write two hours of a file in this project's format."""
-        begin = np.datetime64(first, "m")
-        path = tmp_path / f"{first[8:].replace(':', '')}-{method}-{rain}.csv"
-        path.write_text("\n".join([
+        hours = np.datetime64(first, "m") + np.arange(2).astype("timedelta64[h]")
+        return write(
+            tmp_path / f"{first[8:].replace(':', '')}-{method}-{rain}.csv",
             f"time,precipitation [mm/h],{method} evapotranspiration [mm/day]",
-            *(f"{begin + np.timedelta64(hour, 'h')}-05:00,{rain},1.0" for hour in range(2)), "",
-        ]))
-        return path
+            *(f"{hour}-05:00,{rain},1.0" for hour in hours),
+        )
 
     early = own("2021-07-01T00:00")
     for late, reason in (
@@ -193,13 +194,13 @@ def test_names_and_patterns(tmp_path: Path) -> None:
     """A name as it is, a pattern sorted, each file once; the name of a file is not a pattern."""
     for name in ("b-1.csv", "b-2.csv", "a.csv", "c[1].csv"):
         (tmp_path / name).write_text("")
-    for names, found in (
+    for names, expected in (
         (["b-2.csv", "b-?.csv", "a.csv"], ["b-2.csv", "b-1.csv", "a.csv"]),
         (["c[1].csv"], ["c[1].csv"]),
         (["absent.csv"], ["absent.csv"]),  # reading it is an error
         ([str(tmp_path / "b-[1].csv")], ["b-1.csv"]),
     ):
-        assert [path.name for path in find_files(names, "--weather", tmp_path)] == found
+        assert [path.name for path in find_files(names, "--weather", tmp_path)] == expected
     refusal(
         find_files, ["a.csv", "d-*.csv"], "--weather", tmp_path,
         match=r"--weather = 'd-\*\.csv': matches no file",
