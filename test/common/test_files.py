@@ -68,15 +68,11 @@ def test_a_controllers_file_is_read_as_its_node_reads_it(tmp_path: Path) -> None
     assert (values["horizon"], values["fraction"]) == (8.0, 0.5)
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [("016", 16), ("3:0", "3:0"), (".5", 0.5), ("1e-5", 1e-5), ("-.inf", -math.inf)],
-)
-def test_numbers_of_yaml_1_2(tmp_path: Path, text: str, value: object) -> None:
+def test_numbers_of_yaml_1_2(tmp_path: Path) -> None:
     """In all files that rcl does not read."""
     file = tmp_path / "a.yaml"
-    file.write_text(f"a: {text}\n")
-    assert read_yaml(file)["a"] == value
+    file.write_text("a: [016, 3:0, .5, 1e-5, -.inf]\n")
+    assert read_yaml(file)["a"] == [16, "3:0", 0.5, 1e-5, -math.inf]
 
 
 def test_lines_and_anchors(tmp_path: Path) -> None:

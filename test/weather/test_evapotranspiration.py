@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from datetime import datetime
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from paper import PAPER_SITE
+from paper import PAPER_SITE, weather_of
 from places import CONFIG
 
-from greenroof_ros.formats.records import Records
+from greenroof_ros.common.times import parse_time
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.evapotranspiration import (
     evaporable,
@@ -24,6 +22,7 @@ from greenroof_ros.weather.evapotranspiration import (
     over_the_day,
     sun_height,
 )
+from greenroof_ros.weather.series import Weather
 
 NDIAYE = replace(
     PAPER_SITE, latitude=16 + 13 / 60, longitude=-(16 + 15 / 60), elevation=8.0, utc_offset=-1.0,
@@ -53,7 +52,7 @@ def test_example_19() -> None:
             "station pressure": np.array([101.2]),
             "solar radiation": np.array([radiation * 1e6 / 3600]),
         }
-        first = datetime.fromisoformat(f"1998-10-01T{hour:02}:00-01:00")
+        first = parse_time(f"1998-10-01T{hour:02}:00-01:00")
         assert hourly(NDIAYE, first, values)[0] == pytest.approx(expected, abs=0.005)
 
 
@@ -76,7 +75,7 @@ def test_example_18_hour_by_hour() -> None:
         "station pressure": np.full(24, 100.1),
         "solar radiation": 22.07e6 * shares / shares.sum() / 3600,
     }
-    day = hourly(uccle, datetime.fromisoformat("2015-07-06T00:00+00:00"), values)
+    day = hourly(uccle, parse_time("2015-07-06T00:00+00:00"), values)
     assert day.sum() == pytest.approx(3.88, abs=0.2)
 
 
@@ -99,18 +98,16 @@ def extraterrestrial(
     return np.asarray(60 * 0.0820 * distance * np.maximum(height, 0).mean(axis=1))
 
 
-def day_of_records(**changes: NDArray[np.float64]) -> Records:
+def day_of_records(**changes: NDArray[np.float64]) -> Weather:
     """Return a summer's day in Toronto, 14 to 30 degC."""
-    hours = np.arange(24)
     values = {
-        "precipitation": np.zeros(24),
-        "temperature": 22 + 8 * np.cos((hours - 15) * math.pi / 12),
+        "temperature": 22 + 8 * np.cos((np.arange(24) - 15) * math.pi / 12),
         "dew point": np.full(24, 12.0),
         "wind speed": np.full(24, 15.0),
         "station pressure": np.full(24, 100.5),
         **changes,
     }
-    return Records((Path("day.csv"),), datetime.fromisoformat("2021-07-15T00:00-05:00"), values)
+    return weather_of(np.zeros(24), first=parse_time("2021-07-15T00:00-05:00"), **values)
 
 
 def test_radiation_of_the_days_temperatures() -> None:
@@ -120,7 +117,7 @@ def test_radiation_of_the_days_temperatures() -> None:
     """
     records = day_of_records()
     estimated = fao56(records, TORONTO)
-    utc = replace(records, first=datetime.fromisoformat("2021-07-15T05:00+00:00"))
+    utc = replace(records, first=parse_time("2021-07-15T05:00+00:00"))
     assert fao56(utc, TORONTO).tolist() == estimated.tolist()
     radiation = 0.19 * math.sqrt(30 - 14) * extraterrestrial(TORONTO, 196, np.arange(24))
     measured = fao56(day_of_records(**{"solar radiation": radiation * 1e6 / 3600}), TORONTO)
