@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import dataclasses
 import itertools
-import json
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -23,7 +22,9 @@ from places import CONFIG
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.closed_loop import closed_loop, record
+from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.report.drawing import Figure
@@ -58,6 +59,7 @@ class Simulated(NamedTuple):
 
     trajectory: Trajectory
     row: dict[str, Any]
+    run: Run
 
 
 @cache
@@ -75,7 +77,7 @@ def simulate(controller: str, option: str, initial: str, hours: str = "0.2") -> 
         "controller": controller, "initial": initial, "cistern_m3": run.x1, "roof_m3": run.x2,
         f"parameter:{key}": option, "status": "done", "error": "", **metrics.results(),
         "frost_hours": 0.0,
-    })
+    }, run)
 
 
 def write_study(
@@ -199,19 +201,11 @@ def ended_run(
 ) -> Path:
     """Write a run directory as bringup leaves it, by default 720 ticks of MPC, without metrics."""
     example = example or simulate("mpc", "0.001", "low-low")
-    ticks = known.get("last_tick") or 720
+    ticks = known.get("last_tick") or example.run.steps
     columns = {name: getattr(example.trajectory, name)[: ticks + 1] for name in NAMES}
     write_bag(directory / "bag", messages_of(Trajectory(start=START, **columns)))
-    (directory / "configuration").mkdir()
-    shutil.copy(CONFIG / "site.yaml", directory / "configuration")
-    (directory / "summary.json").write_text(json.dumps({
-        "status": status, "reason": None, "last_tick": None,
-        "controller": example.row["controller"], "weather": "toronto_2021-07.csv",
-        "parameters": {"weight": 0.001, "max_command": None},
-        "initial": {"name": "low-low", "cistern_m3": example.row["cistern_m3"],
-                    "roof_m3": example.row["roof_m3"]},
-        "start": START.isoformat(), "steps": 720, "tau_s": 1.0,
-        "evapotranspiration_method": "published", "parameter_changes": [], "refused": {},
-        **known,
-    }))
+    (directory / "configuration" / "weather").mkdir(parents=True)
+    for name in ("site.yaml", "weather/toronto_2021-07.csv"):
+        shutil.copy(CONFIG / name, directory / "configuration" / name)
+    summary.write({**summary.build_unfinished(example.run, status), **known}, directory)
     return directory

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from graphs import Process, alive, wait_for
 from places import DATA
-from studies import CONFIG, WEATHER, begun, edited, grid, rows_of, run_here, stored, study
+from studies import CONFIG, WEATHER, archive, begun, edited, grid, rows_of, run_here, stored, study
 
 from greenroof_ros.recording.trajectory import read_parquet
 from greenroof_ros.report.runs import find_runs
@@ -145,13 +145,6 @@ def test_ended(tmp_path: Path, engine: str, number: signal.Signals) -> None:
     shutil.rmtree(scratch)
 
 
-def archive(directory: Path) -> None:
-    """Write a forecast file that will not come true."""
-    lines = ["issued,time,precipitation [mm/h]"]
-    lines += [f"2021-07-07T05:00Z,2021-07-07T{hour:02}:00Z,4.0" for hour in range(5, 22)]
-    (directory / "archive.csv").write_text("\n".join(lines) + "\n")
-
-
 PLANNED = f"""
 site: {CONFIG / "site.yaml"}
 weather: {{file: {WEATHER}, start: 2021-07-07T00:50, hours: 0.2}}
@@ -222,28 +215,20 @@ forecast: [perfect, {model: errors, skill: [worse, mine.yaml], seed: 1}, archive
 
 
 def test_forecasts(tmp_path: Path) -> None:
-    """Lists multiply; a window's own forecasts replace the general ones; each run names its own."""
+    """Each run names its own, and depends on what their files contain."""
     archive(tmp_path)
     # A user's skill: the package's, but it rains too seldom.
     skill = (CONFIG / "forecasts" / "skill.yaml").read_text()
     (tmp_path / "mine.yaml").write_text(skill.replace("wetness:", "wetness: -1.0 #"))
-    run_here(tmp_path, PLANNED + FORECASTS)
-    rows = rows_of(tmp_path / "out" / "results.csv")
-    columns = ("forecast", "forecast_skill", "forecast_seed", "forecast_members")
+    rows = run_here(tmp_path, PLANNED + FORECASTS).write_tables()
+    columns = ("forecast", "forecast_skill", "forecast_seed")
     assert [tuple(row[column] for column in columns) for row in rows] == [
-        ("perfect", "", "", ""),
-        ("errors", "worse", "1", ""),
-        ("errors", "mine.yaml", "1", ""),
-        ("archive.csv", "", "", ""),
+        ("perfect", None, None), ("errors", "worse", 1), ("errors", "mine.yaml", 1),
+        ("archive.csv", None, None),
     ]
     # Only the file forecasts rain, so less is pumped.
-    pumped = [float(row["pumped_m3"]) for row in rows]
+    pumped = [row["pumped_m3"] for row in rows]
     assert pumped[3] < min(pumped[:3])
-    own = PLANNED.replace("hours: 0.2", "hours: 0.2, forecast: persistence") + FORECASTS
-    assert [str(case.forecast) for case in read_grid(tmp_path / grid(tmp_path, own))] == [
-        "persistence"
-    ]
-    grid(tmp_path, PLANNED + FORECASTS)
     for number, file, old, new in ((3, "archive.csv", "4.0", "5.0"), (2, "mine.yaml", "45", "46")):
         before = [case.identity for case in read_grid(tmp_path / "grid.yaml")]
         (tmp_path / file).write_text((tmp_path / file).read_text().replace(old, new))

@@ -7,8 +7,8 @@ from collections.abc import Hashable, Iterable
 from pathlib import Path
 
 import pytest
-from places import CONFIG
-from studies import WEATHER, rows_of, run_here
+from paper import site_file
+from studies import WEATHER, archive, rows_of, run_here
 
 from greenroof_ros.report.figures import make_figures
 from greenroof_ros.report.groups import Assumptions, Report
@@ -44,22 +44,14 @@ RUNS = (2 + 1 + 1 + 1 + 3 + 4) * 2 * (3 + 1)
 
 def write_inputs(directory: Path) -> None:
     """Write two sites, storms and archives of forecasts with the same names."""
-    issued = "issued,time,precipitation [mm/h]\n"
+    weather, dry = WEATHER.read_text(), "2021-07-07T02:00-05:00,0.0,"
+    assert weather.count(dry) == 1
     for folder, soil, rain in (("north", 0.5, 4.0), ("south", 0.4, 5.0)):
-        (directory / folder).mkdir()
-        site = (CONFIG / "site.yaml").read_text()
-        assert site.count("z_soil: 0.5 ") == 1
-        site = site.replace("z_soil: 0.5 ", f"z_soil: {soil} ")
-        (directory / folder / "site.yaml").write_text(site)
-        storm = WEATHER.read_text()
-        dry = "2021-07-07T02:00-05:00,0.0,"
-        assert storm.count(dry) == 1
-        (directory / folder / "storm.csv").write_text(
-            storm.replace(dry, f"2021-07-07T02:00-05:00,{rain},")
-        )
-        (directory / folder / "archive.csv").write_text(issued + "".join(
-            f"2021-07-07T05:00Z,2021-07-07T{hour:02}:00Z,{rain}\n" for hour in range(5, 22)
-        ))
+        place = directory / folder
+        place.mkdir()
+        site_file(place, z_soil=soil)
+        (place / "storm.csv").write_text(weather.replace(dry, dry.replace("0.0", str(rain))))
+        archive(place, rain)
 
 
 def distinct(labels: Iterable[Hashable], count: int | None = None) -> None:
