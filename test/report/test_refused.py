@@ -24,10 +24,9 @@ def bag(**changes: Any) -> Callable[[Path], Any]:
     return lambda at: small_bag(at, **changes)
 
 
-def topics(*names: str, msgtype: str) -> Callable[[Path], Any]:
+def topics(*names: str, **options: str) -> Callable[[Path], Any]:
     """Return what writes a bag with these topics."""
-    messages = dict.fromkeys(names, ([0, 1], [0.5, 0.6]))
-    return lambda at: write_bag(at, messages, msgtype=msgtype)
+    return lambda at: write_bag(at, dict.fromkeys(names, ([0, 1], [0.5, 0.6])), **options)
 
 
 def study(change: Callable[[str], str]) -> Callable[[Path], Any]:
@@ -43,48 +42,37 @@ def study(change: Callable[[str], str]) -> Callable[[Path], Any]:
     return make
 
 
+def replaced(old: str, new: str) -> Callable[[Path], Any]:
+    """Return what writes a study with another text in its table."""
+    return study(lambda text: text.replace(old, new))
+
+
 def cut_bag(at: Path) -> None:
     """Write a bag with a truncated file."""
     os.truncate(small_bag(at) / "in.mcap", 300)
 
 
-NEEDED = ("/cistern/level", "/roof/level", "/pump/command", "/pump/flow")
+NEEDED = ("cistern_level", "roof_level", "pump_command", "pump_flow")
 # name: what makes the input "in", the message as a pattern
 WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     "nothing-there": (lambda at: None, "in: does not exist"),
     "a-file": (lambda at: at.write_text("x"), "in: must be a directory"),
     "an-empty-directory": (Path.mkdir, "results.csv.*metadata.yaml"),
     "mcap-cut": (cut_bag, "cannot be read as a bag.*greenroof recover"),
-    "foreign-topics": (
-        topics("/scan/range", msgtype="std_msgs/msg/Float64"),
-        "no .*/cistern/level.*/pump/flow.*its topics are: /scan/range",
-    ),
+    "foreign-topics": (topics("/scan"), "no .*/cistern/level.*/pump/flow.*its topics are: /scan"),
     "a-silent-topic": (bag(pump_flow=[]), "no message of /pump/flow"),
-    "one-sample": (
-        bag(roof_level=[0.03], cistern_level=[2.0], pump_command=[0.1], pump_flow=[0.001]),
-        "two samples.*not 1",
-    ),
+    "one-sample": (bag(**{name: [0.01] for name in NEEDED}), "two samples.*not 1"),
     "float32": (
-        topics(*NEEDED, msgtype="std_msgs/msg/Float32"),
+        topics(*(f"/{name.replace('_', '/')}" for name in NEEDED), msgtype="std_msgs/msg/Float32"),
         "of type std_msgs/msg/Float64, not std_msgs/msg/Float32",
     ),
     "not-a-number": (bag(roof_level=[0.03, float("nan"), 0.03]), "/roof/level.*nan"),
-    "study-without-results": (
-        lambda at: (at / "runs").mkdir(parents=True), "a study without results.csv"
-    ),
+    "no-results": (lambda at: (at / "runs").mkdir(parents=True), "a study without results.csv"),
     "header-only": (study(lambda text: text.splitlines()[0] + "\n"), "results.csv.*no runs"),
     "another-table": (study(lambda text: "a,b\n1,2\n"), "results.csv, line 1.*no column run, site"),
-    "no-finished-run": (
-        study(lambda text: text.replace(",done,", ",failed,")),
-        "no finished run; 1 failed or did not run",
-    ),
-    "row-cut": (
-        study(lambda text: text[: text.index("\n") + 60]),
-        "results.csv, line 2: ends in the middle of a line.*copy it again",
-    ),
-    "row-too-short": (
-        study(lambda text: text[: text.index("\n") + 60] + "\n"), "line 2: must have .* cells"
-    ),
+    "no-finished-run": (replaced(",done,", ",failed,"), "no finished run; 1 failed or did not run"),
+    "row-cut": (study(lambda text: text[:-20]), "results.csv, line 2: ends in the middle of a li"),
+    "row-too-short": (study(lambda text: text[:-20] + "\n"), "line 2: must have .* cells"),
     "row-too-long": (study(lambda text: text[:-1] + ",1\n"), "results.csv.*more fields"),
     "status-after-an-error-of-two-lines": (
         study(
@@ -93,12 +81,8 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
         ),
         "results.csv, line 4: status = 'lost': must be done, failed or not run",
     ),
-    "volume-a-word": (
-        study(lambda text: text.replace(",57.69", ",much57.69")), "line 2: cistern_m3 = 'much57.69"
-    ),
-    "run-outside": (
-        study(lambda text: text.replace("\n001,", "\n../001,")), "line 2: run = '../001'"
-    ),
+    "volume-a-word": (replaced(",57.69", ",much57.69"), "line 2: cistern_m3 = 'much57.69"),
+    "run-outside": (replaced("\n001,", "\n../001,"), "line 2: run = '../001'"),
 }
 
 

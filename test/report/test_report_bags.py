@@ -152,19 +152,13 @@ def test_outliers_are_left_out_and_wrong_units_are_not(tmp_path: Path) -> None:
 
     A NaN of frost means unknown, as at a live site before there is a forecast.
     """
-    stamps = [second * 10**9 for second in range(600)]
     levels = [0.03] * 600
     levels[100], levels[200] = math.nan, 35.0
-    flow = [0.001 * (70 <= second < 90) for second in range(600)]
-    values = {
-        "/roof/level": (stamps, levels), "/cistern/level": (stamps[:1], [2.0]),
-        "/pump/command": (stamps[:1], [0.1]), "/pump/flow": (stamps, flow),
-    }
-    trajectory, notes = loaded(write_bag(tmp_path / "spike", values))
+    trajectory, notes = loaded(small_bag(tmp_path / "spike", roof_level=levels))
     assert set(trajectory.roof.tolist()) == {68.8 * 0.03}
     assert any("2 of 600 values of /roof/level are not finite" in note for note in notes)
-    values |= {"/roof/level": (stamps[:1], [0.03]), "/pump/flow": (stamps, [1e3 * q for q in flow])}
-    litres = write_bag(tmp_path / "litres", values)
+    flow = [1.0 * (70 <= second < 90) for second in range(600)]
+    litres = small_bag(tmp_path / "litres", pump_flow=flow)
     refusal(loaded, litres, match=r"/pump/flow: .*is a unit wrong")
     for known in (0, 2):
         frost = [math.nan] * (3 - known) + [0.0] * known

@@ -19,71 +19,41 @@ from greenroof_ros.study.case_run import bound_case, run_case
 from greenroof_ros.study.grid import read_grid
 
 SITE = f"site: {CONFIG / 'site.yaml'}"
+HOURS = "    hours: 0.25\n"
+# name: the grid, and the end of the place with what is wrong there
 WRONG = {
-    "unknown-key": (
-        GRID + "engine: ros\n",
-        "line 14: engine = 'ros': is not a key here; choose from site, weather, initial",
-    ),
+    "unknown-key": (GRID + "engine: ros\n", "line 14: engine = 'ros': is not a key here"),
     "missing": (GRID[: GRID.index("weather")], "weather: is missing or empty"),
-    "site-kind": (
-        edited(SITE, "site: [{file: site.yaml}, 10]"),
-        "line 2: site: must be the name of a file, {file: site.yaml, tau: 10.0",
-    ),
+    "site-kind": (edited(SITE, "site: [10]"), "line 2: site: must be the name of a file, {file"),
     "site-value": (  # the error is in the grid, not in the copy of the site file with the value
         edited(SITE, "site: {file: site.yaml, tau: [1.0, 0.0]}"),
         "grid.yaml, line 2: site.yaml with these values: tau = 0.0: must be from 0.001 to 3600 (s,",
     ),
     "no-file": (edited("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
-    "bound-block": (
-        GRID + "bound_block: 0.5\n",
-        "line 14: bound_block = 0.5: must be a whole number of ticks of 1 s, or 0 for no bound",
-    ),
+    "bound-block": (GRID + "bound_block: 0.5\n", "line 14: bound_block = 0.5: must be a whole num"),
     "no-start": (edited("    start: 2021-07-07T02:00\n", ""), "line 4: start: is missing or empty"),
     "start": (edited("2021-07-07T02:00", "noon"), "line 5: start = 'noon': must be a time such as"),
     "hours": (edited("0.25", "[0.25, -1]"), "line 6: hours = -1.0: must be a whole number"),
-    "gaps": (
-        edited("    hours: 0.25\n", "    hours: 0.25\n    gaps: guess\n"),
-        "line 7: gaps = 'guess': must be refuse or fill",
-    ),
-    "year": (
-        edited("    hours", "    year: {from: 2015}\n    hours"), "year: must be {from: 1, to: 50}",
-    ),
+    "gaps": (edited(HOURS, f"{HOURS}    gaps: guess\n"), "line 7: gaps = 'guess': must be refuse"),
+    "year": (edited(HOURS, f"{HOURS}    year: {{from: 1}}\n"), "year: must be {from: 1, to: 50}"),
     "initial": (edited("low-low", "low"), "line 8: initial: 'low' must be one of low-low, hig"),
-    "own-state": (
-        edited("low-low", "site"),
-        "line 8: initial: site needs initial_cistern and initial_roof in site.yaml",
-    ),
-    "one-value": (
-        edited("cistern: 40.0", "cistern: [40, 41]"), "cistern = [40, 41]: must be a number"
-    ),
+    "own-state": (edited("low-low", "site"), "line 8: initial: site needs initial_cistern and in"),
+    "one-value": (edited("40.0", "[40, 41]"), "cistern = [40, 41]: must be a number"),
     "volume": (edited("roof: 0.5", "roof: -0.5"), "initial: volumes must not be negative"),
     "half-state": (edited(", roof: 0.5", ""), "initial: a state must give either roof or roof_"),
     "state-twice": (edited("name: dry", "name: low-low"), "initial: has low-low twice"),
-    "deep": (
-        edited("cistern: 40.0", "cistern: 4.0e+6"),
-        "line 8: cistern = 4000000.0: must be at most 400 m3, a level of 16 m",
-    ),
+    "deep": (edited("40.0", "4.0e+6"), "line 8: cistern = 4000000.0: must be at most 400 m3, a"),
     "controller": (edited("onoff:", "pid:"), "line 13: controller = 'pid': must be one of mpc"),
-    "own-site": (
-        edited("onoff:", "onoff: {site: other.yaml}"), "other.yaml is not under 'site:' of the",
-    ),
-    "parameter": (
-        edited("weight", "wieght"),  # codespell:ignore
-        "line 11: wieght: is not a parameter of mpc; did you mean weight?",  # codespell:ignore
-    ),
+    "own-site": (edited("onoff:", "onoff: {site: x.yaml}"), "x.yaml is not under 'site:' of the"),
+    "parameter": (edited("weight", "weights"), "line 11: weights: is not a parameter of mpc; d"),
     "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be from 1e-09 to 1e+06"),
     "no-values": (edited("[1.0e-3, 0.1]", "[]"), "line 11: weight: is empty"),
-    "forecast": (
-        GRID + "forecast: perfekt\n",
-        "line 14: forecast = 'perfekt': 'perfekt' must be one of perfect, persistence, errors, ens",
-    ),
+    "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': 'perfekt' must be"),
     "forecast-skill": (
         GRID + "forecast: {model: errors, skill: [real, large]}\n",
         "skill = 'large': 'large' must be one of much_",
     ),
-    "forecast-twice": (
-        GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"
-    ),
+    "forecast-twice": (GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"),
     "sensor_pump_errors-twice": (
         GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n",
         "is the same run twice: mpc {'weight': 0.001, ",
