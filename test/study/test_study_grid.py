@@ -151,18 +151,6 @@ def test_grids_of_years(tmp_path: Path, file: str) -> None:
     assert {yaml.safe_load(case.site.content)["tau"] for case in cases} == ticks
 
 
-def test_whole_numbers_from_to(tmp_path: Path) -> None:
-    """Seeds and years; a list of files and starts contains each year."""
-    text = edited("2021-07-07T02:00", "2021-07-0{year}T02:00").replace(
-        "    hours", "    year: {from: 7, to: 9}\n    hours"
-    )
-    cases = read_grid(tmp_path / grid(tmp_path, text))
-    assert {case.start[:10] for case in cases} == {f"2021-07-0{day}" for day in (7, 8, 9)}
-    text = GRID + "forecast: {model: errors, seed: {from: 3, to: 5}}\n"
-    seeds = [case.forecast.seed for case in read_grid(tmp_path / grid(tmp_path, text))]
-    assert sorted(set(seeds)) == [3, 4, 5]
-
-
 def test_sites_with_other_values(tmp_path: Path) -> None:
     """Every combination is a site file; dependent values and volumes follow, and comments stay."""
     text = (CONFIG / "site.yaml").read_text() + "initial_cistern: 50.0\ninitial_roof: 1.0\n"
