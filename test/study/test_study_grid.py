@@ -151,6 +151,23 @@ def test_grids_of_years(tmp_path: Path, file: str) -> None:
     assert {yaml.safe_load(case.site.content)["tau"] for case in cases} == ticks
 
 
+def test_settings_and_whole_numbers(tmp_path: Path) -> None:
+    """A list contains settings, each with its combinations and forecasts; years and seeds."""
+    text = edited("2021-07-07T02:00", "2021-07-0{year}T02:00")
+    text = text.replace(HOURS, f"{HOURS}    year: {{from: 7, to: 9}}\n")
+    text = text[: text.index("    weight:")] + """
+    - {weight: [0.001, 0.01], forecast: perfect}
+    - {weight: 0.1, forecast: {model: errors, skill: real, seed: {from: 1, to: 2}}}
+"""
+    cases = read_grid(tmp_path / grid(tmp_path, text))
+    assert {case.start[:10] for case in cases} == {f"2021-07-0{day}" for day in (7, 8, 9)}
+    assert {
+        (case.parameters["weight"], str(case.forecast), case.forecast.options().get("seed"))
+        for case in cases
+    } == {(0.001, "perfect", None), (0.01, "perfect", None), (0.1, "errors", 1), (0.1, "errors", 2)}
+    assert len(cases) == 3 * 2 * 2 * 4  # years, methods, initial states, settings
+
+
 def test_sites_with_other_values(tmp_path: Path) -> None:
     """Every combination is a site file; dependent values and volumes follow, and comments stay."""
     text = (CONFIG / "site.yaml").read_text() + "initial_cistern: 50.0\ninitial_roof: 1.0\n"
