@@ -34,9 +34,9 @@ from refusals import refusal
 from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
 from greenroof_ros.report.__main__ import _former_report
 from greenroof_ros.report.bags import MOST_POINTS, near_hours, thin
-from greenroof_ros.report.figures import is_figure, make_figures
+from greenroof_ros.report.figures import is_figure
 from greenroof_ros.report.groups import SEEDS, Report
-from greenroof_ros.report.pump_figures import pump_smoothing
+from greenroof_ros.report.pump_figures import pump_curve, pump_smoothing, read_pump_data
 from greenroof_ros.report.tables import make_tables
 from greenroof_ros.report.words import sentences
 
@@ -133,12 +133,12 @@ def test_thinning_keeps_ends_and_extremes(values: list[float]) -> None:
     assert column[kept].max() == column.max() and column[kept].min() == column.min()
 
 
-def test_pump_curve(study: Path, tmp_path: Path) -> None:
+def test_pump_curve(tmp_path: Path) -> None:
     """Curve and head loss by Table I's numbers; they meet at the root of the quadratic.
 
     Two points of a data sheet define a curve: 50 m at no flow and 46 m at 2 L/s give -1e6 and 50.
     """
-    figure = figures_of(report_of(study))["pump-curve-1"]
+    figure = pump_curve(PAPER_SITE, 1, "", None)
     friction = (3.56 * 18.4 / 0.2 + 0.6) / (2 * 9.81 * (0.01 * np.pi) ** 2)
     expected = {
         "pump curve of the site": (55.2, -5.78e5),
@@ -159,13 +159,13 @@ def test_pump_curve(study: Path, tmp_path: Path) -> None:
     roots = [np.roots([friction + 5.78e5, 0, 16 - level - 55.2]).max() for level in (0.75, 3)]
     assert [flow / 1000 for flow, _ in points] == pytest.approx(roots, rel=1e-9)
     (tmp_path / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n")
-    *_, figure, _ = make_figures(report_of(study), tmp_path / "pump.csv")
+    figure = pump_curve(PAPER_SITE, 1, "", read_pump_data(tmp_path / "pump.csv"))
     assert "a_hat = -1e+06 s2/m5, c_hat = 50 m" in figure.caption
 
 
-def test_pump_smoothing(study: Path) -> None:
+def test_pump_smoothing() -> None:
     """Both models follow the paper's text, and the exact model's jumps are drawn vertically."""
-    figure = figures_of(report_of(study))["pump-smoothing-1"]
+    figure = pump_smoothing(PAPER_SITE, 1, "")
     for number, roof_sweep in ((1, False), (2, False), (3, True)):
         rows = figure.data[f"pump-smoothing-1-{number}"]
         for row in rows:
@@ -186,7 +186,7 @@ def test_pump_smoothing(study: Path) -> None:
         PAPER_SITE, field_capacity=0.2, wilting_point=0.01, depletion_fraction=0.5,
         z_cap=PAPER_SITE.z_cap * 0.2,
     )
-    assert pump_smoothing(measured, 1, "").data == pump_smoothing(PAPER_SITE, 1, "").data
+    assert pump_smoothing(measured, 1, "").data == figure.data
 
 
 def test_figures_of_single_runs(study: Path, simulated: list[Simulated]) -> None:
@@ -341,31 +341,10 @@ def seeds(tmp_path_factory: pytest.TempPathFactory) -> Report:
     return study_of(tmp_path_factory.mktemp("seeds") / "study", *rows)
 
 
-def test_seeds_figure(seeds: Report) -> None:
-    """Mean of 25 seeds and mean of the worst two and a half: by hand."""
-    figures = figures_of(seeds)
-    assert list(figures) == ["forecast-errors", "pump-curve-1", "pump-smoothing-1"]
-    figure = figures["forecast-errors"]
-    assert [panel.title for panel in figure.panels] == [
-        [f"{window}", f"from {initial}"]
-        for window in ("2021-07-07 02:00-05:00, 12 h", "2021-07-20 02:00-05:00, 24 h")
-        for initial in ("low-low", "high-low")
-    ]
-    assert {
-        row["amount"]: row["v"] for row in figure.data["forecast-errors-2"]
-        if row["series"] == "on/off fraction 0.5" and row["skill"] == "better"
-    } == {"mean": 1013, "mean of the worst tenth": 1024.2}
-    colour = figure.panels[0].specification()["layer"][-1]["encoding"]["color"]["scale"]
-    # The colour depends on the controller, not on its setting.
-    assert colour["domain"] == ["MPC weight 0.01", "on/off fraction 0.5", "on/off fraction 2"]
-    assert colour["range"][0] != colour["range"][1] == colour["range"][2]
-
-
-def test_seeds_page(seeds: Report) -> None:
-    """Mean of 25 seeds, mean of the worst two and a half, worst; what the page leaves out."""
-    text = page_of(seeds)
-    _, _, *rows = text.partition("over their seeds</h3>")[2].partition("</table>")[0].split("<tr>")
-    cells = [[cell.partition("<")[0] for cell in row.split('">')[1:]] for row in rows]
+def test_seeds_belong_together(seeds: Report) -> None:
+    """A case of 25 seeds: their mean, mean of the worst two and a half, and worst, by hand."""
+    (table,) = make_tables(seeds)
+    cells = [[cell.text for cell in row] for row in table.rows]
     assert cells[2] == [
         "on/off", "fraction 0.5", "25", "better", "2021-07-07 02:00-05:00", "12 h", "low-low",
         "1013.00", "1024.20", "1025.00", "2.0260", "2.0484", "2.0500",
@@ -375,7 +354,8 @@ def test_seeds_page(seeds: Report) -> None:
         (setting, skill) for setting in ("weight 0.01", "fraction 0.5", "fraction 2")
         for skill in ("better", "real")
     ]
-    assert len(cells) == 24 and "Results of each run" not in text
+    assert len(cells) == 24
+    text = page_of(seeds)
     assert "are one case for each controller" in text
     # 25 different numbers of ticks give one note.
     assert text.count("found no solution in some ticks") == 1
@@ -383,6 +363,19 @@ def test_seeds_page(seeds: Report) -> None:
         "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
         "ensemble members 10 skill real, 25 seeds"
     ) in text
+
+    figures = figures_of(seeds)
+    assert list(figures) == ["forecast-errors", "pump-curve-1", "pump-smoothing-1"]
+    figure = figures["forecast-errors"]
+    assert figure.panels[1].title == ["2021-07-07 02:00-05:00, 12 h", "from high-low"]
+    assert {
+        row["amount"]: row["v"] for row in figure.data["forecast-errors-2"]
+        if row["series"] == "on/off fraction 0.5" and row["skill"] == "better"
+    } == {"mean": 1013, "mean of the worst tenth": 1024.2}
+    colour = figure.panels[0].specification()["layer"][-1]["encoding"]["color"]["scale"]
+    # The colour depends on the controller, not on its setting.
+    assert colour["domain"] == ["MPC weight 0.01", "on/off fraction 0.5", "on/off fraction 2"]
+    assert colour["range"][0] != colour["range"][1] == colour["range"][2]
 
 
 def test_seeds_beside_other_runs(tmp_path: Path) -> None:
@@ -455,12 +448,17 @@ def test_study(tmp_path: Path) -> None:
     report = write_study(tmp_path / "study", runs) / "report"
     (report / "figures").mkdir(parents=True)
     (report / "figures" / "energy-7.svg").touch()
-    done = command("study", "--force", "--water-price", "5", cwd=tmp_path)
+    (tmp_path / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n")
+    options = ("--force", "--water-price", "5", "--pump-data", "pump.csv")
+    done = command("study", *options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert str(report / "report.html") in done.stdout
     assert "fraction 2" in done.stdout
     text = (report / "report.html").read_text()
-    for words in ("5 CAD/m³", "solver: &lt;gave up&gt;", "2 runs failed", "<td>not run</td>"):
+    for words in (
+        "5 CAD/m³", "solver: &lt;gave up&gt;", "2 runs failed", "<td>not run</td>",
+        "fit to the data sheet",
+    ):
         assert words in text
     names = {path.stem for path in (report / "figures").iterdir()}
     assert names == {
