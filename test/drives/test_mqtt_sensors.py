@@ -84,25 +84,17 @@ MESSAGES: list[tuple[str, dict[str, object], float | str]] = [
     ("[[1, 2], [3, 4]]", {"value": "[1][0]"}, 3.0),
     # Not a number.
     ("true", {}, "says 'True', which is not a number"),
-    ("null", {}, "says 'None', which is not a number"),
     ('"2.31"', {}, "says '2.31', which is not a number"),
-    ("[2.31]", {}, "says '[2.31]', which is not a number"),
     ("NaN", {}, "says nan, which is not a number"),
-    ("-Infinity", {}, "says -inf, which is not a number"),
-    ("1e999", {}, "says inf, which is not a number"),
     ("9" * 400, {}, "says a number that is too large"),
     ("1e308", {"scale": 100.0}, "says 1e+308, which is not a number"),
     # Out of range.
-    ("6.01", {}, "says 6.01 m (raw 6.01), which is not from 0 to 6 m"),
     ("-0.01", {}, "says -0.01 m (raw -0.01), which is not from 0 to 6 m"),
     # Malformed, or of another form.
-    ("", {}, "says b'', which is not JSON"),
     ("2,31", {}, "says b'2,31', which is not JSON"),
-    ('{"level": 2.3', {"value": "level"}, "says b'{\"level\": 2.3', which is not JSON"),
     ('{"level": 2.3}', {"value": "depth"}, "says b'{\"level\": 2.3}', which has no depth"),
     ('{"level": 2.3}', {"value": "level.m"}, "says b'{\"level\": 2.3}', which has no level.m"),
     ('{"level": []}', {"value": "level[0]"}, "says b'{\"level\": []}', which has no level[0]"),
-    ('{"a": 1}', {"value": "a[0]"}, "says b'{\"a\": 1}', which has no a[0]"),
     ("[" * 60_000, {}, f"says {b'[' * 40!r}, which is not JSON"),
     ("1" + " " * 65_536, {}, "a message of 65537 bytes, which is more than 65536"),
 ]
@@ -117,14 +109,6 @@ def test_what_a_message_says(
         (result,) = after(reader, talker, message)
         assert result == (expected if isinstance(expected, str) else pytest.approx(expected))
         assert (reader.snapshot.value is None) == isinstance(expected, str)
-
-
-def test_a_refused_message_empties_the_filter(shared: Mosquitto) -> None:
-    """Lower median of up to three: for 1, 5, 2 it is 2; after a refused value only 4 counts."""
-    with reading(shared, median=3) as reader, Talker(shared) as talker:
-        begin(reader, talker, "7")
-        results = after(reader, talker, "1", "5", "2", "7", "4", "3")
-    assert results == [1.0, 1.0, 2.0, "says 7 m (raw 7), which is not from 0 to 6 m", 4.0, 3.0]
 
 
 # --- old messages ---------------------------------------------------------------------------------
@@ -218,20 +202,6 @@ def test_a_broker_that_is_killed_or_stops_answering_comes_back_by_itself(tmp_pat
         broker.go_on()
         until(lambda: reader.snapshot.code == "sensor_lost", 20)
         talk("3")
-
-
-def test_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
-    with mosquitto(tmp_path) as broker:
-        broker.kill()
-        sensor = MqttSensor(
-            address=f"{broker.address}/{TOPIC}", scale=1.0, low=0.0, high=6.0, max_age=5.0
-        )
-        with closing(MqttReader("roof_sensor", sensor, "m")) as reader:
-            reader.start()
-            until(lambda: "nobody answers at" in reader.snapshot.problem, 20)
-            assert reader.snapshot.code == "broker_lost"
-            broker.start()
-            until(lambda: "has sent nothing yet" in reader.snapshot.problem, 20)
 
 
 def test_login_and_encryption(tmp_path: Path) -> None:

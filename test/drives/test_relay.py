@@ -206,36 +206,6 @@ def test_one_that_nothing_would_switch_off_is_not_switched_on(
         assert not tap.switched(on=True) and not bench.closed
 
 
-def test_a_long_timer_is_read_as_it_is_encoded(tmp_path: Path) -> None:
-    """From 112 on, PulseTime is in seconds plus 100: 220 is 2 min."""
-    with bench_of("tasmota", tmp_path, "--fault", "timer_long=120") as bench:
-        bench.connect()
-        assert bench.now.timeout_s == 120.0
-
-
-def test_a_timer_that_is_turned_off_meanwhile_is_seen(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr("greenroof_ros.drives.exchange.SETTINGS_S", 1.0)
-    with bench_of("tasmota", tmp_path) as bench:
-        bench.run()
-        bench.relay.inject("timer_off")
-        wait(lambda: bench.now.timeout_s is None, 5)
-        assert wait(lambda: not bench.closed, 10) < 2.0
-
-
-def test_a_broker_that_is_killed_leaves_the_relay_to_its_timer(bench: Bench) -> None:
-    bench.run()
-    bench.broker.kill()
-    took = wait(lambda: not bench.closed, 20)
-    assert took < TIMER_S + SLACK_S
-    assert not bench.now.connected and bench.now.status is None
-    bench.broker.start()
-    wait(lambda: bench.now.connected, 20)
-    assert bench.now.timeout_known
-    wait(lambda: bench.closed, 20)
-
-
 def test_a_broker_that_stalls_is_given_up_and_delivers_no_on_afterwards(bench: Bench) -> None:
     """Each *on* requires an answer before it, so at most one can be left waiting."""
     bench.run()
@@ -289,18 +259,6 @@ def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fa
     assert re.search("no (valid )?answer to the question", bench.now.problem)
     bench.relay.inject("none")
     wait(lambda: bench.closed, 60)
-
-
-def test_one_that_switches_by_its_timer_alone_is_noticed_and_left_off(bench: Bench) -> None:
-    """As if renewals came too late: it drops out; from then on that is not a start."""
-    bench.run()
-    bench.relay.inject("deaf")
-    took = wait(lambda: not bench.closed, 20)
-    assert took < TIMER_S + SLACK_S
-    wait(lambda: bench.now.second_master, 5)
-    assert "its timer has expired" in bench.now.second_master
-    bench.relay.inject("none")
-    assert wait(lambda: bench.closed, 30) > 8.0  # the pause after a second master is 10 s
 
 
 def test_a_power_cut_is_noticed(bench: Bench) -> None:

@@ -148,16 +148,6 @@ def test_interrupted_while_starting(domain: int, tmp_path: Path, delay: float) -
     assert_gone(nodes)
 
 
-def test_bringup_that_is_killed(domain: int, tmp_path: Path) -> None:
-    """The nodes end all the same, and the bag is closed."""
-    process, nodes = started(domain, tmp_path)
-    process.process.kill()
-    process.process.wait()
-    wait_for(lambda: not any(map(alive, nodes.values())), 60, "the end of all nodes")
-    assert summary_of(tmp_path / "run")["status"] == "running"
-    assert messages_of(tmp_path / "run")["/clock"]
-
-
 def test_a_graph_of_its_own(domain: int, tmp_path: Path) -> None:
     """A second bringup in the namespace exits with code 3 and advice, and the first continues.
 

@@ -152,8 +152,11 @@ WRONG: dict[str, tuple[str, Said, Said, int, str]] = {
     "a level twice in the run": (
         "onoff", INPUTS, [LEVEL, LEVEL], 1, "/cistern/level came twice in tick 1 ("),
     "a level after the last tick": (
-        "onoff", [("/run", [7.0, 0.0, 0.0]), *INPUTS], [LEVEL], 1,
-        "/cistern/level came twice in tick 1 ("),
+        "onoff", [RUN, *INPUTS], [LEVEL], 1, "/cistern/level came twice in tick 1 ("),
+    "a level after the last tick, before the run": (
+        "onoff", INPUTS, [LEVEL, RUN], 1, "/cistern/level came twice in tick 1 ("),
+    "a tick after the last, before the run": (
+        "onoff", INPUTS, [*INPUTS, RUN], 1, "came twice in tick 1 ("),
     "another run": (
         "onoff", [("/run", [7.0, 5.0, 0.0]), *INPUTS], [("/run", [8.0, 5.0, 0.0])], 1,
         "the plant was started again, or there are two"),

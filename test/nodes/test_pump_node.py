@@ -56,9 +56,7 @@ def test_lifecycle(rig: PumpRig) -> None:
     assert rig.lifecycle_state() == "unconfigured"
     assert rig.tick(0.5) == 0.0
     rig.until_said("drive", WARN, "not configured", f"127.0.0.1:{port}")
-    drive = rig.simulate()
-    drive.end()
-    drive.start("--port", str(port), "--workbench", "0")
+    rig.simulate(port=port)
     wait_for(lambda: rig.change("configure"), 20, "the drive")
     assert not rig.change("configure")
     assert rig.lifecycle_state() == "inactive"
@@ -228,14 +226,17 @@ STOPPED = "held: an operator stopped it"
 def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
     """It does not activate, a stop warns that it would be forgotten, and it recovers.
 
-    A fault that the other program recorded meanwhile counts, and so does the stop.
+    A fault that the other program recorded meanwhile counts, and so do the stop and the pause of
+    the parameter file. If this ended the node, the whole site would end with it.
     """
     file = rig.cwd / "pump.json"
+    until = datetime.now().astimezone().replace(microsecond=0) + timedelta(hours=1)
+    paused = f"an operator paused it until {to_people(until)}"
     with closing(Ledger(file, time.time)) as holder:
         assert holder.why_not_kept(20.0) == ""
         words = f"process {os.getpid()} already uses it"
         before = file.read_bytes()
-        node = rig.start(state_file=file)
+        node = rig.start(state_file=file, pause_until=until.isoformat())
         rig.join()
         rig.tick_until(
             0.5, lambda: "not activated" in rig.state and words in rig.state, 60, "the refusal"
@@ -246,7 +247,8 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
         assert rig.state.startswith(STOPPED)
         assert file.read_bytes() == before
         holder.fault("burst pipe", "delivery")
-    rig.until_state("fault: burst pipe; an operator stopped it", 20)
+    rig.until_state(f"fault: burst pipe; an operator stopped it; {paused}", 20)
+    assert command(rig, "pause", "--end")[0] == 0
     assert rig.call(Trigger, "reset").success
     assert rig.drive.speed() == 0.0
     assert rig.call(SetBool, "stop", data=True).success
@@ -330,9 +332,9 @@ def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig) -> None:
             rig.stands_within(3)
             rig.drive.inject("none")
     rig.run()
-    rig.drive.ask(lambda bench: bench.take_over(True))
+    rig.drive.take_over(True)
     rig.until_state("local control")
-    rig.drive.ask(lambda bench: bench.take_over(False))
+    rig.drive.take_over(False)
     rig.run()
     # Somebody who worked on it meanwhile may have turned off its own timeout.
     rig.drive.inject("timeout_off")
@@ -446,31 +448,14 @@ def test_a_pause_is_kept_over_restarts_and_ends_by_itself(rig: PumpRig) -> None:
     assert datetime.now().astimezone() >= soon - timedelta(seconds=1)
 
 
-def test_a_pause_of_the_parameter_file_waits_for_the_state_file(rig: PumpRig) -> None:
-    """While another program has it, the node runs with the pump off; then the pause counts.
-
-    If this ended the node, the whole site would end with it.
-    """
-    file = rig.cwd / "pump.json"
-    until = datetime.now().astimezone().replace(microsecond=0) + timedelta(hours=1)
-    with closing(Ledger(file, time.time)) as holder:
-        assert holder.why_not_kept(20.0) == ""
-        node = rig.start(state_file=file, pause_until=until.isoformat())
-        rig.join()
-        rig.tick_until(0.5, lambda: "not activated" in rig.state, 60, "the refusal")
-        rig.until_said("state file", ERROR, "already uses it")
-    rig.tick_until(
-        0.5, lambda: rig.state == f"held: an operator paused it until {to_people(until)}", 60,
-        "the pause",
-    )
-    assert node.poll() is None and rig.drive.speed() == 0.0
-
-
 def test_a_dose_by_the_command(rig: PumpRig) -> None:
     """Delivered in full at the controller's 0; exit code 1 if it is refused or ended by a stop."""
     rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
     rig.run()
     rig.until_it_stands(10, 0.0)
+    volume = [Parameter("volume", value=0.1).to_parameter_msg()]
+    by_hand = rig.call(SetParametersAtomically, "dose", parameters=volume).result
+    assert not by_hand.successful and "needs volume" in by_hand.reason
     before = sum(rig.flows)
     code, output = command(rig, "dose", "--volume", "0.2")
     assert (code, output.splitlines()[-1]) == (0, "the dose of 0.2 m3 was delivered")
@@ -528,25 +513,6 @@ def test_a_dose_by_the_page(rig: PumpRig) -> None:
     assert "another dose is under way" in answer(token)["sentence"]
     rig.until_it_stands(60, 0.0)
     assert sum(rig.flows) - before == pytest.approx(0.2, rel=0.1)
-
-
-def test_a_request_for_a_dose_is_no_repetition(rig: PumpRig) -> None:
-    """For a manual service call: what it lacks, a request that is old, and one that is repeated."""
-    rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
-    rig.run()
-    rig.until_it_stands(10, 0.0)
-
-    def ask(**values: float) -> Any:
-        parameters = [Parameter(name, value=value).to_parameter_msg()
-                      for name, value in values.items()]
-        return rig.call(SetParametersAtomically, "dose", parameters=parameters).result
-
-    now = time.time()
-    assert "needs volume" in ask(volume=0.1).reason
-    assert "s old, but must be at most 60 s" in ask(volume=0.1, asked_at=now - 61).reason
-    assert ask(volume=0.1, asked_at=now).successful
-    repeated = ask(volume=0.1, asked_at=now)
-    assert not repeated.successful and "before the last one" in repeated.reason
 
 
 def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig: PumpRig) -> None:
@@ -630,18 +596,6 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
     play(lambda: time.monotonic() > began + 3, "three seconds", 0.0)
     assert rig.state == "off: the command is 0"
     assert not any(state.startswith("fault") for state in rig.states)
-
-
-def test_check_pump_finds_it_right(rig: PumpRig) -> None:
-    """The check acts as all peers, so the test must not publish."""
-    rig.leave()
-    rig.simulate("--speed", "20")
-    node = rig.start()
-    check = Process(rig.domain, "check_pump", "--node", "pump", "--period", "0.05", cwd=rig.cwd)
-    assert check.wait(120) == 0, check.stdout() + check.stderr()
-    assert "22 of 22 checks passed" in check.stdout()
-    assert rig.drive.speed() == 0.0
-    assert node.wait(60) == 1  # as when a run's plant ends
 
 
 def test_live(rig: PumpRig) -> None:

@@ -8,8 +8,6 @@ import signal
 import subprocess
 from pathlib import Path
 
-import pytest
-from bag_topics import MPC_TOPICS
 from commands import run_command
 from disks import small_disk
 from graphs import Process, environment, summary_of
@@ -22,29 +20,6 @@ from greenroof_ros.report.runs import find_runs
 def recover(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the recovery as a user would."""
     return run_command("recover", str(directory), *arguments, cwd=Path.cwd(), env=environment(0))
-
-
-def test_rosbags_decodes_it(recorded: Path) -> None:
-    """An independent rosbag2 reader finds each message and decodes it."""
-    with AnyReader([recorded / "bag"]) as reader:
-        counts = {connection.topic: connection.msgcount for connection in reader.connections}
-        assert set(counts) == MPC_TOPICS
-        assert set(counts.values()) == {361}
-        levels, windows, clocks = [], [], []
-        for connection, time_ns, data in reader.messages():
-            message = reader.deserialize(data, connection.msgtype)
-            if connection.topic == "/roof/level":
-                levels.append((time_ns, message.data))
-            elif connection.topic == "/forecast/precipitation":
-                front = message.data[: message.layout.data_offset]
-                windows.append((front[1:].tolist(), len(message.data) - len(front)))
-            elif connection.topic == "/clock":
-                clocks.append(message.clock.sec * 10**9 + message.clock.nanosec)
-    # Tick 0 is 2021-07-07T02:00-05:00, 1625641200 s after 1970 (date -d ... +%s).
-    assert clocks == [(1_625_641_200 + tick) * 10**9 for tick in range(361)]
-    assert [time_ns for time_ns, _ in levels] == clocks
-    assert levels[0][1] == pytest.approx(0.0457 / 1.3, rel=1e-15)
-    assert windows == [(list(range(1, 11)), 10)] * 361  # the end of each of ten ticks, and its rain
 
 
 def test_killed_recorder_costs_at_most_32_ticks(

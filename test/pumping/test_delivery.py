@@ -240,6 +240,17 @@ def test_a_pump_that_runs_on_without_a_connection() -> None:
     assert "(a stuck contactor)" in rig.decisions[-1].why
 
 
+def test_a_repaired_pipe() -> None:
+    """The reset begins a new check."""
+    rig = Rig(x2=0.5)
+    rig.run(100, 0.01)
+    rig.arriving = 0.0
+    assert time_to_fault(rig, 600, 1.0) < math.inf
+    rig.arriving = 1.0
+    rig.control.reset()
+    assert time_to_fault(rig, 150, 1.0) == math.inf
+
+
 @pytest.mark.parametrize(
     ("site", "leak", "after", "level", "detected"),
     [
@@ -371,6 +382,16 @@ def test_a_soil_that_drains_is_no_burst_pipe() -> None:
         problems.append(check.step(60.0, 2.0 - 0.1 * k / 25, roof, 0.1, 0.1))
     assert not any(problems)
     assert 0.03 < roof < PAPER_SITE.z_veg + 0.02
+
+
+def test_the_first_readings_are_no_alarm() -> None:
+    """They can be two standard deviations off; thirty starts of the check."""
+    errors = NOISE * np.random.default_rng(3).standard_normal((30, 120, 2))
+    for walk in errors:
+        check = DeliveryCheck(PAPER_SITE, settings_for(PAPER_SITE))
+        assert not any(
+            check.step(1.0, 2.0 + cistern, 0.03 + roof, 0.0, 0.0) for cistern, roof in walk
+        )
 
 
 def test_a_month_is_no_alarm() -> None:

@@ -67,6 +67,7 @@ def test_the_controller_commands_on_after_it(rig: Rig) -> None:
         (math.nan, 0.0, "must be above 0 and at most 0.5 m3"),
         (0.51, 0.0, "must be above 0 and at most 0.5 m3"),
         (0.0, 0.0, "must be above 0 and at most 0.5 m3"),
+        (-0.2, 0.0, "must be above 0 and at most 0.5 m3"),
         (0.01, 0.0, "must be at least 0.0"),
         (0.2, 61.0, "61 s old, but must be at most 60 s"),
         (0.2, -10.0, "must be at most 60 s"),

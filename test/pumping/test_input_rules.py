@@ -70,6 +70,7 @@ COURSES: dict[str, list[tuple[float, str, str]]] = {
     "two publishers, whatever they say": [
         (0.0, "a value", "recovering"), (3.0, "a value", ""), (3.5, "2 publishers", "publishers"),
         (4.0, "2 publishers", "publishers"), (4.5, "", "recovering"), (7.5, "", ""),
+        (8.0, "unusable", "refused"),
     ],
     "a pause of the node, after which all is old": [
         (0.0, "a value", "recovering"), (3.0, "a value", ""), (4.0, "pause", "paused"),
@@ -87,6 +88,8 @@ def test_courses_of_an_input(name: str) -> None:
             rules.paused(7.0)
         if event in ("a value", "nan"):
             verdict = rules.came(now, 1.0, "was refused: nan" if event == "nan" else "")
+        elif event == "unusable":
+            verdict = rules.refuse(now, "was refused: it is too short")
         else:
             verdict = rules.judge(now, "has 2 publishers" if event == "2 publishers" else "")
         assert (rule(verdict), verdict.good) == (broken, not broken), now

@@ -41,7 +41,7 @@ CAUSES: dict[str, dict[str, Any]] = {
     "runs_on": {"command": 0.0, "stuck_speed": 0.6},
     "speed_not_followed": {"stuck_speed": 0.05},
     "delivery": {"command": 1.0, "arriving": 0.0, "leaving": 0.0},
-    # A record from another version of this package can have any code, even this one.
+    # Another code of the table, as in a record from another version of this package.
     "fault_unknown": {"record": {"fault": "it was so", "fault_code": "frost"}},
     "operator_stop": {"record": {"operator_stop": "an operator stopped it"}},
     "page_stop": {"record": {"page_stop": True}},
@@ -122,6 +122,13 @@ def test_what_follows_is_not_said_beside_its_cause() -> None:
     rig.change = {"drive_ready": False}
     assert codes(rig.step(None)) == ["command_unknown"]
     assert evaluate({"drive_not_ready": "x", "no_command": ""}) == {"drive_not_ready": "x"}
+
+
+def test_a_kept_fault_keeps_the_pump_off_whatever_its_code() -> None:
+    """A record from another version of this package can have any code."""
+    rig = Rig()
+    rig.ledger.fault("it was so", "phase_lost")
+    assert codes(rig.step(0.5)) == ["fault_unknown"]
 
 
 def test_faults_beside_each_other() -> None:

@@ -247,6 +247,14 @@ def test_the_outstanding_volume_is_limited() -> None:
     assert pulse.outstanding == 0
 
 
+@given(share=st.floats(0, 1) | st.just(1.0), level=st.floats(0.75, 15))
+def test_speeds_are_the_drives(share: float, level: float) -> None:
+    """Between the drive's least speed and the rated speed, including roundings."""
+    speed = pulses(least_speed=0.8).speed(share, level)
+    assert 0.8 <= speed <= 1
+    assert share < 1 or speed == pytest.approx(1)
+
+
 def test_a_running_pump_makes_up_for_the_outstanding_volume() -> None:
     """A least pulse per minute: 0.0168441 / 60 / 0.00842205 = a thirtieth of the maximum more."""
     pulse = pulses()

@@ -41,11 +41,6 @@ def make_of(name: str, clock: Callable[[], float], **settings: float | None) -> 
     return profile_of(file.make)(file, DriveSettings(**settings), clock)  # type: ignore[arg-type]
 
 
-def place_of(drive: Simulator) -> str:
-    """Return the address that a simulator prints as the drive's."""
-    return drive.ready.split()[2].rstrip(",")
-
-
 # --- settings -------------------------------------------------------------------------------------
 
 
@@ -128,7 +123,7 @@ def shared() -> Iterator[Simulator]:
 def driver(shared: Simulator) -> Iterator[Drive]:
     """A driver that is connected to it, without a fault."""
     shared.inject("none")
-    at = parse_address(place_of(shared))
+    at = parse_address(shared.address)
     drive = Drive(read_drive_file(find_drive_file("abb_acs880")), at, 0.5)
 
     def connects() -> bool:
@@ -198,7 +193,7 @@ def test_what_is_not_there_is_refused_by_the_specifications_exception(
     for ask in (partial(driver.line.read, 0x7000, 1), partial(driver.line.write, 3, 1)):
         with pytest.raises(DriveError, match="refused with exception 2"):
             ask()
-    stranger = Drive(driver.file, parse_drive_address(f"{place_of(shared)},5", "at"), 0.5)
+    stranger = Drive(driver.file, parse_drive_address(f"{shared.address},5", "at"), 0.5)
     with closing(stranger.line):
         stranger.line.connect()
         with pytest.raises(DriveError, match="refused with exception 11"):
@@ -215,7 +210,7 @@ def test_rtu_over_a_pseudo_terminal() -> None:
         "--boot", "0.5",
     ) as drive:
         file = read_drive_file(find_drive_file("abb_acs880"))
-        driver = Drive(file, parse_address(place_of(drive)), 0.2)
+        driver = Drive(file, parse_address(drive.address), 0.2)
         with closing(driver.line):
             driver.line.connect()
             assert driver.why_no_simulator() == ""
@@ -274,7 +269,7 @@ def driven(make: str, directory: Path) -> Iterator[Driven]:
     with Simulator(
         "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
     ) as drive, closing(
-        DriveExchange(PlacedDrive(file, parse_address(place_of(drive))), period_s=0.1)
+        DriveExchange(PlacedDrive(file, parse_address(drive.address)), period_s=0.1)
     ) as exchange:
         exchange.only_simulator()
         exchange.start()
@@ -302,7 +297,7 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
         exchange.reset()
         until(lambda: driven_drive.said(lambda status: status.fault == ""))
         exchange.close()
-        alone = Drive(driven_drive.file, parse_address(place_of(drive)))
+        alone = Drive(driven_drive.file, parse_address(drive.address))
         alone.line.connect()
         alone.run(0.6)
         alone.line.close()
