@@ -164,6 +164,13 @@ def test_limits_are_those_of_the_type(kind: str, low: int, high: int) -> None:
     assert limits(kind) == (low, high)
 
 
+def test_a_fault_that_is_the_timeout_and_no_other() -> None:
+    """Bits 1 and 7; no bits at all are not this fault."""
+    codes = Codes("fault", "bits", {})
+    only = [codes.only(raw, (1, 7)) for raw in (0x82, 0x80, 0x83, 0)]
+    assert only == [True, True, False, False]
+
+
 def test_the_bits_of_a_word_in_words() -> None:
     """From the lowest to the highest of 32 bits; bits without a text by their number."""
     codes = Codes("fault", "bits", {Word(0): "low", Word(31): "high"})

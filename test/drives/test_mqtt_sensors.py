@@ -159,8 +159,9 @@ def test_nothing_of_before_a_suspend_counts_after_it(
 def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
     shared: Mosquitto
 ) -> None:
-    """Unlike a value, the availability may be a retained message."""
-    with reading(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
+    """Unlike a value, the availability may be a retained message. A loss empties the filter."""
+    lwt: dict[str, object] = {"available": "roof/LWT", "online": "Online", "median": 3}
+    with reading(shared, **lwt) as reader, Talker(shared) as talker:
         unknown = "is offline: roof/LWT has not said 'Online'"
         begin(reader, talker, "1")
         assert after(reader, talker, "1") == [unknown]
@@ -174,7 +175,8 @@ def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
         assert after(reader, talker, "2") == [unknown]
         talker.say("roof/LWT", "Online", retain=True)
         until(lambda: "is online, but" in reader.snapshot.problem, 20)
-    with reading(shared, available="roof/LWT", online="Online") as reader, Talker(shared) as talker:
+        assert after(reader, talker, "2") == [2.0]  # not the lower median of 1 and 2
+    with reading(shared, **lwt) as reader, Talker(shared) as talker:
         until(lambda: "is online, but" in reader.snapshot.problem, 20)
         assert after(reader, talker, "3") == [3.0]
 

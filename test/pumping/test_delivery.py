@@ -330,15 +330,6 @@ def test_levels_that_are_unknown_now_and_then_hide_no_fault(
     assert rig.ledger.record.day_volume < 2.0
 
 
-def test_a_meter_that_says_nothing_hides_no_volume() -> None:
-    """The day counts the volume computed from the speed; the cistern falls more than measured."""
-    rig = Rig(x2=0.0, noise=NOISE)
-    rig.change = {"flow": 0.0}
-    assert time_to_fault(rig, 300, 1.0) < 300
-    assert rig.plant.x2 > 0.3
-    assert rig.ledger.record.day_volume == pytest.approx(rig.plant.x2, rel=0.02)
-
-
 @pytest.mark.parametrize(
     ("site", "x2", "command", "drift", "dry_for"),
     [
