@@ -16,8 +16,8 @@ from simulators import Simulator
 from std_msgs.msg import Float64
 
 # Ten ticks of 1 s per second, and a drive that ramps ten times as fast as in real time.
-PERIOD_S, FACTOR = 0.1, 10
-PACE = ("--speed", str(FACTOR), "--boot", "0.1", "--timeout", "1.5")
+PERIOD_S = 0.1
+PACE = ("--speed", "10", "--boot", "0.1", "--timeout", "1.5")
 LEAST_TIMES = {"least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
 
 
@@ -31,7 +31,6 @@ class PumpRig:
         self.node = observer.node
         self.flows: list[float] = observer.hear("/pump/flow")
         self.states: list[str] = observer.hear("/pump/state")
-        self.every_tick: Callable[[], None] = lambda: None
         self._ticks = 0
         self._volumes = [75.0, 0.3]
         self._publishers: dict[str, Any] = {}
@@ -101,7 +100,6 @@ class PumpRig:
     def tick(self, command: float) -> float:
         """Publish a tick, and return its flow; there must be exactly one."""
         began, before = time.monotonic(), len(self.flows)
-        self.every_tick()
         clock = Clock()
         clock.clock.sec = 1_751_371_200 + self._ticks
         self._publishers["/clock"].publish(clock)
@@ -195,9 +193,3 @@ class PumpRig:
 
     def lifecycle_state(self) -> str:
         return str(self.call(GetState, "get_state").current_state.label)
-
-    def stands_within(self, seconds: float) -> float:
-        """Wait, without ticks, until the motor stands, and return how long that took (s)."""
-        began = time.monotonic()
-        wait_for(lambda: self.drive.speed() == 0.0, seconds, "the motor's standstill")
-        return time.monotonic() - began

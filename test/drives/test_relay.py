@@ -247,15 +247,6 @@ def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fa
     wait(lambda: bench.closed, 60)
 
 
-def test_a_power_cut_is_noticed(bench: Bench) -> None:
-    """By the relay's message or, if its answers are not numbered, by a missing answer."""
-    bench.run()
-    bench.relay.power_cycle()
-    wait(lambda: bench.now.second_master or not bench.now.connected, 10)
-    assert not bench.closed
-    wait(lambda: bench.closed, 30)
-
-
 def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
     """If *off* is on its way, it reverses the hand before a query: a later try is noticed."""
     bench.connect()

@@ -1,4 +1,7 @@
-"""What a run does when its nodes die, hang or are missing, and when a person stops it."""
+"""What a run does when its nodes die or are there already, and when a person stops it.
+
+What it does when they hang is in the sample of the campaign, test_faults.py.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,6 @@ from graphs import (
     Process,
     alive,
     assert_on_loopback_alone,
-    bag_file,
     messages_of,
     summary_of,
     udp_addresses_of,
@@ -92,43 +94,6 @@ def test_what_ends_a_run(domain: int, tmp_path: Path, cause: str) -> None:
     assert_gone(nodes)
     assert (tmp_path / "run" / "bag" / "metadata.yaml").exists() or cause in NODES
     assert_ended_early(process, status, reason)
-
-
-@pytest.mark.parametrize("victims", [["recorder"], ["plant", "weather"]], ids="-".join)
-def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
-    """Nodes stopped for longer than the limit end the run soon afterwards, with their names."""
-    process, nodes = started(domain, tmp_path, "--peer-limit", "5")
-    for victim in victims:
-        os.kill(nodes[victim], signal.SIGSTOP)
-    stopped = time.monotonic()
-    assert process.wait(300) == 1
-    assert time.monotonic() - stopped > 2
-    for victim in victims:
-        # Reported by the supervisor, or by the plant, which waits for the victim's messages.
-        name = NODES[victim]
-        reported = [f"node {name} (stopped) has not answered for 5 s", f" from {name}"]
-        assert any(text in process.stderr() for text in reported), process.stderr()
-    assert "Traceback" not in process.stderr()
-    assert_gone(nodes)
-
-
-def test_pause_shorter_than_the_limit_changes_nothing(
-    domain: int, tmp_path: Path, recorded: Path
-) -> None:
-    """Each node is stopped for a while, the recorder longest: the bag equals an undisturbed one."""
-    process = Process(
-        domain, "bringup", "--output", "run", "--hours", "0.1", "--speed", "40", cwd=tmp_path
-    )
-    process.wait_for_ticks(size=0)
-    nodes = process.nodes()
-    for node, seconds in (("recorder", 2.0), ("controller", 1.0), ("weather", 1.0), ("plant", 1.0)):
-        os.kill(nodes[node], signal.SIGSTOP)
-        time.sleep(seconds)
-        assert process.process.poll() is None, process.stderr()
-        os.kill(nodes[node], signal.SIGCONT)
-        time.sleep(0.2)
-    assert process.wait(300) == 0, process.stderr()
-    assert bag_file(tmp_path / "run").read_bytes() == bag_file(recorded).read_bytes()
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.7])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import socket
 import threading
@@ -198,7 +197,7 @@ class Hardware(Simulator):
         wait_for(tanks.stdout, 60, "sensors that are ready")
         write_forecast(self.cwd / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
 
-    def in_the_loop(self, *options: str, output: str = "run", stderr: int | None = None) -> Process:
+    def in_the_loop(self, *options: str, output: str, stderr: int | None = None) -> Process:
         """Start a simulated run with the drive and a short least time off."""
         (self.cwd / "pump.yaml").write_text("/**/pump:\n  ros__parameters:\n    least_off: 1.0\n")
         return Process(
@@ -235,7 +234,7 @@ def hardware(
 def test_a_live_site_with_drive_and_sensors(
     domain: int, tmp_path: Path, site: Site, hardware: Hardware
 ) -> None:
-    """The controller pumps and the roof rises; a pump node that hangs is killed and restarted.
+    """The controller pumps and the roof rises; a drive that cannot be stopped is said to run.
 
     Everything missing at the start has a line with what to do, and the list shrinks as things
     arrive. In a namespace; the drive's own timeout is off, so it stops nothing here.
@@ -276,19 +275,6 @@ def test_a_live_site_with_drive_and_sensors(
     assert "THE PUMP MAY BE RUNNING" in printed
     summary = summary_of(tmp_path / "run")
     assert summary["status"] == "failed" and "THE PUMP MAY BE RUNNING" in summary["reason"]
-    causes = [
-        (incident["node"], incident["cause"]) for incident in summary["incidents"]
-        if incident["part"] == "process"
-    ]
-    # At rest is at most 2 %; of any other drive it says that the pump may be running.
-    at_rest = r"speed ([01]\.\d|2\.0)%, (running|off)"
-    stopped = rf"did not stop the drive; .*drive to stop; it then reported: {at_rest}"
-    for (node, cause), (expected, pattern) in zip(causes[:2], [
-        ("pump", r"had not answered for 2 s \(stopped\): killed; starts"),
-        ("pump", stopped),
-    ], strict=True):
-        assert node == expected
-        assert re.match(pattern, cause), cause
     assert (tmp_path / "run" / "pump.json").is_file()
 
 

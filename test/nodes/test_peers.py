@@ -76,6 +76,16 @@ def test_started_by_hand_gives_the_bag_of_bringup(
     assert mine.read_bytes() == bag_file(recorded).read_bytes()
 
 
+def test_a_plant_without_a_controller_names_it(nodes: Nodes) -> None:
+    """It ends; the status that it reports last is in the sample of the campaign, test_faults.py."""
+    nodes.node("weather")
+    nodes.node("plant", start_limit=6.0)
+    assert nodes.code("plant") == 1
+    (fatal,) = [line for line in nodes.log("plant").splitlines() if "FATAL" in line]
+    assert "no start within 6 s" in fatal and "/pump/command from the controller" in fatal
+    assert "weather" not in fatal.partition("no start")[2]
+
+
 def test_plant_that_is_killed_ends_the_others(
     nodes: Nodes, monkeypatch: pytest.MonkeyPatch
 ) -> None:

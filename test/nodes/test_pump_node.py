@@ -1,6 +1,7 @@
 """The pump node against a simulated drive: whatever goes wrong, the motor stands soon after.
 
-The motor's state is read at the simulator's workbench, not from the node.
+The motor's state is read at the simulator's workbench, not from the node. What happens if the node,
+bringup or the drive fails is in the sample of the campaign, test_faults.py.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ import json
 import math
 import os
 import signal
-import socket
 import subprocess
 import time
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from typing import Any
 from urllib.request import Request, urlopen
 
 import pytest
-from graphs import Process, environment, free_ports, wait_for
+from graphs import Process, free_ports, wait_for
 from modbus_wire import Wire, acs880
 from places import CONFIG
 from pump_node_rig import PumpRig
@@ -32,7 +32,7 @@ from ros_rig import ERROR, LATE, OK, STALE, SUSPENDED, WARN, Observer, policies
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from greenroof_ros.common.times import boot_time, to_people
+from greenroof_ros.common.times import to_people
 from greenroof_ros.drives.exchange import Snapshot
 from greenroof_ros.nodes.pump import _Drive
 from greenroof_ros.pumping.ledger import Ledger
@@ -185,24 +185,11 @@ def test_what_the_drive_file_says(rig: PumpRig) -> None:
     assert rig.says("drive timeout", OK, "beware: a changed 58.14 to 58.16 is in force only")
 
 
-def test_the_motor_stands_when_the_node_goes(rig: PumpRig) -> None:
-    """SIGTERM: off and read back; kill -9 and SIGSTOP: the drive's own timeout of 1.5 s."""
+def test_after_an_unexpected_error_the_motor_stands(rig: PumpRig) -> None:
     node = rig.start()
     rig.run()
     assert policies(node.pid) == {os.SCHED_OTHER}  # it must be on time, also in the loop
-    began = time.monotonic()
-    node.terminate()
-    assert node.wait(120) == 0
-    assert rig.drive.speed() == 0.0  # at its end, not later
-    assert time.monotonic() - began < 4
-    for number in (signal.SIGKILL, signal.SIGSTOP):
-        node = rig.start()
-        rig.run()
-        node.send_signal(number)
-        assert rig.stands_within(4) > 0.5
-    node.send_signal(signal.SIGCONT)
-    rig.run()  # without any help
-    rig.send_nonsense()  # an unexpected error
+    rig.send_nonsense()
     assert node.wait(120) == 1
     assert rig.drive.speed() == 0.0
 
@@ -315,36 +302,6 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     rig.until_code("pump", "")
 
 
-def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig) -> None:
-    """Connection refused or power cycle: off, reported, and running again by itself."""
-    rig.start()
-    for fault in ("refused", "power_cycle"):
-        rig.run()
-        rig.drive.inject(fault)
-        rig.until_state("unknown: no connection to the drive", 6)
-        assert rig.tick(0.5) == 0.0
-        assert rig.state.endswith("not known whether the pump is at rest")  # it may still slow down
-        rig.until_code("drive", "drive_lost")
-        since = rig.observer.values("/pump: drive")["since"]
-        assert abs(datetime.fromisoformat(since).timestamp() - time.time()) < 60
-        if fault != "power_cycle":
-            rig.stands_within(3)
-            rig.drive.inject("none")
-    rig.run()
-    rig.drive.take_over(True)
-    rig.until_state("local control")
-    rig.drive.take_over(False)
-    rig.run()
-    # Somebody who worked on it meanwhile may have turned off its own timeout.
-    rig.drive.inject("timeout_off")
-    rig.drive.inject("refused")
-    rig.until_state("unknown: no connection")
-    rig.drive.inject("none")
-    rig.until_state("timeout is not effective")
-    rig.until_said("drive timeout", ERROR, "is not effective")
-    rig.stands_within(3)
-
-
 def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: PumpRig) -> None:
     """Also over restarts of the node; a stop that fails at the end is reported."""
 
@@ -358,7 +315,7 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     rig.drive.inject("drive_fault", 0x2310)
     rig.until_state("fault: the drive reports")
     rig.until_said("pump", ERROR, "the drive reports")
-    rig.stands_within(3)
+    rig.until_it_stands(3)
     rig.drive.inject("none")
     node.kill()
     node.wait()
@@ -520,38 +477,6 @@ def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig
     rig.observer.node.destroy_publisher(run)
 
 
-def test_it_runs_only_with_a_fresh_permit_of_bringup(rig: PumpRig) -> None:
-    """Held with a reason, after 2 s without news, and after bringup's end, the motor stands."""
-    bringup, of_node = socket.socketpair()
-    with bringup:
-
-        def give(hold: str) -> None:
-            bringup.send(json.dumps({"inhibit": hold, "at": boot_time()}).encode() + b"\n")
-
-        env = {**environment(rig.domain), "GREENROOF_ROS_SUPERVISOR": str(of_node.fileno())}
-        rig.start(popen={"env": env, "pass_fds": [of_node.fileno()]})
-        of_node.close()
-        rig.join()
-        rig.until_state("no permit yet")
-        assert rig.drive.speed() == 0.0
-
-        def runs() -> None:
-            rig.every_tick = lambda: give("")
-            rig.run()
-            rig.every_tick = lambda: None
-
-        runs()
-        rig.every_tick = lambda: give("the weather node is missing")
-        assert rig.until_it_stands(60) < 2
-        rig.until_said("supervisor", WARN, "weather node is missing")
-        runs()
-        assert 1.5 < rig.until_it_stands(6) < 4
-        assert "no permit for 2 s" in rig.state
-        runs()
-    assert rig.until_it_stands(60) < 2
-    assert "bringup has ended" in rig.state
-
-
 def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.MonkeyPatch) -> None:
     """Old inputs do not count; the node reports that nobody watched the pump meanwhile.
 
@@ -588,7 +513,7 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
 
 
 def test_live(rig: PumpRig) -> None:
-    """A flow each tick of its own; an old, unknown or second input stops it, and it recovers."""
+    """A flow each tick of its own; unknown frost stops it; a flow meter counts, not the speed."""
     site = rig.cwd / "site.yaml"
     site.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 "))
     rig.start(
@@ -606,19 +531,8 @@ def test_live(rig: PumpRig) -> None:
     began, before = time.monotonic(), len(rig.flows)
     rig.play(good, lambda: time.monotonic() > began + 2, "two seconds")
     assert 4 <= len(rig.flows) - before <= 20
-    for missing, words in (
-        ("/pump/command", "command"), ("/cistern/level", "level of the cistern"),
-        ("/roof/level", "level of the roof"),
-    ):
-        fewer = {name: value for name, value in good.items() if name != missing}
-        rig.play(
-            fewer, lambda words=words: rig.drive.speed() == 0.0 and words in rig.state,
-            f"a stop without {missing}",
-        )
-        runs()
     rig.play({**good, "/weather/frost": math.nan}, lambda: rig.drive.speed() == 0.0, "a stop")
     runs()
-    # A flow meter takes precedence over the speed.
     rig.play(good, lambda: rig.says("flow", OK, "computed from the speed"), "the flow's source")
     measured = {**good, "/pump/meter": 0.00321}
     rig.play(measured, lambda: rig.flows[-1] == 0.00321, "the measured flow")
