@@ -67,14 +67,12 @@ def assert_ended_early(process: Process, status: str, reason: str) -> None:
         assert commands == [f"  greenroof {name} {run}" for name in ("recover", "report")]
 
 
-@pytest.mark.parametrize(
-    "cause", ["ctrl-c", "sigterm under nohup", "plant", "weather", "controller"]
-)
+@pytest.mark.parametrize("cause", ["ctrl-c", "sigterm under nohup", "plant"])
 def test_what_ends_a_run(domain: int, tmp_path: Path, cause: str) -> None:
     """A signal or kill -9 of a node: at once, with its name, no traceback, and nothing left.
 
     After a signal the exit code is 130, and the bag is closed. Ignored signals, as under nohup and
-    in a shell's background, end nothing. The recorder is killed in test_recorder.py.
+    in a shell's background, end nothing.
     """
     ignored = (signal.SIGHUP, signal.SIGINT) if cause == "sigterm under nohup" else ()
     process, nodes = started(domain, tmp_path, ignored=ignored)

@@ -270,16 +270,14 @@ def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
 
 
 def test_commands_that_must_not_pump(rig: PumpRig) -> None:
-    """NaN, negative, of two publishers, of one not heard: off, with its name, and it recovers."""
+    """Negative, of two publishers, of one not heard: off, with its name, and it recovers."""
     rig.start()
     rig.run()
-    for bad in (math.nan, -1.0):
-        rig.until_it_stands(4, bad)
-        rig.until_said("command", ERROR, "refused", command=bad)
-        rig.until_code("pump", "command_unknown", bad)
-        assert rig.observer.values("/pump: pump")["cause"] == rig.code("command") == "input_refused"
+    rig.until_it_stands(4, -1.0)
+    rig.until_said("command", ERROR, "refused", command=-1.0)
+    rig.until_code("pump", "command_unknown", -1.0)
+    assert rig.observer.values("/pump: pump")["cause"] == rig.code("command") == "input_refused"
     rig.run()
-    rig.tick_until(5.0, lambda: rig.drive.speed() > 0.99, LATE, "full speed, and no more")
     rig.until_said("limits", WARN, "taken as 1", command=5.0)
     # The second has the same name as the first: endpoints count, not names.
     name = rig.node.get_name()
