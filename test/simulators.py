@@ -83,7 +83,7 @@ class Simulator(Workbench):
 
     Attributes:
         address: of the device.
-        ports: the port of each device on TCP, and last that of the workbench.
+        ports: the port of each device on TCP, and last the workbench's.
     """
 
     def __init__(self, module: str, *options: str) -> None:
