@@ -93,14 +93,28 @@ def mosquitto(directory: Path, *lines: str) -> Iterator[Mosquitto]:
 
 
 class Talker:
-    """A client that publishes, each message confirmed by the broker; ``with`` connects it."""
+    """A client that publishes, each message confirmed by the broker; ``with`` connects it.
 
-    def __init__(self, broker: Mosquitto) -> None:
-        self._connected = threading.Event()
+    Attributes:
+        heard: what it received: when (s, `time.monotonic`), topic, payload, whether retained.
+    """
+
+    def __init__(self, broker: Mosquitto, topic: str = "") -> None:
+        """Prepare a client that receives a topic; ``#`` stands for all."""
+        self.heard: list[tuple[float, str, str, bool]] = []
+        self._topic, self._connected = topic, threading.Event()
         self._client = make_client(
             parse_broker(broker.address, "broker", broker.login, broker.authority),
-            f"talker_{id(self)}", self._connected.set, lambda topic, payload, retained: None,
+            f"talker_{id(self)}", self._subscribe, self._hear,
         )
+
+    def _subscribe(self) -> None:
+        if self._topic:
+            self._client.subscribe(self._topic)
+        self._connected.set()
+
+    def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
+        self.heard.append((time.monotonic(), topic, payload.decode(errors="replace"), retained))
 
     def __enter__(self) -> Talker:
         self._client.loop_start()

@@ -258,7 +258,7 @@ def running_pump(domain: int, cwd: Path) -> Iterator[tuple[Process, Simulator]]:
         "drive_simulator", *options, "--port", str(at), "--workbench", str(bench)
     ) as drive:
         run = Process(
-            domain, "bringup", *options, "--drive-at", drive.ready.split()[2].rstrip(","),
+            domain, "bringup", *options, "--drive-at", drive.address,
             "--controller", "onoff", "--hours", "2", "--namespace", "site1",
             "--cistern", "57", "--roof", "0", "--output", "run", cwd=cwd,
         )

@@ -247,7 +247,7 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
     ports = ("--port", str(at), "--workbench", str(bench))
     lost = Simulator("drive_simulator", *options, *ports)
     process = Process(
-        domain, "bringup", *options, "--drive-at", lost.ready.split()[2].rstrip(","),
+        domain, "bringup", *options, "--drive-at", lost.address,
         "--controller", "onoff", "--hours", "2", "--namespace", "site1", "--watch",
         "--cistern", "57", "--roof", "0",  # the pump runs for half a minute
         "--output", "run", cwd=tmp_path,
