@@ -1,4 +1,4 @@
-"""Archives of forecasts: when an issue becomes known, and how a run carries them along."""
+"""Archives of forecasts: when an issue becomes known."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from refusals import refusal
 
 from greenroof_ros.forecast.models import FileModel
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.study.grid import read_grid
+from greenroof_ros.formats.records import HOUR
 from greenroof_ros.weather.series import Weather
 
 
@@ -23,22 +23,38 @@ def weather_from(first: datetime, hours: int = 48) -> Weather:
     return weather_of(np.zeros(hours), first=first)
 
 
-@pytest.mark.parametrize(("delay", "late"), [(None, 6), (0.0, 0), (4.25, 5)])
+@pytest.mark.parametrize(
+    ("delay", "late", "rain_late"), [(None, 6, 0), (0.0, 0, 0), (4.25, 5, 0), (2.0, 3, 1)]
+)
 def test_an_issue_is_known_when_it_is_available(
-    tmp_path: Path, delay: float | None, late: int
+    tmp_path: Path, delay: float | None, late: int, rain_late: int
 ) -> None:
     """It is known hours after its nominal time, and used from the next full hour on.
 
     Its leads still count from the nominal time: when it is known late, its first hours are past.
+    With records whose rain is an hour late, an issue's rain is, too; evapotranspiration is not.
+    Run n has n.LL mm/h of rain and 10 + n.LL mm/day of evapotranspiration at its lead LL.
     """
     first = datetime.fromisoformat("2021-07-07T06:00+00:00")
-    archive = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, delay)
-    model = FileModel(archive, weather_from(first), False)
+    runs = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, delay)
+    archive = replace(
+        runs, issues=tuple(replace(run, evapotranspiration=10 + run.rain[0]) for run in runs.issues)
+    )
+    weather = replace(weather_from(first, 100), rain_late=rain_late)
+    model = FileModel(archive, weather, False)
     for hour in range(24):
         since = hour + 12 - late  # the first run is at 18:00 the day before
         number, lead = since // 6, since % 6 + late
-        expected = [number + (lead + ahead) / 100 for ahead in range(3)]
-        assert model.known(hour, 3)[0][0].tolist() == pytest.approx(expected, abs=1e-12)
+        rain, evapotranspiration = model.known(hour, 3)
+        expected = np.array([number + (lead + ahead) / 100 for ahead in range(3)])
+        assert rain[0] == pytest.approx(expected - rain_late / 100, abs=1e-12)
+        assert evapotranspiration == pytest.approx(expected + 10, abs=1e-12)
+    # The last run is of 12:00 on the 8th, 30 h after the first hour, and has 48 h; the rain of the
+    # last one can be late.
+    end = datetime.fromisoformat("2021-07-10T12:00+00:00") + rain_late * HOUR
+    without = FileModel(runs, weather, False)
+    assert without.repeats_from(36, 42 + rain_late) is None
+    assert without.repeats_from(36, 43 + rain_late) == end
 
 
 def test_hours_of_records_and_issues(tmp_path: Path) -> None:
@@ -56,32 +72,6 @@ def test_hours_of_records_and_issues(tmp_path: Path) -> None:
     assert model.known(24, 1)[0].shape == (1, 1)
 
 
-def test_late_rain(tmp_path: Path) -> None:
-    """With records whose rain is an hour late, an issue's rain is, too; evapotranspiration is not.
-
-    Run n has n.LL mm/h of rain and 10 + n.LL mm/day of evapotranspiration at its lead LL.
-    """
-    first = datetime.fromisoformat("2021-07-07T06:00+00:00")
-    runs = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, 2.0)
-    archive = replace(
-        runs, issues=tuple(replace(run, evapotranspiration=10 + run.rain[0]) for run in runs.issues)
-    )
-    weather = weather_from(first, 100)
-    late = replace(weather, rain_late=1)
-    model = FileModel(archive, late, False)
-    for hour in range(24):
-        since = hour + 12 - 3  # like runs that are known after three hours, not two
-        number, lead = since // 6, since % 6 + 3
-        rain, evapotranspiration = model.known(hour, 3)
-        expected = np.array([number + (lead + ahead) / 100 for ahead in range(3)])
-        assert rain[0] == pytest.approx(expected - 0.01, abs=1e-12)
-        assert evapotranspiration == pytest.approx(expected + 10, abs=1e-12)
-    # The last run is of 12:00 on the 8th, 30 h after the first hour, and has 48 h.
-    assert FileModel(runs, late, False).repeats_from(33, 46) is None
-    end = datetime.fromisoformat("2021-07-10T13:00+00:00")
-    assert FileModel(runs, late, False).repeats_from(33, 47) == end
-
-
 def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
     """The error names a file of an archive that differs from the others in this column."""
     for day, column in ((7, ""), (8, ",evapotranspiration [mm/day]")):
@@ -91,26 +81,3 @@ def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
         )
     wrong = r"8.csv, line 2: must have a column of evapotranspiration, or none, like 7.csv"
     refusal(read_archive, tmp_path, PAPER_SITE, match=wrong)
-
-
-def test_a_study_by_an_archive(tmp_path: Path) -> None:
-    """A study stores the directory as one file, with the delay of its kind."""
-    write_runs(tmp_path / "runs")
-    grid = tmp_path / "grid.yaml"
-    grid.write_text(
-        "site: site.yaml\nweather:\n"
-        "  - {file: weather/toronto_2021-07.csv, start: 2021-07-07T02:00-05:00, hours: 1}\n"
-        "initial: low-low\ncontrollers: {anticipating_onoff: {}}\n"
-        "forecast: [runs/, {model: runs/, delay: 2.0}]\n"
-    )
-    usual, early = read_grid(grid)
-    assert usual.forecast_files == early.forecast_files
-    assert (usual.forecast.delay, early.forecast.delay) == (6.0, 2.0)
-    carried = tmp_path / usual.forecast_files["file"].name
-    carried.write_bytes(usual.forecast_files["file"].content)
-    weather = weather_from(datetime.fromisoformat("2021-07-07T06:00+00:00"))
-    directory, file = (
-        FileModel(read_archive(source, PAPER_SITE, 6.0), weather, False).known(20, 12)[0]
-        for source in (tmp_path / "runs", carried)
-    )
-    assert directory.tobytes() == file.tobytes()

@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from archives import write_runs
-from graphs import bag_file, bring_up
+from graphs import bring_up, messages_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from paper import MIDNIGHT, PAPER_SITE, paper_run, site_with, weather_of
 from refusals import refusal
 
-from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.choice import ForecastChoice, choose
 from greenroof_ros.forecast.models import (
     ErrorModel,
@@ -33,7 +32,7 @@ from greenroof_ros.forecast.resampling import (
     make_forecast,
 )
 from greenroof_ros.forecast.skill import read_skill
-from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
+from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import HOUR, Archive, Issue
 from greenroof_ros.model.look_ahead import growing_steps
@@ -51,22 +50,9 @@ def both(forecast: Forecast, tick: int) -> list[bytes]:
 # --- means over steps --------------------------------------------------------------------------
 
 
-class Drawn:
-    """A model with arbitrary forecasts, different from the records."""
-
-    longest = None  # they have no end
-
-    def __init__(self, rain: Array, evapotranspiration: Array) -> None:
-        self._rain = rain
-        self._evapotranspiration = evapotranspiration
-
-    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
-        """Return a new forecast every hour."""
-        index = (np.arange(hour, hour + hours) + 7 * hour) % self._rain.shape[1]
-        return self._rain[:, index], self._evapotranspiration[index]
-
-    def repeats_from(self, hour: int, hours: int) -> None:
-        """Return None: the forecasts go on for ever."""
+def archive_of(*issues: Issue) -> Archive:
+    """Return an archive whose issues are known at once."""
+    return Archive(Path("archive.csv"), "own form", issues, 0.0, issues)
 
 
 @settings(max_examples=40)
@@ -83,29 +69,31 @@ def test_means_are_those_of_every_second(
     """Every step of every member equals the mean of its seconds, one by one."""
     chance = np.random.default_rng(seed)
     weather = weather_of(chance.uniform(0, 20, 6), chance.uniform(0, 9, 6))
-    rain = chance.uniform(0, 20, (2, 30)) * (chance.random((2, 30)) < 0.5)
-    model = Drawn(rain, chance.uniform(0, 9, 30))
+    rain = chance.uniform(0, 20, (7, 2, 12)) * (chance.random((7, 2, 12)) < 0.5)
+    evaporated = chance.uniform(0, 9, (7, 12))
+    hourly = archive_of(*(
+        Issue(MIDNIGHT + hour * HOUR, Path("archive.csv"), None, rain[hour], evaporated[hour])
+        for hour in range(7)
+    ))
     site = site_with(tau=float(tau))
     start = MIDNIGHT + timedelta(seconds=offset)
     edges = growing_steps(horizon) if horizon else tau * np.arange(site.M + 1.0)
     steps = (6 * 3600 - offset) // tau
+    model = FileModel(hourly, weather, all_members=True)
     forecast = SteppedForecast(model, weather, site, start, edges, steps, all_members=True)
     for tick in data.draw(st.lists(st.integers(0, steps), min_size=1, max_size=3)):
-        now = offset + tick * tau
-        seconds = now + np.arange(int(edges[-1]))
-        rain, evapotranspiration = model.known(now // 3600, 12)
-        lead = seconds // 3600 - now // 3600
-        present = min(now // 3600, 5)
+        hour, second = divmod(offset + tick * tau, 3600)
+        lead = (second + np.arange(int(edges[-1]))) // 3600
+        present = min(hour, 5)
+        parts = edges[1:-1].astype(int)
         for member in range(2):
-            rates = np.where(lead > 0, rain[member][lead], weather.precipitation[present])
-            means = [part.mean() for part in np.split(rates, edges[1:-1].astype(int))]
+            rates = np.where(lead > 0, rain[hour, member][lead], weather.precipitation[present])
+            means = [part.mean() / 3.6e6 for part in np.split(rates, parts)]
             got = forecast.precipitation(tick)[member]
-            assert list(got) == pytest.approx([mean / 3.6e6 for mean in means], rel=1e-9)
+            assert list(got) == pytest.approx(means, rel=1e-9)
             assert min(got) >= 0.0  # rounding must not give less, which the nodes would refuse
-        rates = np.where(
-            lead > 0, evapotranspiration[lead], weather.evapotranspiration[present]
-        )
-        means = [part.mean() * 68.8 / 8.64e7 for part in np.split(rates, edges[1:-1].astype(int))]
+        rates = np.where(lead > 0, evaporated[hour][lead], weather.evapotranspiration[present])
+        means = [part.mean() * 68.8 / 8.64e7 for part in np.split(rates, parts)]
         assert list(forecast.evapotranspiration(tick)) == pytest.approx(means, rel=1e-9)
 
 
@@ -157,25 +145,20 @@ def test_perfect_forecast_is_the_series(tau: float) -> None:
 # --- issues ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("first", "issues"),
-    [
-        ("2021-07-07T00:00-05:00", [1, 7, 13, 19]),
-        ("2021-07-07T00:00+05:30", [6, 12, 18, 24]),  # 18:30 UTC; 00:00 UTC is in hour 5
-    ],
-)
-def test_issued_every_six_hours(first: str, issues: list[int]) -> None:
-    """The newest changes at the first whole hour after 00, 06, 12 and 18 UTC."""
-    model = ErrorModel(
-        weather_of([1.0] * 60, first=datetime.fromisoformat(first)), 1, read_skill("real")
-    )
+def test_issued_every_six_hours() -> None:
+    """The newest changes at the first whole hour after 00, 06, 12 and 18 UTC.
+
+    In the zone +05:30 that is at 06:00 and so on: 18:30 UTC is hour 0, 00:00 UTC is in hour 5.
+    """
+    first = datetime.fromisoformat("2021-07-07T00:00+05:30")
+    model = ErrorModel(weather_of([1.0] * 60, first=first), 1, read_skill("real"))
     changed = []
     for hour in range(1, 25):
         before, now = model.known(hour - 1, 30)[1][1:], model.known(hour, 29)[1]
         if not np.allclose(before, now, rtol=1e-12, atol=0):
             assert not np.isclose(before, now)[1:].any()  # none of it was known before
             changed.append(hour)
-    assert changed == issues
+    assert changed == [6, 12, 18, 24]
 
 
 def test_errors_are_known_as_late_as_a_services() -> None:
@@ -305,18 +288,15 @@ def test_read_back(tmp_path: Path) -> None:
     assert model.repeats_from(2, 3) == MIDNIGHT.replace(hour=4)
     assert model.repeats_from(4, 1) == MIDNIGHT.replace(hour=4)
     assert model.repeats_from(6, 1) == MIDNIGHT.replace(hour=6)
-
-
-def one_issue(issued: datetime, *series: Array) -> Archive:
-    """Return an archive with a single issue."""
-    issue = Issue(issued, Path("archive.csv"), None, *series)
-    return Archive(issue.file, "own form", (issue,), 0.0, (issue,))
+    start, steps = MIDNIGHT.replace(hour=2), 5 * 3600
+    run = SteppedForecast(model, weather, PAPER_SITE, start, growing_steps(1.0), steps)
+    assert run.repeats_from == MIDNIGHT.replace(hour=4)  # the earliest of all ticks
 
 
 def test_past_its_end_a_day_is_like_the_last() -> None:
     """No rain, and each hour has the evapotranspiration of that hour in the issue's last day."""
     start, hours = MIDNIGHT.replace(hour=5), np.arange(30) / 10
-    own = one_issue(start, np.full((1, 30), 3.0), hours)
+    own = archive_of(Issue(start, Path("archive.csv"), None, np.full((1, 30), 3.0), hours))
     rain, evapotranspiration = FileModel(own, weather_of([0.0] * 40), False).known(25, 64)
     assert rain.tolist() == [[3.0] * 10 + [0.0] * 54]
     day = [hour / 10 for hour in range(6, 30)]
@@ -325,7 +305,7 @@ def test_past_its_end_a_day_is_like_the_last() -> None:
 
 def test_file_without_evapotranspiration() -> None:
     """The records' values count as known, and are repeated past their end."""
-    own = one_issue(MIDNIGHT, np.full((1, 9), 0.5))
+    own = archive_of(Issue(MIDNIGHT, Path("archive.csv"), None, np.full((1, 9), 0.5)))
     weather = weather_of([0.1] * 6, np.arange(6.0))
     model = FileModel(own, weather, True)
     rain, evapotranspiration = model.known(4, 4)
@@ -336,42 +316,16 @@ def test_file_without_evapotranspiration() -> None:
     assert model.repeats_from(4, 6) == MIDNIGHT.replace(hour=9)
 
 
-def archive(directory: Path, hours: int) -> Path:
-    """Write the packaged records as if they had been forecast every six hours."""
-    weather, file = paper_run().weather, directory / "archive.csv"
-    file.write_text(write_forecasts([
-        Issue(
-            weather.first + begin * HOUR, file, None,
-            weather.precipitation[None, begin : begin + hours],
-            weather.evapotranspiration[begin : begin + hours],
-        )
-        for begin in range(0, len(weather.precipitation) - hours + 1, 6)
-    ]))
-    return file
-
-
-def test_a_true_file_is_as_good_as_perfect(tmp_path: Path) -> None:
-    """The records as a forecast file: the same numbers, bit for bit, and nothing repeated."""
-    options = ("--controller", "anticipating_onoff", "--horizon", "12", "--hours", "24")
-    perfect = paper_run(*options)
-    filed = paper_run(*options, "--forecast", str(archive(tmp_path, 30)))
-    for tick in range(0, perfect.steps + 1, 1511):
-        assert both(perfect.forecast, tick) == both(filed.forecast, tick)
-    # 6 h until the next issue, and 12 h ahead.
-    for hours, repeats_from in ((30, "None"), (18, "None"), (17, "2021-07-07 17:00:00-05:00")):
-        run = paper_run(*options, "--forecast", str(archive(tmp_path, hours)))
-        assert str(run.forecast.repeats_from) == repeats_from
-
-
 def test_end_of_the_records() -> None:
     """Perfect forecasts and errors then repeat the last record; persistence needs none of them."""
-    options = ("--start", "2021-07-09T00:00", "--hours", "13", "--controller", "anticipating_onoff")
+    options = ("--start", "2021-07-09T00:00", "--controller", "anticipating_onoff")
     end = "2021-07-10 00:00:00-05:00"
-    for model in ("perfect", "errors"):
-        assert str(paper_run(*options, "--forecast", model).forecast.repeats_from) == end
-        run = paper_run("--hours", "12", "--forecast", model)
-        assert run.forecast.repeats_from is None
-    assert paper_run(*options, "--forecast", "persistence").forecast.repeats_from is None
+    for model, hours, repeats_from in (
+        ("perfect", "12", "None"), ("perfect", "12.0025", end), ("errors", "12.0025", end),
+        ("persistence", "12.0025", "None"),
+    ):
+        run = paper_run(*options, "--hours", hours, "--horizon", "12", "--forecast", model)
+        assert str(run.forecast.repeats_from) == repeats_from
 
 
 def test_choices(tmp_path: Path) -> None:
@@ -391,50 +345,26 @@ def test_choices(tmp_path: Path) -> None:
 # --- the graph ---------------------------------------------------------------------------------
 
 
-def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
-    """Return the numbers of each message of a topic in a bag, as bytes."""
-    from mcap.reader import make_reader
-
-    with bag_file(run).open("rb") as stream:
-        messages = make_reader(stream).iter_messages(topics=[topic])
-        return [message.data[-8 * length :] for _, _, message in messages]
-
-
-@pytest.mark.parametrize(
-    ("options", "carried", "summary"),
-    [
-        (
-            "--controller anticipating_onoff --forecast errors --forecast-seed 4 "
-            "--forecast-skill skill.yaml",
-            "skill.yaml", {"model": "errors", "skill": "skill.yaml", "seed": 4},
-        ),
-        (
-            "--controller mpc --forecast runs --forecast-delay 0.5",
-            "forecast/runs/run_2021070700.json", {"model": "file", "file": "runs", "delay": 0.5},
-        ),
-    ],
-)
-def test_the_graph_is_given_the_same(
-    domain: int, tmp_path: Path, options: str, carried: str, summary: dict[str, object]
-) -> None:
+def test_the_graph_is_given_the_same(domain: int, tmp_path: Path) -> None:
     """Over an issue at 06:00 UTC; the bag has, bit for bit, what was forecast.
 
-    The run carries its files and directories, and the graph reads the copies.
+    The run carries its directory of forecasts, and the graph reads the copy.
     """
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     write_runs(tmp_path / "runs")
-    skill = shared_directory() / "config" / "forecasts" / "skill.yaml"
-    (tmp_path / "skill.yaml").write_text(skill.read_text().replace("wetness:", "wetness: 1.0 #"))
-    words = [*options.split(), "--start", "2021-07-07T00:55", "--hours", "0.1"]
-    assert bring_up(domain, tmp_path, *words)["forecast"] == summary
-    kept = tmp_path / "run" / "configuration" / carried
-    assert kept.read_bytes() == (tmp_path / carried.removeprefix("forecast/")).read_bytes()
-    own = ("runs", "skill.yaml")
-    run = paper_run(*(str(tmp_path / word) if word in own else word for word in words))
+    options = ["--controller", "mpc", "--start", "2021-07-07T00:55", "--hours", "0.1"]
+    options += ["--forecast-delay", "0.5", "--forecast"]
+    summary = bring_up(domain, tmp_path, *options, "runs")
+    assert summary["forecast"] == {"model": "file", "file": "runs", "delay": 0.5}
+    kept = tmp_path / "run" / "configuration" / "forecast" / "runs"
+    assert (kept / "run_2021070700.json").read_bytes() == (
+        tmp_path / "runs" / "run_2021070700.json"
+    ).read_bytes()
+    run, bag = paper_run(*options, str(tmp_path / "runs")), messages_of(tmp_path / "run")
     for topic, forecast in (
         ("/forecast/precipitation", run.forecast.precipitation),
         ("/forecast/evapotranspiration", run.forecast.evapotranspiration),
     ):
         length = len(forecast(0))
         expected = [struct.pack(f"<{length}d", *forecast(tick)) for tick in range(run.steps + 1)]
-        assert arrays_of(tmp_path / "run", topic, length) == expected, topic
+        assert [message[-8 * length :] for message in bag[topic]] == expected, topic

@@ -1,7 +1,8 @@
 """CaSPAr's NetCDF, written here by its conventions: what is read from the header of its files.
 
-The header is copied from 2024010100.nc of HRDPS (PAVICS, HRDPS_P_PR_SFC) and from a member of an
-ensemble, 2018030100_000.nc; a missing value at the first hour has NetCDF's fill value.
+Names, dimensions, units and standard names are those of 2024010100.nc of HRDPS (PAVICS,
+HRDPS_P_PR_SFC) and of a member of an ensemble, 2018030100_000.nc; a missing value at the first hour
+has NetCDF's fill value.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 import netCDF4
 import numpy as np
 import pytest
+from archives import write_runs
 from paper import PAPER_SITE
 from refusals import refusal
 
@@ -38,32 +40,21 @@ def write(
 ) -> Path:
     """Write a file as CaSPAr does; everywhere except at the point it rains 50 mm/h."""
     hours = list(range(len(sums))) if hours is None else list(hours)
-    name = f"{product}_P_PR_SFC"
     issued = f"{file.stem[:4]}-{file.stem[4:6]}-{file.stem[6:8]} {file.stem[8:10]}:00:00"
     with netCDF4.Dataset(file, "w", format="NETCDF4") as dataset:
-        dataset.setncatts({"product": product, "Conventions": "CF-1.6"})
         for dimension, size in (("time", None), ("rlat", 3), ("rlon", 4)):
             dataset.createDimension(dimension, size)
         time = dataset.createVariable("time", "i4", ("time",))
-        time.setncatts({
-            "long_name": "time", "units": f"hours since {issued}", "calendar": "gregorian",
-            "standard_name": "time", "axis": "T",
-        })
+        time.setncatts({"units": f"hours since {issued}", "standard_name": "time"})
         time[:] = hours
-        for short, axis, what, degrees in (
-            ("lon", "rlon", "longitude", LONGITUDES), ("lat", "rlat", "latitude", LATITUDES)
-        ):
-            rotated = dataset.createVariable(axis, "f4", (axis,))
+        for what, degrees in (("latitude", LATITUDES), ("longitude", LONGITUDES)):
+            rotated = dataset.createVariable(f"r{what[:3]}", "f4", (f"r{what[:3]}",))
             rotated.setncatts({"standard_name": f"grid_{what}", "units": "degrees"})
-            rotated[:] = 0.0225 * np.arange(len(dataset.dimensions[axis]))
-            place = dataset.createVariable(short, "f4", ("rlat", "rlon"))
+            place = dataset.createVariable(what[:3], "f4", ("rlat", "rlon"))
             place.setncatts({"standard_name": what, "units": "degrees"})
             place[:] = degrees
-        rain = dataset.createVariable(name, "f4", ("time", "rlat", "rlon"))
-        rain.setncatts({
-            "long_name": "Forecast: Quantity of precipitation", "units": "m",
-            "coordinates": "lon lat",
-        })
+        rain = dataset.createVariable(f"{product}_P_PR_SFC", "f4", ("time", "rlat", "rlon"))
+        rain.units = "m"
         everywhere = np.ones((1, 3, 4)) * 0.05 * np.array(hours)[:, None, None]
         everywhere[(slice(None), *NEAREST)] = sums
         rain[:] = np.ma.masked_invalid(everywhere)
@@ -147,7 +138,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "product": (
         {"product": "CaLDAS"},
         f"must have one variable of precipitation, such as {RAIN}, of one of HRDPS, REPS, GEPS, "
-        "GEPS_NA; it has time, rlon, lon, rlat, lat, CaLDAS_P_PR_SFC",
+        "GEPS_NA; it has time, rlat, lat, rlon, lon, CaLDAS_P_PR_SFC",
     ),
     "place": (
         {"edit": lambda dataset: dataset["lon"].delncattr("standard_name")},
@@ -218,18 +209,27 @@ def test_members_that_are_missing(tmp_path: Path) -> None:
     refusal(read_archive, tmp_path, TORONTO, match=r"001.nc: must be of REPS, as 2021070800_")
 
 
-def test_a_study_carries_a_file_in_the_own_format(tmp_path: Path) -> None:
-    """CaSPAr's file has its issue in its name, which a study may change."""
+def test_a_study_carries_archives_in_the_own_format(tmp_path: Path) -> None:
+    """A directory is one file, with the delay of its kind or its own.
+
+    CaSPAr's file has its issue in its name, which a study may change.
+    """
     write(tmp_path / "2021070706.nc")
+    write_runs(tmp_path / "runs")
     grid = tmp_path / "grid.yaml"
     grid.write_text(
         "site: site.yaml\nweather:\n"
         "  - {file: weather/toronto_2021-07.csv, start: 2021-07-07T10:00-05:00, hours: 1}\n"
-        "initial: low-low\ncontrollers: {anticipating_onoff: {}}\nforecast: 2021070706.nc\n"
+        "initial: low-low\ncontrollers: {anticipating_onoff: {}}\n"
+        "forecast: [2021070706.nc, runs/, {model: runs/, delay: 2.0}]\n"
     )
-    (case,) = read_grid(grid)
-    carried = tmp_path / "carried.csv"
-    carried.write_bytes(case.forecast_files["file"].content)
-    (issue,) = read_archive(carried, TORONTO).issues
-    assert (issue.issued.isoformat(), case.forecast.delay) == ("2021-07-07T06:00:00+00:00", 5.0)
-    assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-4)
+    netcdf, usual, early = read_grid(grid)
+    assert usual.forecast_files == early.forecast_files
+    assert [case.forecast.delay for case in (netcdf, usual, early)] == [5.0, 6.0, 2.0]
+    for case, source in ((netcdf, "2021070706.nc"), (usual, "runs")):
+        (tmp_path / "carried.csv").write_bytes(case.forecast_files["file"].content)
+        carried, own = (
+            [(issue.issued, issue.rain.tolist()) for issue in read_archive(file, TORONTO).issues]
+            for file in (tmp_path / "carried.csv", tmp_path / source)
+        )
+        assert carried == own
