@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
-from paper import PAPER_SITE, site_with, weather_of
+from paper import PAPER_SITE
 
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.dressing import Dressing, dressing_text, read_dressing
@@ -19,29 +20,18 @@ from greenroof_ros.forecast.live_forecast import (
     LiveForecast,
     NoForecastError,
 )
-from greenroof_ros.forecast.models import FileModel
-from greenroof_ros.forecast.resampling import SteppedForecast
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
-from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import Issue
-from greenroof_ros.model.look_ahead import growing_steps
 
-HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"
 SIX = datetime(2026, 7, 1, 6, tzinfo=UTC)
 
 
-def write(
-    path: Path, issued: datetime, rain: list[float], temperature: float = 15.0,
-    header: str = HEADER,
-) -> None:
-    """Write a file with one issue of some hours, and rename it into place as one must."""
-    lines = [header]
-    for hour, depth in enumerate(rain):
-        time = issued + timedelta(hours=hour)
-        cells = f"{issued.isoformat()},{time.isoformat()},{depth},{2.0 + hour},{temperature - hour}"
-        lines.append(",".join(cells.split(",")[: header.count(",") + 1]))
+def write(path: Path, issued: datetime, rain: list[float], **left_out: None) -> None:
+    """Write a file with an issue of some hours, and rename it into place as one must."""
+    hours = np.arange(len(rain))
+    issue = Issue(issued, path, None, np.array([rain]), 2.0 + hours, 15.0 - hours)
     draft = path.with_suffix(".new")
-    draft.write_text("\n".join(lines) + "\n")
+    draft.write_text(write_forecasts([replace(issue, **left_out)]))
     draft.replace(path)
 
 
@@ -61,43 +51,21 @@ def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecas
 def test_the_present_hour_and_the_look_ahead(file: Path) -> None:
     """At 07:59:57 three of the ten seconds are in the second hour, the rest in the third.
 
-    3.6 mm/h are 1e-6 m/s; 3 and 4 mm/day from 68.8 m2 are 2.3889e-6 and 3.1852e-6 m3/s.
+    A gauge's reading stands for the rest of the present hour. 3.6 mm/h are 1e-6 m/s; 3 and 4 mm/day
+    from 68.8 m2 are 2.3889e-6 and 3.1852e-6 m3/s.
     """
     write(file, SIX, [0.0, 3.6, 7.2, 0.0])
-    outlook = live(file).at(SIX + timedelta(hours=1, minutes=59, seconds=57))
-    assert outlook.issued == SIX
-    assert np.array(outlook.rain) == pytest.approx([1e-6] * 3 + [2e-6] * 7)
-    assert np.array(outlook.evapotranspiration) == pytest.approx(
-        [2.38889e-6] * 3 + [3.18519e-6] * 7, rel=1e-5
-    )
-    assert outlook.rain_now == pytest.approx(1e-6)
-    assert outlook.evapotranspiration_now == pytest.approx(2.38889e-6, rel=1e-5)
-    assert outlook.temperature == 14.0
-
-
-def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(file: Path) -> None:
-    """A simulated run is given the same forecasts as a live site whose gauge reads the rain.
-
-    Both use that reading for the rest of the hour, and the issue for all later hours. Records
-    are hourly, so in a run the reading never changes within the hour; the value of that is in
-    doc/reference/issued-forecasts.md.
-    """
-    chance = np.random.default_rng(4)
-    rain, fell = chance.gamma(0.2, 3.0, size=(3, 24)), chance.gamma(0.2, 3.0, size=24)
-    file.write_text(write_forecasts([Issue(SIX, file, None, rain, np.full(24, 2.0))]))
-    site, weather = site_with(tau=60.0, M=1), weather_of(fell, first=SIX)
-    run = SteppedForecast(
-        FileModel(read_archive(file, site), weather, all_members=True), weather, site, SIX,
-        growing_steps(12.0), 60 * 6 - 1, all_members=True,
-    )
-    forecasts = LiveForecast(ForecastFile(file), site, 12.0, 86_400.0, all_members=True)
-    forecasts.file.look()
-    for minute in range(0, 60 * 6, 7):
-        reading = float(fell[minute // 60]) / 3.6e6
-        outlook = forecasts.at(SIX + timedelta(minutes=minute), observed_rain=reading)
-        assert np.array(run.precipitation(minute)) == pytest.approx(np.array(outlook.rain))
-        assert np.array(run.precipitation(minute))[:, 0] == pytest.approx(reading)
-        assert outlook.rain_now == reading
+    now = SIX + timedelta(hours=1, minutes=59, seconds=57)
+    for read, rain_now in ((None, 1e-6), (5e-6, 5e-6)):
+        outlook = live(file).at(now, observed_rain=read)
+        assert outlook.issued == SIX
+        assert np.array(outlook.rain) == pytest.approx([rain_now] * 3 + [2e-6] * 7)
+        assert np.array(outlook.evapotranspiration) == pytest.approx(
+            [2.38889e-6] * 3 + [3.18519e-6] * 7, rel=1e-5
+        )
+        assert outlook.rain_now == pytest.approx(rain_now)
+        assert outlook.evapotranspiration_now == pytest.approx(2.38889e-6, rel=1e-5)
+        assert outlook.temperature == 14.0
 
 
 @pytest.mark.parametrize(
@@ -157,18 +125,14 @@ def test_columns_that_may_be_left_out(file: Path) -> None:
     assert "cannot be read" in forecasts.problem and forecasts.issues == []
     with pytest.raises(NoForecastError, match="there is no forecast"):
         LiveForecast(forecasts, PAPER_SITE, 0.0, 7200.0, all_members=False).at(SIX)
-    write(file, SIX, [0.0] * 4, header="issued,time,precipitation [mm/h]")
+    write(file, SIX, [0.0] * 4, evapotranspiration=None)
     assert not forecasts.look()
     assert "must have a column 'evapotranspiration [mm/day]'" in forecasts.problem
-    write(file, SIX, [0.0], header=HEADER.rpartition(",")[0])
-    assert np.isnan(live(file).at(SIX).temperature)
-    file.write_text(
-        "issued,time,precipitation [mm/h],temperature [degC]\n"
-        "2026-07-01T06:00Z,2026-07-01T06:00Z,0.0,-3.0\n"
-    )
     (issue,) = read_forecasts(file)
     assert issue.evapotranspiration is None
-    assert issue.temperature is not None and issue.temperature.tolist() == [-3.0]
+    assert issue.temperature is not None and issue.temperature.tolist() == [15.0, 14.0, 13.0, 12.0]
+    write(file, SIX, [0.0], temperature=None)
+    assert np.isnan(live(file).at(SIX).temperature)
 
 
 def dressed(

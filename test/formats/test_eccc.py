@@ -59,28 +59,15 @@ def run(weather: Weather, start: str, hours: int) -> WeatherSeries:
     return WeatherSeries(weather, site, datetime.fromisoformat(start), 6 * hours)
 
 
-def test_quirks(tmp_path: Path) -> None:
-    """Byte order mark, CRLF, commas in cells, hours without a zero; March 2021 has the others."""
-    rows = day(h3={"Precip. Amount (mm)": "2.4"})
-    weather = read_weather([write(tmp_path, rows)], TORONTO)
-    assert weather.first.isoformat() == "2021-07-01T00:00:00-05:00"
-    assert weather.end.isoformat() == "2021-07-02T00:00:00-05:00"
-    assert weather.precipitation.tolist() == [0, 0, 0, 2.4] + [0] * 20
-    assert weather.values["temperature"].tolist() == [15 + h / 2 for h in range(24)]
-    assert weather.method == "fao56"
-    assert not np.isnan(weather.evapotranspiration).any()
-    assert weather.evapotranspiration.max() > 1
-
-
 def test_value_beside_a_missing_flag_is_none(tmp_path: Path) -> None:
-    """The service repeats the last value there: a constant 12.5 is not a dew point."""
-    stale = {"Dew Point Temp (°C)": "3.0", "Dew Point Temp Flag": "M"}
-    weather = read_weather([write(tmp_path, day(h7=stale))], TORONTO)
-    assert weather.values["dew point"][7] == 12.5  # between 12.5 and 12.5
+    """The service repeats the last value there, which is no dew point; an estimated one is."""
+    flagged = {
+        f"h{hour}": {"Dew Point Temp (°C)": "3.0", "Dew Point Temp Flag": flag}
+        for hour, flag in ((6, "E"), (7, "M"))
+    }
+    weather = read_weather([write(tmp_path, day(**flagged))], TORONTO)
+    assert weather.values["dew point"][5:9].tolist() == [12.5, 3.0, 7.75, 12.5]
     assert weather.filled["dew point"].nonzero()[0].tolist() == [7]
-    estimated = {"Dew Point Temp (°C)": "3.0", "Dew Point Temp Flag": "E"}
-    weather = read_weather([write(tmp_path, day(h7=estimated))], TORONTO)
-    assert weather.values["dew point"][7] == 3.0
 
 
 @pytest.mark.parametrize(
@@ -95,18 +82,18 @@ def test_gaps_are_filled_up_to_so_many_hours(
     tmp_path: Path, column: str, quantity: str, longest: int
 ) -> None:
     """Rain is never guessed. A gap at an end, or longer by an hour, is refused if it matters."""
-    hours = [hour for hour in range(48) if not 6 <= hour < 6 + longest]
-    rows = [row(hour % 24, **{"Date/Time (LST)": f"2021-07-0{1 + hour // 24} {hour % 24}:00"} | (
-        {} if hour in hours else {column: ""}
-    )) for hour in range(48)]
-    weather = read_weather([write(tmp_path, rows)], TORONTO)
-    series = run(weather, "2021-07-01T00:00-05:00", 48)
+    def two_days(*gaps: range) -> Weather:
+        return read_weather([write(tmp_path, [
+            row(hour % 24, **{"Date/Time (LST)": f"2021-07-0{1 + hour // 24} {hour % 24}:00"} | (
+                {column: ""} if any(hour in gap for gap in gaps) else {}
+            )) for hour in range(48)
+        ])], TORONTO)
+
+    bridged = range(6, 6 + longest)
+    series = run(two_days(bridged), "2021-07-01T00:00-05:00", 48)
     assert list(series.filled) == [quantity] * (longest > 0)
     for first, last in ((0, 0), (6, 6 + longest), (47, 47)):
-        longer = [cells.copy() for cells in rows]
-        for cells in longer[first : last + 1]:
-            cells[COLUMNS.index(column)] = ""
-        weather = read_weather([write(tmp_path, longer)], TORONTO)
+        weather = two_days(bridged, range(first, last + 1))
         said = refusal(run, weather, "2021-07-01T00:00-05:00", 48)
         assert said.startswith(str(tmp_path / "en_climate_hourly.csv")) and quantity in said
         times = [f"2021-07-0{1 + hour // 24}T{hour % 24:02}:00-05:00" for hour in (first, last)]
@@ -143,7 +130,7 @@ def test_frost(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "reason"),
     [
-        (day(h3={"Date/Time (LST)": "01/07/2021 3:00"}), "line 5: Date/Time (LST) = '01/07/2021 3"),
+        (day(h3={"Date/Time (LST)": "2021-07-01 3:00Z"}), "line 5: Date/Time (LST) = '2021-07-01"),
         ([*day()[:5], row(5)[:6]], "line 7: must have 16 cells, like the header, not 6"),
         (day(h0={"Longitude (x)": "-123.1"}), "line 2: Longitude (x) = '-123.1': is not near the"),
     ],
