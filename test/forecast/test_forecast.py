@@ -32,7 +32,7 @@ from greenroof_ros.forecast.resampling import (
     make_forecast,
 )
 from greenroof_ros.forecast.skill import read_skill
-from greenroof_ros.formats.own_csv import read_forecasts
+from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import HOUR, Archive, Issue
 from greenroof_ros.model.look_ahead import growing_steps
@@ -86,12 +86,14 @@ def test_means_are_those_of_every_second(
         lead = (second + np.arange(int(edges[-1]))) // 3600
         present = min(hour, 5)
         parts = edges[1:-1].astype(int)
+        members = np.asarray(forecast.precipitation(tick))
+        # As from a message: numpy's sums follow the order in memory.
+        assert members.flags.c_contiguous
         for member in range(2):
             rates = np.where(lead > 0, rain[hour, member][lead], weather.precipitation[present])
             means = [part.mean() / 3.6e6 for part in np.split(rates, parts)]
-            got = forecast.precipitation(tick)[member]
-            assert list(got) == pytest.approx(means, rel=1e-9)
-            assert min(got) >= 0.0  # rounding must not give less, which the nodes would refuse
+            assert members[member] == pytest.approx(means, rel=1e-9)
+        assert members.min() >= 0.0  # rounding must not give less, which the nodes would refuse
         rates = np.where(lead > 0, evaporated[hour][lead], weather.evapotranspiration[present])
         means = [part.mean() * 68.8 / 8.64e7 for part in np.split(rates, parts)]
         assert list(forecast.evapotranspiration(tick)) == pytest.approx(means, rel=1e-9)
@@ -169,6 +171,7 @@ def test_errors_are_known_as_late_as_a_services() -> None:
         choice = ForecastChoice("ensemble", members=2, delay=delay)
         return make_model(choice, weather, PAPER_SITE, True)
 
+    assert make_model(ForecastChoice("errors"), weather, PAPER_SITE, True).members == 1
     at_once = model(0.0)
     for late, delayed in ((6, model(None)), (3, model(2.25))):
         for hour in (11, 12, 17):
@@ -223,30 +226,6 @@ def test_missing_rain_is_not_guessed() -> None:
     for model in ("perfect", "errors"):
         assert made(model, 12, 6.0).repeats_from is None
         refusal(made, model, 12, 12.0, match="missing at 2021-07-07T20:00")
-
-
-# --- ensembles ---------------------------------------------------------------------------------
-
-
-def test_who_gets_which_members() -> None:
-    """Member 0 alone, flat, or all members as rows."""
-    options = (
-        "--controller", "anticipating_onoff", "--horizon", "12", "--forecast-seed", "9",
-        "--start", "2021-07-07T09:00",
-    )
-    run = paper_run(*options, "--forecast", "ensemble", "--forecast-members", "4")
-    single = paper_run(*options, "--forecast", "errors")
-    everything = make_forecast(
-        run.weather, run.series, run.site, run.start, 12.0, run.forecast_choice, all_members=True
-    )
-    for tick in (0, 5000, 43_200):
-        assert both(run.forecast, tick) == both(single.forecast, tick)
-        members = everything.precipitation(tick)
-        assert np.shape(members) == (4, len(run.forecast.precipitation(tick)))
-        # Contiguous as from a message: numpy's sums follow the order in memory.
-        assert isinstance(members, np.ndarray) and members.flags.c_contiguous
-        assert [members[0].tobytes(), both(everything, tick)[1]] == both(run.forecast, tick)
-        assert tick == 5000 or len({member.tobytes() for member in members}) == 4
 
 
 # --- files -------------------------------------------------------------------------------------
@@ -316,6 +295,67 @@ def test_file_without_evapotranspiration() -> None:
     assert model.repeats_from(4, 6) == MIDNIGHT.replace(hour=9)
 
 
+@pytest.mark.parametrize(
+    ("delay", "late", "rain_late"), [(None, 6, 0), (0.0, 0, 0), (4.25, 5, 0), (2.0, 3, 1)]
+)
+def test_an_issue_is_known_when_it_is_available(
+    tmp_path: Path, delay: float | None, late: int, rain_late: int
+) -> None:
+    """It is known hours after its nominal time, and used from the next full hour on.
+
+    Its leads still count from the nominal time: when it is known late, its first hours are past.
+    With records whose rain is an hour late, an issue's rain is, too; evapotranspiration is not.
+    Run n has n.LL mm/h of rain and 10 + n.LL mm/day of evapotranspiration at its lead LL.
+    """
+    first = datetime.fromisoformat("2021-07-07T06:00+00:00")
+    runs = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, delay)
+    archive = replace(
+        runs, issues=tuple(replace(run, evapotranspiration=10 + run.rain[0]) for run in runs.issues)
+    )
+    weather = replace(weather_of(np.zeros(100), first=first), rain_late=rain_late)
+    model = FileModel(archive, weather, False)
+    for hour in range(24):
+        since = hour + 12 - late  # the first run is at 18:00 the day before
+        number, lead = since // 6, since % 6 + late
+        rain, evapotranspiration = model.known(hour, 3)
+        expected = np.array([number + (lead + ahead) / 100 for ahead in range(3)])
+        assert rain[0] == pytest.approx(expected - rain_late / 100, abs=1e-12)
+        assert evapotranspiration == pytest.approx(expected + 10, abs=1e-12)
+    # The last run is of 12:00 on the 8th, 30 h after the first hour, and has 48 h of rain.
+    end = datetime.fromisoformat("2021-07-10T12:00+00:00") + rain_late * HOUR
+    without = FileModel(runs, weather, False)
+    assert without.repeats_from(36, 42 + rain_late) is None
+    assert without.repeats_from(36, 43 + rain_late) == end
+
+
+def test_hours_of_records_and_issues(tmp_path: Path) -> None:
+    """They start together, in any time zone; before the first issue is known there is none."""
+    def model(first: str, delay: float) -> FileModel:
+        archive = read_archive(tmp_path / "runs", PAPER_SITE, delay)
+        dry = weather_of(np.zeros(48), first=datetime.fromisoformat(first))
+        return FileModel(archive, dry, False)
+
+    write_runs(tmp_path / "runs")
+    # 06:00 UTC
+    assert model("2021-07-07T11:30+05:30", 0.0).known(0, 2)[0][0].tolist() == [2.0, 2.01]
+    between = "must be a whole number of hours from 2021"
+    refusal(model, "2021-07-07T11:00+05:30", 0.0, match=between)
+    late = model("2021-07-06T00:00+00:00", 6.0)
+    needed = "available from 2021-07-07T00:00.00:00 on, but the run needs one at 2021-07-06T23:00"
+    refusal(late.known, 23, 1, match=needed)
+    assert late.known(24, 1)[0].shape == (1, 1)
+
+
+def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
+    """The error names a file of an archive that differs from the others in this column."""
+    for day, evapotranspiration in ((7, None), (8, np.ones(1))):
+        file = tmp_path / f"{day}.csv"
+        issue = Issue(MIDNIGHT.replace(day=day), file, None, np.zeros((1, 1)), evapotranspiration)
+        file.write_text(write_forecasts([issue]))
+    wrong = r"8.csv, line 2: must have a column of evapotranspiration, or none, like 7.csv"
+    refusal(read_archive, tmp_path, PAPER_SITE, match=wrong)
+
+
 def test_end_of_the_records() -> None:
     """Perfect forecasts and errors then repeat the last record; persistence needs none of them."""
     options = ("--start", "2021-07-09T00:00", "--controller", "anticipating_onoff")
@@ -337,10 +377,6 @@ def test_choices(tmp_path: Path) -> None:
     assert replace(choice, delay=3.0).options() == {"delay": 3.0}
     assert choose("ensemble").options() == {"skill": "real", "seed": 0, "members": 10}
     assert str(choose("a/b.csv")) == "a/b.csv"
-    for wrong in ("file", "Perfect", "", "archive.yaml"):
-        with pytest.raises(ValueError, match="must be one of perfect, persistence, errors, ens"):
-            choose(wrong)
-
 
 # --- the graph ---------------------------------------------------------------------------------
 
