@@ -109,22 +109,21 @@ def attribute(variable: str, name: str, value: str) -> Callable[[netCDF4.Dataset
     return lambda dataset: dataset[variable].setncattr(name, value)
 
 
-def instead(variable: str, values: Any, *dimensions: str) -> Callable[[netCDF4.Dataset], None]:
+def with_dimensions(variable: str, *dimensions: str) -> Callable[[netCDF4.Dataset], None]:
     """Return a function that replaces a variable by one of other dimensions, same attributes."""
     def edit(dataset: netCDF4.Dataset) -> None:
-        attributes = dict(dataset[variable].__dict__)
-        for name in attributes:
-            dataset[variable].delncattr(name)
-        dataset.renameVariable(variable, f"{variable}_before")
-        if dimensions[0] not in dataset.dimensions:
-            dataset.createDimension(dimensions[0], len(values))
-        dataset.createVariable(variable, "f8", dimensions)[...] = values
-        dataset[variable].setncatts(attributes)
+        dataset.renameVariable(variable, "before")
+        dataset.createDimension("later", 9)
+        other = dataset.createVariable(variable, "f8", dimensions)
+        other.setncatts(dataset["before"].__dict__)
     return edit
 
 
 RAIN = "HRDPS_P_PR_SFC"
-PLACES = f"{RAIN!r}: must have the dimensions time and the two of latitude "
+PLACES = (
+    f"{RAIN!r}: must have the dimensions time and the two of latitude (rlat, rlon) and longitude "
+    "(rlat, rlon), "
+)
 OF_SUMS = f"{RAIN}: must be the sum since the issue; it gives "
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"edit": attribute(RAIN, "units", "kg m**-2 s**-1")}, f"{RAIN}:units = 'kg m**-2 s**-1': mu"),
@@ -148,16 +147,12 @@ WRONG: list[tuple[dict[str, Any], str]] = [
         f"{RAIN}: is missing 2 h after the issue",
     ),
     ({"hours": [0, 1, 2, 3, 4, 28]}, "time: must have more hours, each 1 to 6 after the one bef"),
-    (  # times of a separate dimension: the last sums would be taken for the first hours
-        {"edit": instead("time", range(9), "later")},
-        f"{PLACES}(rlat, rlon) and longitude (rlat, rlon), not (time, rlat, rlon) with times of ",
+    (  # times of a separate dimension: the last sums would be used for the first hours
+        {"edit": with_dimensions("time", "later")},
+        f"{PLACES}not (time, rlat, rlon) with times of (later)",
     ),
     (  # the same number of points, in another order
-        {"edit": lambda dataset: [
-            instead(name, degrees.T, "rlon", "rlat")(dataset)
-            for name, degrees in (("lat", LATITUDES), ("lon", LONGITUDES))
-        ]},
-        f"{PLACES}(rlon, rlat) and longitude (rlon, rlat), not (time, rlat, rlon)",
+        {"edit": with_dimensions(RAIN, "time", "rlon", "rlat")}, f"{PLACES}not (time, rlon, rlat)",
     ),
 ]
 
