@@ -86,36 +86,30 @@ def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -
 
 
 def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
-    """By another file, in place, or within the resolution of its time: it is read once each."""
+    """By another file, in place, or within the resolution of its time, and once each.
+
+    A broken or removed file keeps the old one. The error names file and line, and disappears with
+    the next good file.
+    """
+    forecasts, later = ForecastFile(file), SIX + timedelta(hours=1)
     write(file, SIX, [0.0] * 4)
-    forecasts = ForecastFile(file)
     assert forecasts.look() and not forecasts.look()
     stamp = file.stat().st_mtime_ns
-    write(file, SIX + timedelta(hours=1), [0.0] * 4)
+    write(file, later, [0.0] * 4)
     os.utime(file, ns=(stamp, stamp))
     assert forecasts.look() and not forecasts.look()
-    assert forecasts.issues[0].issued == SIX + timedelta(hours=1)
     file.write_text(file.read_text() + "# a comment\n")
     assert forecasts.look() and not forecasts.look()
-
-
-def test_a_broken_or_removed_file_keeps_the_old_one(file: Path) -> None:
-    """The error names file and line, and disappears with the next good file."""
-    write(file, SIX, [0.0] * 4)
-    forecasts = ForecastFile(file)
-    forecasts.look()
-    write(file, SIX + timedelta(hours=1), [0.0, -1.0])
+    write(file, SIX, [0.0, -1.0])
     assert not forecasts.look()
     assert f"{file}, line 3" in forecasts.problem and "'-1.0'" in forecasts.problem
-    assert forecasts.issues[0].issued == SIX
     file.unlink()
     assert not forecasts.look()
     assert f"{file}: cannot be read: No such file" in forecasts.problem
-    assert forecasts.issues[0].issued == SIX
-    write(file, SIX + timedelta(hours=1), [0.0])
+    assert forecasts.issues[0].issued == later
+    write(file, SIX, [0.0])
     assert forecasts.look()
-    assert forecasts.problem == ""
-    assert forecasts.issues[0].issued == SIX + timedelta(hours=1)
+    assert (forecasts.problem, forecasts.issues[0].issued) == ("", SIX)
 
 
 def test_columns_that_may_be_left_out(file: Path) -> None:

@@ -112,10 +112,10 @@ def test_refused(tmp_path: Path) -> None:
     """The error has the line, the service's column and the value, or what the site lacks."""
     for cells, short, reason in (
         ([(3, "Date/Time (LST)", "2021-07-01 3:00Z")], (), "line 5: Date/Time (LST) = '2021-07-01"),
-        ([], (5,), "line 7: must have 30 cells, like the header, not 11"),
+        ([], (5,), "line 7: must have 30 cells, like the header, not 10"),
         ([(0, "Longitude (x)", "-123.1")], (), "line 2: Longitude (x) = '-123.1': is not near the"),
     ):
-        path = changed(tmp_path, 24, *cells, short=short, ends_at="Dew Point Temp (°C)")
+        path = changed(tmp_path, 24, *cells, short=short, ends_at="Temp Flag")
         assert refusal(read_weather, [path], TORONTO).startswith(f"{path}, {reason}")
     nowhere = replace(TORONTO, utc_offset=None)
     refusal(read_weather, [JULY], nowhere, match="the site file must give its offset from UTC")
