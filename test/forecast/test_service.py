@@ -22,7 +22,6 @@ from greenroof_ros.forecast.service import (
     Fetcher,
     Service,
     ServiceError,
-    ServiceRequest,
 )
 from greenroof_ros.formats.open_meteo import VARIABLES
 from greenroof_ros.formats.own_csv import read_forecasts
@@ -49,7 +48,7 @@ def server():
 def _service(server, **wanted):
     server.fault = "none"
     kind = "ensemble" if wanted.get("ensemble") else "forecast"
-    return Service(SITE, ServiceRequest(url=f"{server.address}/v1/{kind}", **wanted))
+    return Service(SITE, url=f"{server.address}/v1/{kind}", **wanted)
 
 
 def _now():
@@ -127,7 +126,7 @@ def _answering(answer):
     served = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     threading.Thread(target=served.serve_forever, daemon=True).start()
     try:
-        yield Service(SITE, ServiceRequest(url=f"http://127.0.0.1:{served.server_port}/"))
+        yield Service(SITE, url=f"http://127.0.0.1:{served.server_port}/")
     finally:
         served.shutdown()
         served.server_close()
@@ -194,7 +193,7 @@ def test_what_is_kept_is_an_archive_without_repetitions(server, tmp_path):
 
 def test_a_place_that_is_not_known():
     nowhere = replace(SITE, longitude=None)
-    refusal(Service, nowhere, ServiceRequest(), match="longitude: must be in the site file")
+    refusal(Service, nowhere, match="longitude: must be in the site file")
 
 
 def test_the_command_and_the_simulator_of_a_service(tmp_path):
