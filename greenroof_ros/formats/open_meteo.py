@@ -220,7 +220,6 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
     return Table(file, [*about], about), Table(file, [*hours], hours, key="hourly.")
 
 
-
 def _cell(value: Any, missing: str = "") -> str:
     """Return a value of JSON as text, as in CSV."""
     return missing if value is None else str(value)

@@ -22,12 +22,14 @@ from forecast_skill.figures import (
     table,
 )
 from numpy.typing import NDArray
+from paper import paper_run
 from refusals import refusal
 from scipy.integrate import quad
 from scipy.stats import norm
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import hours_since_1970
+from greenroof_ros.experiment.run_directory import write_configuration
 from greenroof_ros.forecast.models import ErrorModel, NormalRecords
 from greenroof_ros.forecast.skill import SKILLS, read_skill
 from greenroof_ros.verification.fitting import fit_climate
@@ -119,26 +121,22 @@ def test_coherence() -> None:
     assert (none[0] == 1).all() and none[1:] == pytest.approx(0, abs=1e-12)
 
 
-def skill_file(directory: Path, old: str, new: str) -> Path:
-    """Write the package's file with a replaced part."""
-    text = (shared_directory() / "config" / "forecasts" / "skill.yaml").read_text()
-    assert text.count(old) == 1
-    path = directory / "skill.yaml"
-    path.write_text(text.replace(old, new))
-    return path
-
-
 def test_skill_files(tmp_path: Path) -> None:
-    """A file's numbers count as they are; errors say where, what is wrong and what is right."""
-    skill = read_skill(str(skill_file(tmp_path, "persistence: 4", "persistence: 1")))
+    """A file's numbers count as they are, and a run keeps a copy of it; errors name the line."""
+    package = (shared_directory() / "config" / "forecasts" / "skill.yaml").read_text()
+    file = tmp_path / "mine.yaml"
+    file.write_text(package.replace("persistence: 4", "persistence: 1"))
+    skill = read_skill(str(file))
     assert skill.errors.persistence < REAL.errors.persistence
     assert replace(skill, errors=REAL.errors) == REAL
-    for old, new, words in (
-        ("memory: 8", "memory: -8", r"climate\.memory = -8.4: must be from 0.5 to 24"),
-        ("  wetness: ", "# wetness: ", r"errors\.wetness: is missing: shift of z toward rain"),
-    ):
-        file = str(skill_file(tmp_path, old, new))
-        refusal(read_skill, file, match=rf"skill\.yaml, line \d+: {words}")
+    copy = tmp_path / "configuration" / "skill.yaml"
+    copy.parent.mkdir()
+    run = paper_run("--forecast", "errors", "--forecast-skill", str(file))
+    assert f"forecast_skill: {copy}" in write_configuration(tmp_path, run, {}).read_text()
+    assert copy.read_bytes() == file.read_bytes()
+    file.write_text(package.replace("memory: 8", "memory: -8"))
+    words = r"climate\.memory = -8.4: must be from 0.5 to 24"
+    refusal(read_skill, str(file), match=rf"mine\.yaml, line \d+: {words}")
 
 
 # --- forecasts ---------------------------------------------------------------------------------

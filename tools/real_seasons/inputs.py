@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from dressing.__main__ import together
+from dressing.__main__ import shortened, together
 from numpy.typing import NDArray
 from real_seasons.own_numbers import PACKAGE, chosen, used
 
@@ -120,7 +120,7 @@ class Inputs:
             for short, name in SERVICES.items()
         }
         services |= {
-            source: _shortened(services[source], hours) for source, hours in HOURS_OF.items()
+            source: shortened(services[source], hours) for source, hours in HOURS_OF.items()
         }
         gem = services["GEM"]
         return {
@@ -243,13 +243,6 @@ def _gauge(file: Path, site: Site) -> str:
             dries = monthly[begins.month - 1] * _half_sine(begins.hour)
             lines.append(f"{begins.isoformat()},{rain},{dries:.4f}")
     return "\n".join([*lines, ""])
-
-
-def _shortened(archive: Archive, hours: int) -> Archive:
-    """Return an archive cut to a number of hours."""
-    return replace(archive, issues=tuple(
-        replace(issue, rain=issue.rain[:, :hours]) for issue in archive.issues
-    ))
 
 
 def _shifted(archive: Archive) -> Archive:
