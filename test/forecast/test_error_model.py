@@ -18,6 +18,7 @@ from forecast_skill.figures import (
     figures,
     season_weather,
     seasons,
+    seasons_ahead,
     services,
     table,
 )
@@ -176,9 +177,7 @@ def observed(rain: dict[int, Array]) -> Array:
 @pytest.fixture(scope="module")
 def ahead(rain: dict[int, Array]) -> dict[int, Array]:
     """What two members of ``real`` forecast for these hours, by days ahead."""
-    days = (1, 2, 3, 4, 5)
-    ahead = [days_ahead(year, season, REAL, 1, days, 2) for year, season in rain.items()]
-    return {day: np.concatenate([season[day] for season in ahead], axis=1) for day in days}
+    return seasons_ahead(rain, REAL, 1, (1, 2, 3, 4, 5), 2)
 
 
 def test_as_good_as_services(observed: Array, ahead: dict[int, Array]) -> None:
@@ -217,11 +216,9 @@ def test_long_sums_are_no_better_known_than_services_know_them(
 
 def test_none_is_as_wet_as_the_climate_and_as_services(rain: dict[int, Array]) -> None:
     """A day ahead it rains as often as in the climate, and no less than services forecast."""
-    years, none = (2017, 2021), read_skill("none")
-    observed = np.concatenate([rain[year] for year in years])
-    members = np.concatenate(
-        [days_ahead(year, rain[year], none, 1, (1,), 2)[1] for year in years], axis=1
-    )
+    two, none = {year: rain[year] for year in (2017, 2021)}, read_skill("none")
+    observed = np.concatenate(list(two.values()))
+    members = seasons_ahead(two, none, 1, (1,), 2)[1]
     there = members[~np.isnan(members)]
     assert (there > 0).mean() == pytest.approx(none.climate.wet_share, rel=0.1)
     biases = np.concatenate([scores[:, 3] for scores in services().values()])

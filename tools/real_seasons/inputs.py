@@ -85,15 +85,14 @@ class Inputs:
     def __init__(self, archives: Path, scratch: Path) -> None:
         """Take the directory of the archives, and one for the files that a run reads."""
         self.archives, self.scratch = archives, scratch
-        self._sites = {roof: self._write_site(roof) for roof in ROOFS}
-        gauge = scratch / "gauge.csv"
-        site = read_site(self.site_file("measured"))
+        self.sites = {roof: self._write_site(roof) for roof in ROOFS}
+        self._wet: dict[Period, NDArray[np.bool_]] = {}
+        gauge, site = scratch / "gauge.csv", self.sites["measured"]
         gauge.write_text(_gauge(archives / "gauge_2024.csv", site), encoding="utf-8")
         self.record = read_weather([gauge], site, rain_only=True)
         """rain as the gauge has it; missing hours are NaN"""
         self.weather = {
-            roof: read_weather([gauge], read_site(self.site_file(roof)), "assumed", "fill")
-            for roof in ROOFS
+            roof: read_weather([gauge], own, "assumed", "fill") for roof, own in self.sites.items()
         }
         """weather of a run, by roof; missing hours are dry"""
 
@@ -111,7 +110,7 @@ class Inputs:
     @cached_property
     def issued(self) -> Mapping[str, Archive]:
         """The archives by name, each known some hours after its nominal time, like a service's."""
-        site = self._sites["measured"]
+        site = self.sites["measured"]
         services = {
             short: replace(
                 read_archive(self.archives / f"{name}_previous_runs.csv", site),
@@ -221,10 +220,6 @@ class Inputs:
             wettest = np.argsort(totals)[-(len(totals) // 2) :]
             self._wet[period] = np.isin(period.blocks(), wettest)
         return self._wet[period]
-
-    @cached_property
-    def _wet(self) -> dict[Period, NDArray[np.bool_]]:
-        return {}
 
 
 def _half_sine(hour: int) -> float:
