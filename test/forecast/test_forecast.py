@@ -240,87 +240,61 @@ FORECASTS = (
 
 
 def test_read_back(tmp_path: Path) -> None:
-    """The numbers as written; each issue from its time on, and no rain past its end."""
+    """The numbers as written; a controller gets member 0 or all, and learns when rain ends."""
     file = tmp_path / "archive.csv"
     file.write_text("\n".join(FORECASTS))
     first, second = read_forecasts(file)
+    assert (first.issued, second.issued) == (MIDNIGHT.replace(hour=2), MIDNIGHT.replace(hour=5))
     assert first.rain.tolist() == [[0.5, 2.5], [1.5, 3.5]]
     assert second.rain.tolist() == [[6.0], [7.0]]
     weather, own = weather_of([0.1] * 40), read_archive(file, PAPER_SITE)
     model, ensemble = FileModel(own, weather, False), FileModel(own, weather, True)
     assert (model.members, ensemble.members) == (1, 2)
-    for hour, rain, evapotranspiration in (
-        (2, [0.5, 2.5, 0.0], [1.0, 2.0, 2.0]),
-        (3, [2.5, 0.0, 0.0], [2.0, 2.0, 2.0]),
-        (4, [0.0, 0.0, 0.0], [2.0, 2.0, 2.0]),
-        (5, [6.0, 0.0, 0.0], [4.0, 4.0, 4.0]),
-    ):
-        got = model.known(hour, 3)
-        assert (got[0].tolist(), got[1].tolist()) == ([rain], evapotranspiration)
     assert ensemble.known(2, 2)[0].tolist() == [[0.5, 2.5], [1.5, 3.5]]
-    assert model.repeats_from(2, 2) is None
-    assert model.repeats_from(2, 3) == MIDNIGHT.replace(hour=4)
-    assert model.repeats_from(4, 1) == MIDNIGHT.replace(hour=4)
-    assert model.repeats_from(6, 1) == MIDNIGHT.replace(hour=6)
+    # An issue of less than a day ends with its last hour's evapotranspiration.
+    rain, evapotranspiration = model.known(2, 4)
+    assert rain.tolist() == [[0.5, 2.5, 0.0, 0.0]]
+    assert evapotranspiration.tolist() == [1.0, 2.0, 2.0, 2.0]
     start, steps = MIDNIGHT.replace(hour=2), 5 * 3600
     run = SteppedForecast(model, weather, PAPER_SITE, start, growing_steps(1.0), steps)
     assert run.repeats_from == MIDNIGHT.replace(hour=4)  # the earliest of all ticks
 
 
-def test_past_its_end_a_day_is_like_the_last() -> None:
-    """No rain, and each hour has the evapotranspiration of that hour in the issue's last day."""
-    start, hours = MIDNIGHT.replace(hour=5), np.arange(30) / 10
-    own = archive_of(Issue(start, Path("archive.csv"), None, np.full((1, 30), 3.0), hours))
-    rain, evapotranspiration = FileModel(own, weather_of([0.0] * 40), False).known(25, 64)
-    assert rain.tolist() == [[3.0] * 10 + [0.0] * 54]
-    day = [hour / 10 for hour in range(6, 30)]
-    assert evapotranspiration.tolist() == (day[14:] + day * 3)[:64]
+@pytest.mark.parametrize("evaporates", [True, False])
+@pytest.mark.parametrize(("delay", "late"), [(0.0, 0), (4.25, 0), (2.0, 1)])
+def test_archives_by_definition(delay: float, late: int, evaporates: bool) -> None:
+    """An issue is known some hours after its nominal time, from which its leads count.
 
-
-def test_file_without_evapotranspiration() -> None:
-    """The records' values count as known, and are repeated past their end."""
-    own = archive_of(Issue(MIDNIGHT, Path("archive.csv"), None, np.full((1, 9), 0.5)))
-    weather = weather_of([0.1] * 6, np.arange(6.0))
-    model = FileModel(own, weather, True)
-    rain, evapotranspiration = model.known(4, 4)
-    assert rain.tolist() == [[0.5] * 4]
-    assert evapotranspiration.tolist() == [4.0, 5.0, 5.0, 5.0]
-    assert model.repeats_from(4, 2) is None
-    assert model.repeats_from(4, 3) == weather.end
-    assert model.repeats_from(4, 6) == MIDNIGHT.replace(hour=9)
-
-
-@pytest.mark.parametrize(
-    ("delay", "late", "rain_late"), [(None, 6, 0), (0.0, 0, 0), (4.25, 5, 0), (2.0, 3, 1)]
-)
-def test_an_issue_is_known_when_it_is_available(
-    tmp_path: Path, delay: float | None, late: int, rain_late: int
-) -> None:
-    """It is known hours after its nominal time, and used from the next full hour on.
-
-    Its leads still count from the nominal time: when it is known late, its first hours are past.
-    With records whose rain is an hour late, an issue's rain is, too; evapotranspiration is not.
-    Run n has n.LL mm/h of rain and 10 + n.LL mm/day of evapotranspiration at its lead LL.
+    After its end there is no rain, and each day has the evapotranspiration of its last day. If it
+    has none, the records' values count as known, and the last is repeated. With records whose rain
+    is an hour late, its rain is, too, but not its evapotranspiration.
     """
-    first = datetime.fromisoformat("2021-07-07T06:00+00:00")
-    runs = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, delay)
-    archive = replace(
-        runs, issues=tuple(replace(run, evapotranspiration=10 + run.rain[0]) for run in runs.issues)
-    )
-    weather = replace(weather_of(np.zeros(100), first=first), rain_late=rain_late)
-    model = FileModel(archive, weather, False)
-    for hour in range(24):
-        since = hour + 12 - late  # the first run is at 18:00 the day before
-        number, lead = since // 6, since % 6 + late
-        rain, evapotranspiration = model.known(hour, 3)
-        expected = np.array([number + (lead + ahead) / 100 for ahead in range(3)])
-        assert rain[0] == pytest.approx(expected - rain_late / 100, abs=1e-12)
-        assert evapotranspiration == pytest.approx(expected + 10, abs=1e-12)
-    # The last run is of 12:00 on the 8th, 30 h after the first hour, and has 48 h of rain.
-    end = datetime.fromisoformat("2021-07-10T12:00+00:00") + rain_late * HOUR
-    without = FileModel(runs, weather, False)
-    assert without.repeats_from(36, 42 + rain_late) is None
-    assert without.repeats_from(36, 43 + rain_late) == end
+    chance, begins = np.random.default_rng(7), (0, 6, 14)
+    rain, dried = chance.uniform(0, 9, (3, 2, 30)), chance.uniform(0, 9, (3, 30))
+    own = archive_of(*(
+        Issue(MIDNIGHT + begin * HOUR, Path(), None, rain[n], dried[n] if evaporates else None)
+        for n, begin in enumerate(begins)
+    ))
+    weather = replace(weather_of(np.zeros(48), chance.uniform(0, 9, 48)), rain_late=late)
+    model = FileModel(replace(own, delay=delay), weather, True)
+    for hour in range(6, 40):
+        newest = [n for n, begin in enumerate(begins) if begin + delay + late <= hour][-1]
+        age = hour - begins[newest]
+        got_rain, got_evapotranspiration = model.known(hour, 55)
+        for lead in range(age, age + 55):
+            fell = rain[newest, :, lead - late] if lead - late < 30 else np.zeros(2)
+            assert got_rain[:, lead - age].tolist() == fell.tolist()
+            expected = weather.evapotranspiration[min(hour + lead - age, 47)]
+            if evaporates:
+                expected = dried[newest, lead if lead < 30 else 6 + (lead - 6) % 24]
+            assert got_evapotranspiration[lead - age] == expected
+        end = 30 if evaporates else 30 + late
+        assert model.repeats_from(hour, end - age) is None
+        assert model.repeats_from(hour, end - age + 1) == MIDNIGHT + (hour - age + end) * HOUR
+    # Without evapotranspiration it needs the records, which end before the issue here.
+    short = replace(weather, values={name: hours[:40] for name, hours in weather.values.items()})
+    needs = FileModel(replace(own, delay=delay), short, True)
+    assert needs.repeats_from(39, 2) == (None if evaporates else short.end)
 
 
 def test_hours_of_records_and_issues(tmp_path: Path) -> None:
