@@ -179,8 +179,7 @@ def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
     if "location_id" in place.header:
         raise place.refuse("must be for one place; download places separately", "location_id", 0)
     zone = _check_place(place, site)
-    if table.header[0] != "time":
-        table.require(["time"], _WHOSE)
+    table.require(["time"], _WHOSE)
     return table, partial(parse_local_time, zone=zone)
 
 

@@ -131,21 +131,21 @@ def test_columns_that_may_be_left_out(file: Path) -> None:
 
 def dressed(
     directory: Path, all_members: bool = True, days: int = 100
-) -> tuple[Path, LiveForecast, LiveDressing]:
-    """Return forecasts dressed by days in early 2026, when each issue came true."""
+) -> tuple[LiveForecast, LiveDressing]:
+    """Write a forecast of 5 mm/h; return forecasts dressed by days when each issue came true."""
     file, record = directory / "forecast.csv", directory / "dressed.csv"
     issued = hours_since_1970(SIX) - 24 * 200 + 24 * np.arange(days)
     fell = np.arange(1.0 * days)[:, None] / 10 * np.ones(3)
     record.write_text(dressing_text(Dressing("given", (0, 3), issued, fell[:, :1] * 3, fell)))
+    write(file, SIX, [5.0, 5.0, 5.0])
     dressing = LiveDressing(record, PAPER_SITE.tau)
     forecasts = LiveForecast(ForecastFile(file), PAPER_SITE, 1.0, 7200.0, all_members, dressing)
-    return file, forecasts, dressing
+    return forecasts, dressing
 
 
 def test_a_dressed_forecast(tmp_path: Path) -> None:
     """Members are what fell after similar issues; temperature and evapotranspiration are kept."""
-    file, forecasts, _ = dressed(tmp_path)
-    write(file, SIX, [5.0, 5.0, 5.0])
+    forecasts, _ = dressed(tmp_path)
     forecasts.file.look()
     outlook = forecasts.at(SIX + timedelta(minutes=30))
     # The ten nearest, two days apart, each scaled to the same mean rain: 5 mm/h.
@@ -156,7 +156,7 @@ def test_a_dressed_forecast(tmp_path: Path) -> None:
 
 def test_a_record_stands_for_a_forecast(tmp_path: Path) -> None:
     """Without a usable issue, members are spells of the record, the same all day."""
-    _, forecasts, _ = dressed(tmp_path)
+    forecasts, _ = dressed(tmp_path)
     with pytest.raises(NoForecastError):
         forecasts.at(SIX)
     usual = 3.0 / 1000 / 86400 * 68.8  # 3 mm/day from the bed
@@ -174,24 +174,20 @@ def test_a_record_stands_for_a_forecast(tmp_path: Path) -> None:
     assert not np.array_equal(rains[0], rains[2])
     assert forecasts.of_record(SIX, None) is None
     # A single member would be a draw of one spell.
-    _, forecasts, _ = dressed(tmp_path, all_members=False)
+    forecasts, _ = dressed(tmp_path, all_members=False)
     assert forecasts.of_record(SIX, usual) is None
 
 
 def test_a_live_site_learns(tmp_path: Path) -> None:
     """The file has an issue and the hours after it; an hour without a working gauge is unknown."""
-    file, forecasts, dressing = dressed(tmp_path)
-    write(file, SIX, [5.0, 5.0, 5.0])
+    forecasts, dressing = dressed(tmp_path)
     forecasts.file.look()
     forecasts.at(SIX)
-    tick = timedelta(seconds=PAPER_SITE.tau)
     fell = []
-    for hour, (rain, gaps) in enumerate([(2.0, 0.0), (4.0, 0.2), (8.0, 0.05), (0.0, 0.0)]):
-        for index in range(3600):
-            good = index >= gaps * 3600
-            dressing.measure(
-                SIX + hour * timedelta(hours=1) + index * tick, rain / 3.6e6 if good else None
-            )
+    for hour, (rain, gap) in enumerate([(2.0, 0), (4.0, 720), (8.0, 180), (0.0, 0)]):
+        for second in range(3600):
+            now = SIX + timedelta(hours=hour, seconds=second)
+            dressing.measure(now, rain / 3.6e6 if second >= gap else None)
         dressing.close()
         fell.append(read_dressing(tmp_path / "dressed.csv").fell[-1].tolist())
     assert dressing.problem == ""
@@ -204,8 +200,7 @@ def test_a_live_site_learns(tmp_path: Path) -> None:
 
 def test_too_few_to_dress(tmp_path: Path) -> None:
     """Then an issue is used as issued, it is still learned from, and this is reported."""
-    file, forecasts, dressing = dressed(tmp_path, days=5)
-    write(file, SIX, [5.0, 5.0, 5.0])
+    forecasts, dressing = dressed(tmp_path, days=5)
     forecasts.file.look()
     outlook = forecasts.at(SIX)
     assert np.array(outlook.rain).shape[0] == 1
@@ -219,7 +214,7 @@ def test_too_few_to_dress(tmp_path: Path) -> None:
 
 def test_one_site_adds_to_a_file(tmp_path: Path) -> None:
     """Another one reads it, reports this, and writes nothing; no issue, no file."""
-    _, _, dressing = dressed(tmp_path)
+    _, dressing = dressed(tmp_path)
     before = (tmp_path / "dressed.csv").read_bytes()
     other = LiveDressing(tmp_path / "dressed.csv", PAPER_SITE.tau)
     assert other.problem.startswith("nothing is added to it: ") and dressing.problem == ""
