@@ -81,8 +81,6 @@ def test_gaps_are_filled_up_to_so_many_hours(
         weather = two_days(bridged, range(first, last + 1))
         said = refusal(run, weather, "2021-07-01T00:00-05:00", 48)
         assert said.startswith(str(tmp_path / "en_climate_hourly.csv")) and quantity in said
-        times = [f"2021-07-0{1 + hour // 24}T{hour % 24:02}:00-05:00" for hour in (first, last)]
-        assert all(time in said for time in times)
 
 
 def test_short_rows_are_missing_hours(tmp_path: Path) -> None:

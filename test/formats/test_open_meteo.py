@@ -288,38 +288,25 @@ def test_only_some_days(tmp_path: Path) -> None:
 TIMES = [f"2024-06-01T{hour:02}:00" for hour in range(12, 18)]
 
 
-def test_single_run(tmp_path: Path) -> None:
-    """It begins at its run; the rain at that time fell before it, and is left out.
+def test_runs(tmp_path: Path) -> None:
+    """Each begins at the run in its file's name, and ends at the model's horizon.
 
-    So are earlier days that the answer has on request.
+    The rain at that time fell before it, and is left out; so are earlier hours, which an answer has
+    on request. Control and members are in the order of their numbers.
     """
-    file = tmp_path / "gem_2024060112.json"
-    file.write_text(json.dumps(answer(TIMES, precipitation=[None, 0.5, 1.5, 0.0, 2.5, None])))
-    archive = read_archive(file, BUDVA)
-    assert (archive.kind, archive.delay, archive.members) == ("Open-Meteo, runs", 6.0, 1)
-    (issue,) = archive.issues
-    assert issue.issued.isoformat() == "2024-06-01T12:00:00+00:00"
-    assert issue.rain.tolist() == [[0.5, 1.5, 0.0, 2.5]]  # there is nothing beyond its horizon
-    later = tmp_path / "gem-2024-06-01T13.json"
-    file.rename(later)
-    (issue,) = read_archive(later, BUDVA).issues
-    assert issue.issued.isoformat() == "2024-06-01T13:00:00+00:00"
-    assert issue.rain.tolist() == [[1.5, 0.0, 2.5]]
-
-
-def test_ensemble_of_runs(tmp_path: Path) -> None:
-    """Control and members in the order of their numbers; one file per run, with its name."""
-    for hour, factor in (("12", 1.0), ("18", 2.0)):
-        (tmp_path / f"gem_20240601{hour}.json").write_text(json.dumps(answer(
-            [f"2024-06-0{1 + hours // 24}T{hours % 24:02}:00" for hours in range(24)],
-            precipitation_member02=[2 * factor] * 24, precipitation=[0.0] * 24,
-            precipitation_member01=[factor] * 24,
+    for name, factor in (("gem_2024060112", 1.0), ("gem-2024-06-01T18", 2.0)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(answer(
+            [f"2024-06-01T{hour:02}:00" for hour in range(24)],
+            precipitation_member02=[2 * factor] * 23 + [None],
+            precipitation=[0.0] * 22 + [0.5, None], precipitation_member01=[factor] * 23 + [None],
         )))
     archive = read_archive(tmp_path, BUDVA)
+    assert (archive.kind, archive.delay, archive.members) == ("Open-Meteo, runs", 6.0, 3)
     first, second = archive.issues
-    assert (first.issued.hour, second.issued.hour) == (12, 18)
-    assert first.rain.tolist() == [[0.0] * 11, [1.0] * 11, [2.0] * 11]
-    assert second.rain.tolist() == [[0.0] * 5, [2.0] * 5, [4.0] * 5]
+    assert first.issued.isoformat() == "2024-06-01T12:00:00+00:00"
+    assert second.issued - first.issued == 6 * HOUR
+    assert first.rain.tolist() == [[0.0] * 9 + [0.5], [1.0] * 10, [2.0] * 10]
+    assert second.rain.tolist() == [[0.0] * 3 + [0.5], [2.0] * 4, [4.0] * 4]
     file = tmp_path / "without_control_2024060112.json"
     members = {f"precipitation_member0{number}": [number] * 6 for number in (2, 1)}
     file.write_text(json.dumps(answer(TIMES, **members)))
