@@ -216,9 +216,9 @@ def test_long_sums_are_no_better_known_than_services_know_them(
 
 def test_none_is_as_wet_as_the_climate_and_as_services(rain: dict[int, Array]) -> None:
     """A day ahead it rains as often as in the climate, and no less than services forecast."""
-    two, none = {year: rain[year] for year in (2017, 2021)}, read_skill("none")
-    observed = np.concatenate(list(two.values()))
-    members = seasons_ahead(two, none, 1, (1,), 2)[1]
+    years, none = {year: rain[year] for year in (2017, 2021)}, read_skill("none")
+    observed = np.concatenate(list(years.values()))
+    members = seasons_ahead(years, none, 1, (1,), 2)[1]
     there = members[~np.isnan(members)]
     assert (there > 0).mean() == pytest.approx(none.climate.wet_share, rel=0.1)
     biases = np.concatenate([scores[:, 3] for scores in services().values()])
@@ -254,12 +254,12 @@ def test_r_of_a_mean_without_the_records() -> None:
 
 
 def test_the_same_in_any_order(rain: dict[int, Array]) -> None:
-    """In any order of calls, with a long or a short horizon, alone or as member 0; all know now.
+    """In any order of calls, with a long or a short horizon, alone or as member 0.
 
-    Only the seed matters.
+    Only the seed matters. All members know the present hour.
     """
-    weather, biased = season_weather(2020, rain[2020]), replace(FAIR.errors, wetness=0.2)
-    skill = replace(REAL, errors=biased)
+    weather = season_weather(2020, rain[2020])
+    skill = replace(REAL, errors=replace(FAIR.errors, wetness=0.2))
     long, short = ErrorModel(weather, 9, skill, 4), ErrorModel(weather, 9, skill)
     asked = (661, 2233, 1909, 1843)  # it rains, and each is a time of issue
     backwards = {hour: short.known(hour, 13) for hour in asked[::-1]}
