@@ -265,9 +265,9 @@ def test_read_back(tmp_path: Path) -> None:
 def test_archives_by_definition(delay: float, late: int, evaporates: bool) -> None:
     """An issue is known some hours after its nominal time, from which its leads count.
 
-    After its end there is no rain, and each day has the evapotranspiration of its last day. An issue
-    without evapotranspiration has the records', and after their end the last. With records whose
-    rain is an hour late, its rain is, too, but not its evapotranspiration.
+    After its end there is no rain, and each day has the evapotranspiration of its last day. An
+    issue without evapotranspiration has the records', and after their end the last. With records
+    whose rain is an hour late, its rain is, too, but not its evapotranspiration.
     """
     chance, begins = np.random.default_rng(7), (0, 6, 14)
     rain, dried = chance.uniform(0, 9, (3, 2, 30)), chance.uniform(0, 9, (3, 30))
