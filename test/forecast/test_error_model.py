@@ -135,9 +135,12 @@ def test_skill_files(tmp_path: Path) -> None:
     run = paper_run("--forecast", "errors", "--forecast-skill", str(file))
     assert f"forecast_skill: {copy}" in write_configuration(tmp_path, run, {}).read_text()
     assert copy.read_bytes() == file.read_bytes()
-    file.write_text(package.replace("memory: 8", "memory: -8"))
-    words = r"climate\.memory = -8.4: must be from 0.5 to 24"
-    refusal(read_skill, str(file), match=rf"mine\.yaml, line \d+: {words}")
+    for old, new, words in (
+        ("memory: 8", "memory: -8", r"climate\.memory = -8.4: must be from 0.5 to 24"),
+        ("  wetness: ", "# wetness: ", r"errors\.wetness: is missing: shift of z toward rain"),
+    ):
+        file.write_text(package.replace(old, new))
+        refusal(read_skill, str(file), match=rf"mine\.yaml, line \d+: {words}")
 
 
 # --- forecasts ---------------------------------------------------------------------------------
