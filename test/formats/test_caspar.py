@@ -126,12 +126,19 @@ PLACES = (
 )
 OF_SUMS = f"{RAIN}: must be the sum since the issue; it gives "
 WRONG: list[tuple[dict[str, Any], str]] = [
-    ({"edit": attribute(RAIN, "units", "kg m**-2 s**-1")}, f"{RAIN}:units = 'kg m**-2 s**-1': mu"),
+    (
+        {"edit": attribute(RAIN, "units", "kg m**-2 s**-1")},
+        f"{RAIN}:units = 'kg m**-2 s**-1': must be 'm', for the sum since the issue",
+    ),
     (
         {"edit": attribute("time", "units", "hours since 2021-07-08 06:00:00")},
         "time:units = 'hours since 2021-07-08 06:00:00': must be 'hours since 2021-07-08 00:00:00'",
     ),
-    ({"product": "CaLDAS"}, f"must have one variable of precipitation, such as {RAIN}, of one of"),
+    (
+        {"product": "CaLDAS"},
+        f"must have one variable of precipitation, such as {RAIN}, of one of HRDPS, REPS, GEPS, "
+        "GEPS_NA; it has time, rlat, lat, rlon, lon, CaLDAS_P_PR_SFC",
+    ),
     (
         {"edit": lambda dataset: dataset["lon"].delncattr("standard_name")},
         "must have a variable of standard_name 'longitude'",
@@ -146,7 +153,10 @@ WRONG: list[tuple[dict[str, Any], str]] = [
         {"edit": lambda dataset: dataset[RAIN].__setitem__((2, *NEAREST), np.inf)},
         f"{RAIN}: is missing 2 h after the issue",
     ),
-    ({"hours": [0, 1, 2, 3, 4, 28]}, "time: must have more hours, each 1 to 6 after the one bef"),
+    (
+        {"hours": [0, 1, 2, 3, 4, 28]},
+        "time: must have more hours, each 1 to 6 after the one before, not 0, 1, 2, 3, 4, 28",
+    ),
     (  # times of a separate dimension: the last sums would be used for the first hours
         {"edit": with_dimensions("time", "later")},
         f"{PLACES}not (time, rlat, rlon) with times of (later)",

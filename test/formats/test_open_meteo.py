@@ -328,7 +328,10 @@ WRONG = {
     "cut.json": ('{"latitude": 42.25,\n"long', ", line 2: is not valid JSON: "),
     "deep.json": ("[" * 200_000, ": is JSON nested too deeply to be an answer"),
     "several.json": ("[{}, {}]", ": must be for one place; download places separately"),
-    "refusal.json": ('{"error": true, "reason": "Daily"}', ": is not a forecast but the service's"),
+    "refusal.json": (
+        '{"error": true, "reason": "Daily API request limit exceeded."}',
+        ": is not a forecast but the service's refusal: Daily API request limit exceeded.",
+    ),
     "daily.json": ('{"hourly": null}', ": hourly: must be a mapping, as in hourly answers"),
     "huge.json": (  # too large for a float, both as an integer and as a decimal
         run_of(precipitation=[0.0, 0.0, 10**400, 0.0, 0.0, 0.0]),
