@@ -8,6 +8,7 @@ import socket
 import subprocess
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -93,14 +94,26 @@ def mosquitto(directory: Path, *lines: str) -> Iterator[Mosquitto]:
 
 
 class Talker:
-    """A client that publishes, each message confirmed by the broker; ``with`` connects it."""
+    """A client that publishes, each message confirmed by the broker; ``with`` connects it.
+
+    Attributes:
+        heard: what it has received: for each topic the payloads, and whether each was retained.
+    """
 
     def __init__(self, broker: Mosquitto) -> None:
+        self.heard: defaultdict[str, list[tuple[str, bool]]] = defaultdict(list)
         self._connected = threading.Event()
         self._client = make_client(
             parse_broker(broker.address, "broker", broker.login, broker.authority),
-            f"talker_{id(self)}", self._connected.set, lambda topic, payload, retained: None,
+            f"talker_{id(self)}", self._on_connect, self._on_message,
         )
+
+    def _on_connect(self) -> None:
+        self._client.subscribe("#", qos=1)
+        self._connected.set()
+
+    def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
+        self.heard[topic].append((payload.decode(), retained))
 
     def __enter__(self) -> Talker:
         self._client.loop_start()
@@ -114,3 +127,7 @@ class Talker:
     def say(self, topic: str, message: str, *, retain: bool = False) -> None:
         """Publish a message, and wait until the broker has it."""
         self._client.publish(topic, message, qos=1, retain=retain).wait_for_publish(20)
+
+    def last(self, topic: str) -> str:
+        """Return the last payload of a topic; empty before the first."""
+        return self.heard[topic][-1][0] if self.heard[topic] else ""

@@ -11,10 +11,10 @@ import time
 from pathlib import Path
 
 import pytest
-from brokers import mosquitto, needs_mosquitto
+from brokers import Talker, mosquitto, needs_mosquitto
 from browsers import started_browser
 from graphs import Process, bag_file, bring_up, wait_for
-from test_bridge import phone
+from test_bridge import state_on
 from test_watch_command import document, end, stop_on_page, watcher
 
 from greenroof_ros.common.interface import read_conditions
@@ -35,7 +35,7 @@ def test_at_a_live_site_an_alarm_comes_and_goes_and_a_stop_holds(
     from faults.rig import SiteRig
 
     with (
-        mosquitto(tmp_path) as broker, phone(broker.address) as heard,
+        mosquitto(tmp_path) as broker, Talker(broker) as heard,
         SiteRig(tmp_path / "site", domain, "danfoss_fc202") as rig,
     ):
         bridge = Process(domain, "bridge", "--broker", broker.address, cwd=tmp_path)
@@ -47,25 +47,25 @@ def test_at_a_live_site_an_alarm_comes_and_goes_and_a_stop_holds(
                 row["id"] == "/roof_sensor: sensor" and row["over"] is None
                 and "no valid answer" in row["what"] for row in rows
             )
-            state = heard.state()
+            state = state_on(heard)
             over_mqtt = (state["problem"], state["roof_level"]) == ("ON", None)
             return on_page and over_mqtt
 
         rig.until_running(120)
-        wait_for(lambda: heard.state().get("pump") == "running", 60, "a running pump")
-        wait_for(lambda: heard.state()["problem"] == "OFF", 60, "no alarm")
-        assert heard.state()["mode"] == "live"
+        wait_for(lambda: state_on(heard).get("pump") == "running", 60, "a running pump")
+        wait_for(lambda: state_on(heard)["problem"] == "OFF", 60, "no alarm")
+        assert state_on(heard)["mode"] == "live"
         wait_for(
-            lambda: (level := heard.state()["roof_level"]) is not None
+            lambda: (level := state_on(heard)["roof_level"]) is not None
             and abs(level / 1000 - rig.levels()[1]) < 0.001, 10, "the roof's true level",
         )
         rig.truth.inject_site("roof_silent")
         wait_for(silent, 60, "the alarm")
         alarms = json.loads(heard.last("greenroof/roof/alarms"))["alarms"]
         codes = {row["code"] for row in alarms}
-        assert heard.state()["condition"] in codes <= read_conditions().keys()
+        assert state_on(heard)["condition"] in codes <= read_conditions().keys()
         rig.truth.inject_site("none")
-        wait_for(lambda: heard.state()["problem"] == "OFF", 60, "the end of the alarm")
+        wait_for(lambda: state_on(heard)["problem"] == "OFF", 60, "the end of the alarm")
         wait_for(lambda: not silent(), 60, "its end on the page")
         rig.until_running()
         broker.pause()
