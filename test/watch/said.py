@@ -40,6 +40,23 @@ def node(
     ]
 
 
+def silent_sensor() -> list[Status]:
+    """Return what a site's nodes report while the cistern's sensor is silent."""
+    old = ERROR, "/cistern/level is older than 5 s (level_limit)", "input_silent"
+    held = "held: the level of the cistern is unknown"
+    return [
+        *node("/onoff", "controller", ("inputs", *old)),
+        *node(
+            "/pump", "pump", ("pump", WARN, held, "cistern_level_unknown"), ("levels", *old),
+            ("delivery", WARN, "blind for 3 s", "delivery_blind"), pump=held,
+        ),
+        *node("/cistern_sensor", "cistern_sensor", (
+            "sensor", ERROR, "tcp://10.0.0.7:502, device 1: reading register 16: no valid answer "
+            "within 0.5 s", "sensor_lost",
+        )),
+    ]
+
+
 def incident(role: str, part: str, cause: str, code: str, began: float, ended: float) -> Alarm:
     """Return an incident of a recording, with its times (s since 1970)."""
     return Alarm(Trouble(ERROR, cause, code, role, part), began, over=ended)

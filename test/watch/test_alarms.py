@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from said import ERROR, OK, STALE, STOPPED, WARN, node
+from said import ERROR, OK, STALE, STOPPED, WARN, node, silent_sensor
 
 from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
@@ -245,20 +245,13 @@ def test_events_of_a_stop_and_a_fault() -> None:
     assert alarms.events()[0] == {"at": 7.0, "what": "99"}
 
 
-SILENT = "/cistern/level is older than 5 s (level_limit)", "input_silent"
 TWO = "two publishers", "two_controllers"
 
 
 @pytest.mark.parametrize(("cause", "said", "chain"), [
     # The sensor comes first; the rest follows from it, the pump's state before all others.
-    ("/cistern_sensor: sensor", [
-        *node("/onoff", "controller", ("inputs", ERROR, *SILENT)),
-        *pump(
-            ("pump", WARN, "held: not known", "cistern_level_unknown"), ("levels", ERROR, *SILENT),
-            ("delivery", WARN, "blind for 3 s", "delivery_blind"),
-        ),
-        *node("/cistern_sensor", "cistern_sensor", ("sensor", ERROR, "no answer", "sensor_lost")),
-    ], ["/pump: pump", "/onoff: inputs", "/pump: levels", "/pump: delivery"]),
+    ("/cistern_sensor: sensor", silent_sensor(),
+     ["/pump: pump", "/onoff: inputs", "/pump: levels", "/pump: delivery"]),
     ("/rain_gauge: gauge", [
         *node("/weather", "weather", ("rain gauge", WARN, "/gauge/precipitation is older than 60 s",
                                       "gauge_bad")),

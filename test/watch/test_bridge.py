@@ -196,8 +196,9 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         wait_for(lambda: bridge.stderr().count("it is not STOP") >= 4, 10, "four refusals")
         assert state()["pump"] == "running"
         before = len(heard.heard[availability])
-        broker.kill()
+        broker.pause()
         bridge.until_said("not connected to")
+        broker.kill()
         time.sleep(3.0)
         broker.start()
         wait_for(lambda: len(heard.heard[availability]) > before, 30, "the bridge again")

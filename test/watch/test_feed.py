@@ -219,11 +219,6 @@ def test_of_a_fast_run_the_bag_is_read_or_samples_are_shown(
         assert_equal(totals, summary)
         assert totals["overflow"] > 0.1 and totals["drained"] > 1e-3
         assert "gaps" not in account["sentence"]
-    # Without a graph an ended run is shown from its bag.
-    with fed(domain, tmp_path / "second" / "bag") as (watched, _):
-        ended(watched, tmp_path / "second")
-        assert watched.of(READ)[LEVEL] == bag[LEVEL]
-        assert _shown(watched)["tiles"]["controller"]["value"] == "onoff"
 
 
 def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
