@@ -17,6 +17,7 @@ KEPT = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
 # The most gaps that are kept.
 _MOST_UNKNOWN = 1000
 
+
 class History:
     """One value over the past week, in stretches of 20 s; its memory is bounded."""
 
@@ -36,13 +37,8 @@ class History:
         """
         if not len(times):
             return
-        stretch = times // STRETCH_NS
-        firsts, lasts = _groups(stretch)
-        rows, ends = np.empty((len(firsts), 3)), times[lasts]
-        rows[:, 0] = np.minimum.reduceat(values, firsts)
-        rows[:, 1] = np.maximum.reduceat(values, firsts)
-        rows[:, 2] = values[lasts]
-        if self._length and self._times[self._length - 1] // STRETCH_NS == stretch[0]:
+        ends, rows = _condensed(times, np.column_stack((values, values, values)), STRETCH_NS)
+        if self._length and self._times[self._length - 1] // STRETCH_NS == times[0] // STRETCH_NS:
             self._length -= 1
             low, high, _ = self._rows[self._length]
             rows[0, 0], rows[0, 1] = min(rows[0, 0], low), max(rows[0, 1], high)
@@ -81,13 +77,9 @@ class History:
             return []
         # Whole stretches, which begin at the same times in each call: a line that is redrawn does
         # not jitter.
-        stretch = stretch_of(first, last, points)
-        firsts, lasts = _groups(times // stretch)
-        columns = (
-            times[lasts] / 1e9, np.minimum.reduceat(rows[:, 0], firsts),
-            np.maximum.reduceat(rows[:, 1], firsts), rows[lasts, 2],
-        )
-        return [list(row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+        ends, rows = _condensed(times, rows, stretch_of(first, last, points))
+        condensed: list[list[float]] = np.column_stack((ends / 1e9, rows)).tolist()
+        return condensed
 
 
 class Gaps:
@@ -142,14 +134,12 @@ class Gaps:
         return sorted(kept, key=lambda row: float(row[0]))
 
 
-def _groups(numbers: Stamps) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first and the last place of each run of equal numbers."""
-    (ends,) = (numbers[1:] != numbers[:-1]).nonzero()
-    firsts = np.zeros(len(ends) + 1, dtype=np.intp)
-    firsts[1:] = ends + 1
-    lasts = np.full(len(ends) + 1, len(numbers) - 1, dtype=np.intp)
-    lasts[:-1] = ends
-    return firsts, lasts
+def _condensed(times: Stamps, rows: Values, stretch_ns: int) -> tuple[Stamps, Values]:
+    """Return the last time of each stretch of time, and its least, greatest and last value."""
+    begins = np.flatnonzero(np.diff(times // stretch_ns, prepend=-1))
+    lasts = np.append(begins[1:], len(times)) - 1
+    low, high = np.minimum.reduceat(rows[:, 0], begins), np.maximum.reduceat(rows[:, 1], begins)
+    return times[lasts], np.column_stack((low, high, rows[lasts, 2]))
 
 
 def stretch_of(first: int, last: int, points: int) -> int:

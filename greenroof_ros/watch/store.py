@@ -54,7 +54,6 @@ _NEW_FORECAST_M, _NEW_FORECAST_S = 2e-3, 3600.0
 # How long ahead a level was predicted if it is compared with the measured level, and how often such
 # a prediction is kept (s).
 _LEAD_S, _EXPECTED_EVERY_S = 3600.0, 300.0
-_MOST_TEXT = 500
 # The most steps of a forecast or a plan, as the longest look-ahead has.
 _MOST_STEPS = 1000
 
@@ -204,7 +203,7 @@ class Store:
             before, self.site = self.site, site
             if site != before:
                 self._begin_account()
-            self.notes[0] = words.plain(note, _MOST_TEXT)
+            self.notes[0] = words.plain(note)
 
     def set_present(
         self, *, mode: str, factor: float | None, note: str, graph_shown: bool = True
@@ -220,7 +219,7 @@ class Store:
         with self.lock:
             self.mode, self.alarms.shown = mode, graph_shown
             self.factor = factor if factor is not None and math.isfinite(factor) else None
-            self.notes[1] = words.plain(note, _MOST_TEXT)
+            self.notes[1] = words.plain(note)
             self.account.live = mode == "live"
 
     def start_over(self) -> None:
@@ -372,7 +371,7 @@ class Store:
         """Take the pump's state, such as ``off: nothing is commanded``."""
         with self.lock:
             if self.pump_state is None or time_ns > self.pump_state[0]:
-                self.pump_state = (time_ns, words.plain(text, _MOST_TEXT))
+                self.pump_state = (time_ns, words.plain(text))
 
     # --- forecast and plan ----------------------------------------------------------------------
 
