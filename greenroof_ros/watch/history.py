@@ -23,10 +23,8 @@ class History:
 
     def __init__(self) -> None:
         """Start without values."""
-        # Up to twice as many as are kept: once a week the newest half moves to the front.
         self._times: Stamps = np.empty(0, dtype=np.int64)
         self._rows: Values = np.empty((0, 3))
-        self._length = 0
 
     def add(self, times: Stamps, values: Values) -> None:
         """Take finite values in the order of time, none older than those already there.
@@ -38,26 +36,14 @@ class History:
         if not len(times):
             return
         ends, rows = _condensed(times, np.column_stack((values, values, values)), STRETCH_NS)
-        if self._length and self._times[self._length - 1] // STRETCH_NS == times[0] // STRETCH_NS:
-            self._length -= 1
-            low, high, _ = self._rows[self._length]
-            rows[0, 0], rows[0, 1] = min(rows[0, 0], low), max(rows[0, 1], high)
-        rows, ends = rows[-KEPT:], ends[-KEPT:]
-        self._make_room(len(rows))
-        place = slice(self._length, self._length + len(rows))
-        self._times[place], self._rows[place] = ends, rows
-        self._length = place.stop
-
-    def _make_room(self, more: int) -> None:
-        """Make the arrays longer, and drop the oldest rows if there are too many."""
-        if self._length + more <= len(self._times):
-            return
-        kept = max(0, min(self._length, KEPT - more))
-        room = min(2 * KEPT, max(256, 2 * (kept + more)))
-        place = slice(self._length - kept, self._length)
-        times, rows = np.empty(room, dtype=np.int64), np.empty((room, 3))
-        times[:kept], rows[:kept] = self._times[place], self._rows[place]
-        self._times, self._rows, self._length = times, rows, kept
+        if len(self._times) and self._times[-1] // STRETCH_NS == times[0] // STRETCH_NS:
+            low, high, _ = self._rows[-1]
+            self._rows[-1] = min(rows[0, 0], low), max(rows[0, 1], high), rows[0, 2]
+            self._times[-1] = ends[0]
+            ends, rows = ends[1:], rows[1:]
+        if len(ends):
+            self._times = np.concatenate((self._times, ends))[-KEPT:]
+            self._rows = np.concatenate((self._rows, rows))[-KEPT:]
 
     def window(self, first: int, last: int, points: int) -> list[list[float]]:
         """Return the values from ``first`` to ``last`` (both included).
@@ -70,9 +56,8 @@ class History:
         Returns:
             Rows of the time of the last value (s), the least, the greatest, and the last value.
         """
-        times = self._times[: self._length]
-        place = slice(*np.searchsorted(times, (first, last + 1)))
-        times, rows = times[place], self._rows[: self._length][place]
+        place = slice(*np.searchsorted(self._times, (first, last + 1)))
+        times, rows = self._times[place], self._rows[place]
         if not len(times):
             return []
         # Whole stretches, which begin at the same times in each call: a line that is redrawn does

@@ -150,14 +150,16 @@ class Store:
         self._system: float | None = None  # the system's time at the last look (s since 1970)
         # The graph's time as its nodes last reported it (s since 1970); kept when a new run begins.
         self._stamp: float | None = None
-        self._forget()
+        self.start_over()
 
-    def _forget(self) -> None:
-        self.alarms.start_over()
-        self._heard_since: float | None = None  # when nodes were first heard (s since 1970)
-        self.mode = "none"
-        self.factor: float | None = None
-        self._forget_values()
+    def start_over(self) -> None:
+        """Forget everything except the nodes: another run began."""
+        with self.lock:
+            self.alarms.start_over()
+            self._heard_since: float | None = None  # when nodes were first heard (s since 1970)
+            self.mode = "none"
+            self.factor: float | None = None
+            self._forget_values()
 
     def _forget_values(self) -> None:
         self.newest: dict[str, Newest] = {}
@@ -221,11 +223,6 @@ class Store:
             self.factor = factor if factor is not None and math.isfinite(factor) else None
             self.notes[1] = words.plain(note)
             self.account.live = mode == "live"
-
-    def start_over(self) -> None:
-        """Forget everything except the nodes: another run began."""
-        with self.lock:
-            self._forget()
 
     def look(self, wall: float, system: float | None = None) -> None:
         """Note what came and what is overdue; called often, even if no document is shown.

@@ -51,7 +51,7 @@ class Kept(Store):
     def __init__(self) -> None:
         self.values: defaultdict[tuple[str, str], dict[int, Any]] = defaultdict(dict)
         self.present: list[tuple[str, str]] = []
-        self.runs = 0
+        self.runs = -1  # it starts once by itself
         super().__init__()
 
     def _keep(self, topic: str, time_ns: int, value: Any) -> None:
