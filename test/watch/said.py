@@ -32,9 +32,9 @@ def node(
     pairs = {"role": role, "process": process, **values}
     own = {key: json.dumps(value) for key, value in pairs.items()}
     return [
-        Status(name, OK, state, "host", own),
+        Status(name, OK, state, own),
         *(
-            Status(f"{name}: {part}", level, text, "host", {"code": code[0]} if code else {})
+            Status(f"{name}: {part}", level, text, {"code": code[0]} if code else {})
             for part, level, text, *code in parts
         ),
     ]

@@ -864,7 +864,7 @@ def test_a_flood_of_statuses_crowds_nobody_out_and_leaves_a_short_document() -> 
     tracemalloc.start()
     for turn in range(1, 4):
         flood = [
-            Status(f"/{turn} {number} {long[:100]}", number % 4, long, long, {"a": long})
+            Status(f"/{turn} {number} {long[:100]}", number % 4, long, {"a": long})
             for number in range(10_000)
         ]
         graph.add_statuses(100.0 + turn / 4, [*flood, *forged, *own])

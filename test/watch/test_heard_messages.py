@@ -81,8 +81,8 @@ def test_messages_are_read_as_written(little: bool) -> None:
     assert wire.statuses(diagnostics(little)) == (
         1_700_000_000_000_000_005,
         [
-            Status("/plant", 0, "ready", "machine", {"role": '"plant"'}),
-            Status("/pump: drive", 3, "ü <b>", "", {}),
+            Status("/plant", 0, "ready", {"role": '"plant"'}),
+            Status("/pump: drive", 3, "ü <b>"),
         ],
     )
 

@@ -29,7 +29,7 @@ from greenroof_ros.watch.server import GZIP_HEAD, Message, News
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.wire import Status
 
-ALARM = Status("/mpc", ERROR, "cannot solve <b>", "", {"role": '"controller"'})
+ALARM = Status("/mpc", ERROR, "cannot solve <b>", {"role": '"controller"'})
 ACT = {"X_Greenroof": "1"}
 RIGHT = {**ACT, "Authorization": "Bearer secret"}
 GET, POST = (

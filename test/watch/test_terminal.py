@@ -75,7 +75,7 @@ def with_a_silent_sensor(others: int = 0, wall: float = 99.5) -> Store:
     graph = run_of(6.0, "live", wall=wall)
     graph.add_statuses(wall, [
         *silent_sensor(),
-        *(Status(f"/camera{number}", ERROR, "no picture", "c", {}) for number in range(others)),
+        *(Status(f"/camera{number}", ERROR, "no picture") for number in range(others)),
     ])
     return graph
 
@@ -234,7 +234,7 @@ def test_the_range_of_a_chart_is_that_of_all_values() -> None:
 def test_hostile_texts_do_nothing_to_the_terminal() -> None:
     graph = run_of(1.0)
     evil = "\x1b]0;title\x07\x1b[2J[red]x[/red]\u202e\ud800 日本" * 5
-    graph.add_statuses(99.5, [Status("/x\x1b[31m", ERROR, evil, evil, {})])
+    graph.add_statuses(99.5, [Status("/x\x1b[31m", ERROR, evil)])
     graph.add_event(99.5, evil)
     for ascii_only in (False, True):
         text = "\n".join(drawn(graph, 120, 50, ascii_only=ascii_only))
