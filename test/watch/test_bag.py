@@ -80,8 +80,7 @@ class Reader:
         self._bag = Recorded(bag, namespace)
         self.recorded = Batch()
         self.numbers: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
-        self.forecasts: list[tuple[int, bytes]] = []
-        self.texts: list[tuple[str, int, str | None]] = []
+        self.messages: dict[tuple[str, int], tuple[int, bytes]] = {}
 
     def read(self) -> None:
         """Read everything available."""
@@ -90,11 +89,7 @@ class Reader:
             for topic, times, values in batch.numbers:
                 assert len(times) == len(values) > 0
                 self.numbers[topic] += zip(times.tolist(), values.tolist(), strict=True)
-            for (topic, _), (time_ns, message) in batch.messages.items():
-                if topic == "/forecast/precipitation":
-                    self.forecasts.append((time_ns, message))
-                elif topic == "/pump/state":
-                    self.texts.append((topic, time_ns, wire.text(message)))
+            self.messages |= batch.messages
             if not batch.more:
                 return
 
@@ -123,7 +118,7 @@ def test_each_byte_is_read_once(finished: Run, tmp_path: Path) -> None:
             assert not reader.recorded.problem
     assert reader.numbers == finished.numbers
     assert reader.recorded.newest_ns == START_NS + 499 * 10**9
-    time_ns, message = reader.forecasts[-1]
+    time_ns, message = reader.messages["/forecast/precipitation", 0]
     assert time_ns == START_NS + 499 * 10**9
     rows = wire.rows(message)
     assert rows is not None and rows[0].tolist() == [499.0] * 10
@@ -251,7 +246,7 @@ def test_a_live_bag(tmp_path: Path) -> None:
     reader = Reader(tmp_path / "bag", "")
     reader.read()
     assert {round(value) for _, value in reader.numbers["/roof/level"]} == set(range(5, 12))
-    assert reader.texts[-1] == ("/pump/state", time_ns, "off")
+    assert reader.messages["/pump/state", time_ns] == (time_ns, text)
     (tmp_path / "bag" / "bag_3.mcap").unlink()
     (tmp_path / "bag" / "bag_0.mcap").unlink()
     bag.write("/roof/level", time_ns + 10**9, number(99.0), now)

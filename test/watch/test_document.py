@@ -131,23 +131,39 @@ def test_levels(name: str, site: Site, level: float, state: str, sentence: str) 
         assert [mark["at"] for mark in tile["marks"]] == [0.75, *outlet, 3.0]
 
 
-@pytest.mark.parametrize(("values", "state", "why"), [
-    ({}, "off", "nothing is commanded"),
-    ({"pump_command": 0.4, "pump_flow": 2.05e-4, "roof_level": 0.04}, "running", ""),
-    ({"pump_command": 0.4, "roof_level": 0.046}, "off", "the roof has reached its target"),
+@pytest.mark.parametrize(("values", "state", "why", "level", "advice"), [
+    ({}, "off", "nothing is commanded", "ok", "Nothing to do."),
+    ({"pump_command": 0.4, "roof_level": 0.046}, "off", "the roof has reached its target", "ok",
+     "Nothing to do."),
+    ({"pump_command": 0.4, "pump_flow": 2.05e-4, "roof_level": 0.04}, "running", "", "warn",
+     "Nothing to do: the pump waters the roof."),
     ({"pump_command": 0.4, "roof_level": 0.04, "cistern_level": 0.7}, "off",
-     "the cistern is below the suction level"),
-    ({"pump_command": 0.4, "roof_level": 0.04, "weather_frost": 1.0}, "off", "there is frost"),
-    ({"pump_command": 0.4, "roof_level": 0.04}, "off", "it rests between two runs"),
+     "the cistern is below the suction level", "warn", "The roof is not watered"),
+    ({"pump_command": 0.4, "roof_level": 0.04, "weather_frost": 1.0}, "off", "there is frost",
+     "warn", "The roof is not watered, since the pump is off: there is frost."),
+    ({"pump_command": 0.4, "roof_level": 0.04}, "off", "it rests between two runs", "warn",
+     "The roof is not watered"),
+    ({"roof_level": 0.04}, "off", "nothing is commanded", "warn",
+     "Nothing to do now: the controller commands no pumping now."),
+    ({"roof_level": 0.05}, "off", "nothing is commanded", "warn",
+     "Nothing to do: the roof drains and dries by itself."),
+    ({"roof_level": -1.0}, "off", "nothing is commanded", "warn",
+     "Nothing is reported as wrong, but some values are unknown"),
 ])
-def test_the_simulated_pump_says_why_it_stands(
-    values: dict[str, float], state: str, why: str
+def test_the_simulated_pump_says_why_it_stands_and_the_page_what_to_do(
+    values: dict[str, float], state: str, why: str, level: str, advice: str
 ) -> None:
-    tile = tile_of(watched(**values), "pump")
+    """A roof that is not as wanted is no alarm, and not fine."""
+    document = shown(watched(**values))
+    tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
     assert (tile["value"], tile["state"], tile["why"]) == (state, state, why)
     flow = "12.3 L/min" if "pump_flow" in values else "0.0 L/min"
-    command = "commanded 40 % of its maximum flow" if values else "nothing is commanded"
+    command = "commanded 40 % of its maximum flow" if "pump_command" in values else (
+        "nothing is commanded"
+    )
     assert tile["sentence"] == f"{flow}; {command}"
+    assert (summary["word"], summary["level"]) == ("No alarms.", level)
+    assert document["advice"].startswith(advice)
 
 
 def test_the_simulated_pump_stands_in_quiet_hours() -> None:
@@ -196,28 +212,6 @@ def test_rain_and_what_is_to_come() -> None:
     assert tile_of(graph, "rain")["sentence"] == (
         "no forecast for the next hours: it reaches only 10 s ahead"
     )
-
-
-@pytest.mark.parametrize(("values", "level", "advice"), [
-    ({}, "ok", "Nothing to do."),
-    ({"roof_level": 0.04, "pump_command": 0.4, "pump_flow": 2e-4}, "warn",
-     "Nothing to do: the pump waters the roof."),
-    ({"roof_level": 0.04}, "warn",
-     "Nothing to do now: the controller commands no pumping now."),
-    ({"roof_level": 0.04, "pump_command": 0.4, "weather_frost": 1.0}, "warn",
-     "The roof is not watered, since the pump is off: there is frost."),
-    ({"roof_level": 0.05}, "warn", "Nothing to do: the roof drains and dries by itself."),
-    ({"roof_level": -1.0}, "warn",
-     "Nothing is reported as wrong, but some values are unknown: check whether sensors and "
-     "programs run."),
-])
-def test_a_roof_that_is_not_as_wanted_is_no_alarm_and_not_fine(
-    values: dict[str, float], level: str, advice: str
-) -> None:
-    document = shown(watched(**values))
-    summary = document["tiles"]["summary"]
-    assert (summary["word"], summary["level"]) == ("No alarms.", level)
-    assert document["advice"] == advice
 
 
 def test_what_is_known_by_words_alone() -> None:
