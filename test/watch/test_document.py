@@ -575,7 +575,7 @@ def test_where_a_dose_may_be_given(
     stop = shown(graph)["stop"]
     assert (stop["greatest_dose"], stop["dose_here"]) == (greatest, here)
     assert stop["no_dose"] == (said["no_dose"] if greatest else "")
-    assert not shown(graph, 200.0)["stop"]["dose_here"]  # it is no longer heard
+    assert not shown(graph, 105.0)["stop"]["dose_here"]  # it is no longer heard
 
 
 def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:

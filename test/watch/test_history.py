@@ -99,3 +99,4 @@ def test_times_at_which_a_value_was_not_known() -> None:
     assert unknown.cut_out(rows) == before
     unknown.say(76.0, known=True)
     assert unknown.cut_out(rows) == [*before, *rows[8:]]
+    assert list(unknown.at(np.array([25.0, 26.0, 55.0, 75.0]))) == [False, True, False, True]
