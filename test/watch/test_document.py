@@ -459,7 +459,7 @@ def test_the_account_in_words() -> None:
         "drained": "0.000 m3", "evapotranspired": "0.000 m3", "stored": "0.000 m3",
         "unexplained": "-0.060 m3", "inflow": "0.000 m3", "overflow": "0.000 m3",
         "saved": "0.060 m3",
-    }  # the level stood still, and there was no rain of which to keep a share
+    }  # the level stood still; without rain no share of it was kept
     assert shown(graph)["account"]["sentence"] == "0.060 m3 not accounted for"
     hear(graph, 361, 400, QUIET)
     assert shown(graph)["account"]["sentence"].endswith(", with gaps of 5 min")
