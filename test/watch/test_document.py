@@ -184,7 +184,7 @@ def test_the_pump_node_says_how_it_is() -> None:
     for later, said, state, why in (
         (5, "starting: by: its own words", "starting", "by: its own words"),
         (4, "off: older", "starting", "by: its own words"),
-        (6, "<b>dancing</b>: \x00", "unknown", "<b>dancing</b>: \N{REPLACEMENT CHARACTER}"),
+        (6, "<b>dancing</b>:\n\x00", "unknown", "<b>dancing</b>: \N{REPLACEMENT CHARACTER}"),
     ):
         graph.add_pump_state(START + later, said)
         tile = tile_of(graph, "pump")
