@@ -231,7 +231,7 @@ def test_it_logs_in_and_says_once_why_it_cannot(domain: int, tmp_path: Path) -> 
     ) as broker:
         options = ("--broker", broker.address)
         bridge = Process(domain, "bridge", *options, "--login", str(login), cwd=tmp_path)
-        bridge.until_said(f"connected to {broker.address}")
+        bridge.until_said(f"connected to {broker.address}; topics")
         end(bridge)
         bridge = Process(domain, "bridge", *options, cwd=tmp_path)
         bridge.until_said("Not authorized")

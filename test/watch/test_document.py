@@ -334,7 +334,7 @@ def test_what_is_not_newer_is_left_out() -> None:
     add_at(graph, "/roof/level", (70, 0.03), (65, 0.5), (80, 0.02))
     rows = read_series(graph, 3)["lines"]["roof"]
     assert [row[1:] for row in rows] == [
-        *[[0.04, 0.04, 0.04]] * 3, [0.03, 0.04, 0.03], [0.02, 0.02, 0.02],
+        [0.04, 0.04, 0.04], [0.03, 0.04, 0.03], [0.02, 0.02, 0.02],
     ]
 
 
