@@ -196,9 +196,8 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         wait_for(lambda: bridge.stderr().count("it is not STOP") >= 4, 10, "four refusals")
         assert state()["pump"] == "running"
         before = len(heard.heard[availability])
-        broker.pause()
-        bridge.until_said("not connected to")
         broker.kill()
+        bridge.until_said("not connected to")
         time.sleep(3.0)
         broker.start()
         wait_for(lambda: len(heard.heard[availability]) > before, 30, "the bridge again")
@@ -212,6 +211,9 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         wait_for(lambda: state()["pump"] == "held", 30, "a pump that is held off")
         assert state()["condition"] == "page_stop"
         wait_for(lambda: drive.speed() < 0.005, 30, "a pump that stands")
+        broker.pause()
+        bridge.until_said("Keep alive timeout")
+        broker.go_on()
         end(bridge)
         wait_for(lambda: heard.last(availability) == "offline", 10, "its last word")
 
