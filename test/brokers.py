@@ -99,7 +99,7 @@ class Talker:
         heard: what it received: when (s, `time.monotonic`), topic, payload, whether retained.
     """
 
-    def __init__(self, broker: Mosquitto, topic: str = "") -> None:
+    def __init__(self, broker: Mosquitto, topic: str = "#") -> None:
         """Prepare a client that receives a topic; ``#`` stands for all."""
         self.heard: list[tuple[float, str, str, bool]] = []
         self._topic, self._connected = topic, threading.Event()
@@ -109,8 +109,7 @@ class Talker:
         )
 
     def _subscribe(self) -> None:
-        if self._topic:
-            self._client.subscribe(self._topic)
+        self._client.subscribe(self._topic, qos=1)
         self._connected.set()
 
     def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
@@ -128,3 +127,11 @@ class Talker:
     def say(self, topic: str, message: str, *, retain: bool = False) -> None:
         """Publish a message, and wait until the broker has it."""
         self._client.publish(topic, message, qos=1, retain=retain).wait_for_publish(20)
+
+    def of(self, topic: str) -> list[str]:
+        """Return the payloads of a topic."""
+        return [payload for _, at, payload, _ in self.heard if at == topic]
+
+    def last(self, topic: str) -> str:
+        """Return the last payload of a topic; empty before the first."""
+        return ["", *self.of(topic)][-1]

@@ -149,7 +149,7 @@ def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
         bench.exchange.close()
         assert bench.now.status is not None and bench.now.status.stands
         assert not any(retained for *_, retained in tap.heard)
-        with Talker(bench.broker, "#") as late:
+        with Talker(bench.broker) as late:
             time.sleep(0.5)
             assert late.heard == []
 
@@ -217,7 +217,7 @@ def closed_for(bench: Bench, seconds: float) -> float:
 
 def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Bench) -> None:
     """Giving up the connection sends the *off*; otherwise *on* would last for the relay's timer."""
-    with Talker(bench.broker, "#") as tap:
+    with Talker(bench.broker) as tap:
         bench.connect()
         relay = bench.at.connection()
         relay.line.connect()
@@ -260,7 +260,7 @@ def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
 
 def test_one_that_does_not_switch_on_says_so_and_is_not_switched_again(bench: Bench) -> None:
     """Not before off was asked for: the caller is responsible for the least time off."""
-    with Talker(bench.broker, "#") as tap:
+    with Talker(bench.broker) as tap:
         bench.connect()
         bench.relay.inject("deaf")
         bench.ask_no_more()
@@ -294,7 +294,7 @@ def test_the_topics_that_the_broker_must_let_through(make: str, tmp_path: Path) 
 
 def test_a_retained_message_is_no_answer(tmp_path: Path) -> None:
     """Whoever retained it: a Tasmota with PowerRetain, or an old bridge."""
-    with bench_of("tasmota", tmp_path) as bench, Talker(bench.broker, "#") as tap:
+    with bench_of("tasmota", tmp_path) as bench, Talker(bench.broker) as tap:
         tap.say("stat/roof/STATUS11", '{"StatusSTS": {"POWER": "ON"}}', retain=True)
         bench.relay.inject("silence")
         bench.exchange.start()
