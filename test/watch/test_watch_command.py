@@ -96,7 +96,7 @@ def running_pump(
         "drive_simulator", *drive_of, "--port", str(at), "--workbench", str(bench)
     ) as drive:
         run = Process(
-            domain, "bringup", *drive_of, "--drive-at", drive.ready.split()[2].rstrip(","),
+            domain, "bringup", *drive_of, "--drive-at", drive.address,
             "--controller", "onoff", "--hours", "2", "--namespace", "site1",
             "--cistern", "57", "--roof", "0", "--output", "run", *options, cwd=cwd,
         )
