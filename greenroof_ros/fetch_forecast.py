@@ -9,13 +9,7 @@ from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, Parser, co
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import to_people
-from greenroof_ros.forecast.service import (
-    ATTRIBUTION,
-    MOST_DAYS,
-    Fetcher,
-    Service,
-    ServiceRequest,
-)
+from greenroof_ros.forecast.service import ATTRIBUTION, MOST_DAYS, Fetcher, Service
 from greenroof_ros.model.site import read_site
 
 
@@ -82,9 +76,10 @@ def main() -> int:
             "must end in .csv", key="--output", value=str(arguments.output)
         )
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
-    service = Service(site, ServiceRequest(
-        arguments.ensemble, arguments.model, arguments.days, arguments.url
-    ))
+    service = Service(
+        site, ensemble=arguments.ensemble, model=arguments.model, days=arguments.days,
+        url=arguments.url,
+    )
     fetcher = Fetcher(service, arguments.output, arguments.keep, 60 * (arguments.every or 60))
     while True:
         wait = fetcher.fetch()

@@ -2,71 +2,23 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-from graphs import Process, wait_for
+from graphs import wait_for
 from lifecycle_msgs.srv import ChangeState, GetState
 from places import guarding
 from ros_rig import LATE, Observer
 from rosgraph_msgs.msg import Clock
-from simulators import PATIENCE_S, Workbench
+from simulators import Simulator
 from std_msgs.msg import Float64
 
-from greenroof_ros.drives.modbus_line import parse_address
-from greenroof_ros.simulators.faults import DEFAULT
-
 # Ten ticks of 1 s per second, and a drive that ramps ten times as fast as in real time.
-PERIOD_S, FACTOR = 0.1, 10
+PERIOD_S = 0.1
+PACE = ("--speed", "10", "--boot", "0.1", "--timeout", "1.5")
 LEAST_TIMES = {"least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
-
-
-class SimulatedDrive:
-    """The drive simulator as a process, which ends with the test, and its workbench."""
-
-    def __init__(
-        self, domain: int, cwd: Path, *options: str, make: str = "abb_acs880",
-        pace: tuple[str, ...] = ("--speed", str(FACTOR), "--boot", "0.1", "--timeout", "1.5"),
-    ) -> None:
-        """Start the simulator, and wait until it is ready."""
-        self.domain, self.cwd = domain, cwd
-        self._options = ("--drive", make, *pace, *options)
-        self.start("--port", "0", "--workbench", "0")
-
-    def start(self, *options: str) -> None:
-        self.process = Process(
-            self.domain, "drive_simulator", *self._options, *options, cwd=self.cwd
-        )
-        self.address, self.workbench = addresses(self.process)
-
-    def ask(self, question: Callable[[Workbench], Any]) -> Any:
-        """Send a request to the workbench."""
-        workbench = Workbench(parse_address(self.workbench), timeout_s=PATIENCE_S)
-        try:
-            return question(workbench)
-        finally:
-            workbench.close()
-
-    def speed(self) -> float:
-        """Return the true speed of the motor (share of rated)."""
-        return float(self.ask(lambda bench: bench.speed()))
-
-    def inject(self, fault: str, parameter: int = DEFAULT) -> None:
-        self.ask(lambda bench: bench.inject(fault, parameter))
-
-    def end(self) -> None:
-        self.process.process.terminate()
-        self.process.wait(120)
-
-
-def addresses(simulator: Process) -> list[str]:
-    """Return the addresses that a simulator prints when it is ready."""
-    line = wait_for(lambda: simulator.stdout().partition("\n")[0], 60, "a simulator that is ready")
-    return re.findall(r"(?:tcp|gateway|mqtt)://[\w.:/]+", line)
 
 
 class PumpRig:
@@ -74,11 +26,11 @@ class PumpRig:
 
     def __init__(self, observer: Observer) -> None:
         self.domain, self.cwd, self.observer = observer.domain, observer.cwd, observer
-        self._drive: SimulatedDrive | None = None
+        self._drive: Simulator | None = None
+        self._nodes = 0
         self.node = observer.node
         self.flows: list[float] = observer.hear("/pump/flow")
         self.states: list[str] = observer.hear("/pump/state")
-        self.every_tick: Callable[[], None] = lambda: None
         self._ticks = 0
         self._volumes = [75.0, 0.3]
         self._publishers: dict[str, Any] = {}
@@ -94,13 +46,20 @@ class PumpRig:
         }
 
     @property
-    def drive(self) -> SimulatedDrive:
+    def drive(self) -> Simulator:
         """Return the drive; start it if necessary."""
         return self._drive or self.simulate()
 
-    def simulate(self, *options: str, **special: Any) -> SimulatedDrive:
-        """Start the simulated drive."""
-        self._drive = SimulatedDrive(self.domain, self.cwd, *options, **special)
+    def simulate(
+        self, *options: str, make: str = "abb_acs880", pace: tuple[str, ...] = PACE,
+        port: int = 0,
+    ) -> Simulator:
+        """Start the simulated drive, which ends with the observer's nodes."""
+        self._drive = Simulator(
+            "drive_simulator", "--drive", make, *pace, "--port", str(port), "--workbench", "0",
+            *options,
+        )
+        self.observer.started.append(self._drive.process)
         return self._drive
 
     def code(self, part: str) -> str:
@@ -117,8 +76,9 @@ class PumpRig:
             "state_file": self.cwd / "state.json", **LEAST_TIMES, **parameters,
         }
         self.states.clear()
-        if self.observer.started:
+        if self._nodes:
             self._open()
+        self._nodes += 1
         return self.observer.start("pump", popen=popen, **settings)
 
     def leave(self) -> None:
@@ -140,7 +100,6 @@ class PumpRig:
     def tick(self, command: float) -> float:
         """Publish a tick, and return its flow; there must be exactly one."""
         began, before = time.monotonic(), len(self.flows)
-        self.every_tick()
         clock = Clock()
         clock.clock.sec = 1_751_371_200 + self._ticks
         self._publishers["/clock"].publish(clock)
@@ -234,9 +193,3 @@ class PumpRig:
 
     def lifecycle_state(self) -> str:
         return str(self.call(GetState, "get_state").current_state.label)
-
-    def stands_within(self, seconds: float) -> float:
-        """Wait, without ticks, until the motor stands, and return how long that took (s)."""
-        began = time.monotonic()
-        wait_for(lambda: self.drive.speed() == 0.0, seconds, "the motor's standstill")
-        return time.monotonic() - began

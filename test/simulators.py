@@ -16,7 +16,7 @@ from places import CHECKOUT
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import asked_to_end_with_this
-from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine
+from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine, parse_address
 from greenroof_ros.simulators import faults
 from greenroof_ros.simulators.faults import (
     DEFAULT,
@@ -78,48 +78,35 @@ class Workbench:
         self._write(faults.LOCAL, int(local))
 
 
-class Simulator:
-    """A simulator that is ready; ``with`` ends it by Ctrl-C and checks how it ends."""
+class Simulator(Workbench):
+    """A simulator that is ready, and its workbench; ``with`` ends it and checks how it ends.
+
+    Attributes:
+        address: of the device.
+        ports: the port of each device on TCP, and last the workbench's.
+    """
 
     def __init__(self, module: str, *options: str) -> None:
-        self._module = module
         self.process = subprocess.Popen(
             [sys.executable, "-m", f"greenroof_ros.{module}", *options],
             cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             stdin=subprocess.DEVNULL, env=asked_to_end_with_this(),
         )
         assert self.process.stdout is not None
-        self.ready = self.process.stdout.readline()
-        if not self.ready.startswith("ready: "):
+        ready = self.process.stdout.readline()
+        if not ready.startswith("ready: "):
             self.process.wait(120)
-            raise AssertionError(f"{self.ready}{self.process.communicate()[1]}")
-        self.ports = [int(port) for port in _PLACE.findall(self.ready)]
+            raise AssertionError(f"{ready}{self.process.communicate()[1]}")
+        self.address = ready.split()[2].rstrip(",")
+        self.ports = [int(port) for port in _PLACE.findall(ready)]
+        self.workbench = f"tcp://127.0.0.1:{self.ports[-1]}"
         self.said, self.complained = "", ""
-
-    def inject(self, name: str, parameter: int = DEFAULT) -> None:
-        """Inject a fault at the workbench."""
-        self._on_workbench(lambda bench: bench.inject(name, parameter))
-
-    def power_cycle(self) -> None:
-        self._on_workbench(lambda bench: bench.power_cycle())
-
-    def take_over(self, local: bool) -> None:
-        self._on_workbench(lambda bench: bench.take_over(local))
-
-    def speed(self) -> float:
-        """Return the true speed (share of rated)."""
-        return self._on_workbench(lambda bench: bench.speed())
-
-    def _on_workbench(self, task: Callable[[Workbench], T]) -> T:
-        known = SITE_FAULTS if self._module == "site_simulator" else FAULTS
-        bench = Workbench(Address("127.0.0.1", self.ports[-1]), known, PATIENCE_S)
-        try:
-            return task(bench)
-        finally:
-            bench.close()
+        known = SITE_FAULTS if module == "site_simulator" else FAULTS
+        super().__init__(parse_address(self.workbench), known, PATIENCE_S)
 
     def end(self) -> int:
         """End it by Ctrl-C and return its exit code."""
+        self.close()
         self.process.send_signal(signal.SIGINT)
         self.said, self.complained = self.process.communicate(timeout=120)
         return self.process.returncode

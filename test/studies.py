@@ -95,6 +95,13 @@ def edited(old: str, new: str) -> str:
     return GRID.replace(old, new)
 
 
+def archive(directory: Path, rain: float = 4.0) -> None:
+    """Write a forecast file ``archive.csv`` that will not come true."""
+    lines = ["issued,time,precipitation [mm/h]"]
+    lines += [f"2021-07-07T05:00Z,2021-07-07T{hour:02}:00Z,{rain}" for hour in range(5, 22)]
+    (directory / "archive.csv").write_text("\n".join(lines) + "\n")
+
+
 def record(directory: Path, years: Iterable[int]) -> None:
     """Write a weather record of the first days of May of some years."""
     directory.mkdir()

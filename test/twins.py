@@ -7,10 +7,12 @@ from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from paper import PAPER_SITE
 
+from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site
@@ -142,3 +144,10 @@ def write(rows: list[list[str]], file: Path) -> Path:
     with file.open("w", newline="", encoding="utf-8") as stream:
         csv.writer(stream).writerows(rows)
     return file
+
+
+def record_of(rows: list[list[str]], hours: int = 0) -> Record:
+    """Return the record in rows; with hours, its sums over this many hours."""
+    with TemporaryDirectory() as directory:
+        file = write(summed(rows, hours) if hours else rows, Path(directory) / "twin.csv")
+        return read_csv_record(file, TWIN)

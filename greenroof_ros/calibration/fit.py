@@ -48,8 +48,8 @@ _STEP = 1e-3
 _MOST_EVALUATIONS = 60
 # With longer steps (s) the drainage time is not fitted: it would compensate for the even rain.
 _TELLS_DRAINAGE_S = 3600
-# If half an interval exceeds this share of the value or range, the data hardly constrain it.
-_HARDLY = 0.5
+HARDLY = 0.5
+"""If half an interval exceeds this share of the value or range, the data hardly constrain it."""
 _END = 0.005
 _CONFIDENCE = 0.95
 FILLED = "filled"
@@ -395,7 +395,7 @@ def _judged(parameter: Range, share: float, half: float, why: str) -> Parameter:
     words = ""
     if not _END < share < 1 - _END:
         words = f"at the end of its range ({parameter.low:.3g} to {parameter.high:.3g})"
-    elif high - low > _HARDLY * 2 * abs(value) or half > _HARDLY:
+    elif high - low > HARDLY * 2 * abs(value) or half > HARDLY:
         words = "the data hardly constrain it"
     return Parameter(parameter.name, value, low, high, words)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
 from greenroof_ros.calibration.checks import FINDINGS
-from greenroof_ros.calibration.fit import Parameter, freedom, half_intervals, moves
+from greenroof_ros.calibration.fit import HARDLY, Parameter, freedom, half_intervals, moves
 from greenroof_ros.calibration.record import Record, Steps, Values, greatest_rise, lately
 from greenroof_ros.common.quality import Finding
 from greenroof_ros.formats.records import gaps
@@ -40,8 +40,6 @@ _RISE = 7.0
 _NAMED, _SHORT = 0.5, 2
 # No pump lifts this many times the flow of its curve, or less than that flow over this.
 _BELIEVABLE = 10.0
-# If half an interval exceeds this share of the value, the data hardly constrain it.
-_HARDLY = 0.5
 
 
 def standing_steps(step_s: float) -> int:
@@ -260,7 +258,7 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
             "unit-error", "pump", "cistern level", flow=1000 * fall.most * share,
             curve=1000 * fall.most,
         )])
-    if abs(delay) > standing + 0.5 and coarse.half[1] < _HARDLY * share:
+    if abs(delay) > standing + 0.5 and coarse.half[1] < HARDLY * share:
         return PumpFit(site, (), [FINDINGS.make(
             "clock-shifted", "pump", "pump state", minutes=standing * record.step_s / 60,
             side="after" if delay > 0 else "before",
@@ -282,7 +280,7 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
     fall = _Fall(site, record.step_s, command, cistern, runs, counts)
     fitted = fall.solve(3, 1)
     share = min(fitted.shares[2], 1.0)
-    told_apart = fall.derived(fitted.shares)[1] < 0 and fitted.half[2] < _HARDLY * share
+    told_apart = fall.derived(fitted.shares)[1] < 0 and fitted.half[2] < HARDLY * share
     if not told_apart:
         fitted = fall.solve(2, 1)
     flow, a_hat, c_hat = fall.derived(fitted.shares).tolist()

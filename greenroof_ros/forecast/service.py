@@ -16,7 +16,7 @@ from __future__ import annotations
 import asyncio
 import tempfile
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timezone
 from email.utils import parsedate_to_datetime
 from pathlib import Path
@@ -63,59 +63,41 @@ class ServiceError(Exception):
         self.wait = wait
 
 
-@dataclass(frozen=True)
-class ServiceRequest:
-    """What is requested from the service.
+class Service:
+    """Requests forecasts, one after the other."""
 
-    Attributes:
-        ensemble: whether to request all members of an ensemble, or one series.
-        model: weather model by the service's name, such as ``icon_seamless``; if empty, the service
-            chooses.
-        days: length of the answer, from the first hour of today in UTC.
-        url: of the interface; if empty, the service's own.
-    """
+    def __init__(
+        self, site: Site, *, ensemble: bool = False, model: str = "", days: int = 7, url: str = ""
+    ) -> None:
+        """Prepare; nothing is requested yet.
 
-    ensemble: bool = False
-    model: str = ""
-    days: int = 7
-    url: str = ""
-
-    def address(self) -> str:
-        """Return the interface's address."""
-        return self.url or (_ENSEMBLE_URL if self.ensemble else _FORECAST_URL)
-
-    def parameters(self, site: Site) -> dict[str, str | float]:
-        """Return the parameters of the request.
+        Args:
+            site: its place on earth.
+            ensemble: whether to request all members of an ensemble, or one series.
+            model: weather model by the service's name, such as ``icon_seamless``; if empty, the
+                service chooses.
+            days: length of the answer, from the first hour of today in UTC.
+            url: of the interface; if empty, the service's own.
 
         Raises:
-            ConfigurationError: the site file lacks the place, its elevation or its offset from UTC.
+            ConfigurationError: the site file lacks the place, its elevation or its offset from UTC,
+                or aiohttp is not installed.
         """
+        with in_extra("fetch"):
+            import aiohttp  # noqa: F401 - so that its absence shows at once
         for name in ("latitude", "longitude", "elevation", "utc_offset"):
             if getattr(site, name) is None:
                 raise ConfigurationError(
                     f"must be in the site file: the request to {OPEN_METEO} and the "
                     "evapotranspiration need it", key=name,
                 )
-        given: dict[str, str | float] = {
+        self._site = site
+        self._url = url or (_ENSEMBLE_URL if ensemble else _FORECAST_URL)
+        self._parameters: dict[str, str | float] = {
             "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
-            "hourly": ",".join(VARIABLES.values()), "forecast_days": self.days, "timezone": "GMT",
+            "hourly": ",".join(VARIABLES.values()), "forecast_days": days, "timezone": "GMT",
+            **({"models": model} if model else {}),
         }
-        return given | ({"models": self.model} if self.model else {})
-
-
-class Service:
-    """Requests forecasts, one after the other."""
-
-    def __init__(self, site: Site, request: ServiceRequest) -> None:
-        """Prepare; nothing is requested yet.
-
-        Raises:
-            ConfigurationError: see :meth:`ServiceRequest.parameters`, or aiohttp is not installed.
-        """
-        with in_extra("fetch"):
-            import aiohttp  # noqa: F401 - so that its absence shows at once
-        self._site, self._request = site, request
-        self._parameters = request.parameters(site)
         self._tag, self._answer = "", b""  # of the last answer that was a forecast
 
     def fetch(self, now: datetime) -> Issue:
@@ -129,7 +111,6 @@ class Service:
         """
         from aiohttp import ClientError
 
-        where = self._request.address()
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
         try:
             tag, answer = asyncio.run(self._ask(now))
@@ -137,12 +118,14 @@ class Service:
             self._tag, self._answer = tag, answer
             return issue
         except asyncio.TimeoutError as error:
-            raise ServiceError(f"{where}: gave no complete answer within {_WHOLE_S:g} s") from error
+            raise ServiceError(
+                f"{self._url}: gave no complete answer within {_WHOLE_S:g} s"
+            ) from error
         except (ClientError, OSError) as error:
             why = " ".join(str(error).split()) or type(error).__name__
-            raise ServiceError(f"{where}: {why}") from error
+            raise ServiceError(f"{self._url}: {why}") from error
         except ConfigurationError as error:
-            raise ServiceError(f"{where}: its answer {error.wrong}") from error
+            raise ServiceError(f"{self._url}: its answer {error.wrong}") from error
 
     async def _ask(self, now: datetime) -> tuple[str, bytes]:
         """Return an answer and its tag; the last answer if the service says it still holds (304).
@@ -153,24 +136,23 @@ class Service:
         """
         import aiohttp
 
-        where = self._request.address()
         time_limit = aiohttp.ClientTimeout(total=_WHOLE_S, sock_connect=_PAUSE_S)
         headers = {"If-None-Match": self._tag} if self._tag else {}
         async with (
             aiohttp.ClientSession(timeout=time_limit, trust_env=True) as session,
-            session.get(where, params=self._parameters, headers=headers) as response,
+            session.get(self._url, params=self._parameters, headers=headers) as response,
         ):
             answer = b""
             async for part in response.content.iter_any():
                 answer += part
                 if len(answer) > _MOST_BYTES:
-                    raise ServiceError(f"{where}: sent more than {_MOST_BYTES} bytes")
+                    raise ServiceError(f"{self._url}: sent more than {_MOST_BYTES} bytes")
             _check_clock(response.headers.get("Date", ""), now)
             if response.status == 304 and self._answer:
                 return self._tag, self._answer
             if response.status != 200:
                 raise ServiceError(
-                    f"{where}: {response.status} {response.reason}: {_reason(answer)}",
+                    f"{self._url}: {response.status} {response.reason}: {_reason(answer)}",
                     _wait(response.headers.get("Retry-After", ""), now),
                 )
             return response.headers.get("ETag", ""), answer

@@ -179,8 +179,7 @@ def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
     if "location_id" in place.header:
         raise place.refuse("must be for one place; download places separately", "location_id", 0)
     zone = _check_place(place, site)
-    if table.header[0] != "time":
-        table.require(["time"], _WHOSE)
+    table.require(["time"], _WHOSE)
     return table, partial(parse_local_time, zone=zone)
 
 
@@ -218,7 +217,6 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
         for name, series in hourly.items()
     }
     return Table(file, [*about], about), Table(file, [*hours], hours, key="hourly.")
-
 
 
 def _cell(value: Any, missing: str = "") -> str:

@@ -46,7 +46,6 @@ from greenroof_ros.forecast.service import (
     MOST_DAYS,
     Fetcher,
     Service,
-    ServiceRequest,
 )
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.formats.records import SERVICE_DELAY_H
@@ -316,10 +315,10 @@ class WeatherNode(LinkedNode):
     def _fetch(self, values: dict[str, Any], file: Path) -> Fetcher:
         """Begin to fetch forecasts on a separate thread."""
         days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC; used until issue_limit
-        service = Service(self._site, ServiceRequest(
-            values["fetch"] == ENSEMBLE, values["fetch_model"], min(days, MOST_DAYS),
-            values["fetch_url"],
-        ))
+        service = Service(
+            self._site, ensemble=values["fetch"] == ENSEMBLE, model=values["fetch_model"],
+            days=min(days, MOST_DAYS), url=values["fetch_url"],
+        )
         fetcher = Fetcher(service, file, file.with_suffix(""), 60 * values["fetch_every"])
         fetcher.start()
         return fetcher

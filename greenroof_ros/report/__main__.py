@@ -15,8 +15,7 @@ from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.model.metrics import NEAR_TARGET
-from greenroof_ros.report.about import controller_name
+from greenroof_ros.report.about import Assumptions, controller_name
 
 if TYPE_CHECKING:
     from greenroof_ros.report.groups import Report
@@ -76,19 +75,19 @@ def make_parser() -> Parser:
     )
     group = parser.add_argument_group("assumptions")
     group.add_argument(
-        "--energy-price", type=within(0, 1e9), default=0.115, metavar="PRICE",
+        "--energy-price", type=within(0, 1e9), default=Assumptions.energy_price, metavar="PRICE",
         help="price of a kWh of electric energy (default: %(default)s, Ontario 2021)",
     )
     group.add_argument(
-        "--water-price", type=within(0, 1e9), default=4.1346, metavar="PRICE",
+        "--water-price", type=within(0, 1e9), default=Assumptions.water_price, metavar="PRICE",
         help="price of a m3 of mains water (default: %(default)s, Toronto 2021)",
     )
     group.add_argument(
-        "--currency", default="CAD", metavar="NAME",
+        "--currency", default=Assumptions.currency, metavar="NAME",
         help="currency of the prices (default: %(default)s)",
     )
     group.add_argument(
-        "--band", type=within(0, 1), default=NEAR_TARGET, metavar="SHARE",
+        "--band", type=within(0, 1), default=Assumptions.band, metavar="SHARE",
         help="a roof counts as near its target within this share of it (default: %(default)s)",
     )
     return parser
@@ -148,7 +147,7 @@ def main() -> int:
     with _writing(output):
         former = _former_report(output, figures.is_figure, force=arguments.force)
     sources = runs.find_runs(arguments.paths, arguments.site)
-    assumptions = groups.Assumptions(
+    assumptions = Assumptions(
         arguments.energy_price, arguments.water_price, arguments.currency, arguments.band
     )
     with Progress(

@@ -21,7 +21,7 @@ from greenroof_ros.experiment.incidents import INCIDENTS, Incident, read_inciden
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT
 from greenroof_ros.formats.records import name_files
 from greenroof_ros.model.initial_state import INITIAL_STATES
-from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_reader import Recorded
@@ -47,6 +47,23 @@ Row = dict[str, Any]
 """a run's row of the table"""
 
 Parameters = dict[str, "float | str"]
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """Assumptions that runs do not state.
+
+    Attributes:
+        energy_price: of a kWh of electric energy.
+        water_price: of a m3 from the mains.
+        currency: of both prices.
+        band: half width of the band about the target, as a share of the target (1).
+    """
+
+    energy_price: float = 0.115
+    water_price: float = 4.1346
+    currency: str = "CAD"
+    band: float = NEAR_TARGET
 
 
 class Note(NamedTuple):

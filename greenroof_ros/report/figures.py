@@ -6,20 +6,20 @@ cistern. Trajectories, weather and pumps have their own modules.
 
 from __future__ import annotations
 
-import csv
 import itertools
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import altair as alt
+import polars as pl
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.model.site import PLACE, Site, read_site
+from greenroof_ros.model.site import PLACE, read_site
 from greenroof_ros.report.about import NO_ERRORS, Row, controller_name
 from greenroof_ros.report.drawing import (
     COLOURS,
@@ -276,25 +276,25 @@ def published_totals(report: Report, rows: Sequence[Row]) -> Rows:
     row, config = rows[0], shared_directory() / "config"
     site, papers = report.runs[row["run"]].site, read_site(config / "site.yaml")
     # All but the place, with its climate and clock, which published evapotranspiration replaces.
-    place = {*PLACE, "monthly_evapotranspiration", "time_zone"}
-    compared = [parameter.name for parameter in fields(Site) if parameter.name not in place]
+    place = (*PLACE, "monthly_evapotranspiration", "time_zone")
     if (
         row["evapotranspiration"] != "published"
         or not _is_time(row["start"], _PAPER_START) or row["hours"] != _PAPER_HOURS
         or row["forecast"] != PERFECT or row["sensor and pump errors"] != NO_ERRORS
-        or any(getattr(site, name) != getattr(papers, name) for name in compared)
+        or replace(site, **{name: getattr(papers, name) for name in place}) != papers
     ):
         return []
-    with (config / "paper" / "totals.csv").open(encoding="utf-8", newline="") as stream:
-        return [
-            {
-                "controller": row["controller"], "initial": row["initial"],
-                "x": float(row["parameter"]), "v": float(row["total_deviation_m3"]),
-            }
-            for row in csv.DictReader(stream)
-            if row["initial"] in report.initials and row["controller"] in report.controllers
-            and report.settings[row["controller"]].axis == _PAPERS_PARAMETER[row["controller"]]
-        ]
+    totals = pl.read_csv(config / "paper" / "totals.csv").filter(
+        pl.col("initial").is_in(report.initials), pl.col("controller").is_in(report.controllers)
+    )
+    return [
+        {
+            "controller": row["controller"], "initial": row["initial"], "x": row["parameter"],
+            "v": row["total_deviation_m3"],
+        }
+        for row in totals.to_dicts()
+        if report.settings[row["controller"]].axis == _PAPERS_PARAMETER[row["controller"]]
+    ]
 
 
 def _is_time(text: str, time: datetime) -> bool:

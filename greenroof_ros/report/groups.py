@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from itertools import groupby
 from typing import Any
@@ -26,6 +26,7 @@ from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.about import (
     NO_ERRORS,
     PAPERS_CONTROLLERS,
+    Assumptions,
     Note,
     Row,
     Run,
@@ -78,23 +79,6 @@ _SETTINGS = 10_000
 _BY_SIZE = {
     "a1", "a2", "z_o", "x2_star", "z_cap", "initial_cistern", "initial_roof", "initial_layer",
 }
-
-
-@dataclass(frozen=True)
-class Assumptions:
-    """Assumptions that runs do not state.
-
-    Attributes:
-        energy_price: of a kWh of electric energy.
-        water_price: of a m3 from the mains.
-        currency: of both prices.
-        band: half width of the band about the target, as a share of the target (1).
-    """
-
-    energy_price: float = 0.115
-    water_price: float = 4.1346
-    currency: str = "CAD"
-    band: float = NEAR_TARGET
 
 
 def heading(row: Row, apart: Sequence[str], names: Sequence[str] = ()) -> str:

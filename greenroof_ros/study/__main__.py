@@ -103,16 +103,12 @@ def make_parser() -> Parser:
     return parser
 
 
-def _interrupt(signum: int, frame: object) -> None:
-    raise KeyboardInterrupt
-
-
 @command
 def main() -> int:
     """Run a study, or the cases of it that are not finished."""
     arguments = make_parser().parse_args()
     # Acts like Ctrl-C: the workers end, and the table has the finished runs.
-    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     if arguments.scheduler is not None and arguments.jobs is not None:
         raise ConfigurationError(
             "cannot be used with --scheduler: the cluster sets how many", key="--jobs"

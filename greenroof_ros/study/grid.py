@@ -247,8 +247,9 @@ class _Grid:
 
     def cases(self) -> Iterator[Case]:
         """Yield every combination."""
-        controllers = list(self._controllers())
-        for name, path in self._sites():
+        sites = list(self._sites())
+        controllers = list(self._controllers([name for name, _ in sites]))
+        for name, path in sites:
             site = read_site(path)
             # Defaults of the other parameters can depend on the site.
             settings = [
@@ -534,8 +535,12 @@ class _Grid:
             )
         return seconds if round(ticks) else 0.0
 
-    def _controllers(self) -> Iterator[_Setting]:
-        """Yield each controller with each combination of its parameters."""
+    def _controllers(self, sites: Collection[str]) -> Iterator[_Setting]:
+        """Yield each controller with each combination of its parameters.
+
+        Args:
+            sites: names of the grid's site files.
+        """
         section = self._mapping["controllers"]
         if not isinstance(section, YamlMapping):
             raise self._refuse(
@@ -556,24 +561,25 @@ class _Grid:
                 yield _Setting(controller, {}, None, [])
                 continue
             for given in self._blocks(section, reference, _SETTINGS):
-                yield from self._settings(controller, given)
+                yield from self._settings(controller, given, sites)
 
-    def _settings(self, controller: ControllerChoice, given: YamlMapping) -> Iterator[_Setting]:
+    def _settings(
+        self, controller: ControllerChoice, given: YamlMapping, sites: Collection[str]
+    ) -> Iterator[_Setting]:
         """Yield a controller with each combination of the given parameters."""
         forecasts = list(self._forecasts(given)) if "forecast" in given else None
-        sites = []
+        own = []
         if "site" in given:
-            sites = [self._text(named, "site") for named in self._combinations(given, ["site"])]
-        known = [name for name, _ in self._sites()]
-        for name in sites:
-            if name not in known:
+            own = [self._text(named, "site") for named in self._combinations(given, ["site"])]
+        for name in own:
+            if name not in sites:
                 raise self._refuse(given, "site", f"{name} is not under 'site:' of the grid")
         names = [key for key in given if key not in ("forecast", "site")]
         for name in names:
             controller.check_name(name, self._path, given.lines[name])
         for values in self._combinations(given, names):
             parameters = read_numbers(self._path, values, controller.parameters)
-            yield _Setting(controller, parameters, forecasts, sites)
+            yield _Setting(controller, parameters, forecasts, own)
 
     @contextmanager
     def _at(self, mapping: YamlMapping, key: str, prefix: str = "") -> Iterator[None]:

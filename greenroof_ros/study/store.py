@@ -87,7 +87,8 @@ class Store:
         for case in cases:
             content = _read(self._runs / case.identity / _OUTCOME)
             with suppress(KeyError, TypeError):
-                self.outcomes[case.identity] = Outcome({**content["results"]}, {**content["timings"]}, {})
+                results, timings = {**content["results"]}, {**content["timings"]}
+                self.outcomes[case.identity] = Outcome(results, timings, {})
         bounds = _read(self._bounds)
         self.bounds: dict[str, float] = bounds if isinstance(bounds, dict) else {}
 

@@ -153,16 +153,7 @@ def cluster(address: str) -> Iterator[Workers]:
         except (OSError, CancelledError) as error:
             raise gone from error
         executor = client.get_executor(pure=False, retries=0)
-        pending: set[Future[Any]] = set()
         asked = seen = time.monotonic()
-
-        def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-            future: Future[Any] = executor.submit(function, *arguments)
-            pending.add(future)
-            # A future that is kept keeps its result on a worker, and is computed again if that
-            # worker is killed.
-            future.add_done_callback(pending.discard)
-            return future
 
         def check() -> None:
             nonlocal asked, seen
@@ -182,13 +173,11 @@ def cluster(address: str) -> Iterator[Workers]:
                 )
 
         try:
-            yield Workers(submit, check)
+            yield Workers(executor.submit, check)
         except CancelledError as error:  # not by this process: the scheduler is gone
             raise gone from error
         finally:
-            # After an interrupt nobody waits for the results of running tasks.
-            for future in list(pending):
-                future.cancel()
+            # Cancels running tasks: after an interrupt nobody waits for their results.
             executor.shutdown(wait=False)
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, namespace, within
 from greenroof_ros.common.errors import ConfigurationError, with_extra
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.model.site import read_site
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback
 from greenroof_ros.watch.store import Store
@@ -94,10 +93,10 @@ def make_parser() -> Parser:
 
 
 def _refuse_wrong(arguments: argparse.Namespace) -> None:
-    """Refuse wrong options.
+    """Refuse wrong options; a site file is refused when it is read.
 
     Raises:
-        ConfigurationError: an option, or a file that it names, is wrong.
+        ConfigurationError: an option is wrong.
     """
     if arguments.terminal:
         for key in ("host", "port"):
@@ -108,8 +107,6 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
         raise ConfigurationError(
             "must be the directory of a bag, such as runs/a/bag", key="--bag", value=str(bag)
         )
-    if arguments.site is not None:
-        read_site(arguments.site)
 
 
 def _say_address(url: str, host: str, port: int | None, *, release: bool) -> None:

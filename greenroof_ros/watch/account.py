@@ -86,31 +86,23 @@ class _Pending:
     """The newest counted value of a topic, and all values that are not counted yet."""
 
     def __init__(self) -> None:
-        self._times: list[Stamps] = []
-        self._values: list[Values] = []
-        self.first = self.last = 0
+        self.times: Stamps = np.empty(0, dtype=np.int64)
+        self.values: Values = np.empty(0)
+        self.first = self.last = 0  # times of the first value ever, and of the newest
         self.adds = 0  # the account's count of additions at the last one here
 
     def add(self, times: Stamps, values: Values) -> None:
-        if not self._times:
+        if not len(self.times):
             self.first = int(times[0])
         self.last = int(times[-1])
-        self._times.append(times)
-        self._values.append(values)
-
-    def all(self) -> tuple[Stamps, Values]:
-        """Return all times and values, each in one piece."""
-        if len(self._times) != 1:
-            self._times = [np.concatenate(self._times)]
-            self._values = [np.concatenate(self._values)]
-        return self._times[0], self._values[0]
+        self.times = np.concatenate((self.times, times))
+        self.values = np.concatenate((self.values, values))
 
     def drop_before(self, time: int) -> None:
         """Drop the values before a time (ns) except the newest, which holds at that time."""
-        times, values = self.all()
-        place = max(0, int(np.searchsorted(times, time, side="right")) - 1)
+        place = max(0, int(np.searchsorted(self.times, time, side="right")) - 1)
         # Copies: a view would keep the whole batch.
-        self._times, self._values = [times[place:].copy()], [values[place:].copy()]
+        self.times, self.values = self.times[place:].copy(), self.values[place:].copy()
 
 
 class Account:
@@ -250,10 +242,10 @@ class Account:
         """Return the value of a topic at each time; NaN if it is unknown."""
         if topic not in self._topics:
             return np.full(len(times), np.nan)
-        stamps, values = self._topics[topic].all()
-        place = np.searchsorted(stamps, times, side="right") - 1
-        known = (place >= 0) & (times - stamps[np.maximum(place, 0)] < holds)
-        last = values[np.maximum(place, 0)]
+        pending = self._topics[topic]
+        place = np.searchsorted(pending.times, times, side="right") - 1
+        known = (place >= 0) & (times - pending.times[np.maximum(place, 0)] < holds)
+        last = pending.values[np.maximum(place, 0)]
         if self.measured and topic in (_RAIN, _EVAPORATED, _FLOW):
             # As in the plant: a refused value acts as 0.
             last = np.nan_to_num(last)
@@ -320,10 +312,8 @@ class Account:
         """Return the times (ns) between which no value changes or stops holding."""
         edges: list[Stamps] = [np.array([begin, end])]
         for pending in self._topics.values():
-            times, _ = pending.all()
-            over = times + holds
-            edges += [over[:-1][over[:-1] < times[1:]], over[-1:]]
-            edges.append(times)
+            over = pending.times + holds
+            edges += [over[:-1][over[:-1] < pending.times[1:]], over[-1:], pending.times]
         between = np.unique(np.concatenate(edges))
         return between[(between >= begin) & (between <= end)]
 

@@ -23,7 +23,7 @@ from greenroof_ros.watch.words import plain
 
 # An alarm that comes back within this time (s) is the same one to an operator.
 _AGAIN_S = 10.0
-_TEXT, _ROWS, _OVER, _EVENTS = 500, 100, 20, 50
+_ROWS, _OVER, _EVENTS = 100, 20, 50
 _LEVELS = {WARN: "warn", ERROR: "error", STALE: "stale"}
 _SEVERITY = {ERROR: 0, STALE: 1, WARN: 2}
 
@@ -244,7 +244,7 @@ class Alarms:
 
     def add_event(self, now: float, text: str) -> None:
         """Note an event."""
-        self._events.append((now, plain(text, _TEXT)))
+        self._events.append((now, plain(text)))
 
     def acknowledge(self, alarm_id: str) -> bool:
         """Note that somebody saw an alarm, until it changes; False if there is no such alarm."""

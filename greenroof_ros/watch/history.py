@@ -17,15 +17,14 @@ KEPT = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
 # The most gaps that are kept.
 _MOST_UNKNOWN = 1000
 
+
 class History:
     """One value over the past week, in stretches of 20 s; its memory is bounded."""
 
     def __init__(self) -> None:
         """Start without values."""
-        # Up to twice as many as are kept: once a week the newest half moves to the front.
         self._times: Stamps = np.empty(0, dtype=np.int64)
         self._rows: Values = np.empty((0, 3))
-        self._length = 0
 
     def add(self, times: Stamps, values: Values) -> None:
         """Take finite values in the order of time, none older than those already there.
@@ -36,32 +35,15 @@ class History:
         """
         if not len(times):
             return
-        stretch = times // STRETCH_NS
-        firsts, lasts = _groups(stretch)
-        rows, ends = np.empty((len(firsts), 3)), times[lasts]
-        rows[:, 0] = np.minimum.reduceat(values, firsts)
-        rows[:, 1] = np.maximum.reduceat(values, firsts)
-        rows[:, 2] = values[lasts]
-        if self._length and self._times[self._length - 1] // STRETCH_NS == stretch[0]:
-            self._length -= 1
-            low, high, _ = self._rows[self._length]
-            rows[0, 0], rows[0, 1] = min(rows[0, 0], low), max(rows[0, 1], high)
-        rows, ends = rows[-KEPT:], ends[-KEPT:]
-        self._make_room(len(rows))
-        place = slice(self._length, self._length + len(rows))
-        self._times[place], self._rows[place] = ends, rows
-        self._length = place.stop
-
-    def _make_room(self, more: int) -> None:
-        """Make the arrays longer, and drop the oldest rows if there are too many."""
-        if self._length + more <= len(self._times):
-            return
-        kept = max(0, min(self._length, KEPT - more))
-        room = min(2 * KEPT, max(256, 2 * (kept + more)))
-        place = slice(self._length - kept, self._length)
-        times, rows = np.empty(room, dtype=np.int64), np.empty((room, 3))
-        times[:kept], rows[:kept] = self._times[place], self._rows[place]
-        self._times, self._rows, self._length = times, rows, kept
+        ends, rows = _condensed(times, np.column_stack((values, values, values)), STRETCH_NS)
+        if len(self._times) and self._times[-1] // STRETCH_NS == times[0] // STRETCH_NS:
+            low, high, _ = self._rows[-1]
+            self._rows[-1] = min(rows[0, 0], low), max(rows[0, 1], high), rows[0, 2]
+            self._times[-1] = ends[0]
+            ends, rows = ends[1:], rows[1:]
+        if len(ends):
+            self._times = np.concatenate((self._times, ends))[-KEPT:]
+            self._rows = np.concatenate((self._rows, rows))[-KEPT:]
 
     def window(self, first: int, last: int, points: int) -> list[list[float]]:
         """Return the values from ``first`` to ``last`` (both included).
@@ -74,20 +56,15 @@ class History:
         Returns:
             Rows of the time of the last value (s), the least, the greatest, and the last value.
         """
-        times = self._times[: self._length]
-        place = slice(*np.searchsorted(times, (first, last + 1)))
-        times, rows = times[place], self._rows[: self._length][place]
+        place = slice(*np.searchsorted(self._times, (first, last + 1)))
+        times, rows = self._times[place], self._rows[place]
         if not len(times):
             return []
         # Whole stretches, which begin at the same times in each call: a line that is redrawn does
         # not jitter.
-        stretch = stretch_of(first, last, points)
-        firsts, lasts = _groups(times // stretch)
-        columns = (
-            times[lasts] / 1e9, np.minimum.reduceat(rows[:, 0], firsts),
-            np.maximum.reduceat(rows[:, 1], firsts), rows[lasts, 2],
-        )
-        return [list(row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+        ends, rows = _condensed(times, rows, stretch_of(first, last, points))
+        condensed: list[list[float]] = np.column_stack((ends / 1e9, rows)).tolist()
+        return condensed
 
 
 class Gaps:
@@ -142,14 +119,12 @@ class Gaps:
         return sorted(kept, key=lambda row: float(row[0]))
 
 
-def _groups(numbers: Stamps) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first and the last place of each run of equal numbers."""
-    (ends,) = (numbers[1:] != numbers[:-1]).nonzero()
-    firsts = np.zeros(len(ends) + 1, dtype=np.intp)
-    firsts[1:] = ends + 1
-    lasts = np.full(len(ends) + 1, len(numbers) - 1, dtype=np.intp)
-    lasts[:-1] = ends
-    return firsts, lasts
+def _condensed(times: Stamps, rows: Values, stretch_ns: int) -> tuple[Stamps, Values]:
+    """Return the last time of each stretch of time, and its least, greatest and last value."""
+    begins = np.flatnonzero(np.diff(times // stretch_ns, prepend=-1))
+    lasts = np.append(begins[1:], len(times)) - 1
+    low, high = np.minimum.reduceat(rows[:, 0], begins), np.maximum.reduceat(rows[:, 1], begins)
+    return times[lasts], np.column_stack((low, high, rows[lasts, 2]))
 
 
 def stretch_of(first: int, last: int, points: int) -> int:

@@ -14,8 +14,6 @@ from greenroof_ros.watch.alarms import Alarm
 from greenroof_ros.watch.registry import ERROR, Trouble
 from greenroof_ros.watch.words import plain
 
-_MOST_TEXT = 500
-
 
 def read_beside(bag: Path) -> tuple[str, list[Alarm], str]:
     """Return a recorded run's controller, its incidents in the order of begin, and what is wrong.
@@ -27,7 +25,7 @@ def read_beside(bag: Path) -> tuple[str, list[Alarm], str]:
     try:
         path = directory / SUMMARY
         summary = json.loads(read_text(path)) if path.exists() else {}
-        controller = plain(str(summary.get("controller", "")), _MOST_TEXT)
+        controller = plain(str(summary.get("controller", "")))
         incidents = read_incidents(directory)
         incidents = incidents or [Incident(**entry) for entry in summary.get("incidents", ())]
         start, tau = 0.0, 0.0
@@ -51,7 +49,7 @@ def _alarm_of(incident: Incident, start: float, tau: float) -> Alarm:
     code = "started_again" if whole and ended else incident.code
     return Alarm(
         Trouble(
-            ERROR, plain(incident.cause, _MOST_TEXT), code, incident.node,
+            ERROR, plain(incident.cause), code, incident.node,
             "" if whole else incident.part,
         ),
         at(incident.began_tick, incident.began),

@@ -13,7 +13,6 @@ import socket
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +31,9 @@ _GONE_S = 10.0
 _WAITS_S = 5.0
 # The time over which the speed of a simulation is measured, at least and at most (s).
 _SPEED_S, _SPEED_MOST_S = 1.0, 3.0
-# Limits to what a hostile sender can fill: nodes, parts of each, statuses of other devices, values
-# of a status, characters of a sentence, a name and a value. A graph has seven nodes.
-_NODES, _PARTS, _FOREIGN, _VALUES = 32, 24, 200, 100
-_TEXT, _NAME, _VALUE = 500, 160, 100_000
+# Limits to what a hostile sender can fill, besides those of :mod:`.wire`: nodes, parts of each,
+# statuses of other devices, and characters of a name. A graph has seven nodes.
+_NODES, _PARTS, _FOREIGN, _NAME = 32, 24, 200, 160
 _NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
 # The greatest tick of a run, and the first time (ns since 1970) that does not fit into 64 bits.
 _LAST_TICK, _LAST_NS = 2**40, 2**63
@@ -147,7 +145,7 @@ class Node:
     def text(self, key: str) -> str:
         """Return a text that it reports; empty if it does not."""
         value = self.values.get(key)
-        return plain(value, _TEXT) if isinstance(value, str) else ""
+        return plain(value) if isinstance(value, str) else ""
 
 
 class Registry:
@@ -228,7 +226,7 @@ class Registry:
             # An unknown level is an error.
             known[key] = _Part(
                 status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
-                plain(status.message, _TEXT) or "says nothing",
+                plain(status.message) or "says nothing",
                 plain(status.values.get("code", ""), _NAME), wall, first,
             )
 
@@ -237,10 +235,7 @@ class Registry:
         if ": " in name or status.message not in STATES or not self.is_own(status):
             return None
         try:
-            values = {
-                key: _read_value(text) for key, text in islice(status.values.items(), _VALUES)
-                if len(text) <= _VALUE
-            }
+            values = {key: _read_value(text) for key, text in status.values.items()}
         except (ValueError, RecursionError):
             return None
         named = isinstance(values.get("role"), str) and isinstance(values.get("process"), str)
@@ -403,7 +398,7 @@ class Registry:
         two = " and ".join(f"{pump.name} ({pump.process})" for pump in (node, rival))
         return plain(
             f"Two nodes claim to be the pump node, {two}; which one controls the pump is unknown. "
-            "Stop the pump at its drive's panel, and end the node that should not run.", _TEXT,
+            "Stop the pump at its drive's panel, and end the node that should not run."
         )
 
     def _rival(self, node: Node, wall: float, same: str) -> Node | None:
@@ -486,10 +481,10 @@ class Registry:
         elif node.state == STARTING and wall - node.since > _WAITS_S and isinstance(waiting, list):
             who = tuple(map(str, waiting[:10]))
             yield name, Trouble(
-                WARN, f"waits for {plain(', '.join(who), _TEXT)}", "waits", role, names=who
+                WARN, f"waits for {plain(', '.join(who))}", "waits", role, names=who
             )
         if wall - node.refused_at <= SILENT_S:
-            topics = plain(", ".join(node.refused), _TEXT)
+            topics = plain(", ".join(node.refused))
             yield f"{name}: refused", Trouble(
                 WARN, f"values of {topics} are refused: not plausible", "values_refused", role,
                 "refused", names=node.refused,

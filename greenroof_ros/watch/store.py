@@ -54,7 +54,6 @@ _NEW_FORECAST_M, _NEW_FORECAST_S = 2e-3, 3600.0
 # How long ahead a level was predicted if it is compared with the measured level, and how often such
 # a prediction is kept (s).
 _LEAD_S, _EXPECTED_EVERY_S = 3600.0, 300.0
-_MOST_TEXT = 500
 # The most steps of a forecast or a plan, as the longest look-ahead has.
 _MOST_STEPS = 1000
 
@@ -151,14 +150,16 @@ class Store:
         self._system: float | None = None  # the system's time at the last look (s since 1970)
         # The graph's time as its nodes last reported it (s since 1970); kept when a new run begins.
         self._stamp: float | None = None
-        self._forget()
+        self.start_over()
 
-    def _forget(self) -> None:
-        self.alarms.start_over()
-        self._heard_since: float | None = None  # when nodes were first heard (s since 1970)
-        self.mode = "none"
-        self.factor: float | None = None
-        self._forget_values()
+    def start_over(self) -> None:
+        """Forget everything except the nodes: another run began."""
+        with self.lock:
+            self.alarms.start_over()
+            self._heard_since: float | None = None  # when nodes were first heard (s since 1970)
+            self.mode = "none"
+            self.factor: float | None = None
+            self._forget_values()
 
     def _forget_values(self) -> None:
         self.newest: dict[str, Newest] = {}
@@ -204,7 +205,7 @@ class Store:
             before, self.site = self.site, site
             if site != before:
                 self._begin_account()
-            self.notes[0] = words.plain(note, _MOST_TEXT)
+            self.notes[0] = words.plain(note)
 
     def set_present(
         self, *, mode: str, factor: float | None, note: str, graph_shown: bool = True
@@ -220,13 +221,8 @@ class Store:
         with self.lock:
             self.mode, self.alarms.shown = mode, graph_shown
             self.factor = factor if factor is not None and math.isfinite(factor) else None
-            self.notes[1] = words.plain(note, _MOST_TEXT)
+            self.notes[1] = words.plain(note)
             self.account.live = mode == "live"
-
-    def start_over(self) -> None:
-        """Forget everything except the nodes: another run began."""
-        with self.lock:
-            self._forget()
 
     def look(self, wall: float, system: float | None = None) -> None:
         """Note what came and what is overdue; called often, even if no document is shown.
@@ -372,7 +368,7 @@ class Store:
         """Take the pump's state, such as ``off: nothing is commanded``."""
         with self.lock:
             if self.pump_state is None or time_ns > self.pump_state[0]:
-                self.pump_state = (time_ns, words.plain(text, _MOST_TEXT))
+                self.pump_state = (time_ns, words.plain(text))
 
     # --- forecast and plan ----------------------------------------------------------------------
 

@@ -32,14 +32,12 @@ class Status:
         name: fully qualified name of a node; for a part of it, followed by ``": "`` and the part.
         level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
         message: a sentence.
-        hardware_id: the device that it is about; for a node the machine.
         values: as on the wire: JSON texts from this package's nodes, plain texts from their parts.
     """
 
     name: str
     level: int
     message: str
-    hardware_id: str
     values: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -136,14 +134,15 @@ def statuses(cursor: _Cursor) -> tuple[int, list[Status]]:
     statuses = []
     for _ in range(min(cursor.whole(), _STATUSES)):
         level = cursor.take(1)[0]
-        name, message, hardware = cursor.text(), cursor.text(), cursor.text()
+        name, message = cursor.text(), cursor.text()
+        cursor.text()  # the device that it is about
         values = {}
         for place in range(cursor.whole()):
             key, value = cursor.text(), cursor.text()
             if place < _VALUES:
                 values[key] = value
         # An unknown level counts as ERROR, the worst level that somebody can do something about.
-        statuses.append(Status(name, level if level <= 3 else 2, message, hardware, values))
+        statuses.append(Status(name, level if level <= 3 else 2, message, values))
     return stamp, statuses
 
 

@@ -123,8 +123,8 @@ def hour_and_minute(seconds: float, utc_offset: float, now: float) -> str:
     return clock if days == 0 else f"tomorrow {clock}" if days == 1 else at.strftime("%d %b %H:%M")
 
 
-def plain(text: str, most: int) -> str:
-    """Return a text that can be shown anywhere: printable, and at most this long."""
+def plain(text: str, most: int = 500) -> str:
+    """Return a text that can be shown anywhere: printable, and at most this many characters."""
     short = text[:most] + ("…" if len(text) > most else "")
     if short.isprintable():
         return short

@@ -51,15 +51,14 @@ def refused(monkeypatch: pytest.MonkeyPatch, way: str, *words: str) -> str:
     raise AssertionError("it was not refused")
 
 
-@pytest.mark.parametrize("controller", ["lookahead", "anticipating_onoff"])
 def test_a_controller_keeps_what_it_learned_in_its_own_file(
-    controller: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another controller would not understand the file, and would overwrite it."""
-    monkeypatch.setattr(sys, "argv", ["live", *NOBODY, "--controller", controller])
+    monkeypatch.setattr(sys, "argv", ["live", *NOBODY, "--controller", "lookahead"])
     nodes = LiveSite(live_site_parser().parse_args()).nodes(tmp_path, tmp_path)
-    (path,) = (node.parameters["state_file"] for node in nodes if node.name == controller)
-    assert path == str(tmp_path / f"{controller}.json")
+    (path,) = (node.parameters["state_file"] for node in nodes if node.name == "lookahead")
+    assert path == str(tmp_path / "lookahead.json")
 
 
 def test_plant_external_is_live(tmp_path: Path) -> None:
@@ -95,6 +94,8 @@ def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: P
 # A live site with a weather node, and the rest external; and a drive.
 WEATHERED = "live --sensors external --pump external"
 DRIVE = "--drive abb_acs880 --drive-at tcp://127.0.0.1:1"
+# Its sensors, among them a thermometer, so that no other one is needed.
+SENSED = f"live --sensors {CHECKOUT}/config/sensors_mqtt.yaml --controller onoff"
 WRONG = {
     "live --weather external --pump external": "--sensors FILE: is missing: a live site needs it",
     "live --weather external --sensors external": "--drive NAME: is missing: a live site needs it",
@@ -109,6 +110,9 @@ WRONG = {
     f"{WEATHERED} --forecast {CHECKOUT}/package.xml": "package.xml': must be a FILE.csv, which is",
     f"{WEATHERED} --weather external --forecast forecast.csv":
         "--forecast = 'forecast.csv': is for the weather node",
+    f"{SENSED} --drive no_such_drive --drive-at tcp://127.0.0.1:1": "drive = 'no_such_drive': is",
+    f"{SENSED} --pump external --thermometer external":
+        "--thermometer = 'external': contradicts the file of --sensors, which has a thermometer",
     f"run --pump external {DRIVE}": "--pump = 'external': leaves the pump to somebody else's node",
     "run --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
     "run --drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
@@ -120,21 +124,6 @@ WRONG = {
 @pytest.mark.parametrize("words", WRONG)
 def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, words: str) -> None:
     assert WRONG[words] in refused(monkeypatch, *words.split())
-
-
-@pytest.mark.parametrize(("options", "message"), [
-    # The sensor file has a thermometer, so no other one is needed: only the drive is missing.
-    (("--drive", "no_such_drive", "--drive-at", "tcp://127.0.0.1:1"), "no_such_drive"),
-    (("--pump", "external", "--thermometer", "external"),
-     "--thermometer = 'external': contradicts the file of --sensors, which has a thermometer"),
-])
-def test_a_thermometer_in_the_sensor_file(
-    monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], message: str
-) -> None:
-    sensors = str(CHECKOUT / "config" / "sensors_mqtt.yaml")
-    assert message in refused(
-        monkeypatch, "live", "--sensors", sensors, "--controller", "onoff", *options
-    )
 
 
 @pytest.mark.parametrize("name", ["site 1", "a//b"])
@@ -213,21 +202,20 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
     assert str(error.value).startswith(f"{file}, {NO_EFFECT[text]}")
 
 
-@pytest.mark.parametrize("way", ["bringup", "bringup.live"])
+@pytest.mark.parametrize(
+    "way", [(), ("--plant", "external", "--sensors", "external", "--weather", "external")]
+)
 def test_a_wrong_parameter_file_is_refused_before_anything_is_made(
-    tmp_path: Path, way: str
+    tmp_path: Path, way: tuple[str, ...]
 ) -> None:
-    (tmp_path / "forecast.csv").write_text("")
     (tmp_path / "nodes.yaml").write_text("pump:\n  least_off: 1.0\n")
-    site = ("--sensors", "external", "--forecast", "forecast.csv")
-    done = run_command(
-        way, *(site if way == "bringup.live" else ()), "--drive", "abb_acs880", "--drive-at",
-        "gateway://127.0.0.1:1", "--node-parameters", "nodes.yaml", cwd=tmp_path,
-        env=environment(0),
+    done = bringup(
+        tmp_path, *way, "--drive", "abb_acs880", "--drive-at", "gateway://127.0.0.1:1",
+        "--node-parameters", "nodes.yaml",
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: nodes.yaml, line 2: pump: least_off = 1.0: has no effect")
-    assert {file.name for file in tmp_path.iterdir()} == {"nodes.yaml", "forecast.csv"}
+    assert [file.name for file in tmp_path.iterdir()] == ["nodes.yaml"]
 
 
 def test_a_state_file_is_a_drives_however_its_address_is_written(

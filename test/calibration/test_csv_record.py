@@ -1,9 +1,10 @@
-"""Measured records as CSV: what is read, which step a row belongs to, what is refused."""
+"""Measured records as CSV: columns, steps of rows, evapotranspiration, and what is refused."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -11,62 +12,83 @@ import pytest
 from refusals import refusal
 from twins import TWIN
 
-from greenroof_ros.calibration.csv_record import read_csv_record, steps_of_rows
-from greenroof_ros.formats.records import Table
+from greenroof_ros.calibration.csv_record import read_csv_record
+from greenroof_ros.calibration.record import Record
+from greenroof_ros.model.site import Site
+
+ROWS = 120
 
 
-def small(header: str, *cells: str, rows: int = 120) -> str:
-    """Return a file of rows five minutes apart with the same cells in each."""
-    times = (f"2021-06-{1 + row // 288:02}T{row % 288 // 12:02}:{row % 12 * 5:02}"
-             for row in range(rows))
-    return "\n".join([header, *(",".join([time, *cells]) for time in times), ""])
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "record.csv"
 
 
-def test_units_come_to_mm_of_a_step_and_m(tmp_path: Path) -> None:
+def since(first: datetime, minutes: Iterable[float]) -> list[datetime]:
+    """Return the times after a first one."""
+    return [first + timedelta(minutes=float(after)) for after in minutes]
+
+
+JUNE = datetime(2021, 6, 1)  # noqa: DTZ001 - on the clock of the site
+FIVE_MINUTES = since(JUNE, range(0, 5 * ROWS, 5))
+
+
+def text_of(
+    header: str, cells: str | Sequence[str], times: Sequence[datetime] = FIVE_MINUTES
+) -> str:
+    """Return a file with the same cells in each row, or with the cells of each row."""
+    texts = [cells] * len(times) if isinstance(cells, str) else cells
+    rows = (
+        f"{time.isoformat(timespec='minutes')},{text}"
+        for time, text in zip(times, texts, strict=True)
+    )
+    return "\n".join([f"time,{header}", *rows, ""])
+
+
+def read(file: Path, text: str, site: Site = TWIN, months: str | None = None) -> Record:
+    """Write a record's file and read it."""
+    file.write_text(text)
+    return read_csv_record(file, site, months)
+
+
+def test_units_come_to_mm_of_a_step_and_m(file: Path) -> None:
     """12 mm/h are 1 mm in 5 minutes; on 100 m2, 2 l/s are 6 mm, and 50 l are 0.5 mm."""
-    file = tmp_path / "record.csv"
-    file.write_text(small(
-        "time,rain [mm/h],runoff [l/s],pumped [l],level [mm],reference evapotranspiration [mm/day]",
-        "12", "2", "50", "25", "2.88",
+    record = read(file, text_of(
+        "rain [mm/h],runoff [l/s],pumped [l],level [mm],reference evapotranspiration [mm/day]",
+        "12,2,50,25,2.88",
     ))
-    record = read_csv_record(file, TWIN)
     assert record.step_s == 300.0
     assert record.start.isoformat() == "2021-06-01T00:00:00+01:00"
-    assert record.rain == pytest.approx(np.full(120, 1.0))
-    assert record.runoff == pytest.approx(np.full(120, 6.0))
-    assert record.pumped == pytest.approx(np.full(120, 0.5))
-    assert record.level == pytest.approx(np.full(120, 0.025))
-    assert record.reference == pytest.approx(np.full(120, 0.01))
+    assert record.rain == pytest.approx(np.full(ROWS, 1.0))
+    assert record.runoff == pytest.approx(np.full(ROWS, 6.0))
+    assert record.pumped == pytest.approx(np.full(ROWS, 0.5))
+    assert record.level == pytest.approx(np.full(ROWS, 0.025))
+    assert record.reference == pytest.approx(np.full(ROWS, 0.01))
 
 
 @pytest.mark.parametrize(
     ("runoff", "last_decimal"),
     [("0.04", 0.01), ("3", 1.0), ("0.30000000000000004", 0.1), ("0.00515464", 1e-8)],
 )
-def test_the_last_decimal_of_runoff(runoff: str, last_decimal: float, tmp_path: Path) -> None:
+def test_the_last_decimal_of_runoff(runoff: str, last_decimal: float, file: Path) -> None:
     """On 100 m2, 1 in the last place of litres is a hundredth of that in mm."""
-    file = tmp_path / "record.csv"
     for unit, factor in (("mm", 1.0), ("l", 0.01)):
-        file.write_text(small(
-            f"time,rain [mm],runoff [{unit}],reference evapotranspiration [mm]", "0", runoff, "0.1",
-        ))
-        assert read_csv_record(file, TWIN).last_decimal == pytest.approx(factor * last_decimal)
+        header = f"rain [mm],runoff [{unit}],reference evapotranspiration [mm]"
+        record = read(file, text_of(header, f"0,{runoff},0.1"))
+        assert record.last_decimal == pytest.approx(factor * last_decimal)
 
 
-def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(tmp_path: Path) -> None:
+def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(file: Path) -> None:
     """At 3 m the paper's pumps deliver sqrt((3 + 55.2 - 16) / 1 / b^-2), Eq. 3e.
 
     Without the cistern's level the flow of a running pump is unknown; a pump at rest delivers 0.
     """
-    text = small(
-        "time,rain [mm],level [m],pump state [%],cistern level [m],"
-        "reference evapotranspiration [mm]", "0", "0.02", "50", "3", "0.1",
-    )
-    for minute, state, level in (("15", "1", ""), ("25", "0", ""), ("35", "", "3")):
-        text = text.replace(f"T00:{minute},0,0.02,50,3,", f"T00:{minute},0,0.02,{state},{level},")
-    file = tmp_path / "record.csv"
-    file.write_text(text)
-    record = read_csv_record(file, TWIN)
+    cells = ["0,0.02,50,3,0.1"] * ROWS
+    cells[3], cells[5], cells[7] = "0,0.02,1,,0.1", "0,0.02,0,,0.1", "0,0.02,,3,0.1"
+    record = read(file, text_of(
+        "rain [mm],level [m],pump state [%],cistern level [m],reference evapotranspiration [mm]",
+        cells,
+    ))
     flow = 0.5 * TWIN.b * np.sqrt(3 + TWIN.c_hat - TWIN.d)
     assert record.pumped[8:] == pytest.approx(np.full(112, flow * 300 / 100 * 1e3))
     assert record.command[8:] == pytest.approx(np.full(112, 0.5))
@@ -76,33 +98,30 @@ def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(tmp_path: Path
     assert np.flatnonzero(~record.known).tolist() == [2, 3, 4, 6, 7, 8]
 
 
-TEXT = small(
-    "time,rain [mm],runoff [mm],level [m],least temperature [degC],greatest temperature [degC]",
-    "0.1", "0.2", "0.03", "5", "15",
-)
-LINES = TEXT.splitlines()
+RAIN, RUNOFF, LEVEL = "rain [mm]", "runoff [mm]", "level [m]"
+LEAST, GREATEST = "least temperature [degC]", "greatest temperature [degC]"
+HEADER = ",".join((RAIN, RUNOFF, LEVEL, LEAST, GREATEST))
+TEXT = text_of(HEADER, "0.1,0.2,0.03,5,15")
 
 
-def test_missing_rows_and_empty_cells_are_gaps(tmp_path: Path) -> None:
+def test_missing_rows_and_empty_cells_are_gaps(file: Path) -> None:
     """The clock and evapotranspiration from temperatures need the place in the site file."""
-    file = tmp_path / "record.csv"
-    lines = [*LINES[:61], *LINES[71:]]
+    lines = TEXT.splitlines()
     lines[21] = lines[21].replace(",0.2,", ",,")
-    file.write_text("\n".join(lines) + "\n")
-    record = read_csv_record(file, TWIN)
+    text = "\n".join([*lines[:61], *lines[71:], ""])
+    record = read(file, text)
     for lacks, needed in (
         ("latitude", "needs latitude and longitude"),
         ("utc_offset", "or the site file must give utc_offset"),
     ):
-        refusal(read_csv_record, file, replace(TWIN, **{lacks: None}), match=needed)
-    assert record.steps == 120
+        refusal(read, file, text, replace(TWIN, **{lacks: None}), match=needed)
+    assert record.steps == ROWS
     assert np.flatnonzero(np.isnan(record.rain)).tolist() == list(range(60, 70))
     assert np.flatnonzero(np.isnan(record.runoff)).tolist() == [20, *range(60, 70)]
     # A sensor that failed has often missed a part of the neighbouring steps.
     assert np.flatnonzero(~record.known).tolist() == [19, 20, 21, *range(59, 71)]
 
 
-RAIN, RUNOFF, LEVEL, LEAST, GREATEST = LINES[0].split(",")[1:]
 # A text of the file, its replacement, and the message.
 WRONG = {
     "no rain column": (RAIN, "pumped [mm]", "line 1: there must be a column 'rain [mm]'"),
@@ -111,7 +130,7 @@ WRONG = {
         "there must be a column 'runoff [mm]' or 'level [m]'",
     ),
     "nothing for evapotranspiration": (
-        f"{LEAST},{GREATEST}", f"{LEAST},pumped [mm]", "there must be a column 'reference evapo"),
+        GREATEST, "pumped [mm]", "there must be a column 'reference evapo"),
     "no unit": (RAIN, "rain", "line 1: 'rain': a column must be named like 'rain [mm]'"),
     "unknown unit": (RAIN, "rain [inch]", "'rain [inch]': the unit of rain must be one like"),
     "rain in litres": (RAIN, "rain [l]", "the unit of rain must be one like [mm]"),
@@ -120,7 +139,7 @@ WRONG = {
     "a pump state alone": (RUNOFF, "pump state [1]", "'cistern level [m]', on which"),
     "no time": ("2021-06-01T00:40", "noon", "line 10: time = 'noon': must be a time such as"),
     "too short": (
-        "\n".join(LINES[40:]), "", "has 39 rows; a record must have at least 100"),
+        "\n".join(TEXT.splitlines()[40:]), "", "has 39 rows; a record must have at least 100"),
     "rain in micrometres": (
         "T00:30,0.1", "T00:30,159", "line 8: rain [mm] = '159': must be a number from 0 to "
         "158.333 mm, or empty; is the unit of the column right?",
@@ -129,65 +148,181 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_wrong_files_are_refused(name: str, tmp_path: Path) -> None:
+def test_wrong_files_are_refused(name: str, file: Path) -> None:
     was, now, message = WRONG[name]
     assert was in TEXT
-    file = tmp_path / "wrong.csv"
-    file.write_text(TEXT.replace(was, now, 1))
-    said = refusal(read_csv_record, file, TWIN)
+    said = refusal(read, file, TEXT.replace(was, now, 1))
     assert said.startswith(str(file)) and message in said
 
 
-START = datetime(2021, 4, 1, 0, 3, tzinfo=timezone.utc)
-
-
-def steps(since: np.ndarray) -> tuple[list[int], float]:
-    """Return the steps of rows at these times (s) since the first."""
-    times = [START + timedelta(seconds=float(second)) for second in since]
-    texts = [time.isoformat() for time in times]
-    table = Table(Path("roof.csv"), ["time"], {"time": texts}, 1, range(2, len(times) + 2))
-    slots, step_s = steps_of_rows(table, times)
-    return slots.tolist(), step_s
+# --- rows and steps -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("since", "message"),
+    ("minutes", "message"),
     [
-        (2 * 86400.0 * np.arange(120),
-         "line 3: time = '2021-04-03T00:03:00+00:00': the rows are 2 days apart; they must be "
-         "at most a day apart"),
-        (300.0 * np.concatenate((np.arange(60), np.arange(48, 120))),
-         "line 62: time = '2021-04-01T04:03:00+00:00': must be later than the time of the row "
-         "before"),
-        (np.cumsum(np.resize([300.0, 300.0, 420.0], 200)),
-         "line 4: time = '2021-04-01T00:20:00+00:00': must be 300 s after the row before, or a "
-         "whole number of such steps, not 420 s; 66 of 200 rows are like this"),
+        (2 * 1440 * np.arange(120),
+         "line 3: time = '2021-06-03T00:00': the rows are 2 days apart; they must be at most a day "
+         "apart"),
+        (5 * np.concatenate((np.arange(60), np.arange(48, 120))),
+         "line 62: time = '2021-06-01T04:00': must be later than the time of the row before"),
+        (np.cumsum(np.resize([5, 5, 7], 200)),
+         "line 4: time = '2021-06-01T00:17': must be 300 s after the row before, or a whole number "
+         "of such steps, not 420 s; 66 of 200 rows are like this"),
     ],
 )
-def test_rows_that_are_on_no_clock_are_refused(since: np.ndarray, message: str) -> None:
-    assert steps(86400.0 * np.arange(120)) == (list(range(120)), 86400.0)
-    assert message in refusal(steps, since)
+def test_rows_that_are_on_no_clock_are_refused(
+    minutes: np.ndarray, message: str, file: Path
+) -> None:
+    """Rows a day apart are on one."""
+    days = read(file, text_of(HEADER, "0,0,0,5,15", since(JUNE, 1440 * np.arange(120))))
+    assert (days.steps, days.step_s) == (120, 86400.0)
+    text = text_of(HEADER, "0,0,0,5,15", since(JUNE, minutes))
+    assert message in refusal(read, file, text)
 
 
-def test_two_rows_of_one_step_are_put_together(tmp_path: Path) -> None:
+def test_two_rows_of_one_step_are_put_together(file: Path) -> None:
     """Amounts add up, rates and levels are averaged; a cell that is empty in one row is unknown.
 
     After the row of 2:00 comes one of 2:02, when the clock was set, and then 2:05.
     """
-    lines = small(
-        "time,rain [mm],runoff [mm/h],level [m],least temperature [degC],"
-        "greatest temperature [degC]", "0.1", "0.6", "0.02", "5", "15", rows=250,
-    ).splitlines()
-    lines.insert(26, "2021-06-01T02:02,0.3,1.8,0.04,,")
-    file = tmp_path / "record.csv"
-    file.write_text("\n".join(lines) + "\n")
-    record = read_csv_record(file, TWIN)
+    times = since(JUNE, sorted([*range(0, 1250, 5), 122]))
+    cells = ["0.1,0.6,0.02,5,15"] * 251
+    header = HEADER.replace(RUNOFF, "runoff [mm/h]")
+    cells[25] = "0.3,1.8,0.04,,"
+    record = read(file, text_of(header, cells, times))
     assert record.steps == 250
     assert record.rain[23:26] == pytest.approx([0.1, 0.4, 0.1])
     assert record.runoff[23:26] == pytest.approx([0.05, 0.1, 0.05])
     assert record.level[23:26] == pytest.approx([0.02, 0.03, 0.02])
-    lines[26] = "2021-06-01T02:02,,,,,"
-    file.write_text("\n".join(lines) + "\n")
-    record = read_csv_record(file, TWIN)
+    cells[25] = ",,,,"
+    record = read(file, text_of(header, cells, times))
     assert np.flatnonzero(np.isnan(record.rain)).tolist() == [24]
     assert record.level[24] == pytest.approx(0.02)
+
+
+# --- evapotranspiration ---------------------------------------------------------------------------
+
+REFERENCE = "reference evapotranspiration [mm/day]"
+OF_REFERENCE = f"{RAIN},{LEVEL},{REFERENCE}"
+
+
+def of_reference(values: Iterable[object]) -> list[str]:
+    """Return the cells of dry rows with these values of evapotranspiration."""
+    return [f"0,0.02,{value}" for value in values]
+
+
+EMPTY, NO_ROW = "is empty", "there is no row of 2021-06-01T02:30:00"
+
+
+@pytest.mark.parametrize("what", [EMPTY, NO_ROW])
+def test_an_hour_may_be_missing_and_no_more(what: str, file: Path) -> None:
+    """It grows by 0.01 mm/day from row to row, and also through the gap."""
+    values = 2 + 0.01 * np.arange(ROWS)
+
+    def without(missing: int) -> Record:
+        cells = of_reference(f"{value:.2f}" for value in values)
+        cells[30:30 + missing] = of_reference([""] * missing)
+        kept = [row for row in range(ROWS) if what == EMPTY or not 30 <= row < 30 + missing]
+        return read(file, text_of(
+            OF_REFERENCE, [cells[row] for row in kept], [FIVE_MINUTES[row] for row in kept]
+        ))
+
+    assert without(12).reference == pytest.approx(values / 288)
+    assert refusal(without, 13).startswith(
+        f"{file}, line 32: {REFERENCE}: {what}, and no row has a value for 65 min: at most "
+        "an hour may be missing"
+    )
+
+
+def test_at_the_ends_an_hour_may_be_missing_too(file: Path) -> None:
+    """And a column of zeros is not evapotranspiration."""
+    cells = [""] * 12 + ["3"] * 96 + [""] * 12
+    record = read(file, text_of(OF_REFERENCE, of_reference(cells)))
+    assert record.reference == pytest.approx(np.full(ROWS, 3 / 288))
+    for more in (12, 107):
+        longer = text_of(OF_REFERENCE, of_reference([*cells[:more], "", *cells[more + 1:]]))
+        refusal(read, file, longer, match="is empty, and no row has a value for 65 min")
+    nothing = text_of(OF_REFERENCE, of_reference(["0"] * ROWS))
+    refusal(read, file, nothing, match="is 0 throughout")
+
+
+def test_a_clock_that_is_set_leaves_no_gap(file: Path) -> None:
+    """Set forward four times, together by more than half a step, so one step has no row."""
+    minutes = 360 * np.arange(500)
+    for row in range(100, 500, 100):
+        minutes[row:] += 55
+    times = since(datetime(2021, 4, 1), minutes)  # noqa: DTZ001 - on the clock of the site
+    record = read(file, text_of(OF_REFERENCE, of_reference(["3"] * 500), times))
+    assert np.flatnonzero(np.isnan(record.level)).tolist() == [400]
+    assert record.reference == pytest.approx(np.full(record.steps, 3 * 360 / 1440))
+
+
+def test_temperatures_that_show_no_day_are_refused(file: Path) -> None:
+    """None after ten days; none in early April, as of a logger put away in winter; none at all.
+
+    Six-hourly temperatures show no extremes; and a day's least must not exceed its greatest.
+    """
+    hours = since(datetime(2021, 4, 1), range(0, 60 * 1440, 60))  # noqa: DTZ001 - site's clock
+
+    def of_days(extremes: dict[int, str]) -> str:
+        cells = [f"0,0.02,{extremes.get(hour // 24, ',')}" for hour in range(60 * 24)]
+        return text_of(f"{RAIN},{LEVEL},{LEAST},{GREATEST}", cells, hours)
+
+    winter = of_days(dict.fromkeys(range(15, 60), "5,15"))
+    six_hourly = text_of(f"{RAIN},{LEVEL},temperature [degC]", "0,0.02,12", hours[::6])
+    for text, message in (
+        (of_days(dict.fromkeys(range(10), "5,15")), "no temperature within 3 days of 2021-04-14"),
+        (of_days({}), "no day has its temperatures"),
+        (of_days(dict.fromkeys(range(60), "5,15") | {0: "40,15"}),
+         "on 2021-04-01 the least temperature, 40 degC, is above the great"),
+        (winter, "has no temperature within 3 days"),
+        (six_hourly, "temperature: its rows are 6 h apart, but show a"),
+    ):
+        refusal(read, file, text, match=message)
+    assert np.all(read(file, winter, months="5-6").reference >= 0)
+
+
+LYON = replace(TWIN, latitude=45 + 43 / 60, longitude=4.85, utc_offset=1.0)
+# Least and greatest temperature of 13 to 16 July; the 15th is FAO-56's Example 20.
+DAYS = {13: (8.0, 40.0), 14: (4.0, 9.0), 15: (14.8, 26.6), 16: (-2.0, 38.0)}
+
+
+def test_a_row_has_the_temperatures_of_its_own_day(file: Path) -> None:
+    """In the first row of each day, in each row, or as the day's course: the results are equal.
+
+    By Example 20 the 15th has 5.0 mm; the days beside it are much colder and much warmer. Rows are
+    from 8:23 on, with a clock that is set forward by 2 min at 18:00: one row is at 0:00. The step
+    with 0:00 begins at 23:58, because the steps continue from the first row.
+    """
+    begin = datetime(1998, 7, 13, 8, 23)  # noqa: DTZ001 - on the clock of the site
+    times = [
+        time + timedelta(minutes=2 * (time.day > 13 or time.hour >= 18))
+        for time in since(begin, range(0, 3 * 1440, 5))
+    ]
+    first = {min(time for time in times if time.day == day) for day in DAYS}
+    assert datetime(1998, 7, 15) in first  # noqa: DTZ001 - on the clock of the site
+
+    def reference(columns: str, cells: list[str]) -> np.ndarray:
+        record = read(
+            file, text_of(f"{RAIN},{RUNOFF},{columns}", [f"0,0,{cell}" for cell in cells], times),
+            LYON,
+        )
+        assert str(record.times[187]) == "1998-07-13T23:58:00"
+        of_the_15th = record.times.astype("datetime64[D]") == np.datetime64("1998-07-15")
+        assert np.sum(record.reference[of_the_15th]) == pytest.approx(5.0, abs=0.05)
+        return record.reference
+
+    both = f"{LEAST},{GREATEST}"
+    every = ["{},{}".format(*DAYS[time.day]) for time in times]
+    in_first = reference(both, [
+        cell if time in first else "," for time, cell in zip(times, every, strict=True)
+    ])
+    assert reference(both, every) == pytest.approx(in_first)
+    # Three quarters of a day's course are required: the 13th and the 16th have less.
+    whole = slice(188, 188 + 2 * 288)
+    of_course = reference(
+        "temperature [degC]", [str(DAYS[time.day][time in first]) for time in times]
+    )
+    assert of_course[whole] == pytest.approx(in_first[whole])
+    assert of_course[:187].sum() < 0.5 * in_first[:187].sum()  # as cold as the 14th

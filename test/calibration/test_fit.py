@@ -5,15 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 from scipy.stats import t as student
-from twins import DAY, FILLED_AT_FIRST, TWIN, record_rows, summed, write
+from twins import DAY, FILLED_AT_FIRST, TWIN, record_of, record_rows
 
-from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.fit import (
     FILLED,
     Parameter,
@@ -48,10 +45,7 @@ def values_of(parameters: list[Parameter]) -> dict[str, float]:
 @cache
 def twin(hours: int, days: int, seed: int = 2) -> Record:
     """Return a record with a noise of 2 mm and steps of this many hours; 0 means five minutes."""
-    rows = record_rows(TWIN, 150, seed, gaps=False)[:1 + days * DAY]
-    with TemporaryDirectory() as directory:
-        file = write(summed(rows, hours) if hours else rows, Path(directory) / "twin.csv")
-        return read_csv_record(file, TWIN)
+    return record_of(record_rows(TWIN, 150, seed, gaps=False)[:1 + days * DAY], hours)
 
 
 def test_a_twin_is_recovered() -> None:

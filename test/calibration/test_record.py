@@ -6,7 +6,6 @@ from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
-import pytest
 from refusals import refusal
 from twins import a_record
 
@@ -16,7 +15,6 @@ from greenroof_ros.calibration.record import (
     comparable,
     halve,
     in_months,
-    month_numbers,
     storms,
 )
 
@@ -47,17 +45,15 @@ def test_six_dry_hours_part_two_storms_and_a_day_ends_one() -> None:
     assert storms(of_rain(1, {})) == []
 
 
-@pytest.mark.parametrize("what", ["rain", "pumped", "runoff"])
-def test_a_storm_in_which_something_was_not_seen_is_left_out_whole(what: str) -> None:
+def test_a_storm_in_which_something_was_not_seen_is_left_out_whole() -> None:
     """On another day only the step and its neighbours are left out."""
     record = of_rain(6, {100: 5.0, 4 * DAY: 5.0})
-    series = getattr(record, what).copy()
-    series[[120, 3 * DAY]] = np.nan
-    steps = comparable(replace(record, **{what: series}))
-    assert not steps[100:101 + DAY].any()
-    assert np.flatnonzero(~steps[101 + DAY:]).tolist() == [
-        3 * DAY + near - 101 - DAY for near in (-1, 0, 1)
-    ]
+    for what in ("rain", "pumped", "runoff"):
+        series = getattr(record, what).copy()
+        series[[120, 3 * DAY]] = np.nan
+        steps = comparable(replace(record, **{what: series}))
+        left_out = [*range(100, 101 + DAY), *range(3 * DAY - 1, 3 * DAY + 2)]
+        assert np.flatnonzero(~steps).tolist() == left_out, what
 
 
 def test_halves_have_the_same_water_and_no_storm_in_common() -> None:
@@ -72,24 +68,16 @@ def test_halves_have_the_same_water_and_no_storm_in_common() -> None:
     assert not halve(rainy, steps)["validation"].any()
 
 
-YEAR = np.zeros(365 * 24)
-# Months begin by a clock of UTC+1; an hour before it is July in UTC.
-SINCE_JULY = replace(
-    a_record(YEAR, 3600.0), start=datetime(2021, 7, 1, tzinfo=timezone(timedelta(hours=1)))
-)
-
-
-@pytest.mark.parametrize(
-    ("text", "days", "first"),
-    [("4-10", 214, "2021-07-01"), ("11-3", 151, "2021-11-01"), ("2-2", 28, "2022-02-01")],
-)
-def test_steps_of_months(text: str, days: int, first: str) -> None:
-    steps = in_months(SINCE_JULY, text)
-    assert steps.sum() == days * 24
-    assert str(SINCE_JULY.times[steps][0]) == f"{first}T00:00:00"
-
-
-def test_months_that_cannot_be() -> None:
+def test_steps_of_months() -> None:
+    """Months begin by a clock of UTC+1; an hour before it is July in UTC."""
+    start = datetime(2021, 7, 1, tzinfo=timezone(timedelta(hours=1)))
+    year = replace(a_record(np.zeros(365 * 24), 3600.0), start=start)
+    for text, days, first in (
+        ("4-10", 214, "2021-07-01"), ("11-3", 151, "2021-11-01"), ("2-2", 28, "2022-02-01"),
+    ):
+        steps = in_months(year, text)
+        assert steps.sum() == days * 24
+        assert str(year.times[steps][0]) == f"{first}T00:00:00"
     for text in ("4", "0-3", "4-13", "april-october"):
-        refusal(month_numbers, text, match=f"^--months = '{text}': must be the first and")
+        refusal(in_months, year, text, match=f"^--months = '{text}': must be the first and")
     refusal(in_months, of_rain(20, {}), "6-10", match=r"^roof.csv: has no row in the months 6-10")

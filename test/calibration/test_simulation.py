@@ -54,10 +54,6 @@ def test_the_plant_does_the_same(step_s: float, days: int) -> None:
     assert simulated.runoff == pytest.approx(runoff, abs=0.01 * runoff.max())
 
 
-def of_runoff(runoff: np.ndarray | None, last_decimal: float = 0.0) -> Record:
-    return replace(a_record(np.zeros(6), runoff=runoff), last_decimal=last_decimal)
-
-
 def test_a_counter_of_tips_misses_nothing() -> None:
     """Tips of a litre from 194 m2, as in Berlin, or printed with two decimals; a flow meter does.
 
@@ -74,13 +70,14 @@ def test_a_counter_of_tips_misses_nothing() -> None:
         (printed, 0.01, 0.0), (printed, 0.0, printed.min()),  # more decimals: not a counter
         (flows, 0.01, flows.min()),
     ):
-        assert least_reading(of_runoff(runoff, last_decimal)) == least
+        record = replace(a_record(np.zeros(6), runoff=runoff), last_decimal=last_decimal)
+        assert least_reading(record) == least
 
 
 def test_a_flow_meter_shows_nothing_below_its_least() -> None:
     """The lowest readings of Neubrandenburg's meter, which are not multiples of a tip."""
     readings = np.array([0, 0.00605509, 0.01215386, 0.01829655, 0.02448339, 0.03071464])
-    least = least_reading(of_runoff(readings))
+    least = least_reading(a_record(np.zeros(6), runoff=readings))
     assert least == pytest.approx(0.00605509)
     record = a_record(np.where(np.arange(600) == 5, 20.0, 0.0))
     runoff, shown = (simulate(TWIN, record, 1.0, reading).runoff for reading in (0.0, least))

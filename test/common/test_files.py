@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 from paper import PAPER_SITE
+from refusals import refusal
 
 from greenroof_ros.common.command_line import refuse_unwritable
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_ros_parameters, read_yaml
 from greenroof_ros.controllers.registry import find_controller
 
@@ -68,15 +68,11 @@ def test_a_controllers_file_is_read_as_its_node_reads_it(tmp_path: Path) -> None
     assert (values["horizon"], values["fraction"]) == (8.0, 0.5)
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [("016", 16), ("3:0", "3:0"), (".5", 0.5), ("1e-5", 1e-5), ("-.inf", -math.inf)],
-)
-def test_numbers_of_yaml_1_2(tmp_path: Path, text: str, value: object) -> None:
+def test_numbers_of_yaml_1_2(tmp_path: Path) -> None:
     """In all files that rcl does not read."""
     file = tmp_path / "a.yaml"
-    file.write_text(f"a: {text}\n")
-    assert read_yaml(file)["a"] == value
+    file.write_text("a: [016, 3:0, .5, 1e-5, -.inf]\n")
+    assert read_yaml(file)["a"] == [16, "3:0", 0.5, 1e-5, -math.inf]
 
 
 def test_lines_and_anchors(tmp_path: Path) -> None:
@@ -107,9 +103,8 @@ def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
     file = tmp_path / "a.yaml"
     file.write_text(text, encoding="utf-8", errors="surrogateescape")
     for read in (read_yaml, read_ros_parameters):
-        with pytest.raises(ConfigurationError) as caught:
-            read(file)
-        assert str(caught.value).startswith(str(file)) and words in str(caught.value)
+        said = refusal(read, file)
+        assert said.startswith(str(file)) and words in said
 
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
@@ -120,6 +115,5 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
         (tmp_path / "no" / "a.csv", "must be in a directory that exists"),
         (existing, "exists; name another file"),
     ):
-        with pytest.raises(ConfigurationError) as caught:
-            refuse_unwritable(file, (".html", ".csv"), "--output")
-        assert str(caught.value).startswith(f"--output = '{file}': {reason}")
+        said = refusal(refuse_unwritable, file, (".html", ".csv"), "--output")
+        assert said.startswith(f"--output = '{file}': {reason}")

@@ -1,23 +1,16 @@
-"""Addresses of brokers and their topics, login, and a client that reconnects."""
+"""Addresses of brokers and their topics, and a client that reconnects."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from pathlib import Path
 
-import pytest
 from brokers import mosquitto, needs_mosquitto
+from graphs import wait_for
+from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import Broker, make_client, parse_broker, parse_topic
 
-
-def until(condition: Callable[[], object], seconds: float = 10.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
+SOON_S = 10.0
 
 
 def test_an_address_names_broker_and_topic() -> None:
@@ -25,19 +18,9 @@ def test_an_address_names_broker_and_topic() -> None:
     assert parse_broker("mqtts://[::1]:99", "broker") == Broker("::1", 99, tls=True)
     assert parse_topic("mqtt://h:1/a/b", "address") == (Broker("h", 1), "a/b")
     for wrong in ("roof.local", "mqtt://", "mqtt://no..where", "mqtt://h:0", "mqtt://h:70000", "http://h"):
-        with pytest.raises(ConfigurationError, match=r"broker = .*: must be mqtt://HOST"):
-            parse_broker(wrong, "broker")
+        refusal(parse_broker, wrong, "broker", match=r"broker = .*: must be mqtt://HOST")
     for wrong in ("mqtt://h", "mqtt://h/", "mqtt://h/a/#", "mqtt://h/+/b"):
-        with pytest.raises(ConfigurationError, match=r"address = .*: must be mqtt://HOST"):
-            parse_topic(wrong, "address")
-
-
-def test_a_login_that_is_wrong_names_file_and_key(tmp_path: Path) -> None:
-    login = tmp_path / "login.yaml"
-    login.write_text("username: roof\npassword: 12\n")
-    broker = parse_broker("mqtt://127.0.0.1", "broker", str(login))
-    with pytest.raises(ConfigurationError, match=r"login\.yaml.*password: must be text"):
-        make_client(broker, "a", lambda: None, lambda *message: None)
+        refusal(parse_topic, wrong, "address", match=r"address = .*: must be mqtt://HOST")
 
 
 @needs_mosquitto
@@ -52,34 +35,17 @@ def test_a_client_connects_again_and_hears_nothing_of_before(tmp_path: Path) -> 
         )
         client.loop_start()
         try:
-            until(lambda: connected)
+            wait_for(lambda: connected, SOON_S, "a connection")
             client.publish("level", "1")
-            until(lambda: payloads)
+            wait_for(lambda: payloads, SOON_S, "a message")
             server.kill()
-            until(lambda: not client.is_connected())
+            wait_for(lambda: not client.is_connected(), SOON_S, "the end of the connection")
             client.publish("level", "2")
             server.start()
-            until(lambda: len(connected) > 1)
+            wait_for(lambda: len(connected) > 1, SOON_S, "another connection")
             client.publish("level", "3")
-            until(lambda: b"3" in payloads)
+            wait_for(lambda: b"3" in payloads, SOON_S, "another message")
         finally:
             client.disconnect()
             client.loop_stop()
     assert payloads == [b"1", b"3"]
-
-
-@needs_mosquitto
-def test_a_broker_that_lets_nobody_in_is_named(tmp_path: Path) -> None:
-    why: list[str] = []
-    with mosquitto(tmp_path, "allow_anonymous false") as server:
-        client = make_client(
-            parse_broker(server.address, "broker"), "roof", lambda: why.append("let in"),
-            lambda *message: None, why.append,
-        )
-        client.loop_start()
-        try:
-            until(lambda: why)
-        finally:
-            client.disconnect()
-            client.loop_stop()
-    assert why[0] == "Not authorized"

@@ -17,7 +17,6 @@ def test_the_source_is_a_hash_and_people_are_told_so() -> None:
         digest.update(file.relative_to(package).as_posix().encode() + file.read_bytes())
     by_name = versions()
     assert by_name["source"] == digest.hexdigest()[:12]
-    text = versions_text(by_name)
-    assert f"greenroof_ros {greenroof_ros.__version__}, hash of its source files " in text
-    assert f"{by_name['source']}, python " in text
-    assert "source " not in text.replace("hash of its source files", "")
+    assert versions_text(by_name).startswith(
+        f"greenroof_ros {greenroof_ros.__version__}, hash of its source files {by_name['source']}, "
+    )

@@ -15,18 +15,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from brokers import Mosquitto, mosquitto, needs_mosquitto
+from brokers import Mosquitto, Talker, mosquitto, needs_mosquitto
 from places import CHECKOUT, CONFIG
 from simulators import Simulator
 from simulators import until as wait
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.mqtt import make_client, parse_broker
 from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.exchange import DriveExchange, Snapshot, State, stop_drive
 from greenroof_ros.drives.modbus_line import DriveError
 from greenroof_ros.drives.placed import place_drive
-from greenroof_ros.drives.relay import PlacedRelay, Relay
+from greenroof_ros.drives.relay import PlacedRelay
 from greenroof_ros.drives.relay_file import read_relay_file
 
 pytestmark = needs_mosquitto
@@ -43,38 +42,14 @@ def placed(make: str, address: str) -> PlacedRelay:
     return drive
 
 
-class Wiretap:
-    """Receives all messages on a broker."""
-
-    def __init__(self, address: str) -> None:
-        self.heard: list[tuple[float, str, str, bool]] = []
-        self._client = make_client(
-            parse_broker(address, "broker"), "wiretap", self._subscribe, self._hear
-        )
-        self.publish = self._client.publish
-        self._ready = threading.Event()
-        self._client.loop_start()
-        assert self._ready.wait(10)
-
-    def _subscribe(self) -> None:
-        self._client.subscribe("#")
-        self._ready.set()
-
-    def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        self.heard.append((time.monotonic(), topic, payload.decode(errors="replace"), retained))
-
-    def switched(self, on: bool) -> list[float]:
-        """Return when *on* or *off* was ordered."""
-        return [
-            at for at, topic, payload, _ in self.heard
-            if (topic.endswith("/Power1") and payload == ("ON" if on else "OFF"))
-            or (topic.endswith("/rpc") and '"Switch.Set"' in payload
-                and json.loads(payload)["params"]["on"] is on)
-        ]
-
-    def close(self) -> None:
-        self._client.disconnect()
-        self._client.loop_stop()
+def switched(tap: Talker, on: bool) -> list[float]:
+    """Return when *on* or *off* was ordered."""
+    return [
+        at for at, topic, payload, _ in tap.heard
+        if (topic.endswith("/Power1") and payload == ("ON" if on else "OFF"))
+        or (topic.endswith("/rpc") and '"Switch.Set"' in payload
+            and json.loads(payload)["params"]["on"] is on)
+    ]
 
 
 class Bench:
@@ -146,22 +121,22 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
 def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
     """Off first; *on* is renewed within a third of the timer; no message is retained."""
     # An answer that a busy machine delays is no error of the driver's.
-    with bench_of(make, tmp_path, timeout_s=2.0) as bench, closing(
-        Wiretap(bench.broker.address)
+    with bench_of(make, tmp_path, timeout_s=2.0) as bench, Talker(
+        bench.broker, "#"
     ) as tap:
         bench.connect()
         now = bench.now
         assert now.status is not None and now.status.stands and now.problem == ""
         assert (now.timeout_s, now.timeout_known, now.timeout_note) == (TIMER_S, True, "")
         assert "greenroof_ros drive simulator" in now.identity
-        wait(lambda: tap.switched(on=False), 5)
-        assert not tap.switched(on=True)
+        wait(lambda: switched(tap, on=False), 5)
+        assert not switched(tap, on=True)
         bench.speed = 1.0
         wait(lambda: bench.now.status and bench.now.status.speed == 1.0, 5)
         assert bench.now.state is State.RUNNING and bench.closed
         time.sleep(3 * TIMER_S)
         assert bench.closed and bench.now.errors == 0
-        renewals = tap.switched(on=True)
+        renewals = switched(tap, on=True)
         waits = sorted(later - before for before, later in itertools.pairwise(renewals))
         # A busy machine may delay one; the contact would open if it came after the timer.
         assert 0.1 < waits[-2] <= TIMER_S / 3 + 0.2 and waits[-1] < TIMER_S
@@ -174,7 +149,7 @@ def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
         bench.exchange.close()
         assert bench.now.status is not None and bench.now.status.stands
         assert not any(retained for *_, retained in tap.heard)
-        with closing(Wiretap(bench.broker.address)) as late:
+        with Talker(bench.broker) as late:
             time.sleep(0.5)
             assert late.heard == []
 
@@ -195,22 +170,15 @@ def test_one_that_nothing_would_switch_off_is_not_switched_on(
     make: str, fault: str, note: str, tmp_path: Path
 ) -> None:
     """Even if the node asks for it."""
-    with bench_of(make, tmp_path, "--fault", fault) as bench, closing(
-        Wiretap(bench.broker.address)
+    with bench_of(make, tmp_path, "--fault", fault) as bench, Talker(
+        bench.broker, "#"
     ) as tap:
         bench.connect()
         assert bench.now.timeout_s is None and bench.now.timeout_known
         assert re.search(note, bench.now.timeout_note), bench.now.timeout_note
         bench.speed = 1.0
         wait(lambda: "its own timer is not effective" in bench.now.problem, 5)
-        assert not tap.switched(on=True) and not bench.closed
-
-
-def test_a_long_timer_is_read_as_it_is_encoded(tmp_path: Path) -> None:
-    """From 112 on, PulseTime is in seconds plus 100: 220 is 2 min."""
-    with bench_of("tasmota", tmp_path, "--fault", "timer_long=120") as bench:
-        bench.connect()
-        assert bench.now.timeout_s == 120.0
+        assert not switched(tap, on=True) and not bench.closed
 
 
 def test_a_timer_that_is_turned_off_meanwhile_is_seen(
@@ -222,18 +190,6 @@ def test_a_timer_that_is_turned_off_meanwhile_is_seen(
         bench.relay.inject("timer_off")
         wait(lambda: bench.now.timeout_s is None, 5)
         assert wait(lambda: not bench.closed, 10) < 2.0
-
-
-def test_a_broker_that_is_killed_leaves_the_relay_to_its_timer(bench: Bench) -> None:
-    bench.run()
-    bench.broker.kill()
-    took = wait(lambda: not bench.closed, 20)
-    assert took < TIMER_S + SLACK_S
-    assert not bench.now.connected and bench.now.status is None
-    bench.broker.start()
-    wait(lambda: bench.now.connected, 20)
-    assert bench.now.timeout_known
-    wait(lambda: bench.closed, 20)
 
 
 def test_a_broker_that_stalls_is_given_up_and_delivers_no_on_afterwards(bench: Bench) -> None:
@@ -261,7 +217,7 @@ def closed_for(bench: Bench, seconds: float) -> float:
 
 def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Bench) -> None:
     """Giving up the connection sends the *off*; otherwise *on* would last for the relay's timer."""
-    with closing(Wiretap(bench.broker.address)) as tap:
+    with Talker(bench.broker) as tap:
         bench.connect()
         relay = bench.at.connection()
         relay.line.connect()
@@ -274,8 +230,8 @@ def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Be
         resumed = time.monotonic()
         bench.broker.go_on()
         assert closed_for(bench, 2.0) < 0.3
-        (on,) = (at for at in tap.switched(on=True) if at > resumed)
-        assert any(on < at < on + 0.3 for at in tap.switched(on=False))
+        (on,) = (at for at in switched(tap, on=True) if at > resumed)
+        assert any(on < at < on + 0.3 for at in switched(tap, on=False))
 
 
 @pytest.mark.parametrize("fault", ["silence", "garbage", "late"])
@@ -291,27 +247,6 @@ def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fa
     wait(lambda: bench.closed, 60)
 
 
-def test_one_that_switches_by_its_timer_alone_is_noticed_and_left_off(bench: Bench) -> None:
-    """As if renewals came too late: it drops out; from then on that is not a start."""
-    bench.run()
-    bench.relay.inject("deaf")
-    took = wait(lambda: not bench.closed, 20)
-    assert took < TIMER_S + SLACK_S
-    wait(lambda: bench.now.second_master, 5)
-    assert "its timer has expired" in bench.now.second_master
-    bench.relay.inject("none")
-    assert wait(lambda: bench.closed, 30) > 8.0  # the pause after a second master is 10 s
-
-
-def test_a_power_cut_is_noticed(bench: Bench) -> None:
-    """By the relay's message or, if its answers are not numbered, by a missing answer."""
-    bench.run()
-    bench.relay.power_cycle()
-    wait(lambda: bench.now.second_master or not bench.now.connected, 10)
-    assert not bench.closed
-    wait(lambda: bench.closed, 30)
-
-
 def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
     """If *off* is on its way, it reverses the hand before a query: a later try is noticed."""
     bench.connect()
@@ -325,7 +260,7 @@ def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
 
 def test_one_that_does_not_switch_on_says_so_and_is_not_switched_again(bench: Bench) -> None:
     """Not before off was asked for: the caller is responsible for the least time off."""
-    with closing(Wiretap(bench.broker.address)) as tap:
+    with Talker(bench.broker) as tap:
         bench.connect()
         bench.relay.inject("deaf")
         bench.ask_no_more()
@@ -334,7 +269,7 @@ def test_one_that_does_not_switch_on_says_so_and_is_not_switched_again(bench: Be
         assert bench.now.status is not None and not bench.now.status.running
         ends = time.monotonic() + 4.0
         wait(lambda: bench.exchange.demand(1.0) or time.monotonic() > ends, 10)
-        assert len(tap.switched(on=True)) == 1
+        assert len(switched(tap, on=True)) == 1
 
 
 @pytest.mark.parametrize("make", MAKES)
@@ -359,8 +294,8 @@ def test_the_topics_that_the_broker_must_let_through(make: str, tmp_path: Path) 
 
 def test_a_retained_message_is_no_answer(tmp_path: Path) -> None:
     """Whoever retained it: a Tasmota with PowerRetain, or an old bridge."""
-    with bench_of("tasmota", tmp_path) as bench, closing(Wiretap(bench.broker.address)) as tap:
-        tap.publish("stat/roof/STATUS11", '{"StatusSTS": {"POWER": "ON"}}', retain=True)
+    with bench_of("tasmota", tmp_path) as bench, Talker(bench.broker) as tap:
+        tap.say("stat/roof/STATUS11", '{"StatusSTS": {"POWER": "ON"}}', retain=True)
         bench.relay.inject("silence")
         bench.exchange.start()
         wait(lambda: "no answer to the question 'state' within 1 s" in bench.now.problem, 10)
@@ -388,11 +323,11 @@ def test_only_the_simulator_at_loopback_is_one(bench: Bench) -> None:
 
 def test_another_relay_is_none(tmp_path: Path) -> None:
     """It answers like a real relay, with its release."""
-    with mosquitto(tmp_path) as broker, closing(Wiretap(broker.address)) as tap:
+    with mosquitto(tmp_path) as broker, Talker(broker) as tap:
         relay = placed("tasmota", f"{broker.address}/roof").connection()
         try:
             relay.line.connect()
-            answer = threading.Timer(0.3, lambda: tap.publish(
+            answer = threading.Timer(0.3, lambda: tap.say(
                 "stat/roof/STATUS2", '{"StatusFWR": {"Version": "14.2.0(release-tasmota)"}}'))
             answer.start()
             assert "identifies itself as '14.2.0(release-tasmota)'" in relay.why_no_simulator()
@@ -417,13 +352,6 @@ def test_nobody_there_or_nobody_let_in(tmp_path: Path) -> None:
     assert "cannot connect: nobody answers at" in failure(f"mqtt://127.0.0.1:{port}/roof")
     with mosquitto(tmp_path, "allow_anonymous false") as broker:
         assert "cannot connect: Not authorized" in failure(f"{broker.address}/roof")
-
-
-def test_a_speed_that_is_none_is_refused() -> None:
-    relay: Relay = placed("tasmota", "mqtt://127.0.0.1/roof").connection()
-    for speed in (0.0, 1.1, float("nan")):
-        with pytest.raises(ValueError, match="is not a speed at which a relay is on"):
-            relay.run(speed)
 
 
 TASMOTA = (CONFIG / "drives" / "tasmota.yaml").read_text(encoding="utf-8")

@@ -21,7 +21,7 @@ MEMBERS = "issued,time,member,precipitation [mm/h]"
 H0, H1, H2, H3 = (f"2021-07-07T0{hour}:00-05:00" for hour in range(4))
 HALF = "2021-07-07T00:30-05:00"
 
-# Options and their errors: one case for each rule. Wrong files are in test_site.py, test_weather.py
+# Options and their errors: one case for each rule. Wrong files are in test_site.py, test_reading.py
 # and FORECASTS.
 OPTIONS = {
     "--controller pid": "controller = 'pid'",

@@ -18,16 +18,19 @@ from forecast_skill.figures import (
     figures,
     season_weather,
     seasons,
+    seasons_ahead,
     services,
     table,
 )
 from numpy.typing import NDArray
+from paper import paper_run
 from refusals import refusal
 from scipy.integrate import quad
 from scipy.stats import norm
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import hours_since_1970
+from greenroof_ros.experiment.run_directory import write_configuration
 from greenroof_ros.forecast.models import ErrorModel, NormalRecords
 from greenroof_ros.forecast.skill import SKILLS, read_skill
 from greenroof_ros.verification.fitting import fit_climate
@@ -119,51 +122,28 @@ def test_coherence() -> None:
     assert (none[0] == 1).all() and none[1:] == pytest.approx(0, abs=1e-12)
 
 
-def skill_file(directory: Path, old: str, new: str) -> Path:
-    """Write the package's file with a replaced part."""
-    text = (shared_directory() / "config" / "forecasts" / "skill.yaml").read_text()
-    assert text.count(old) == 1
-    path = directory / "skill.yaml"
-    path.write_text(text.replace(old, new))
-    return path
-
-
 def test_skill_files(tmp_path: Path) -> None:
-    """A file's numbers count as they are; errors say where, what is wrong and what is right."""
-    skill = read_skill(str(skill_file(tmp_path, "persistence: 4", "persistence: 1")))
+    """A file's numbers count as they are, and a run keeps a copy of it; errors name the line."""
+    package = (shared_directory() / "config" / "forecasts" / "skill.yaml").read_text()
+    file = tmp_path / "mine.yaml"
+    file.write_text(package.replace("persistence: 4", "persistence: 1"))
+    skill = read_skill(str(file))
     assert skill.errors.persistence < REAL.errors.persistence
     assert replace(skill, errors=REAL.errors) == REAL
+    copy = tmp_path / "configuration" / "skill.yaml"
+    copy.parent.mkdir()
+    run = paper_run("--forecast", "errors", "--forecast-skill", str(file))
+    assert f"forecast_skill: {copy}" in write_configuration(tmp_path, run, {}).read_text()
+    assert copy.read_bytes() == file.read_bytes()
     for old, new, words in (
         ("memory: 8", "memory: -8", r"climate\.memory = -8.4: must be from 0.5 to 24"),
         ("  wetness: ", "# wetness: ", r"errors\.wetness: is missing: shift of z toward rain"),
     ):
-        file = str(skill_file(tmp_path, old, new))
-        refusal(read_skill, file, match=rf"skill\.yaml, line \d+: {words}")
+        file.write_text(package.replace(old, new))
+        refusal(read_skill, str(file), match=rf"mine\.yaml, line \d+: {words}")
 
 
 # --- forecasts ---------------------------------------------------------------------------------
-
-
-def test_the_hour_of_issue_is_known(rain: dict[int, Array]) -> None:
-    """All members of every skill know it; the later hours less, the worse the skill and the lead.
-
-    Without skill nothing is known of the next hour, nor of later ones.
-    """
-    weather = season_weather(2018, rain[2018])
-    wrong = []
-    for name in SKILLS:
-        model = ErrorModel(weather, 1, read_skill(name), 5)
-        errors = np.zeros(13)
-        for issue in range(1, 4000, 24):
-            forecast = model.known(issue, 13)[0]
-            truth = rain[2018][issue : issue + 13]
-            assert forecast[:, 0] == pytest.approx(truth[0], rel=1e-9)
-            errors += ((forecast > 0) != (truth > 0)).mean(axis=0)
-        wrong.append(errors)
-    assert (np.array(wrong)[:, 1] > 0).all()
-    assert (np.diff(np.array(wrong)[:, 1:].mean(axis=1)) > 0).all()
-    for name, of_skill in zip(SKILLS, wrong, strict=True):
-        assert (of_skill[1:4].sum() < of_skill[10:].sum()) == (name != "none")
 
 
 def test_what_comes_is_like_one_more_member(rain: dict[int, Array]) -> None:
@@ -200,9 +180,7 @@ def observed(rain: dict[int, Array]) -> Array:
 @pytest.fixture(scope="module")
 def ahead(rain: dict[int, Array]) -> dict[int, Array]:
     """What two members of ``real`` forecast for these hours, by days ahead."""
-    days = (1, 2, 3, 4, 5)
-    ahead = [days_ahead(year, season, REAL, 1, days, 2) for year, season in rain.items()]
-    return {day: np.concatenate([season[day] for season in ahead], axis=1) for day in days}
+    return seasons_ahead(rain, REAL, 1, (1, 2, 3, 4, 5), 2)
 
 
 def test_as_good_as_services(observed: Array, ahead: dict[int, Array]) -> None:
@@ -239,16 +217,11 @@ def test_long_sums_are_no_better_known_than_services_know_them(
             assert services.mean() > of_services(day, 12).pairs.mean()
 
 
-def test_none_knows_nothing_and_is_as_wet_as_services(rain: dict[int, Array]) -> None:
-    """A day ahead r is random; it rains as often as in the climate, and no less."""
-    years, none = (2017, 2021), read_skill("none")
-    observed = np.concatenate([rain[year] for year in years])
-    members = np.concatenate(
-        [days_ahead(year, rain[year], none, 1, (1,), 2)[1] for year in years], axis=1
-    )
-    for hours in (12, 120):
-        r = of_members(members, observed, hours, 1).mean
-        assert r == pytest.approx(0.0, abs=4 / np.sqrt(len(observed) / hours))
+def test_none_is_as_wet_as_the_climate_and_as_services(rain: dict[int, Array]) -> None:
+    """A day ahead it rains as often as in the climate, and no less than services forecast."""
+    years, none = {year: rain[year] for year in (2017, 2021)}, read_skill("none")
+    observed = np.concatenate(list(years.values()))
+    members = seasons_ahead(years, none, 1, (1,), 2)[1]
     there = members[~np.isnan(members)]
     assert (there > 0).mean() == pytest.approx(none.climate.wet_share, rel=0.1)
     biases = np.concatenate([scores[:, 3] for scores in services().values()])
@@ -284,16 +257,24 @@ def test_r_of_a_mean_without_the_records() -> None:
 
 
 def test_the_same_in_any_order(rain: dict[int, Array]) -> None:
-    """In any order of calls, with a long or a short horizon; only the seed matters."""
+    """In any order of calls, with a long or a short horizon, alone or as member 0.
+
+    Only the seed matters. All members know the present hour.
+    """
     weather = season_weather(2020, rain[2020])
-    long, short = ErrorModel(weather, 9, REAL, 4), ErrorModel(weather, 9, REAL, 4)
-    asked = (500, 3000, 777, 511)
+    skill = replace(REAL, errors=replace(FAIR.errors, wetness=0.2))
+    long, short = ErrorModel(weather, 9, skill, 4), ErrorModel(weather, 9, skill)
+    asked = (661, 2233, 1909, 1843)  # it rains, and each is a time of issue
     backwards = {hour: short.known(hour, 13) for hour in asked[::-1]}
     for hour in asked:
-        for far, near in zip(long.known(hour, 241), backwards[hour], strict=True):
-            assert far[..., :13].tobytes() == near.tobytes()
-    another = ErrorModel(weather, 8, REAL, 4).known(500, 13)[1]
-    assert not np.isclose(another, backwards[500][1])[1:].any()
+        members, evapotranspiration = long.known(hour, 241)
+        near = backwards[hour]
+        assert members[:1, :13].tobytes() == near[0].tobytes()
+        assert evapotranspiration[:13].tobytes() == near[1].tobytes()
+        assert members[:, 0] == pytest.approx(rain[2020][hour], rel=1e-9)
+        assert len({member.tobytes() for member in members}) == 4
+    another = ErrorModel(weather, 8, skill).known(661, 13)[1]
+    assert not np.isclose(another, backwards[661][1])[1:].any()
 
 
 def test_evapotranspiration(rain: dict[int, Array]) -> None:

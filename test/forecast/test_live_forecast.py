@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
-from paper import PAPER_SITE, site_with, weather_of
+from paper import PAPER_SITE
 
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.dressing import Dressing, dressing_text, read_dressing
@@ -19,29 +20,18 @@ from greenroof_ros.forecast.live_forecast import (
     LiveForecast,
     NoForecastError,
 )
-from greenroof_ros.forecast.models import FileModel
-from greenroof_ros.forecast.resampling import SteppedForecast
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
-from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import Issue
-from greenroof_ros.model.look_ahead import growing_steps
 
-HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"
 SIX = datetime(2026, 7, 1, 6, tzinfo=UTC)
 
 
-def write(
-    path: Path, issued: datetime, rain: list[float], temperature: float = 15.0,
-    header: str = HEADER,
-) -> None:
-    """Write a file with one issue of some hours, and rename it into place as one must."""
-    lines = [header]
-    for hour, depth in enumerate(rain):
-        time = issued + timedelta(hours=hour)
-        cells = f"{issued.isoformat()},{time.isoformat()},{depth},{2.0 + hour},{temperature - hour}"
-        lines.append(",".join(cells.split(",")[: header.count(",") + 1]))
+def write(path: Path, issued: datetime, rain: list[float], **left_out: None) -> None:
+    """Write a file with an issue of some hours, and rename it into place as one must."""
+    hours = np.arange(len(rain))
+    issue = Issue(issued, path, None, np.array([rain]), 2.0 + hours, 15.0 - hours)
     draft = path.with_suffix(".new")
-    draft.write_text("\n".join(lines) + "\n")
+    draft.write_text(write_forecasts([replace(issue, **left_out)]))
     draft.replace(path)
 
 
@@ -61,43 +51,21 @@ def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecas
 def test_the_present_hour_and_the_look_ahead(file: Path) -> None:
     """At 07:59:57 three of the ten seconds are in the second hour, the rest in the third.
 
-    3.6 mm/h are 1e-6 m/s; 3 and 4 mm/day from 68.8 m2 are 2.3889e-6 and 3.1852e-6 m3/s.
+    A gauge's reading stands for the rest of the present hour. 3.6 mm/h are 1e-6 m/s; 3 and 4 mm/day
+    from 68.8 m2 are 2.3889e-6 and 3.1852e-6 m3/s.
     """
     write(file, SIX, [0.0, 3.6, 7.2, 0.0])
-    outlook = live(file).at(SIX + timedelta(hours=1, minutes=59, seconds=57))
-    assert outlook.issued == SIX
-    assert np.array(outlook.rain) == pytest.approx([1e-6] * 3 + [2e-6] * 7)
-    assert np.array(outlook.evapotranspiration) == pytest.approx(
-        [2.38889e-6] * 3 + [3.18519e-6] * 7, rel=1e-5
-    )
-    assert outlook.rain_now == pytest.approx(1e-6)
-    assert outlook.evapotranspiration_now == pytest.approx(2.38889e-6, rel=1e-5)
-    assert outlook.temperature == 14.0
-
-
-def test_a_run_knows_of_the_present_hour_what_a_gauge_reads_now(file: Path) -> None:
-    """A simulated run is given the same forecasts as a live site whose gauge reads the rain.
-
-    Both use that reading for the rest of the hour, and the issue for all later hours. Records
-    are hourly, so in a run the reading never changes within the hour; the value of that is in
-    doc/reference/issued-forecasts.md.
-    """
-    chance = np.random.default_rng(4)
-    rain, fell = chance.gamma(0.2, 3.0, size=(3, 24)), chance.gamma(0.2, 3.0, size=24)
-    file.write_text(write_forecasts([Issue(SIX, file, None, rain, np.full(24, 2.0))]))
-    site, weather = site_with(tau=60.0, M=1), weather_of(fell, first=SIX)
-    run = SteppedForecast(
-        FileModel(read_archive(file, site), weather, all_members=True), weather, site, SIX,
-        growing_steps(12.0), 60 * 6 - 1, all_members=True,
-    )
-    forecasts = LiveForecast(ForecastFile(file), site, 12.0, 86_400.0, all_members=True)
-    forecasts.file.look()
-    for minute in range(0, 60 * 6, 7):
-        reading = float(fell[minute // 60]) / 3.6e6
-        outlook = forecasts.at(SIX + timedelta(minutes=minute), observed_rain=reading)
-        assert np.array(run.precipitation(minute)) == pytest.approx(np.array(outlook.rain))
-        assert np.array(run.precipitation(minute))[:, 0] == pytest.approx(reading)
-        assert outlook.rain_now == reading
+    now = SIX + timedelta(hours=1, minutes=59, seconds=57)
+    for read, rain_now in ((None, 1e-6), (5e-6, 5e-6)):
+        outlook = live(file).at(now, observed_rain=read)
+        assert outlook.issued == SIX
+        assert np.array(outlook.rain) == pytest.approx([rain_now] * 3 + [2e-6] * 7)
+        assert np.array(outlook.evapotranspiration) == pytest.approx(
+            [2.38889e-6] * 3 + [3.18519e-6] * 7, rel=1e-5
+        )
+        assert outlook.rain_now == pytest.approx(rain_now)
+        assert outlook.evapotranspiration_now == pytest.approx(2.38889e-6, rel=1e-5)
+        assert outlook.temperature == 14.0
 
 
 @pytest.mark.parametrize(
@@ -118,36 +86,30 @@ def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -
 
 
 def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
-    """By another file, in place, or within the resolution of its time: it is read once each."""
+    """By another file, in place, or within the resolution of its time, and once each.
+
+    A broken or removed file keeps the old one. The error names file and line, and disappears with
+    the next good file.
+    """
+    forecasts, later = ForecastFile(file), SIX + timedelta(hours=1)
     write(file, SIX, [0.0] * 4)
-    forecasts = ForecastFile(file)
     assert forecasts.look() and not forecasts.look()
     stamp = file.stat().st_mtime_ns
-    write(file, SIX + timedelta(hours=1), [0.0] * 4)
+    write(file, later, [0.0] * 4)
     os.utime(file, ns=(stamp, stamp))
     assert forecasts.look() and not forecasts.look()
-    assert forecasts.issues[0].issued == SIX + timedelta(hours=1)
     file.write_text(file.read_text() + "# a comment\n")
     assert forecasts.look() and not forecasts.look()
-
-
-def test_a_broken_or_removed_file_keeps_the_old_one(file: Path) -> None:
-    """The error names file and line, and disappears with the next good file."""
-    write(file, SIX, [0.0] * 4)
-    forecasts = ForecastFile(file)
-    forecasts.look()
-    write(file, SIX + timedelta(hours=1), [0.0, -1.0])
+    write(file, SIX, [0.0, -1.0])
     assert not forecasts.look()
     assert f"{file}, line 3" in forecasts.problem and "'-1.0'" in forecasts.problem
-    assert forecasts.issues[0].issued == SIX
     file.unlink()
     assert not forecasts.look()
     assert f"{file}: cannot be read: No such file" in forecasts.problem
-    assert forecasts.issues[0].issued == SIX
-    write(file, SIX + timedelta(hours=1), [0.0])
+    assert forecasts.issues[0].issued == later
+    write(file, SIX, [0.0])
     assert forecasts.look()
-    assert forecasts.problem == ""
-    assert forecasts.issues[0].issued == SIX + timedelta(hours=1)
+    assert (forecasts.problem, forecasts.issues[0].issued) == ("", SIX)
 
 
 def test_columns_that_may_be_left_out(file: Path) -> None:
@@ -157,37 +119,33 @@ def test_columns_that_may_be_left_out(file: Path) -> None:
     assert "cannot be read" in forecasts.problem and forecasts.issues == []
     with pytest.raises(NoForecastError, match="there is no forecast"):
         LiveForecast(forecasts, PAPER_SITE, 0.0, 7200.0, all_members=False).at(SIX)
-    write(file, SIX, [0.0] * 4, header="issued,time,precipitation [mm/h]")
+    write(file, SIX, [0.0] * 4, evapotranspiration=None)
     assert not forecasts.look()
     assert "must have a column 'evapotranspiration [mm/day]'" in forecasts.problem
-    write(file, SIX, [0.0], header=HEADER.rpartition(",")[0])
-    assert np.isnan(live(file).at(SIX).temperature)
-    file.write_text(
-        "issued,time,precipitation [mm/h],temperature [degC]\n"
-        "2026-07-01T06:00Z,2026-07-01T06:00Z,0.0,-3.0\n"
-    )
     (issue,) = read_forecasts(file)
     assert issue.evapotranspiration is None
-    assert issue.temperature is not None and issue.temperature.tolist() == [-3.0]
+    assert issue.temperature is not None and issue.temperature.tolist() == [15.0, 14.0, 13.0, 12.0]
+    write(file, SIX, [0.0], temperature=None)
+    assert np.isnan(live(file).at(SIX).temperature)
 
 
 def dressed(
     directory: Path, all_members: bool = True, days: int = 100
-) -> tuple[Path, LiveForecast, LiveDressing]:
-    """Return forecasts dressed by days in early 2026, when each issue came true."""
+) -> tuple[LiveForecast, LiveDressing]:
+    """Write a forecast of 5 mm/h; return forecasts dressed by days when each issue came true."""
     file, record = directory / "forecast.csv", directory / "dressed.csv"
     issued = hours_since_1970(SIX) - 24 * 200 + 24 * np.arange(days)
     fell = np.arange(1.0 * days)[:, None] / 10 * np.ones(3)
     record.write_text(dressing_text(Dressing("given", (0, 3), issued, fell[:, :1] * 3, fell)))
+    write(file, SIX, [5.0, 5.0, 5.0])
     dressing = LiveDressing(record, PAPER_SITE.tau)
     forecasts = LiveForecast(ForecastFile(file), PAPER_SITE, 1.0, 7200.0, all_members, dressing)
-    return file, forecasts, dressing
+    return forecasts, dressing
 
 
 def test_a_dressed_forecast(tmp_path: Path) -> None:
     """Members are what fell after similar issues; temperature and evapotranspiration are kept."""
-    file, forecasts, _ = dressed(tmp_path)
-    write(file, SIX, [5.0, 5.0, 5.0])
+    forecasts, _ = dressed(tmp_path)
     forecasts.file.look()
     outlook = forecasts.at(SIX + timedelta(minutes=30))
     # The ten nearest, two days apart, each scaled to the same mean rain: 5 mm/h.
@@ -198,7 +156,7 @@ def test_a_dressed_forecast(tmp_path: Path) -> None:
 
 def test_a_record_stands_for_a_forecast(tmp_path: Path) -> None:
     """Without a usable issue, members are spells of the record, the same all day."""
-    _, forecasts, _ = dressed(tmp_path)
+    forecasts, _ = dressed(tmp_path)
     with pytest.raises(NoForecastError):
         forecasts.at(SIX)
     usual = 3.0 / 1000 / 86400 * 68.8  # 3 mm/day from the bed
@@ -216,24 +174,20 @@ def test_a_record_stands_for_a_forecast(tmp_path: Path) -> None:
     assert not np.array_equal(rains[0], rains[2])
     assert forecasts.of_record(SIX, None) is None
     # A single member would be a draw of one spell.
-    _, forecasts, _ = dressed(tmp_path, all_members=False)
+    forecasts, _ = dressed(tmp_path, all_members=False)
     assert forecasts.of_record(SIX, usual) is None
 
 
 def test_a_live_site_learns(tmp_path: Path) -> None:
     """The file has an issue and the hours after it; an hour without a working gauge is unknown."""
-    file, forecasts, dressing = dressed(tmp_path)
-    write(file, SIX, [5.0, 5.0, 5.0])
+    forecasts, dressing = dressed(tmp_path)
     forecasts.file.look()
     forecasts.at(SIX)
-    tick = timedelta(seconds=PAPER_SITE.tau)
     fell = []
-    for hour, (rain, gaps) in enumerate([(2.0, 0.0), (4.0, 0.2), (8.0, 0.05), (0.0, 0.0)]):
-        for index in range(3600):
-            good = index >= gaps * 3600
-            dressing.measure(
-                SIX + hour * timedelta(hours=1) + index * tick, rain / 3.6e6 if good else None
-            )
+    for hour, (rain, gap) in enumerate([(2.0, 0), (4.0, 720), (8.0, 180), (0.0, 0)]):
+        for second in range(3600):
+            now = SIX + timedelta(hours=hour, seconds=second)
+            dressing.measure(now, rain / 3.6e6 if second >= gap else None)
         dressing.close()
         fell.append(read_dressing(tmp_path / "dressed.csv").fell[-1].tolist())
     assert dressing.problem == ""
@@ -246,8 +200,7 @@ def test_a_live_site_learns(tmp_path: Path) -> None:
 
 def test_too_few_to_dress(tmp_path: Path) -> None:
     """Then an issue is used as issued, it is still learned from, and this is reported."""
-    file, forecasts, dressing = dressed(tmp_path, days=5)
-    write(file, SIX, [5.0, 5.0, 5.0])
+    forecasts, dressing = dressed(tmp_path, days=5)
     forecasts.file.look()
     outlook = forecasts.at(SIX)
     assert np.array(outlook.rain).shape[0] == 1
@@ -261,7 +214,7 @@ def test_too_few_to_dress(tmp_path: Path) -> None:
 
 def test_one_site_adds_to_a_file(tmp_path: Path) -> None:
     """Another one reads it, reports this, and writes nothing; no issue, no file."""
-    _, _, dressing = dressed(tmp_path)
+    _, dressing = dressed(tmp_path)
     before = (tmp_path / "dressed.csv").read_bytes()
     other = LiveDressing(tmp_path / "dressed.csv", PAPER_SITE.tau)
     assert other.problem.startswith("nothing is added to it: ") and dressing.problem == ""

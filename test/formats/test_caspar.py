@@ -1,7 +1,8 @@
 """CaSPAr's NetCDF, written here by its conventions: what is read from the header of its files.
 
-The header is copied from 2024010100.nc of HRDPS (PAVICS, HRDPS_P_PR_SFC) and from a member of an
-ensemble, 2018030100_000.nc; a missing value at the first hour has NetCDF's fill value.
+Names, dimensions, units and standard names are those of 2024010100.nc of HRDPS (PAVICS,
+HRDPS_P_PR_SFC) and of a member of an ensemble, 2018030100_000.nc; a missing value at the first hour
+has NetCDF's fill value.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 import netCDF4
 import numpy as np
 import pytest
+from archives import write_runs
 from paper import PAPER_SITE
 from refusals import refusal
 
@@ -38,32 +40,21 @@ def write(
 ) -> Path:
     """Write a file as CaSPAr does; everywhere except at the point it rains 50 mm/h."""
     hours = list(range(len(sums))) if hours is None else list(hours)
-    name = f"{product}_P_PR_SFC"
     issued = f"{file.stem[:4]}-{file.stem[4:6]}-{file.stem[6:8]} {file.stem[8:10]}:00:00"
     with netCDF4.Dataset(file, "w", format="NETCDF4") as dataset:
-        dataset.setncatts({"product": product, "Conventions": "CF-1.6"})
         for dimension, size in (("time", None), ("rlat", 3), ("rlon", 4)):
             dataset.createDimension(dimension, size)
         time = dataset.createVariable("time", "i4", ("time",))
-        time.setncatts({
-            "long_name": "time", "units": f"hours since {issued}", "calendar": "gregorian",
-            "standard_name": "time", "axis": "T",
-        })
+        time.setncatts({"units": f"hours since {issued}", "standard_name": "time"})
         time[:] = hours
-        for short, axis, what, degrees in (
-            ("lon", "rlon", "longitude", LONGITUDES), ("lat", "rlat", "latitude", LATITUDES)
-        ):
-            rotated = dataset.createVariable(axis, "f4", (axis,))
+        for what, degrees in (("latitude", LATITUDES), ("longitude", LONGITUDES)):
+            rotated = dataset.createVariable(f"r{what[:3]}", "f4", (f"r{what[:3]}",))
             rotated.setncatts({"standard_name": f"grid_{what}", "units": "degrees"})
-            rotated[:] = 0.0225 * np.arange(len(dataset.dimensions[axis]))
-            place = dataset.createVariable(short, "f4", ("rlat", "rlon"))
+            place = dataset.createVariable(what[:3], "f4", ("rlat", "rlon"))
             place.setncatts({"standard_name": what, "units": "degrees"})
             place[:] = degrees
-        rain = dataset.createVariable(name, "f4", ("time", "rlat", "rlon"))
-        rain.setncatts({
-            "long_name": "Forecast: Quantity of precipitation", "units": "m",
-            "coordinates": "lon lat",
-        })
+        rain = dataset.createVariable(f"{product}_P_PR_SFC", "f4", ("time", "rlat", "rlon"))
+        rain.units = "m"
         everywhere = np.ones((1, 3, 4)) * 0.05 * np.array(hours)[:, None, None]
         everywhere[(slice(None), *NEAREST)] = sums
         rain[:] = np.ma.masked_invalid(everywhere)
@@ -118,75 +109,68 @@ def attribute(variable: str, name: str, value: str) -> Callable[[netCDF4.Dataset
     return lambda dataset: dataset[variable].setncattr(name, value)
 
 
-def instead(variable: str, values: Any, *dimensions: str) -> Callable[[netCDF4.Dataset], None]:
+def with_dimensions(variable: str, *dimensions: str) -> Callable[[netCDF4.Dataset], None]:
     """Return a function that replaces a variable by one of other dimensions, same attributes."""
     def edit(dataset: netCDF4.Dataset) -> None:
-        attributes = dict(dataset[variable].__dict__)
-        for name in attributes:
-            dataset[variable].delncattr(name)
-        dataset.renameVariable(variable, f"{variable}_before")
-        if dimensions[0] not in dataset.dimensions:
-            dataset.createDimension(dimensions[0], len(values))
-        dataset.createVariable(variable, "f8", dimensions)[...] = values
-        dataset[variable].setncatts(attributes)
+        dataset.renameVariable(variable, "before")
+        dataset.createDimension("later", 9)
+        other = dataset.createVariable(variable, "f8", dimensions)
+        other.setncatts(dataset["before"].__dict__)
     return edit
 
 
 RAIN = "HRDPS_P_PR_SFC"
-PLACES = f"{RAIN!r}: must have the dimensions time and the two of latitude "
+PLACES = (
+    f"{RAIN!r}: must have the dimensions time and the two of latitude (rlat, rlon) and longitude "
+    "(rlat, rlon), "
+)
 OF_SUMS = f"{RAIN}: must be the sum since the issue; it gives "
-WRONG: dict[str, tuple[dict[str, Any], str]] = {
-    "units": (
+WRONG: list[tuple[dict[str, Any], str]] = [
+    (
         {"edit": attribute(RAIN, "units", "kg m**-2 s**-1")},
         f"{RAIN}:units = 'kg m**-2 s**-1': must be 'm', for the sum since the issue",
     ),
-    "since": (
+    (
         {"edit": attribute("time", "units", "hours since 2021-07-08 06:00:00")},
         "time:units = 'hours since 2021-07-08 06:00:00': must be 'hours since 2021-07-08 00:00:00'",
     ),
-    "product": (
+    (
         {"product": "CaLDAS"},
         f"must have one variable of precipitation, such as {RAIN}, of one of HRDPS, REPS, GEPS, "
-        "GEPS_NA; it has time, rlon, lon, rlat, lat, CaLDAS_P_PR_SFC",
+        "GEPS_NA; it has time, rlat, lat, rlon, lon, CaLDAS_P_PR_SFC",
     ),
-    "place": (
+    (
         {"edit": lambda dataset: dataset["lon"].delncattr("standard_name")},
         "must have a variable of standard_name 'longitude'",
     ),
-    "far": (
+    (
         {"edit": lambda dataset: dataset["lat"].__setitem__(slice(None), LATITUDES + 1)},
         "has no point within 0.5 degrees of the site's place, 43.63, -79.4; the nearest is 0.",
     ),
-    "falls": ({"sums": [0.0, 0.003, 0.001]}, f"{OF_SUMS}-2 mm/h before hour 2, outside 0 to 500"),
-    "hole": ({"sums": [0.0, np.nan, 0.001]}, f"{RAIN}: is missing 1 h after the issue"),
-    "infinite": (
+    ({"sums": [0.0, 0.003, 0.001]}, f"{OF_SUMS}-2 mm/h before hour 2, outside 0 to 500"),
+    ({"sums": [0.0, 1.0, 3.0]}, f"{OF_SUMS}1000 mm/h before hour 1, outside"),  # mm, not m
+    (
         {"edit": lambda dataset: dataset[RAIN].__setitem__((2, *NEAREST), np.inf)},
         f"{RAIN}: is missing 2 h after the issue",
     ),
-    "millimetres": ({"sums": [0.0, 1.0, 3.0]}, f"{OF_SUMS}1000 mm/h before hour 1, outside"),
-    "step": (
+    (
         {"hours": [0, 1, 2, 3, 4, 28]},
         "time: must have more hours, each 1 to 6 after the one before, not 0, 1, 2, 3, 4, 28",
     ),
-    "longer time": (  # of a separate dimension: the last sums would be taken for the first hours
-        {"edit": instead("time", range(9), "later")},
-        f"{PLACES}(rlat, rlon) and longitude (rlat, rlon), not (time, rlat, rlon) with times of ",
+    (  # times of a separate dimension: the last sums would be used for the first hours
+        {"edit": with_dimensions("time", "later")},
+        f"{PLACES}not (time, rlat, rlon) with times of (later)",
     ),
-    "places turned": (  # the same number of points, in another order
-        {"edit": lambda dataset: [
-            instead(name, degrees.T, "rlon", "rlat")(dataset)
-            for name, degrees in (("lat", LATITUDES), ("lon", LONGITUDES))
-        ]},
-        f"{PLACES}(rlon, rlat) and longitude (rlon, rlat), not (time, rlat, rlon)",
+    (  # the same number of points, in another order
+        {"edit": with_dimensions(RAIN, "time", "rlon", "rlat")}, f"{PLACES}not (time, rlon, rlat)",
     ),
-}
+]
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-@pytest.mark.parametrize("name", WRONG)
-def test_wrong_files(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(("changes", "reason"), WRONG)
+def test_wrong_files(tmp_path: Path, changes: dict[str, Any], reason: str) -> None:
     """Refused, before any warning, with file, variable or attribute, and what would be right."""
-    changes, reason = WRONG[name]
     file = write(tmp_path / "2021070800.nc", **changes)
     assert refusal(read_archive, file, TORONTO).startswith(f"{file}: {reason}")
 
@@ -207,29 +191,34 @@ def test_files_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     refusal(read_archive, file, TORONTO, match=r"install greenroof_ros with its extra \[netcdf\]")
 
 
-def test_members_that_are_missing(tmp_path: Path) -> None:
-    """An issue must have all members, of equal length and of one product."""
-    for number in (0, 2):
-        write(tmp_path / f"2021070800_{number:03}.nc", product="REPS")
-    refusal(read_archive, tmp_path, TORONTO, match="has members 0, 2; they must be 0, 1, 2 and")
-    write(tmp_path / "2021070800_001.nc", SUMS[:4], product="REPS")
-    refusal(read_archive, tmp_path, TORONTO, match="member 1 has 3, member 0 has 5")
-    write(tmp_path / "2021070800_001.nc", product="GEPS")
-    refusal(read_archive, tmp_path, TORONTO, match=r"001.nc: must be of REPS, as 2021070800_")
+def test_members_of_several_products(tmp_path: Path) -> None:
+    """An issue's members must be of one; test_bad_input.py has the other rules of members."""
+    for number, product in enumerate(("REPS", "GEPS")):
+        write(tmp_path / f"2021070800_{number:03}.nc", product=product)
+    refusal(read_archive, tmp_path, TORONTO, match=r"001.nc: must be of REPS, as 2021070800_000")
 
 
-def test_a_study_carries_a_file_in_the_own_format(tmp_path: Path) -> None:
-    """CaSPAr's file has its issue in its name, which a study may change."""
+def test_a_study_carries_archives_in_the_own_format(tmp_path: Path) -> None:
+    """A directory is one file, with the delay of its kind or its own.
+
+    CaSPAr's file has its issue in its name, which a study may change.
+    """
     write(tmp_path / "2021070706.nc")
+    write_runs(tmp_path / "runs")
     grid = tmp_path / "grid.yaml"
     grid.write_text(
         "site: site.yaml\nweather:\n"
         "  - {file: weather/toronto_2021-07.csv, start: 2021-07-07T10:00-05:00, hours: 1}\n"
-        "initial: low-low\ncontrollers: {anticipating_onoff: {}}\nforecast: 2021070706.nc\n"
+        "initial: low-low\ncontrollers: {anticipating_onoff: {}}\n"
+        "forecast: [2021070706.nc, runs/, {model: runs/, delay: 2.0}]\n"
     )
-    (case,) = read_grid(grid)
-    carried = tmp_path / "carried.csv"
-    carried.write_bytes(case.forecast_files["file"].content)
-    (issue,) = read_archive(carried, TORONTO).issues
-    assert (issue.issued.isoformat(), case.forecast.delay) == ("2021-07-07T06:00:00+00:00", 5.0)
-    assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-4)
+    netcdf, usual, early = read_grid(grid)
+    assert usual.forecast_files == early.forecast_files
+    assert [case.forecast.delay for case in (netcdf, usual, early)] == [5.0, 6.0, 2.0]
+    for case, source in ((netcdf, "2021070706.nc"), (usual, "runs")):
+        (tmp_path / "carried.csv").write_bytes(case.forecast_files["file"].content)
+        carried, own = (
+            [(issue.issued, issue.rain.tolist()) for issue in read_archive(file, TORONTO).issues]
+            for file in (tmp_path / "carried.csv", tmp_path / source)
+        )
+        assert carried == own

@@ -1,4 +1,4 @@
-"""Hourly bulk files of Environment and Climate Change Canada: real ones, and small ones by hand."""
+"""Hourly bulk files of Environment and Climate Change Canada, as downloaded and with changes."""
 
 from __future__ import annotations
 
@@ -19,38 +19,28 @@ from greenroof_ros.weather.series import Weather, WeatherSeries
 
 TORONTO = read_site(shared_directory() / "config" / "site.yaml")
 
-COLUMNS = [
-    "Longitude (x)", "Latitude (y)", "Station Name", "Date/Time (LST)", "Year", "Temp (°C)",
-    "Temp Flag", "Dew Point Temp (°C)", "Dew Point Temp Flag", "Precip. Amount (mm)",
-    "Precip. Amount Flag", "Wind Spd (km/h)", "Wind Spd Flag", "Stn Press (kPa)",
-    "Stn Press Flag", "Weather",
-]
+JULY = DATA / "en_climate_hourly_07-2021.csv"
+TEMPERATURE, RAIN = "Temp (°C)", "Precip. Amount (mm)"
 
 
-def row(hour: int, **changes: str) -> list[str]:
-    """Return an hour of a summer's day, with changed cells (by column)."""
-    cells = dict.fromkeys(COLUMNS, "") | {
-        "Longitude (x)": "-79.4", "Latitude (y)": "43.63", "Station Name": "MADE UP, THE",
-        "Date/Time (LST)": f"2021-07-01 {hour}:00", "Year": "2021", "Temp (°C)": f"{15 + hour / 2}",
-        "Dew Point Temp (°C)": "12.5", "Precip. Amount (mm)": "0", "Wind Spd (km/h)": "9",
-        "Stn Press (kPa)": "100.4", "Weather": "Rain,Fog",
-    }
-    return list((cells | changes).values())
+def changed(
+    directory: Path, hours: int, *cells: tuple[int, str, str], short: tuple[int, ...] = (),
+    ends_at: str = TEMPERATURE,
+) -> Path:
+    """Write the first hours of July 2021 with other cells, each as its hour, column and text.
 
-
-def write(directory: Path, rows: list[list[str]]) -> Path:
-    """Write a file as the service does: byte order mark, only cells with commas quoted."""
+    The rows of short hours end at a column.
+    """
+    with JULY.open(encoding="utf-8-sig") as stream:
+        header, *rows = list(csv.reader(stream))[: hours + 1]
+    for hour, column, text in cells:
+        rows[hour][header.index(column)] = text
+    for hour in short:
+        del rows[hour][header.index(ends_at) :]
     path = directory / "en_climate_hourly.csv"
-    lines = [
-        ",".join(f'"{text}"' if "," in text else text for text in line) for line in [COLUMNS, *rows]
-    ]
-    path.write_text("\ufeff" + "\r\n".join(lines) + "\r\n", encoding="utf-8")
+    with path.open("w", encoding="utf-8-sig", newline="") as stream:
+        csv.writer(stream).writerows([header, *rows])
     return path
-
-
-def day(**changes: dict[str, str]) -> list[list[str]]:
-    """Return 24 hours; ``h9={...}`` changes cells of the hour 9."""
-    return [row(hour, **changes.get(f"h{hour}", {})) for hour in range(24)]
 
 
 def run(weather: Weather, start: str, hours: int) -> WeatherSeries:
@@ -59,34 +49,19 @@ def run(weather: Weather, start: str, hours: int) -> WeatherSeries:
     return WeatherSeries(weather, site, datetime.fromisoformat(start), 6 * hours)
 
 
-def test_quirks(tmp_path: Path) -> None:
-    """Byte order mark, CRLF, commas in cells, hours without a zero; March 2021 has the others."""
-    rows = day(h3={"Precip. Amount (mm)": "2.4"})
-    weather = read_weather([write(tmp_path, rows)], TORONTO)
-    assert weather.first.isoformat() == "2021-07-01T00:00:00-05:00"
-    assert weather.end.isoformat() == "2021-07-02T00:00:00-05:00"
-    assert weather.precipitation.tolist() == [0, 0, 0, 2.4] + [0] * 20
-    assert weather.values["temperature"].tolist() == [15 + h / 2 for h in range(24)]
-    assert weather.method == "fao56"
-    assert not np.isnan(weather.evapotranspiration).any()
-    assert weather.evapotranspiration.max() > 1
-
-
 def test_value_beside_a_missing_flag_is_none(tmp_path: Path) -> None:
-    """The service repeats the last value there: a constant 12.5 is not a dew point."""
-    stale = {"Dew Point Temp (°C)": "3.0", "Dew Point Temp Flag": "M"}
-    weather = read_weather([write(tmp_path, day(h7=stale))], TORONTO)
-    assert weather.values["dew point"][7] == 12.5  # between 12.5 and 12.5
+    """The service repeats the last value there, which is no dew point; an estimated one is."""
+    stale, flag = ("Dew Point Temp (°C)", "3.0"), "Dew Point Temp Flag"
+    path = changed(tmp_path, 24, (6, *stale), (6, flag, "E"), (7, *stale), (7, flag, "M"))
+    weather = read_weather([path], TORONTO)
+    assert weather.values["dew point"][5:9].tolist() == [16.6, 3.0, (3.0 + 17.2) / 2, 17.2]
     assert weather.filled["dew point"].nonzero()[0].tolist() == [7]
-    estimated = {"Dew Point Temp (°C)": "3.0", "Dew Point Temp Flag": "E"}
-    weather = read_weather([write(tmp_path, day(h7=estimated))], TORONTO)
-    assert weather.values["dew point"][7] == 3.0
 
 
 @pytest.mark.parametrize(
     ("column", "quantity", "longest"),
     [
-        ("Precip. Amount (mm)", "precipitation", 0), ("Temp (°C)", "temperature", 6),
+        (RAIN, "precipitation", 0), (TEMPERATURE, "temperature", 6),
         ("Wind Spd (km/h)", "wind speed", 6), ("Dew Point Temp (°C)", "dew point", 24),
         ("Stn Press (kPa)", "station pressure", 24),
     ],
@@ -95,33 +70,25 @@ def test_gaps_are_filled_up_to_so_many_hours(
     tmp_path: Path, column: str, quantity: str, longest: int
 ) -> None:
     """Rain is never guessed. A gap at an end, or longer by an hour, is refused if it matters."""
-    hours = [hour for hour in range(48) if not 6 <= hour < 6 + longest]
-    rows = [row(hour % 24, **{"Date/Time (LST)": f"2021-07-0{1 + hour // 24} {hour % 24}:00"} | (
-        {} if hour in hours else {column: ""}
-    )) for hour in range(48)]
-    weather = read_weather([write(tmp_path, rows)], TORONTO)
-    series = run(weather, "2021-07-01T00:00-05:00", 48)
+    def two_days(*gaps: range) -> Weather:
+        missing = [(hour, column, "") for gap in gaps for hour in gap]
+        return read_weather([changed(tmp_path, 48, *missing)], TORONTO)
+
+    bridged = range(6, 6 + longest)
+    series = run(two_days(bridged), "2021-07-01T00:00-05:00", 48)
     assert list(series.filled) == [quantity] * (longest > 0)
     for first, last in ((0, 0), (6, 6 + longest), (47, 47)):
-        longer = [cells.copy() for cells in rows]
-        for cells in longer[first : last + 1]:
-            cells[COLUMNS.index(column)] = ""
-        weather = read_weather([write(tmp_path, longer)], TORONTO)
+        weather = two_days(bridged, range(first, last + 1))
         said = refusal(run, weather, "2021-07-01T00:00-05:00", 48)
         assert said.startswith(str(tmp_path / "en_climate_hourly.csv")) and quantity in said
-        times = [f"2021-07-0{1 + hour // 24}T{hour % 24:02}:00-05:00" for hour in (first, last)]
-        assert all(time in said for time in times)
 
 
 def test_short_rows_are_missing_hours(tmp_path: Path) -> None:
     """If the service has no observations of an hour, it ends the row before the first."""
-    index = COLUMNS.index("Temp (°C)")
-    rows = day()
-    rows[9], rows[10] = rows[9][:index], rows[10][:index]
-    weather = read_weather([write(tmp_path, rows)], TORONTO)
+    weather = read_weather([changed(tmp_path, 24, short=(9, 10))], TORONTO)
     assert np.isnan(weather.precipitation).nonzero()[0].tolist() == [9, 10]
-    # Between 19.0 degC at 8 h and 20.5 at 11 h.
-    assert weather.values["temperature"][8:12].tolist() == [19, 19.5, 20, 20.5]
+    # Between 21.4 degC at 8 h and 22.0 at 11 h.
+    assert weather.values["temperature"][8:12] == pytest.approx([21.4, 21.6, 21.8, 22.0])
     run(weather, "2021-07-01T11:00-05:00", 12)
     said = refusal(run, weather, "2021-07-01T08:00-05:00", 4)
     assert "2021-07-01T09:00-05:00 to 2021-07-01T10:00-05:00 (2 hours)" in said
@@ -129,41 +96,34 @@ def test_short_rows_are_missing_hours(tmp_path: Path) -> None:
 
 def test_frost(tmp_path: Path) -> None:
     """0.0 degC is frost, 0.1 is not; precipitation in frost is summed up."""
-    changes = {f"h{hour}": {"Temp (°C)": "-3.0"} for hour in range(5)}
-    changes["h5"] = {"Temp (°C)": "0.0", "Precip. Amount (mm)": "1.5"}
-    changes["h6"] = {"Temp (°C)": "0.1", "Precip. Amount (mm)": "4.0"}
-    series = run(
-        read_weather([write(tmp_path, day(**changes))], TORONTO), "2021-07-01T03:30-05:00", 5
+    path = changed(
+        tmp_path, 24, *((hour, TEMPERATURE, "-3.0") for hour in range(5)),
+        (5, TEMPERATURE, "0.0"), (5, RAIN, "1.5"), (6, TEMPERATURE, "0.1"), (6, RAIN, "4.0"),
     )
+    series = run(read_weather([path], TORONTO), "2021-07-01T03:30-05:00", 5)
     assert series.frost_hours == 2.5
     assert series.precipitation_in_frost == pytest.approx(1.5, rel=1e-12)
     assert list(series.frost) == [1.0] * 15 + [0.0] * 16
 
 
-@pytest.mark.parametrize(
-    ("rows", "reason"),
-    [
-        (day(h3={"Date/Time (LST)": "01/07/2021 3:00"}), "line 5: Date/Time (LST) = '01/07/2021 3"),
-        ([*day()[:5], row(5)[:6]], "line 7: must have 16 cells, like the header, not 6"),
-        (day(h0={"Longitude (x)": "-123.1"}), "line 2: Longitude (x) = '-123.1': is not near the"),
-    ],
-)
-def test_refused(tmp_path: Path, rows: list[list[str]], reason: str) -> None:
+def test_refused(tmp_path: Path) -> None:
     """The error has the line, the service's column and the value, or what the site lacks."""
-    path = write(tmp_path, rows)
-    assert refusal(read_weather, [path], TORONTO).startswith(f"{path}, {reason}")
+    for cells, short, reason in (
+        ([(3, "Date/Time (LST)", "2021-07-01 3:00Z")], (), "line 5: Date/Time (LST) = '2021-07-01"),
+        ([], (5,), "line 7: must have 30 cells, like the header, not 10"),
+        ([(0, "Longitude (x)", "-123.1")], (), "line 2: Longitude (x) = '-123.1': is not near the"),
+    ):
+        path = changed(tmp_path, 24, *cells, short=short, ends_at="Temp Flag")
+        assert refusal(read_weather, [path], TORONTO).startswith(f"{path}, {reason}")
     nowhere = replace(TORONTO, utc_offset=None)
-    refusal(read_weather, [path], nowhere, match="the site file must give its offset from UTC")
-
-
-def test_the_authors_evapotranspiration_is_of_their_72_hours_alone(tmp_path: Path) -> None:
-    wrong = "evapotranspiration = 'published': must be fao56"
-    refusal(read_weather, [write(tmp_path, day())], TORONTO, "published", match=wrong)
+    refusal(read_weather, [JULY], nowhere, match="the site file must give its offset from UTC")
+    wrong = "evapotranspiration = 'published': must be fao56"  # which is of the authors' 72 hours
+    refusal(read_weather, [JULY], TORONTO, "published", match=wrong)
 
 
 def test_july_2021() -> None:
     """744 hours; values flagged as missing by the service are filled and named, hour by hour."""
-    weather = read_weather([DATA / "en_climate_hourly_07-2021.csv"], TORONTO)
+    weather = read_weather([JULY], TORONTO)
     assert len(weather.precipitation) == 744
     assert weather.first.isoformat() == "2021-07-01T00:00:00-05:00"
     assert weather.end.isoformat() == "2021-08-01T00:00:00-05:00"

@@ -1,16 +1,14 @@
-"""What all CSV formats share, one case for each rule; and what differs for JSON."""
+"""What all CSV formats share, one case for each rule."""
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta, timezone
-from functools import partial
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 from refusals import refusal
 
-from greenroof_ros.common.times import parse_local_time
 from greenroof_ros.formats.records import Table, Unit, numbered_lines, table_of
 
 FILE = Path("hours.csv")
@@ -80,7 +78,6 @@ def test_missing_values_and_other_units() -> None:
         ("2021-07-07T04:00", "must say its offset from UTC, as in 2021-07-07T02:00-05:00"),
         ("07/07/2021 04:00", "must be a time such as 2021-07-07T02:00-05:00, 1971 to 2037"),
         ("2021-07-07T05:00-05:00", "must be 2021-07-07T04:00-05:00: the records must have consec"),
-        ("2021-07-07T04:00:01-05:00", "must be 2021-07-07T04:00-05:00: the records must have con"),
         # In the offset of the wrong record.
         ("2021-07-07T04:00-04:00", "must be 2021-07-07T05:00-04:00: the records must have consec"),
     ],
@@ -92,15 +89,6 @@ def test_times_that_are_wrong(time: str, reason: str) -> None:
     assert said.startswith(f"{FILE}, line 5: time = {time!r}: {reason}")
 
 
-def test_times_of_a_clock() -> None:
-    """In a zone, which they must not have themselves."""
-    parse = partial(parse_local_time, zone=timezone(timedelta(hours=-5)))
-    first = table("2021-07-01 0:00,1,1").first_hour("time", parse, "2021-07-01 0:00")
-    assert first.isoformat() == "2021-07-01T00:00:00-05:00"
-    said = refusal(table("2021-07-01T00:00Z,1,1").first_hour, "time", parse, "2021-07-01 0:00")
-    assert "must be a time such as 2021-07-01 0:00, 1971 to 2037" in said
-
-
 def test_columns_that_must_be_there() -> None:
     """Each exactly once."""
     read = table(ROWS[0], header="time,a,a\n")
@@ -109,12 +97,4 @@ def test_columns_that_must_be_there() -> None:
     )
     assert refusal(read.require, ["a"], "such files") == (
         f"{FILE}, line 1: 'a': is the name of two columns"
-    )
-
-
-def test_cells_of_json_are_named_by_their_key() -> None:
-    """JSON has no lines."""
-    read = Table(Path("a.json"), ["rain (mm)"], {"rain (mm)": ["1", "wet"]}, key="hourly.")
-    assert refusal(read.numbers, "rain (mm)", RAIN) == (
-        "a.json: hourly.rain[1] = 'wet': must be a number from 0 to 500 mm/h"
     )

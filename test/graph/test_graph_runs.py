@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-import signal
 import struct
-import time
 from pathlib import Path
 
 import pytest
@@ -15,13 +12,10 @@ from bag_topics import MPC_TOPICS, bag_topics
 from commands import run_command
 from graphs import (
     Process,
-    alive,
-    bag_file,
     bring_up,
     environment,
     messages_of,
     summary_of,
-    wait_for,
 )
 from paper import paper_run, site_file
 
@@ -83,10 +77,7 @@ def simulate(domain: int, directory: Path, *options: str) -> None:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize(("controller", "hours"), [("mpc", "0.3"), ("anticipating_onoff", "0.1")])
-def test_same_bits_at_a_wet_site(
-    domain: int, tmp_path: Path, controller: str, hours: str
-) -> None:
+def test_same_bits_at_a_wet_site(domain: int, tmp_path: Path) -> None:
     """Graph and simulate are equal in every bit of every value, across a change of the hour.
 
     In simulation they agree with the authors' published code: see test_fidelity.py.
@@ -99,8 +90,7 @@ def test_same_bits_at_a_wet_site(
         low_outlet_level=1.0, low_outlet_radius=0.05, initial_cistern=61.0, initial_roof=0.5,
         initial_layer=0.3,
     )
-    options = ("--controller", controller, "--start", "2021-07-08T08:57", "--hours", hours,
-               "--site", str(file))
+    options = ("--start", "2021-07-08T08:57", "--hours", "0.3", "--site", str(file))
     summary = bring_up(domain, tmp_path, *options)
     simulate(domain, tmp_path, *options)
     rows = assert_same(tmp_path)
@@ -133,37 +123,31 @@ def with_frost(directory: Path, hour: str) -> str:
 
 def test_same_bits_of_sensor_and_pumps_that_are_not_perfect(domain: int, tmp_path: Path) -> None:
     """A sensor with noise and offset, pumps with minimum times, and frost that stops them."""
-    words = (
+    options = (
         "--controller", "onoff", "--fraction", "0.1",
         "--weather", with_frost(tmp_path, "2021-07-07T03:00"), "--start", "2021-07-07T02:59",
         "--hours", "0.05", "--roof-noise", "0.0005", "--roof-offset=-1e-3", "--noise-seed", "8",
         "--minimum-on", "50", "--minimum-off", "20",
     )
-    bring_up(domain, tmp_path, *words)
-    simulate(domain, tmp_path, *words)
-    rows = assert_same(tmp_path)
-    assert len(rows) == 181
-    flows = [float(row["pump_flow_m3_per_s"]) for row in rows]
+    bring_up(domain, tmp_path, *options)
+    simulate(domain, tmp_path, *options)
+    flows = [float(row["pump_flow_m3_per_s"]) for row in assert_same(tmp_path)]
     assert flows[59] > 0 and max(flows[60:]) == 0  # it freezes from 03:00 on
-    errors = [float(row["roof_level_m"]) - float(row["roof_m3"]) / 68.8 for row in rows]
-    assert sum(errors) / 181 == pytest.approx(-1e-3, abs=2e-4)
 
 
-@pytest.mark.parametrize("controller", ["onoff", "lookahead"])
-def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path, controller: str) -> None:
+def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path) -> None:
     """One minute of three is quiet, to the second, by Toronto's clock in summer.
 
-    On/off skips it; lookahead decides in it, and plans when it begins and ends.
+    A plan begins before it and is shorter from its first tick on, and so at its end.
     """
     file = tmp_path / "quiet.yaml"
     file.write_text(
         "extends: site.yaml\nquiet_hours: ['03:01-03:02']\ntime_zone: America/Toronto\n"
     )
-    own_options = ("--fraction", "0.1") if controller == "onoff" else ("--days-after", "0")
-    own_options += ("--minimum-on", "50")  # quiet hours end a minimum time on, as with a real pump
+    # Quiet hours end a minimum time on, as with a real pump.
     options = (
-        "--controller", controller, *own_options, "--site", str(file),
-        "--start", "2021-07-07T02:00-05:00", "--hours", "0.05",
+        "--controller", "lookahead", "--days-after", "0", "--minimum-on", "50",
+        "--site", str(file), "--start", "2021-07-07T02:00-05:00", "--hours", "0.05",
     )
     bring_up(domain, tmp_path, *options)
     simulate(domain, tmp_path, *options)
@@ -172,15 +156,12 @@ def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path, controller: str) 
         [float(row[column]) for row in rows] for column in ("command", "pump_flow_m3_per_s")
     )
     assert commands[60:120] == flows[60:120] == [0.0] * 60
-    if controller == "onoff":
-        assert min(commands[59], commands[120]) == 0.1
-    else:
-        sizes = [len(plan) for plan in messages_of(tmp_path / "run")["/controller/plan"]]
-        assert sizes[60] > sizes[61] and sizes[120] > sizes[121]
+    sizes = [len(plan) for plan in messages_of(tmp_path / "run")["/controller/plan"]]
+    assert sizes[60] > sizes[61] and sizes[120] > sizes[121]
 
 
 def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None:
-    """With lookahead, and sensor noise that affects its commands; the frost ends with a new issue.
+    """With sensor noise that affects the commands; the frost ends with a new issue.
 
     The bag has each byte of the plans that the controller makes in this process.
     """
@@ -210,11 +191,7 @@ def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None
 
 
 def test_two_at_once(domain: int, tmp_path: Path) -> None:
-    """Each in its namespace, with its parameters; the bag equals a lone run's, byte for byte.
-
-    This also holds beside a third run with a killed node: that run ends with a readable bag, even
-    after repeated Ctrl-C.
-    """
+    """Each in its namespace, with its parameters; the bag equals a lone run's, byte for byte."""
 
     def options(site: str, controller: str, parameter: str) -> tuple[str, ...]:
         (tmp_path / f"{site}.yaml").write_text(
@@ -227,24 +204,10 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
         "site1": options("site1", "mpc", "weight: 0.02"),
         "site2": options("site2", "onoff", "fraction: 0.4"),
     }
-    killed = Process(
-        domain, "bringup", "--output", "run", "--namespace", "site3", "--speed", "20", cwd=tmp_path
-    )
-    killed.wait_for_ticks(size=0)
     together = {
         site: Process(domain, "bringup", "--output", site, *options, cwd=tmp_path)
         for site, options in sites.items()
     }
-    file = bag_file(tmp_path / "site2")
-    wait_for(lambda: file.exists() and file.stat().st_size > 5_000, 60, "a bag")
-    nodes = killed.nodes()
-    os.kill(nodes["weather"], signal.SIGKILL)
-    for _ in range(5):
-        time.sleep(0.1)
-        killed.process.send_signal(signal.SIGINT)
-    assert killed.wait(300) in (1, 130)
-    assert not any(map(alive, nodes.values()))
-    assert messages_of(tmp_path / "run")["/site3/clock"]
     for process in together.values():
         assert process.wait(120) == 0, process.stderr()
     bring_up(domain, tmp_path, *sites["site1"], output="alone")

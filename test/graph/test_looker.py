@@ -58,13 +58,7 @@ class Pump(Peer):
 def test_stop(place: int) -> None:
     """The pump node's message is returned; if it does not say that it holds, that is an error."""
     looker = Looker("", lambda *_: None)
-    with pytest.raises(StopFailedError, match="no pump node"):
-        looker.stop_pump()
     looker.prepare_stop("/pump")
-    began = time.monotonic()
-    with pytest.raises(StopFailedError, match="/pump has no page_stop service that answers"):
-        looker.stop_pump(0.5)
-    assert time.monotonic() - began < 2
     pump = Pump(place)
     assert looker.stop_pump(20) == "held: an operator stopped it"
     assert pump.requests == [True]
@@ -76,8 +70,5 @@ def test_stop(place: int) -> None:
     with pytest.raises(StopFailedError, match=r"did not answer within 0\.5 s"):
         looker.stop_pump(0.5)
     assert time.monotonic() - began < 2
-    looker.prepare_stop(None)
-    with pytest.raises(StopFailedError, match="no pump node"):
-        looker.stop_pump()
     looker.close()
     pump.close()

@@ -30,7 +30,6 @@ from greenroof_ros.graph.messages import (  # noqa: E402
     decoder,
     encoder,
     lacks,
-    requirements,
 )
 
 NUMBER, NUMBERS, CLOCK = (
@@ -110,16 +109,6 @@ def test_members_travel_in_the_layout() -> None:
     assert encoder(NUMBERS, ENSEMBLE)(values[:1]) == encoder(NUMBERS)(array("d", values[0]))
 
 
-def test_plans_travel_with_their_own_labels() -> None:
-    """Rows and columns are labelled as in the interface; one row, or none, has no layout."""
-    topic = read_topics()["/controller/plan"]
-    encode = encoder(topic.type, topic.dimensions)
-    message = deserialize_message(encode(np.ones((2, 3))), Float64MultiArray)
-    assert [dimension.label for dimension in message.layout.dim] == ["step", "quantity"]
-    assert encode(np.empty((0, 3))) == encode(array("d"))
-    assert encode(np.full((1, 4), math.nan)) == encode(topic.undecided)
-
-
 def test_layout_that_does_not_fit() -> None:
     """A message with a layout larger than its data ends the run with its name, not in numpy."""
     message = deserialize_message(encoder(NUMBERS, ENSEMBLE)(np.ones((2, 3))), Float64MultiArray)
@@ -147,7 +136,6 @@ def test_big_endian(kind: str, message: bytes, value: Any) -> None:
 
 def test_a_node_whose_name_never_came_is_called_so_in_words() -> None:
     """rmw_dds_common has this name for a participant without a known node."""
-    assert call_node("mpc") == "mpc"
     assert call_node("_NODE_NAME_UNKNOWN_") == (
         "a node of unknown name, perhaps because it was killed"
     )
@@ -163,17 +151,12 @@ RELIABLE, BEST, LATCHED, VOLATILE = (
     ("required", "offered", "lacking"),
     [
         (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 2.0), []),
-        (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, 1.5), []),
         (Qos("test", "reliable", "transient_local", 64, 2.0), (BEST, VOLATILE, 3.0),
          ["is best effort", "is volatile", "has a liveliness lease of 3 s"]),
         (Qos("test", "reliable", "transient_local", 64, 2.0), (RELIABLE, LATCHED, None),
          ["has no liveliness lease"]),
         (Qos("test", "reliable", "volatile", 1, math.inf), (RELIABLE, LATCHED, None), []),
-        (Qos("test", "reliable", "volatile", 1, math.inf), (BEST, VOLATILE, None),
-         ["is best effort"]),
         (Qos("test", "best_effort", "volatile", 1, math.inf), (BEST, VOLATILE, None), []),
-        (Qos("test", "best_effort", "transient_local", 1, math.inf), (BEST, VOLATILE, None),
-         ["is volatile"]),
     ],
 )
 def test_what_a_publisher_offers_less_than_is_required(
@@ -185,15 +168,6 @@ def test_what_a_publisher_offers_less_than_is_required(
     profile = QoSProfile(depth=1, reliability=reliability, durability=durability)
     profile.liveliness_lease_duration = Infinite if lease_s is None else Duration(seconds=lease_s)
     assert lacks(profile, required) == lacking
-
-
-def test_requirements_in_words() -> None:
-    assert requirements(Qos("test", "best_effort", "volatile", 1, math.inf)) == (
-        "best effort, volatile, keep last 1"
-    )
-    assert requirements(Qos("test", "reliable", "transient_local", 64, 1.5)) == (
-        "reliable, transient local, keep last 64, with a liveliness lease of 1.5 s"
-    )
 
 
 @pytest.mark.parametrize("rows", [1, 2])
@@ -213,23 +187,6 @@ def test_the_ends_of_a_range_belong_to_it(value: float, good: bool, rows: int) -
         entry.receive(encoder(topic.type, topic.dimensions)(message))
         assert (entry.good, entry.refused) == (good, int(not good))
         assert not np.any(np.subtract(entry.value, value if good else 0.0))
-
-
-def test_a_refusal_names_the_first_wrong_number_and_the_limits_with_their_unit() -> None:
-    """The unit 1 of a plain number is not written."""
-    topics = read_topics()
-    for name, value, words in (
-        ("/roof/level", 1e9, "/roof/level was refused: 1000000000.0; it must be from 0 to 100 m"),
-        ("/pump/command", -2.0,
-             "/pump/command was refused: -2.0; it must be finite and at least 0"),
-        ("/forecast/precipitation", array("d", [0.0, -1.0, math.inf]),
-         "/forecast/precipitation was refused: -1.0; it must be from 0 to 0.001 m/s"),
-    ):
-        topic = topics[name]
-        entry = Input(SimpleNamespace(topic=topic, full_name=name), get_logger("test"))
-        assert not entry.heard and entry.good
-        entry.receive(encoder(topic.type, topic.dimensions)(value))
-        assert entry.problem == words
 
 
 def test_what_a_subscriber_takes_of_a_plan() -> None:

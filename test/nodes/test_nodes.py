@@ -156,9 +156,6 @@ REFUSED = {
     "plant --ros-args -p pump:=outside": ("pump", "outside", "external"),
     "plant --ros-args -p speed": ("-p speed",),
     "weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
-    # A forecast model is made from records, which a live site does not have.
-    "weather --ros-args -p live:=true -p forecast:=persistence":
-        ("forecast of weather = 'persistence': must be a",),
     "recorder --ros-args -p directory:=.": ("directory", "exists"),
     # A level counts for 5 s (level_limit), which must cover two readings.
     "sensor --of cistern --ros-args -p sensors_file:=sensors.yaml":

@@ -76,6 +76,16 @@ def test_started_by_hand_gives_the_bag_of_bringup(
     assert mine.read_bytes() == bag_file(recorded).read_bytes()
 
 
+def test_a_plant_without_a_controller_names_it(nodes: Nodes) -> None:
+    """It ends; the status that it reports last is in the sample of the campaign, test_faults.py."""
+    nodes.node("weather")
+    nodes.node("plant", start_limit=6.0)
+    assert nodes.code("plant") == 1
+    (fatal,) = [line for line in nodes.log("plant").splitlines() if "FATAL" in line]
+    assert "no start within 6 s" in fatal and "/pump/command from the controller" in fatal
+    assert "weather" not in fatal.partition("no start")[2]
+
+
 def test_plant_that_is_killed_ends_the_others(
     nodes: Nodes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,8 +162,11 @@ WRONG: dict[str, tuple[str, Said, Said, int, str]] = {
     "a level twice in the run": (
         "onoff", INPUTS, [LEVEL, LEVEL], 1, "/cistern/level came twice in tick 1 ("),
     "a level after the last tick": (
-        "onoff", [("/run", [7.0, 0.0, 0.0]), *INPUTS], [LEVEL], 1,
-        "/cistern/level came twice in tick 1 ("),
+        "onoff", [RUN, *INPUTS], [LEVEL], 1, "/cistern/level came twice in tick 1 ("),
+    "a level after the last tick, before the run": (
+        "onoff", INPUTS, [LEVEL, RUN], 1, "/cistern/level came twice in tick 1 ("),
+    "a tick after the last, before the run": (
+        "onoff", INPUTS, [*INPUTS, RUN], 1, "came twice in tick 1 ("),
     "another run": (
         "onoff", [("/run", [7.0, 5.0, 0.0]), *INPUTS], [("/run", [8.0, 5.0, 0.0])], 1,
         "the plant was started again, or there are two"),

@@ -1,6 +1,7 @@
 """The pump node against a simulated drive: whatever goes wrong, the motor stands soon after.
 
-The motor's state is read at the simulator's workbench, not from the node.
+The motor's state is read at the simulator's workbench, not from the node. What happens if the node,
+bringup or the drive fails is in the sample of the campaign, test_faults.py.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ import json
 import math
 import os
 import signal
-import socket
 import subprocess
 import time
 from collections.abc import Callable
@@ -18,11 +18,10 @@ from contextlib import closing
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
-from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 import pytest
-from graphs import Process, environment, free_ports, wait_for
+from graphs import Process, free_ports, wait_for
 from modbus_wire import Wire, acs880
 from places import CONFIG
 from pump_node_rig import PumpRig
@@ -33,7 +32,7 @@ from ros_rig import ERROR, LATE, OK, STALE, SUSPENDED, WARN, Observer, policies
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from greenroof_ros.common.times import boot_time, to_people
+from greenroof_ros.common.times import to_people
 from greenroof_ros.drives.exchange import Snapshot
 from greenroof_ros.nodes.pump import _Drive
 from greenroof_ros.pumping.ledger import Ledger
@@ -56,9 +55,7 @@ def test_lifecycle(rig: PumpRig) -> None:
     assert rig.lifecycle_state() == "unconfigured"
     assert rig.tick(0.5) == 0.0
     rig.until_said("drive", WARN, "not configured", f"127.0.0.1:{port}")
-    drive = rig.simulate()
-    drive.end()
-    drive.start("--port", str(port), "--workbench", "0")
+    rig.simulate(port=port)
     wait_for(lambda: rig.change("configure"), 20, "the drive")
     assert not rig.change("configure")
     assert rig.lifecycle_state() == "inactive"
@@ -188,24 +185,11 @@ def test_what_the_drive_file_says(rig: PumpRig) -> None:
     assert rig.says("drive timeout", OK, "beware: a changed 58.14 to 58.16 is in force only")
 
 
-def test_the_motor_stands_when_the_node_goes(rig: PumpRig) -> None:
-    """SIGTERM: off and read back; kill -9 and SIGSTOP: the drive's own timeout of 1.5 s."""
+def test_after_an_unexpected_error_the_motor_stands(rig: PumpRig) -> None:
     node = rig.start()
     rig.run()
     assert policies(node.pid) == {os.SCHED_OTHER}  # it must be on time, also in the loop
-    began = time.monotonic()
-    node.terminate()
-    assert node.wait(120) == 0
-    assert rig.drive.speed() == 0.0  # at its end, not later
-    assert time.monotonic() - began < 4
-    for number in (signal.SIGKILL, signal.SIGSTOP):
-        node = rig.start()
-        rig.run()
-        node.send_signal(number)
-        assert rig.stands_within(4) > 0.5
-    node.send_signal(signal.SIGCONT)
-    rig.run()  # without any help
-    rig.send_nonsense()  # an unexpected error
+    rig.send_nonsense()
     assert node.wait(120) == 1
     assert rig.drive.speed() == 0.0
 
@@ -228,14 +212,17 @@ STOPPED = "held: an operator stopped it"
 def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
     """It does not activate, a stop warns that it would be forgotten, and it recovers.
 
-    A fault that the other program recorded meanwhile counts, and so does the stop.
+    A fault that the other program recorded meanwhile counts, and so do the stop and the pause of
+    the parameter file. If this ended the node, the whole site would end with it.
     """
     file = rig.cwd / "pump.json"
+    until = datetime.now().astimezone().replace(microsecond=0) + timedelta(hours=1)
+    paused = f"an operator paused it until {to_people(until)}"
     with closing(Ledger(file, time.time)) as holder:
         assert holder.why_not_kept(20.0) == ""
         words = f"process {os.getpid()} already uses it"
         before = file.read_bytes()
-        node = rig.start(state_file=file)
+        node = rig.start(state_file=file, pause_until=until.isoformat())
         rig.join()
         rig.tick_until(
             0.5, lambda: "not activated" in rig.state and words in rig.state, 60, "the refusal"
@@ -246,7 +233,8 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
         assert rig.state.startswith(STOPPED)
         assert file.read_bytes() == before
         holder.fault("burst pipe", "delivery")
-    rig.until_state("fault: burst pipe; an operator stopped it", 20)
+    rig.until_state(f"fault: burst pipe; an operator stopped it; {paused}", 20)
+    assert command(rig, "pause", "--end")[0] == 0
     assert rig.call(Trigger, "reset").success
     assert rig.drive.speed() == 0.0
     assert rig.call(SetBool, "stop", data=True).success
@@ -282,16 +270,14 @@ def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
 
 
 def test_commands_that_must_not_pump(rig: PumpRig) -> None:
-    """NaN, negative, of two publishers, of one not heard: off, with its name, and it recovers."""
+    """Negative, of two publishers, of one not heard: off, with its name, and it recovers."""
     rig.start()
     rig.run()
-    for bad in (math.nan, -1.0):
-        rig.until_it_stands(4, bad)
-        rig.until_said("command", ERROR, "refused", command=bad)
-        rig.until_code("pump", "command_unknown", bad)
-        assert rig.observer.values("/pump: pump")["cause"] == rig.code("command") == "input_refused"
+    rig.until_it_stands(4, -1.0)
+    rig.until_said("command", ERROR, "refused", command=-1.0)
+    rig.until_code("pump", "command_unknown", -1.0)
+    assert rig.observer.values("/pump: pump")["cause"] == rig.code("command") == "input_refused"
     rig.run()
-    rig.tick_until(5.0, lambda: rig.drive.speed() > 0.99, LATE, "full speed, and no more")
     rig.until_said("limits", WARN, "taken as 1", command=5.0)
     # The second has the same name as the first: endpoints count, not names.
     name = rig.node.get_name()
@@ -314,36 +300,6 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     rig.until_code("pump", "")
 
 
-def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig) -> None:
-    """Connection refused or power cycle: off, reported, and running again by itself."""
-    rig.start()
-    for fault in ("refused", "power_cycle"):
-        rig.run()
-        rig.drive.inject(fault)
-        rig.until_state("unknown: no connection to the drive", 6)
-        assert rig.tick(0.5) == 0.0
-        assert rig.state.endswith("not known whether the pump is at rest")  # it may still slow down
-        rig.until_code("drive", "drive_lost")
-        since = rig.observer.values("/pump: drive")["since"]
-        assert abs(datetime.fromisoformat(since).timestamp() - time.time()) < 60
-        if fault != "power_cycle":
-            rig.stands_within(3)
-            rig.drive.inject("none")
-    rig.run()
-    rig.drive.ask(lambda bench: bench.take_over(True))
-    rig.until_state("local control")
-    rig.drive.ask(lambda bench: bench.take_over(False))
-    rig.run()
-    # Somebody who worked on it meanwhile may have turned off its own timeout.
-    rig.drive.inject("timeout_off")
-    rig.drive.inject("refused")
-    rig.until_state("unknown: no connection")
-    rig.drive.inject("none")
-    rig.until_state("timeout is not effective")
-    rig.until_said("drive timeout", ERROR, "is not effective")
-    rig.stands_within(3)
-
-
 def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: PumpRig) -> None:
     """Also over restarts of the node; a stop that fails at the end is reported."""
 
@@ -357,7 +313,7 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     rig.drive.inject("drive_fault", 0x2310)
     rig.until_state("fault: the drive reports")
     rig.until_said("pump", ERROR, "the drive reports")
-    rig.stands_within(3)
+    rig.until_it_stands(3)
     rig.drive.inject("none")
     node.kill()
     node.wait()
@@ -446,31 +402,14 @@ def test_a_pause_is_kept_over_restarts_and_ends_by_itself(rig: PumpRig) -> None:
     assert datetime.now().astimezone() >= soon - timedelta(seconds=1)
 
 
-def test_a_pause_of_the_parameter_file_waits_for_the_state_file(rig: PumpRig) -> None:
-    """While another program has it, the node runs with the pump off; then the pause counts.
-
-    If this ended the node, the whole site would end with it.
-    """
-    file = rig.cwd / "pump.json"
-    until = datetime.now().astimezone().replace(microsecond=0) + timedelta(hours=1)
-    with closing(Ledger(file, time.time)) as holder:
-        assert holder.why_not_kept(20.0) == ""
-        node = rig.start(state_file=file, pause_until=until.isoformat())
-        rig.join()
-        rig.tick_until(0.5, lambda: "not activated" in rig.state, 60, "the refusal")
-        rig.until_said("state file", ERROR, "already uses it")
-    rig.tick_until(
-        0.5, lambda: rig.state == f"held: an operator paused it until {to_people(until)}", 60,
-        "the pause",
-    )
-    assert node.poll() is None and rig.drive.speed() == 0.0
-
-
 def test_a_dose_by_the_command(rig: PumpRig) -> None:
     """Delivered in full at the controller's 0; exit code 1 if it is refused or ended by a stop."""
     rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
     rig.run()
     rig.until_it_stands(10, 0.0)
+    volume = [Parameter("volume", value=0.1).to_parameter_msg()]
+    by_hand = rig.call(SetParametersAtomically, "dose", parameters=volume).result
+    assert not by_hand.successful and "needs volume" in by_hand.reason
     before = sum(rig.flows)
     code, output = command(rig, "dose", "--volume", "0.2")
     assert (code, output.splitlines()[-1]) == (0, "the dose of 0.2 m3 was delivered")
@@ -494,7 +433,7 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
 
 
 def test_a_dose_by_the_page(rig: PumpRig) -> None:
-    """Only with the page's token; it delivers exactly that volume, once."""
+    """It delivers exactly that volume; for what the page's server refuses see test_server.py."""
     rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
     rig.run()
     rig.until_it_stands(10, 0.0)
@@ -502,51 +441,22 @@ def test_a_dose_by_the_page(rig: PumpRig) -> None:
     url, _, token = wait_for(lambda: watch.stdout().strip(), 60, "the page").partition("#token=")
     before = sum(rig.flows)
 
-    def answer(bearer: str, age: float = 0.0) -> dict[str, Any]:
+    def is_given() -> bool:
         request = Request(
-            f"{url}dose", json.dumps({"volume": 0.2, "asked_at": time.time() - age}).encode(),
-            {"X-Greenroof": "1", "Authorization": f"Bearer {bearer}"},
+            f"{url}dose", json.dumps({"volume": 0.2, "asked_at": time.time()}).encode(),
+            {"X-Greenroof": "1", "Authorization": f"Bearer {token}"},
         )
         with ThreadPoolExecutor() as pool:
             answering = pool.submit(urlopen, request, timeout=60)
             rig.tick_until(0.0, answering.done, LATE, "an answer")
-            try:
-                return json.load(answering.result())  # type: ignore[no-any-return]
-            except HTTPError as error:
-                return {"status": error.code}
-
-    def is_given() -> bool:
-        reply = answer(token)
+            reply = json.load(answering.result())
         # Otherwise the watcher has not heard the pump node yet.
         assert reply["ok"] or "no pump node" in reply["sentence"], reply
         return bool(reply["ok"])
 
-    assert answer("wrong") == {"status": 401}
-    wait_for(lambda: "no pump node" not in answer(token, 70.0)["sentence"], LATE, "its pump node")
-    assert "the request is 7" in answer(token, 70.0)["sentence"]  # it was delayed on the way
     wait_for(is_given, LATE, "a dose")
-    assert "another dose is under way" in answer(token)["sentence"]
     rig.until_it_stands(60, 0.0)
     assert sum(rig.flows) - before == pytest.approx(0.2, rel=0.1)
-
-
-def test_a_request_for_a_dose_is_no_repetition(rig: PumpRig) -> None:
-    """For a manual service call: what it lacks, a request that is old, and one that is repeated."""
-    rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
-    rig.run()
-    rig.until_it_stands(10, 0.0)
-
-    def ask(**values: float) -> Any:
-        parameters = [Parameter(name, value=value).to_parameter_msg()
-                      for name, value in values.items()]
-        return rig.call(SetParametersAtomically, "dose", parameters=parameters).result
-
-    now = time.time()
-    assert "needs volume" in ask(volume=0.1).reason
-    assert "s old, but must be at most 60 s" in ask(volume=0.1, asked_at=now - 61).reason
-    assert ask(volume=0.1, asked_at=now).successful
-    repeated = ask(volume=0.1, asked_at=now)
-    assert not repeated.successful and "before the last one" in repeated.reason
 
 
 def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig: PumpRig) -> None:
@@ -563,38 +473,6 @@ def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig
     assert node.returncode == 2
     assert registers.written and (0, 0x047F) not in registers.written
     rig.observer.node.destroy_publisher(run)
-
-
-def test_it_runs_only_with_a_fresh_permit_of_bringup(rig: PumpRig) -> None:
-    """Held with a reason, after 2 s without news, and after bringup's end, the motor stands."""
-    bringup, of_node = socket.socketpair()
-    with bringup:
-
-        def give(hold: str) -> None:
-            bringup.send(json.dumps({"inhibit": hold, "at": boot_time()}).encode() + b"\n")
-
-        env = {**environment(rig.domain), "GREENROOF_ROS_SUPERVISOR": str(of_node.fileno())}
-        rig.start(popen={"env": env, "pass_fds": [of_node.fileno()]})
-        of_node.close()
-        rig.join()
-        rig.until_state("no permit yet")
-        assert rig.drive.speed() == 0.0
-
-        def runs() -> None:
-            rig.every_tick = lambda: give("")
-            rig.run()
-            rig.every_tick = lambda: None
-
-        runs()
-        rig.every_tick = lambda: give("the weather node is missing")
-        assert rig.until_it_stands(60) < 2
-        rig.until_said("supervisor", WARN, "weather node is missing")
-        runs()
-        assert 1.5 < rig.until_it_stands(6) < 4
-        assert "no permit for 2 s" in rig.state
-        runs()
-    assert rig.until_it_stands(60) < 2
-    assert "bringup has ended" in rig.state
 
 
 def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -632,20 +510,8 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
     assert not any(state.startswith("fault") for state in rig.states)
 
 
-def test_check_pump_finds_it_right(rig: PumpRig) -> None:
-    """The check acts as all peers, so the test must not publish."""
-    rig.leave()
-    rig.simulate("--speed", "20")
-    node = rig.start()
-    check = Process(rig.domain, "check_pump", "--node", "pump", "--period", "0.05", cwd=rig.cwd)
-    assert check.wait(120) == 0, check.stdout() + check.stderr()
-    assert "22 of 22 checks passed" in check.stdout()
-    assert rig.drive.speed() == 0.0
-    assert node.wait(60) == 1  # as when a run's plant ends
-
-
 def test_live(rig: PumpRig) -> None:
-    """A flow each tick of its own; an old, unknown or second input stops it, and it recovers."""
+    """A flow each tick of its own; unknown frost stops it; a flow meter counts, not the speed."""
     site = rig.cwd / "site.yaml"
     site.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 "))
     rig.start(
@@ -663,19 +529,8 @@ def test_live(rig: PumpRig) -> None:
     began, before = time.monotonic(), len(rig.flows)
     rig.play(good, lambda: time.monotonic() > began + 2, "two seconds")
     assert 4 <= len(rig.flows) - before <= 20
-    for missing, words in (
-        ("/pump/command", "command"), ("/cistern/level", "level of the cistern"),
-        ("/roof/level", "level of the roof"),
-    ):
-        fewer = {name: value for name, value in good.items() if name != missing}
-        rig.play(
-            fewer, lambda words=words: rig.drive.speed() == 0.0 and words in rig.state,
-            f"a stop without {missing}",
-        )
-        runs()
     rig.play({**good, "/weather/frost": math.nan}, lambda: rig.drive.speed() == 0.0, "a stop")
     runs()
-    # A flow meter takes precedence over the speed.
     rig.play(good, lambda: rig.says("flow", OK, "computed from the speed"), "the flow's source")
     measured = {**good, "/pump/meter": 0.00321}
     rig.play(measured, lambda: rig.flows[-1] == 0.00321, "the measured flow")

@@ -5,9 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import signal
-import subprocess
-import sys
 import time
 import zlib
 from collections.abc import Callable
@@ -283,53 +280,6 @@ def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
         rig.run(30, 1.0)
         wait_for(lambda: rig.ledger.problem == "", 60, "the file")
         assert read(file, clock).starts
-
-
-def test_killed_at_any_moment(tmp_path: Path) -> None:
-    """Three times, during continuous writing: the file is always intact."""
-    file = tmp_path / "pump.json"
-    program = (
-        "import sys, time\n"
-        "from pathlib import Path\n"
-        "from greenroof_ros.pumping.ledger import Ledger\n"
-        "ledger = Ledger(Path(sys.argv[1]), time.time)\n"
-        "while True:\n"
-        "    ledger.stop('x' * 350)\n"
-        "    ledger.why_not_kept()\n"
-    )
-    before = 0
-    for attempt in range(3):
-        writer = subprocess.Popen([sys.executable, "-c", program, str(file)])
-        wait_for(
-            lambda: written(file)["sequence"] > before + 10, 60, "its work"  # noqa: B023
-        )
-        time.sleep(0.01 * attempt)
-        os.kill(writer.pid, signal.SIGKILL)
-        writer.wait()
-        before = written(file)["sequence"]
-        assert read(file, time.time).operator_stop == "x" * 350
-
-
-def test_fault_stop_volume_and_starts_survive_the_pump(tmp_path: Path) -> None:
-    """A second control on the same file is in the state of the first, and continues its day."""
-    file, limits = tmp_path / "pump.json", settings_for(PAPER_SITE, starts_per_hour=2)
-    first = Rig(file=file, settings=limits)
-    first.run(45, 1.0)
-    first.change = {"drive_fault": "overload"}
-    first.run(10, 1.0)
-    first.control.stop(True)
-    assert first.ledger.close() == ""
-    again = Rig(file=file, settings=limits)
-    decision = again.run(20, 1.0)
-    assert (decision.speed, decision.state) == (None, "fault")
-    assert decision.why == "the drive reports: overload; an operator stopped it"
-    assert again.ledger.record.day_volume == pytest.approx(first.delivered)
-    assert again.control.reset() == "the drive reports: overload"
-    assert again.run(3, 1.0).state == "held"
-    again.control.stop(False)
-    assert again.run(12, 1.0).state == "running"
-    again.run(30, 0.0)
-    assert "it starts at most 2 times in an hour" in again.run(3, 1.0).why
 
 
 def test_a_pause_is_kept_until_its_date(tmp_path: Path, clock: Clock) -> None:

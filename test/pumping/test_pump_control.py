@@ -37,18 +37,6 @@ def test_states_of_a_run_by_hand() -> None:
     rig.run(7, 0.0)
     assert [decision.state for decision in rig.decisions[-7:]] == ["stopping"] * 4 + ["off"] * 3
     assert rig.decisions[-1].why == "the command is 0"
-
-
-def test_a_pulse_in_words() -> None:
-    """With a command of a hundredth; at its target, Eq. (3a), the roof needs nothing."""
-    rig = Rig()
-    rig.run(400, 0.01)
-    assert {(decision.state, decision.why) for decision in rig.decisions} == {
-        ("off", "the next pulse is not due yet"),
-        ("starting", "a pulse, since the command is below the least flow"),
-        ("running", "a pulse, since the command is below the least flow"),
-        ("stopping", "the next pulse is not due yet"),
-    }
     rig = Rig(x2=PAPER_SITE.x2_star)
     assert rig.run(300, 1.0).why == "the roof is at its target"
     assert rig.delivered == 0
@@ -75,9 +63,7 @@ def test_commands_that_are_no_shares() -> None:
         assert rig.run(20, 1.0).state == "running"
         decision = rig.step(command)
         assert (decision.speed, decision.state) == (None, "stopping")
-        assert decision.why == (
-            f"the command {command:g} is refused: it must be a number from 0 to 1"
-        )
+        assert list(decision.interlocks) == ["command_refused"]
         assert rig.run(10, command).state == "off"
     decision, before = rig.run(30, 1e300), rig.delivered
     assert (decision.warning, decision.speed) == (
@@ -133,27 +119,6 @@ def test_what_is_not_known_is_said_so() -> None:
     decision = rig.step(0.5)  # the pump stood when last heard
     assert (decision.stands, decision.turns_at, decision.flow_known) == (True, None, True)
     assert decision.blind_for == 1
-
-
-def test_a_pump_that_still_turns_is_said_to_with_a_fault_and_a_stop() -> None:
-    rig = Rig()
-    rig.run(15, 0.5)
-    rig.control.stop(True)
-    assert rig.step(0.5).why.startswith("an operator stopped it; the pump still turns, at 0.6")
-    rig.change = {"speed": None, "reasons": {"drive_lost": "no connection"}}
-    decision = rig.step(0.5)
-    assert (decision.state, decision.stands) == ("held", False)
-    assert decision.why == (
-        "an operator stopped it; no connection; it is not known whether the pump is at rest"
-    )
-    rig.change = {}
-    assert rig.run(60, 0.5).why == "an operator stopped it"
-    rig.control.stop(False)
-    assert rig.run(15, 0.5).state == "running"
-    rig.change = {"drive_fault": "overload"}
-    decision = rig.step(0.5)
-    assert (decision.speed, decision.state) == (None, "fault")
-    assert decision.why.startswith("the drive reports: overload; the pump still turns, at 0.6")
 
 
 @pytest.mark.parametrize(
@@ -412,19 +377,16 @@ def test_what_is_not_heard_counts_at_worst() -> None:
     assert "fault" not in {decision.state for decision in rig.decisions}
 
 
-@pytest.mark.parametrize(
-    ("controller", "drive_ramp"),
-    [("lookahead --horizon 12", 0.2), ("onoff", 1.0)],
-)
-def test_the_simulated_site_is_followed(controller: str, drive_ramp: float) -> None:
+def test_the_simulated_site_is_followed() -> None:
     """Ten minutes in the loop: within 1 % of the pure simulation's volume or a least pulse."""
     run = paper_run(
-        "--controller", *controller.split(), "--hours", str(1 / 6), "--initial", "low-low"
+        "--controller", "lookahead", "--horizon", "12", "--hours", str(1 / 6),
+        "--initial", "low-low",
     )
     simulated = sum(
         tick.flows.pump for tick in closed_loop(run, run.make_controller(), Metrics())
     )
-    rig, decide = Rig(run.x1, run.x2, drive_ramp=drive_ramp), run.make_controller()
+    rig, decide = Rig(run.x1, run.x2), run.make_controller()
     for k in range(run.steps + 1):
         command = decide.command(
             *rig.plant.levels(), run.forecast.precipitation(k), run.forecast.evapotranspiration(k)

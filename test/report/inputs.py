@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import json
+import itertools
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -13,19 +13,24 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from commands import run_command
 from graphs import environment
+from numpy.typing import ArrayLike
 from paper import paper_run
 from places import CONFIG
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.closed_loop import closed_loop, record
+from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.report.about import Assumptions
 from greenroof_ros.report.drawing import Figure
 from greenroof_ros.report.figures import make_figures
-from greenroof_ros.report.groups import Assumptions, Report
+from greenroof_ros.report.groups import Report
 from greenroof_ros.report.page import render
 from greenroof_ros.report.runs import find_runs
 
@@ -39,13 +44,15 @@ TOPICS = {
     "/weather/evapotranspiration": "evapotranspiration", "/cistern/outflow": "outflow",
     "/roof/drainage": "drainage", "/weather/frost": "frost",
 }
-# The columns of a study's table, whatever its runs.
-COLUMNS = (
-    "run", "site", "weather", "start", "hours", "evapotranspiration", "forecast",
-    "forecast_skill", "forecast_seed", "forecast_members", "controller", "initial", "cistern_m3",
-    "roof_m3", "parameter:weight", "parameter:fraction", "status", "error", "total_deviation_m3",
-)
 MINUTE = 60 * 10**9
+
+
+def trajectory_of(time: Sequence[float], **values: ArrayLike) -> Trajectory:
+    """Return a trajectory at these times (s), in which all values are 0 except the given ones."""
+    given = {name: np.asarray(values.get(name, 0.0), dtype=float) for name in NAMES}
+    given["time"] = np.asarray(time, dtype=float)
+    columns = {name: np.broadcast_to(column, len(time)) for name, column in given.items()}
+    return Trajectory(start=START, **columns)
 
 
 class Simulated(NamedTuple):
@@ -53,6 +60,7 @@ class Simulated(NamedTuple):
 
     trajectory: Trajectory
     row: dict[str, Any]
+    run: Run
 
 
 @cache
@@ -68,8 +76,9 @@ def simulate(controller: str, option: str, initial: str, hours: str = "0.2") -> 
         "site": "site.yaml", "weather": "toronto_2021-07.csv", "start": run.start.isoformat(),
         "hours": hours, "evapotranspiration": "published", "forecast": "perfect",
         "controller": controller, "initial": initial, "cistern_m3": run.x1, "roof_m3": run.x2,
-        f"parameter:{key}": option, "status": "done", **metrics.results(), "frost_hours": 0.0,
-    })
+        f"parameter:{key}": option, "status": "done", "error": "", **metrics.results(),
+        "frost_hours": 0.0,
+    }, run)
 
 
 def write_study(
@@ -80,7 +89,7 @@ def write_study(
     configuration.mkdir(parents=True)
     shutil.copy(CONFIG / "site.yaml", configuration / "site.yaml")
     (configuration / "study.json").write_text('{"versions": {"greenroof_ros": "0.2.0"}}')
-    header = dict.fromkeys([*COLUMNS, *(key for row, _ in runs for key in row)])
+    header = dict.fromkeys(["run", *(key for row, _ in runs for key in row), "error"])
     with (directory / "results.csv").open("w", newline="") as stream:
         writer = csv.DictWriter(stream, header, restval="")
         writer.writeheader()
@@ -101,24 +110,20 @@ def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
     The totals of seed n = 1..25 are the base + n m3, times 1 with better forecasts and
     2 with real ones.
     """
-    rows = []
-    for start, hours in (("2021-07-07T02:00:00-05:00", "12.0"), ("2021-07-20T02:00-05:00", "24")):
-        for initial, bound in (("low-low", 500), ("high-low", 400)):
-            for name, key, value, base in (
-                ("mpc", "weight", "0.01", 900), ("onoff", "fraction", "0.5", 1000),
-                ("onoff", "fraction", "2", 2000),
-            ):
-                for skill, times in (("real", 2), ("better", 1)):
-                    rows += [
-                        {**row, "start": start, "hours": hours, "initial": initial,
-                         "controller": name, "parameter:weight": "", "parameter:fraction": "",
-                         f"parameter:{key}": value,
-                         "forecast": "ensemble", "forecast_skill": skill, "forecast_seed": seed,
-                         "forecast_members": 10, "fallbacks": seed, "bound_m3": bound,
-                         "total_deviation_m3": (base + seed) * times}
-                        for seed in range(1, 26)
-                    ]
-    return rows
+    windows = ("2021-07-07T02:00:00-05:00", "12.0"), ("2021-07-20T02:00-05:00", "24")
+    states = ("low-low", 500), ("high-low", 400)
+    settings = (
+        ("mpc", "weight", "0.01", 900), ("onoff", "fraction", "0.5", 1000),
+        ("onoff", "fraction", "2", 2000),
+    )
+    return [
+        {**row, "start": start, "hours": hours, "initial": initial, "controller": name,
+         "parameter:fraction": "", f"parameter:{key}": value, "forecast": "ensemble",
+         "forecast_skill": skill, "forecast_seed": seed, "forecast_members": 10, "fallbacks": seed,
+         "bound_m3": bound, "total_deviation_m3": (base + seed) * times}
+        for (start, hours), (initial, bound), (name, key, value, base), (skill, times), seed
+        in itertools.product(windows, states, settings, (("real", 2), ("better", 1)), range(1, 26))
+    ]
 
 
 def report_of(*paths: Path, **assumptions: Any) -> Report:
@@ -197,19 +202,11 @@ def ended_run(
 ) -> Path:
     """Write a run directory as bringup leaves it, by default 720 ticks of MPC, without metrics."""
     example = example or simulate("mpc", "0.001", "low-low")
-    ticks = known.get("last_tick") or 720
+    ticks = known.get("last_tick") or example.run.steps
     columns = {name: getattr(example.trajectory, name)[: ticks + 1] for name in NAMES}
     write_bag(directory / "bag", messages_of(Trajectory(start=START, **columns)))
-    (directory / "configuration").mkdir()
-    shutil.copy(CONFIG / "site.yaml", directory / "configuration")
-    (directory / "summary.json").write_text(json.dumps({
-        "status": status, "reason": None, "last_tick": None,
-        "controller": example.row["controller"], "weather": "toronto_2021-07.csv",
-        "parameters": {"weight": 0.001, "max_command": None},
-        "initial": {"name": "low-low", "cistern_m3": example.row["cistern_m3"],
-                    "roof_m3": example.row["roof_m3"]},
-        "start": START.isoformat(), "steps": 720, "tau_s": 1.0,
-        "evapotranspiration_method": "published", "parameter_changes": [], "refused": {},
-        **known,
-    }))
+    (directory / "configuration" / "weather").mkdir(parents=True)
+    for name in ("site.yaml", "weather/toronto_2021-07.csv"):
+        shutil.copy(CONFIG / name, directory / "configuration" / name)
+    summary.write({**summary.build_unfinished(example.run, status), **known}, directory)
     return directory

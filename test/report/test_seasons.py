@@ -12,15 +12,9 @@ from inputs import figures_of, page_of, report_of, study_of
 from studies import record, run_here
 
 from greenroof_ros.model.site import edited
-from greenroof_ros.report.about import Row
-from greenroof_ros.report.groups import SEASONS
-from greenroof_ros.report.intervals import (
-    CONTAINS_1,
-    Comparison,
-    Deviations,
-    compare,
-    worst_tenth,
-)
+from greenroof_ros.report.drawing import Figure
+from greenroof_ros.report.groups import SEASONS, Report
+from greenroof_ros.report.intervals import CONTAINS_1, Comparison, Deviations, compare, worst_tenth
 from greenroof_ros.report.tables import make_tables
 from greenroof_ros.report.words import sentences
 
@@ -100,6 +94,9 @@ def test_ratios_and_what_is_said_of_them() -> None:
     # If on/off never leaves its target, or for a single year, there is no ratio.
     assert compare(deviations(ONOFF), deviations(dict.fromkeys(YEARS, 0.0))) is None
     assert compare(deviations({2015: 1.0}), deviations(ONOFF)) is None
+    # Seeds with the same mean in every year leave no uncertainty, however different they are.
+    apart = [{year: total + more for year, total in ONOFF.items()} for more in (-40, 40)]
+    assert over_onoff(*apart).mean == pytest.approx((1, 1, 1))
 
 
 # Student's interval of a mean of eleven over the bootstrap's; t and z from tables.
@@ -137,21 +134,16 @@ def test_intervals_of_another_library() -> None:
             assert low - 1e-5 <= end <= high + 1e-5
 
 
-def test_a_year_has_one_value_the_mean_of_its_seeds() -> None:
-    """Seeds with the same mean in every year leave no uncertainty, however different they are."""
-    apart = [{year: total + more for year, total in ONOFF.items()} for more in (-40, 40)]
-    assert over_onoff(*apart).mean == pytest.approx((1, 1, 1))
-
-
 # --- a study's cases -----------------------------------------------------------------------------
 
 
 def test_means_by_hand(tmp_path: Path) -> None:
     """Over years, in each over its seeds; the worst year; the worst tenth of all whole weeks."""
     lower = {year: total - 20 for year, total in ONOFF.items()}
+    onoff = rows("onoff", None, ONOFF)
+    onoff[0]["rain_kept_share_day"], onoff[1]["rain_kept_share_day"] = 0.5, 0.75
     report = study_of(
-        tmp_path / "study", *rows("onoff", None, ONOFF), *rows("mpc", 1, ONOFF),
-        *rows("mpc", 2, lower),
+        tmp_path / "study", *onoff, *rows("mpc", 1, ONOFF), *rows("mpc", 2, lower)
     )
     case = next(row for row in report.of(SEASONS) if row["controller"] == "mpc")
     assert case[TOTAL] == pytest.approx(150 - 10)
@@ -164,10 +156,6 @@ def test_means_by_hand(tmp_path: Path) -> None:
     assert case["worst_tenth_m3"] == pytest.approx(
         3 / 8 * (200 + 190 + 180 + 180 + 0.4 * 170) / 4.4
     )
-    assert not report.single
-    # Only a run that is a case of its own lacks its trajectory.
-    notes = [note.text for run in report.runs.values() for note in run.notes]
-    assert not any(text.startswith("no trajectory") for text in notes)
     text = page_of(report)
     for expected in (
         "Means of a season", "2015 to 2025", "11 of 11", "errors skill real", ">25.0<",
@@ -175,13 +163,10 @@ def test_means_by_hand(tmp_path: Path) -> None:
         "Each is for one comparison alone",
     ):
         assert expected in text
-
-
-def test_years_without_a_storm_have_no_share_of_it(tmp_path: Path) -> None:
-    """The mean is over years with a storm; without one, or without mains, there is no number."""
-    wet, dry = rows("onoff", None, ONOFF), rows("mpc", 1, ONOFF)
-    wet[0]["rain_kept_share_day"], wet[1]["rain_kept_share_day"] = 0.5, 0.75
-    table = make_tables(study_of(tmp_path / "study", *wet, *dry))[0]
+    # Only a run that is a case of its own lacks its trajectory.
+    assert "No trajectory" not in text and not report.single
+    # The mean is over years with a storm; without one there is no number.
+    table = make_tables(report)[0]
     place = table.header.index("rain kept above 10 mm in 24 h")
     assert [row[place].text for row in table.rows] == ["none", "62.5%"]  # mpc first
 
@@ -208,60 +193,45 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
     assert not study_of(tmp_path / "b", *lower, *rows("mpc", None, ONOFF)).over_onoff
 
 
-def test_a_panel_for_each_kind_of_forecasts(tmp_path: Path) -> None:
-    """A controller with only perfect forecasts is in each panel; others in their own."""
-    real = [{**row, "forecast": "ensemble"} for row in rows("anticipating_onoff", 1, ONOFF)]
-    looking = [{**row, "forecast": "ensemble"} for row in rows("lookahead", 1, ONOFF)]
-    report = study_of(
-        tmp_path / "study", *rows("onoff", None, ONOFF), *real, *looking,
-        *rows("lookahead", None, ONOFF),
-    )
-    figure = figures_of(report)["seasons"]
-    shown = {
-        panel.title[-1]: {row["series"] for row in figure.data[name]}
-        for panel, name in zip(figure.panels, figure.data, strict=True)
-    }
-    assert shown == {
-        "forecasts: ensemble skill real": {"on/off", "lookahead", "anticipating on/off"},
-        "forecasts: perfect": {"on/off", "lookahead"},
-    }
-
-
-def named(row: Row) -> tuple[str, str, str]:
-    """Return what is compared with the least."""
-    return row["controller"], row["forecast"], row["has"].mean.verdict
+def least(report: Report) -> list[tuple[str, str]]:
+    """Return the controller with the least deviation, and its forecasts."""
+    return [(row["controller"], row["forecast"]) for row in report.least.values()]
 
 
 def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
     """The best with imperfect forecasts or none; a table compares the others with it.
 
-    If the study has a controller only with perfect forecasts, its horizon shows that it uses them.
+    A controller with only perfect forecasts is in each panel of the figure. If the study has a
+    controller only with perfect forecasts, its horizon shows that it uses them.
     """
     lower, lowest = ({year: total - more for year, total in ONOFF.items()} for more in (20, 30))
+    onoff, looking = rows("onoff", None, ONOFF), rows("lookahead", 1, lower)
     report = study_of(
-        tmp_path / "a", *rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF),
-        *rows("lookahead", 1, lower), *rows("lookahead", None, lowest),
+        tmp_path / "a", *onoff, *rows("mpc", None, ONOFF), *looking,
+        *rows("lookahead", None, lowest),
     )
-    (least,) = report.least.values()
-    assert (least["controller"], least["forecast"]) == ("lookahead", "errors skill real")
-    assert list(map(named, report.over_least)) == [
-        ("mpc", "perfect", "worse"), ("onoff", "perfect", "worse"),
-        ("lookahead", "perfect", "better"),
+    assert least(report) == [("lookahead", "errors skill real")]
+    assert [(row["controller"], row["has"].mean.verdict) for row in report.over_least] == [
+        ("mpc", "worse"), ("onoff", "worse"), ("lookahead", "better")
     ]
     (*_, table) = make_tables(report)
     assert table.name.startswith("Deviation relative to the controller with the least deviation")
-    horizons: list[tuple[str, dict[str, Any], str]] = [
-        ("b", {}, "mpc"), ("c", {"parameter:horizon": 48}, "lookahead"),
+    figure = figures_of(report)["seasons"]
+    assert [panel.title[-1] for panel in figure.panels] == [
+        "forecasts: errors skill real", "forecasts: perfect"
     ]
-    for name, horizon, expected in horizons:
-        report = study_of(
-            tmp_path / name, *rows("onoff", None, ONOFF), *rows("lookahead", 1, lower),
-            *({**row, **horizon} for row in rows("mpc", None, lowest)),
-        )
-        assert [row["controller"] for row in report.least.values()] == [expected]
+    assert [
+        {row["series"]: row["v"] for row in of_panel if row["year"] == 2015}
+        for of_panel in figure.data.values()
+    ] == [{"on/off": 100, "MPC": 100, "lookahead": shown} for shown in (80, 70)]
+
+    perfect = rows("mpc", None, lowest)
+    assert least(study_of(tmp_path / "b", *onoff, *looking, *perfect)) == [("mpc", "perfect")]
+    planning = [{**row, "parameter:horizon": 48} for row in perfect]
+    report = study_of(tmp_path / "c", *onoff, *looking, *planning)
+    assert least(report) == [("lookahead", "errors skill real")]
     # All perfect: the least of all; if that is plain on/off itself, no table repeats it.
-    report = study_of(tmp_path / "d", *rows("onoff", None, ONOFF), *rows("mpc", None, lower))
-    assert [row["controller"] for row in report.least.values()] == ["mpc"]
+    assert least(study_of(tmp_path / "d", *onoff, *perfect)) == [("mpc", "perfect")]
     report = study_of(tmp_path / "e", *rows("onoff", None, lower), *rows("mpc", None, ONOFF))
     assert len(make_tables(report)) == 2
 
@@ -291,40 +261,48 @@ controllers: {onoff: }
 """
 
 
-@pytest.mark.parametrize("text", [SEASONS_GRID, SIZES], ids=["seasons", "sizes"])
-def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
-    """A week and a day in two years."""
-    directory = tmp_path / "record"
+def seasons(directory: Path, text: str) -> tuple[Report, dict[str, Figure]]:
+    """Run a grid of a week and a day in two years; return its report, with its saved figures."""
     record(directory, (2015, 2016))
     run_here(directory, text)
     report = report_of(directory / "out")
-    cases = report.of(SEASONS)
     assert not report.single
-    assert {tuple(year for year, _ in report.years(row)) for row in cases} == {(2015, 2016)}
+    years = {tuple(year for year, _ in report.years(row)) for row in report.of(SEASONS)}
+    assert years == {(2015, 2016)}
     figures = figures_of(report)
     for name, figure in figures.items():
-        figure.save(tmp_path)
-        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
-    if text is SIZES:
-        assert list(figures) == ["sizing"]
-        # The same roof: what its cistern does not hold comes from the mains.
-        small, _, large, full = cases
-        assert {row["series"] for row in figures["sizing"].data["sizing-1"]} == {
-            "on/off, from site", "on/off, from full",
-        }
-        assert f"{full['saved_m3']:.4g} m³ a season with a cistern of 24" in sentences(report)[1]
-        assert small["outflow_m3"] > large["outflow_m3"] >= 0
-        for row in (small, large):
-            assert row["saved_m3"] == pytest.approx(row["pumped_m3"] - row["mains_m3"])
-        # A roof of half the area is another size, too; a difference in anything else is not.
-        site = directory / "out" / "configuration" / small["site"]
-        site.write_text(edited(site, {"a2": 34.4}))
-        assert len(figures_of(report_of(directory / "out"))["sizing"].panels) == 2 * 2
-        site.write_text(edited(site, {"pump_efficiency": 0.7}))
-        assert report.sizing and not report_of(directory / "out").sizing
-        return
+        figure.save(directory)
+        assert (directory / f"{name}.png").stat().st_size > 10_000
+    return report, figures
+
+
+def test_a_study_of_seasons(tmp_path: Path) -> None:
+    """A case has the seeds of its forecasts, and a season its whole weeks."""
+    report, figures = seasons(tmp_path / "record", SEASONS_GRID)
     assert list(figures) == ["seasons", "season-comparisons"]
+    cases = report.of(SEASONS)
     assert all(row["ratio"] > 1 for row in cases)
     for weeks, total in report.table.select("season", TOTAL).iter_rows():
         assert len(weeks) == 1 and 0 < weeks[0] < total
     assert {row["seeds"] for row in cases} == {1, 2}
+
+
+def test_a_study_of_sizes(tmp_path: Path) -> None:
+    """The same roof: what its cistern does not hold comes from the mains."""
+    report, figures = seasons(tmp_path / "record", SIZES)
+    assert list(figures) == ["sizing"]
+    small, _, large, full = report.of(SEASONS)
+    assert {row["series"] for row in figures["sizing"].data["sizing-1"]} == {
+        "on/off, from site", "on/off, from full",
+    }
+    assert f"{full['saved_m3']:.4g} m³ a season with a cistern of 24" in sentences(report)[1]
+    assert small["outflow_m3"] > large["outflow_m3"] >= 0
+    for row in (small, large):
+        assert row["saved_m3"] == pytest.approx(row["pumped_m3"] - row["mains_m3"])
+    # A roof of half the area is another size, too; a difference in anything else is not.
+    study = tmp_path / "record" / "out"
+    site = study / "configuration" / small["site"]
+    site.write_text(edited(site, {"a2": 34.4}))
+    assert len(figures_of(report_of(study))["sizing"].panels) == 2 * 2
+    site.write_text(edited(site, {"pump_efficiency": 0.7}))
+    assert report.sizing and not report_of(study).sizing

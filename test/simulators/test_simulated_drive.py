@@ -9,7 +9,7 @@ import re
 import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, nullcontext, suppress
+from contextlib import closing, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
@@ -20,8 +20,8 @@ from places import guarding
 from simulators import DEFAULT, Simulator, refusal, until
 
 from greenroof_ros import drive_simulator
-from greenroof_ros.drives.drive import Drive, DriveStatus, PlacedDrive
-from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
+from greenroof_ros.drives.drive import Drive, PlacedDrive
+from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import DriveExchange
 from greenroof_ros.drives.modbus_line import (
     Address,
@@ -39,11 +39,6 @@ def make_of(name: str, clock: Callable[[], float], **settings: float | None) -> 
     """Return a drive that is not on any wire."""
     file = read_drive_file(find_drive_file(name))
     return profile_of(file.make)(file, DriveSettings(**settings), clock)  # type: ignore[arg-type]
-
-
-def place_of(drive: Simulator) -> str:
-    """Return the address that a simulator prints as the drive's."""
-    return drive.ready.split()[2].rstrip(",")
 
 
 # --- settings -------------------------------------------------------------------------------------
@@ -128,7 +123,7 @@ def shared() -> Iterator[Simulator]:
 def driver(shared: Simulator) -> Iterator[Drive]:
     """A driver that is connected to it, without a fault."""
     shared.inject("none")
-    at = parse_address(place_of(shared))
+    at = parse_address(shared.address)
     drive = Drive(read_drive_file(find_drive_file("abb_acs880")), at, 0.5)
 
     def connects() -> bool:
@@ -198,7 +193,7 @@ def test_what_is_not_there_is_refused_by_the_specifications_exception(
     for ask in (partial(driver.line.read, 0x7000, 1), partial(driver.line.write, 3, 1)):
         with pytest.raises(DriveError, match="refused with exception 2"):
             ask()
-    stranger = Drive(driver.file, parse_drive_address(f"{place_of(shared)},5", "at"), 0.5)
+    stranger = Drive(driver.file, parse_drive_address(f"{shared.address},5", "at"), 0.5)
     with closing(stranger.line):
         stranger.line.connect()
         with pytest.raises(DriveError, match="refused with exception 11"):
@@ -215,7 +210,7 @@ def test_rtu_over_a_pseudo_terminal() -> None:
         "--boot", "0.5",
     ) as drive:
         file = read_drive_file(find_drive_file("abb_acs880"))
-        driver = Drive(file, parse_address(place_of(drive)), 0.2)
+        driver = Drive(file, parse_address(drive.address), 0.2)
         with closing(driver.line):
             driver.line.connect()
             assert driver.why_no_simulator() == ""
@@ -245,64 +240,47 @@ def test_wrong_options_are_refused_with_what_would_be_right(
 # --- with the driver, by the drive files ----------------------------------------------------------
 
 
-class Driven:
-    """A simulator, and the driver that runs it by a drive file."""
-
-    def __init__(self, drive: Simulator, exchange: DriveExchange, file: DriveFile) -> None:
-        self.drive, self.exchange, self.file = drive, exchange, file
-
-    def said(self, condition: Callable[[DriveStatus], bool]) -> bool:
-        status = self.exchange.snapshot.status
-        return status is not None and condition(status)
-
-    def reach(self, speed: float) -> None:
-        """Ask for a speed until both motor and driver show it."""
-
-        def reached() -> bool:
-            self.exchange.demand(speed or None)
-            return self.drive.speed() == pytest.approx(speed, abs=1e-3) and self.said(
-                lambda status: status.speed == pytest.approx(speed, abs=2e-3)
-            )
-
-        until(reached, 8)
-
-
-@contextmanager
-def driven(make: str, directory: Path) -> Iterator[Driven]:
-    """A drive that identifies itself as a simulator, at the address that it prints."""
-    file = read_drive_file(Path(guarding(make, directory)))
-    with Simulator(
-        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
-    ) as drive, closing(
-        DriveExchange(PlacedDrive(file, parse_address(place_of(drive))), period_s=0.1)
-    ) as exchange:
-        exchange.only_simulator()
-        exchange.start()
-        yield Driven(drive, exchange, file)
-
-
 @pytest.mark.parametrize(
     "make", ["abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630"]
 )
 def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
     make: str, tmp_path: Path
 ) -> None:
-    """And its fault can be reset. The timeout of a CIM is fixed."""
+    """And its fault can be reset. It identifies itself. The timeout of a CIM is fixed."""
     timeout = 5 if make == "grundfos_cim500" else 2
-    with driven(make, tmp_path) as driven_drive:
-        drive, exchange = driven_drive.drive, driven_drive.exchange
-        driven_drive.reach(0.6)
+    file = read_drive_file(Path(guarding(make, tmp_path)))
+    with Simulator(
+        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
+    ) as drive, closing(
+        DriveExchange(PlacedDrive(file, parse_address(drive.address)), period_s=0.1)
+    ) as exchange:
+
+        def reached(speed: float) -> bool:
+            """Ask for a speed, and return whether both motor and driver show it."""
+            exchange.demand(speed or None)
+            status = exchange.snapshot.status
+            return (
+                status is not None and status.speed == pytest.approx(speed, abs=2e-3)
+                and drive.speed() == pytest.approx(speed, abs=1e-3)
+            )
+
+        def fault() -> str | None:
+            return exchange.snapshot.status and exchange.snapshot.status.fault
+
+        exchange.only_simulator()
+        exchange.start()
+        until(lambda: reached(0.6), 8)
         assert exchange.snapshot.timeout_s == timeout
-        driven_drive.reach(0.0)
-        driven_drive.reach(0.4)
+        until(lambda: reached(0.0), 8)
+        until(lambda: reached(0.4), 8)
         drive.inject("drive_fault")
-        until(lambda: driven_drive.said(lambda status: status.fault != "") and drive.speed() == 0)
+        until(lambda: fault() and drive.speed() == 0)
         drive.inject("none")
         exchange.demand(None)
         exchange.reset()
-        until(lambda: driven_drive.said(lambda status: status.fault == ""))
+        until(lambda: fault() == "")
         exchange.close()
-        alone = Drive(driven_drive.file, parse_address(place_of(drive)))
+        alone = Drive(file, parse_address(drive.address))
         alone.line.connect()
         alone.run(0.6)
         alone.line.close()

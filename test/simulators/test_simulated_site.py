@@ -92,7 +92,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
         with Simulator(
             "site_simulator", "--sensors", str(file), "--workbench", "0", "--output", str(table),
             "--cistern", "75", "--roof", "3.44", "--rain", "36", "--constant-evapotranspiration",
-            "86.4", "--drive-at", f"tcp://127.0.0.1:{drive.ports[1]}", "--factor", "40",
+            "86.4", "--drive-at", drive.workbench, "--factor", "40",
         ) as site:
             first, last = at_tick(1), at_tick(40)
             levels = [

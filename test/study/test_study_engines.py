@@ -9,25 +9,14 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from graphs import Process, alive, wait_for
 from places import DATA
-from studies import (
-    CONFIG,
-    WEATHER,
-    begun,
-    edited,
-    grid,
-    rows_of,
-    run_here,
-    stored,
-    study,
-)
+from studies import CONFIG, WEATHER, archive, begun, edited, grid, rows_of, run_here, stored, study
 
 from greenroof_ros.recording.trajectory import read_parquet
 from greenroof_ros.report.runs import find_runs
@@ -57,23 +46,18 @@ def processor_s(process: int) -> float:
     return int(ticks[11]) / os.sysconf("SC_CLK_TCK")
 
 
-def workers(process: int) -> list[int]:
-    """Return the fork server's children that work on a run: over 0.5 s of processor time."""
-    starters = Path(f"/proc/{process}/task/{process}/children").read_text().split()
-    return [
-        child for starter in starters for child in children(int(starter))
-        if processor_s(child) > 0.5
-    ]
+def fork_server(process: int) -> int:
+    """Return the process that starts a study's workers; 0 if it does not run yet."""
+    for child in children(process):
+        with suppress(OSError):
+            if b"forkserver" in Path(f"/proc/{child}/cmdline").read_bytes():
+                return child
+    return 0
 
 
-def ended(processes: list[int], seconds: float) -> bool:
+def wait_for_end(processes: list[int]) -> None:
     """Wait until none of these processes runs any more."""
-    until = time.monotonic() + seconds
-    while any(alive(process) for process in processes):
-        if time.monotonic() > until:
-            return False
-        time.sleep(0.05)
-    return True
+    wait_for(lambda: not any(map(alive, processes)), 60, f"the end of {processes}")
 
 
 def lasting(hours: str) -> str:
@@ -86,8 +70,13 @@ def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
     """The others continue; the failure is in the table; the next call repeats the run."""
     grid(tmp_path, lasting("3").replace("[low-low, ", "["))
     process = begun(tmp_path, "--jobs", "2")
-    busy = wait_for(lambda: workers(process.pid), 120, "a worker on a run")
-    os.kill(busy[0], signal.SIGKILL)
+
+    def worker() -> int:
+        """Return a worker that is on a run; 0 if none is yet."""
+        server = fork_server(process.pid)
+        return next((child for child in children(server) if processor_s(child) > 0.5), 0)
+
+    os.kill(wait_for(worker, 120, "a worker on a run"), signal.SIGKILL)
     _, errors = process.communicate(timeout=200)
     assert process.returncode == 1
     assert "failed: mpc" in errors
@@ -114,16 +103,7 @@ def test_interrupted_while_workers_start(tmp_path: Path) -> None:
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "Traceback" not in errors
-    assert ended([server], 60)
-
-
-def fork_server(process: int) -> int:
-    """Return the fork server among the processes under one; 0 if there is none."""
-    for child in children(process):
-        with suppress(OSError):
-            if b"forkserver" in Path(f"/proc/{child}/cmdline").read_bytes():
-                return child
-    return 0
+    wait_for_end([server])
 
 
 @pytest.mark.parametrize(
@@ -154,7 +134,7 @@ def test_ended(tmp_path: Path, engine: str, number: signal.Signals) -> None:
     else:
         process.send_signal(number)
     _, errors = process.communicate(timeout=60)
-    assert ended(there, 60)
+    wait_for_end(there)
     assert "Traceback" not in errors
     if number != signal.SIGKILL:
         assert process.returncode == 130
@@ -163,13 +143,6 @@ def test_ended(tmp_path: Path, engine: str, number: signal.Signals) -> None:
         status = [row["status"] for row in rows_of(tmp_path / "out" / "results.csv")]
         assert status == ["not run"] * 6
     shutil.rmtree(scratch)
-
-
-def archive(directory: Path) -> None:
-    """Write a forecast file that will not come true."""
-    lines = ["issued,time,precipitation [mm/h]"]
-    lines += [f"2021-07-07T05:00Z,2021-07-07T{hour:02}:00Z,4.0" for hour in range(5, 22)]
-    (directory / "archive.csv").write_text("\n".join(lines) + "\n")
 
 
 PLANNED = f"""
@@ -209,10 +182,6 @@ def test_engines_give_the_same_table(tmp_path: Path) -> None:
     assert (loop / "results.csv").read_bytes() == (graph / "results.csv").read_bytes()
     rows = rows_of(loop / "results.csv")
     names = ["roof_noise", "roof_offset", "noise_seed", "minimum_on", "minimum_off"]
-    header = list(rows[0])
-    assert header.index("evapotranspiration") + 1 == header.index("forecast")
-    first = header.index("forecast_delay") + 1
-    assert header[first : header.index("controller")] == names
     assert [[float(row[name]) for name in names] for row in rows] == [
         [0] * 5, [0.0005, 0.002, 1, 60, 90],
     ] * 2
@@ -246,28 +215,20 @@ forecast: [perfect, {model: errors, skill: [worse, mine.yaml], seed: 1}, archive
 
 
 def test_forecasts(tmp_path: Path) -> None:
-    """Lists multiply; a window's own forecasts replace the general ones; each run names its own."""
+    """Each run names its own, and depends on what their files contain."""
     archive(tmp_path)
     # A user's skill: the package's, but it rains too seldom.
     skill = (CONFIG / "forecasts" / "skill.yaml").read_text()
     (tmp_path / "mine.yaml").write_text(skill.replace("wetness:", "wetness: -1.0 #"))
-    run_here(tmp_path, PLANNED + FORECASTS)
-    rows = rows_of(tmp_path / "out" / "results.csv")
-    columns = ("forecast", "forecast_skill", "forecast_seed", "forecast_members")
+    rows = run_here(tmp_path, PLANNED + FORECASTS).write_tables()
+    columns = ("forecast", "forecast_skill", "forecast_seed")
     assert [tuple(row[column] for column in columns) for row in rows] == [
-        ("perfect", "", "", ""),
-        ("errors", "worse", "1", ""),
-        ("errors", "mine.yaml", "1", ""),
-        ("archive.csv", "", "", ""),
+        ("perfect", None, None), ("errors", "worse", 1), ("errors", "mine.yaml", 1),
+        ("archive.csv", None, None),
     ]
     # Only the file forecasts rain, so less is pumped.
-    pumped = [float(row["pumped_m3"]) for row in rows]
+    pumped = [row["pumped_m3"] for row in rows]
     assert pumped[3] < min(pumped[:3])
-    own = PLANNED.replace("hours: 0.2", "hours: 0.2, forecast: persistence") + FORECASTS
-    assert [str(case.forecast) for case in read_grid(tmp_path / grid(tmp_path, own))] == [
-        "persistence"
-    ]
-    grid(tmp_path, PLANNED + FORECASTS)
     for number, file, old, new in ((3, "archive.csv", "4.0", "5.0"), (2, "mine.yaml", "45", "46")):
         before = [case.identity for case in read_grid(tmp_path / "grid.yaml")]
         (tmp_path / file).write_text((tmp_path / file).read_text().replace(old, new))
@@ -275,144 +236,118 @@ def test_forecasts(tmp_path: Path) -> None:
         assert [place for place in range(4) if before[place] != after[place]] == [number]
 
 
-class DaskCluster:
+class Dask:
     """A Dask scheduler and its workers, each a separate process, on loopback."""
 
     def __init__(self, directory: Path) -> None:
-        file = directory / f"scheduler-{time.monotonic_ns()}.json"
-        self.log_file = directory / "dask.log"
-        self.log = self.log_file.open("a")
+        file, self.log = directory / "scheduler.json", directory / "dask.log"
+        self.workers: list[subprocess.Popen[bytes]] = []
         self.scheduler = self._start(
-            "scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", ":0",
-            "--no-show", "--scheduler-file", str(file),
+            "scheduler", "--port", "0", "--no-show", "--scheduler-file", str(file)
         )
         wait_for(lambda: file.is_file() and file.read_text().endswith("}"), 60, "a scheduler")
         self.address = json.loads(file.read_text())["address"]
-        self.workers: list[subprocess.Popen[str]] = []
-        self.start_worker()
 
     def start_worker(self) -> None:
         """Start another worker."""
-        self.workers.append(self._start(
-            "worker", self.address, "--nthreads", "1", "--no-nanny", "--dashboard-address", ":0",
-            "--host", "127.0.0.1",
-        ))
-
-    def _start(self, what: str, *options: str) -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [sys.executable, "-m", f"distributed.cli.dask_{what}", *options], text=True,
-            stdout=self.log, stderr=self.log,
+        self.workers.append(
+            self._start("worker", self.address, "--nthreads", "1", "--no-nanny")
         )
 
-    def end(self) -> None:
-        """Kill all processes."""
-        for process in (*self.workers, self.scheduler):
-            process.kill()
-            process.wait()
-        self.log.close()
+    def _start(self, what: str, *options: str) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.dask_{what}", *options,
+             "--host", "127.0.0.1", "--dashboard-address", ":0"],
+            stdout=self.log.open("a"), stderr=subprocess.STDOUT,
+        )
+
+    def wait_for_log(self, words: str, times: int = 1) -> None:
+        """Wait until the log has these words so many times."""
+        wait_for(lambda: self.log.read_text().count(words) >= times, 60, f"{words!r} in a log")
 
 
-def study_on(
-    cluster: DaskCluster, directory: Path, until: Callable[[], bool]
-) -> subprocess.Popen[str]:
-    """Begin a study on a cluster, or continue it, and wait until a condition holds."""
-    process = begun(directory, "--scheduler", cluster.address)
-
-    def under_way() -> bool:
-        assert process.poll() is None, process.communicate()
-        return until()
-
-    wait_for(under_way, 120, "a study under way")
-    return process
+@pytest.fixture
+def dask(tmp_path: Path) -> Iterator[Dask]:
+    """A scheduler without workers, which is ended with all that it got."""
+    started = Dask(tmp_path)
+    yield started
+    for process in (*started.workers, started.scheduler):
+        process.kill()
+        process.wait()
 
 
-def ended_in_one_sentence(process: subprocess.Popen[str], directory: Path, what: str) -> None:
-    """Check a study's end without its cluster: exit code 1, the progress bar, and a sentence."""
-    shown, errors = process.communicate(timeout=60)
-    *there, bar, said = errors.splitlines()
-    assert all(line.endswith("of 12 runs are stored already") for line in there)
-    assert bar.startswith("study ")
-    assert said == (
-        f"error: {what}: {len(stored(directory))} of 12 cases are stored; run the same command "
-        "again to continue"
-    )
-    assert (process.returncode, shown) == (1, "")
-    status = [row["status"] for row in rows_of(directory / "out" / "results.csv")]
-    assert (status.count("done"), len(status)) == (len(stored(directory)), 12)
-    assert set(status) == {"done", "not run"}
-
-
-def test_dask(tmp_path: Path) -> None:
+def test_dask(dask: Dask, tmp_path: Path) -> None:
     """A study loses a worker, the other, and the scheduler; in the end its table is complete.
 
     The second worker continues, and repeats only what the first had under way. Without workers
     for a while, or without scheduler, the study says so in one sentence; Ctrl-C before that
-    interrupts it at once. Without a worker or an answer it does not begin. On another cluster the
-    same command continues, and no run is made twice.
+    interrupts it at once. Without a worker or an answer it does not begin. The same command
+    without a cluster continues; no run is made twice, and none differs.
     """
     archive(tmp_path)
     text = edited("0.25", "0.5").replace("02:00", "01:00").replace("  onoff:\n", "")
     text = text.replace("[1.0e-3, 0.1]", "[1.0e-3, 0.01, 0.1]")
     site = "{file: site.yaml, a1: 26.0}"  # no worker has this site as a file
     grid(tmp_path, text.replace(str(CONFIG / "site.yaml"), site) + "forecast: archive.csv\n")
+    on_cluster = ("--scheduler", dask.address)
 
-    def more(count: int) -> Callable[[], bool]:
-        there = len(stored(tmp_path))
-        return lambda: len(stored(tmp_path)) >= there + count
+    def wait_for_runs(process: subprocess.Popen[str], count: int) -> None:
+        due = len(stored(tmp_path)) + count
 
-    cluster = DaskCluster(tmp_path)
-    try:
-        cluster.start_worker()
-        process = study_on(cluster, tmp_path, more(2))
-        cluster.workers[0].kill()
-        wait_for(lambda: "Remove worker" in cluster.log_file.read_text(), 60, "a worker gone")
-        wait_for(more(2), 120, "two runs of the other worker")
-        # Stored runs are not repeated, except the last run, which the study may still hold.
-        log = cluster.log_file.read_text().splitlines()
-        lost = [line for line in log if "lose already computed" in line]
-        assert sum(line.count("run_case") for line in lost) <= 1
-        cluster.workers[1].kill()
-        ended_in_one_sentence(
-            process, tmp_path,
-            f"the Dask scheduler at {cluster.address} has had no worker for 15 s",
+        def under_way() -> bool:
+            assert process.poll() is None, process.communicate()
+            return len(stored(tmp_path)) >= due
+
+        wait_for(under_way, 120, f"{count} runs more")
+
+    def check_end(process: subprocess.Popen[str], what: str) -> None:
+        shown, errors = process.communicate(timeout=60)
+        *_, bar, said = errors.splitlines()
+        done = len(stored(tmp_path))
+        assert bar.startswith("study ") and "Traceback" not in errors
+        assert said == (
+            f"error: {what}: {done} of 12 cases are stored; run the same command again to continue"
         )
-        process = study_on(cluster, tmp_path, lambda: True)
-        assert process.stderr is not None
-        assert "of 12 runs are stored already" in process.stderr.readline()
-        connected = "Receive client connection"
-        wait_for(lambda: cluster.log_file.read_text().count(connected) == 2, 60, "its client")
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
-        assert (process.returncode, errors) == (130, "interrupted\n")
-        result = study(tmp_path, "grid.yaml", "--output", "out", "--scheduler", cluster.address)
+        assert (process.returncode, shown) == (1, "")
+        status = [row["status"] for row in rows_of(tmp_path / "out" / "results.csv")]
+        assert sorted(status) == ["done"] * done + ["not run"] * (12 - done)
+
+    def check_refusal(wrong: str) -> None:
+        result = study(tmp_path, "grid.yaml", "--output", "out", *on_cluster)
         assert result.returncode == 2
-        assert result.stderr.splitlines()[1:] == [
-            f"error: --scheduler = '{cluster.address}': has no worker"
-        ]
-        cluster.start_worker()
-        process = study_on(cluster, tmp_path, more(1))
-        cluster.scheduler.kill()
-        ended_in_one_sentence(
-            process, tmp_path, f"the Dask scheduler at {cluster.address} is gone"
-        )
-        cluster.scheduler.wait()
-        result = study(tmp_path, "grid.yaml", "--output", "out", "--scheduler", cluster.address)
-        assert result.returncode == 2
-        assert f"--scheduler = '{cluster.address}': does not answer" in result.stderr
+        assert f"error: --scheduler = '{dask.address}': {wrong}" in result.stderr
         assert "Traceback" not in result.stderr
-    finally:
-        cluster.end()
+
+    dask.start_worker()
+    dask.start_worker()
+    process = begun(tmp_path, *on_cluster)
+    wait_for_runs(process, 2)
+    dask.workers[0].kill()
+    dask.wait_for_log("Remove worker")
+    wait_for_runs(process, 2)
+    # Stored runs are not repeated, except the last run, which the study may still hold.
+    lost = [line for line in dask.log.read_text().splitlines() if "lose already computed" in line]
+    assert sum(line.count("run_case") for line in lost) <= 1
+    dask.workers[1].kill()
+    check_end(process, f"the Dask scheduler at {dask.address} has had no worker for 15 s")
+    process = begun(tmp_path, *on_cluster)
+    dask.wait_for_log("Receive client connection", 2)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors.splitlines()[1:]) == (130, ["interrupted"])
+    check_refusal("has no worker")
+    dask.start_worker()
+    process = begun(tmp_path, *on_cluster)
+    wait_for_runs(process, 1)
+    dask.scheduler.kill()
+    check_end(process, f"the Dask scheduler at {dask.address} is gone")
+    dask.scheduler.wait()
+    check_refusal("does not answer")
     before = {run: (run / "outcome.json").read_bytes() for run in stored(tmp_path)}
-    cluster = DaskCluster(tmp_path)
-    try:
-        result = study(tmp_path, "grid.yaml", "--output", "out", "--scheduler", cluster.address)
-        assert result.returncode == 0, result.stderr
-        assert f"{len(before)} of 12 runs are stored already" in result.stderr
-        assert study(tmp_path, "grid.yaml", "--output", "here").returncode == 0
-        here, there = (tmp_path / name / "results.csv" for name in ("here", "out"))
-        assert here.read_bytes() == there.read_bytes()
-        assert {row["status"] for row in rows_of(there)} == {"done"}
-        for run, outcome in before.items():
-            assert (run / "outcome.json").read_bytes() == outcome
-    finally:
-        cluster.end()
+    for output in ("out", "here"):
+        assert study(tmp_path, "grid.yaml", "--output", output).returncode == 0
+    here, there = (tmp_path / name / "results.csv" for name in ("here", "out"))
+    assert here.read_bytes() == there.read_bytes()
+    assert {row["status"] for row in rows_of(there)} == {"done"}
+    for run, outcome in before.items():
+        assert (run / "outcome.json").read_bytes() == outcome

@@ -4,95 +4,59 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from commands import run_command
 from graphs import environment
 from places import DATA
 from refusals import refusal
-from studies import CONFIG, GRID, WEATHER, edited, grid, record
+from studies import CONFIG, GRID, WEATHER, edited, grid, record, run_here
 
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
+from greenroof_ros.study.__main__ import show
 from greenroof_ros.study.case_run import bound_case, run_case
 from greenroof_ros.study.grid import read_grid
 
 SITE = f"site: {CONFIG / 'site.yaml'}"
+HOURS = "    hours: 0.25\n"
+# name: the grid, and the end of the place with what is wrong there
 WRONG = {
-    "unknown-key": (
-        GRID + "engine: ros\n",
-        "line 14: engine = 'ros': is not a key here; choose from site, weather, initial",
-    ),
+    "unknown-key": (GRID + "engine: ros\n", "line 14: engine = 'ros': is not a key here"),
     "missing": (GRID[: GRID.index("weather")], "weather: is missing or empty"),
-    "site-kind": (
-        edited(SITE, "site: [{file: site.yaml}, 10]"),
-        "line 2: site: must be the name of a file, {file: site.yaml, tau: 10.0",
-    ),
+    "site-kind": (edited(SITE, "site: [10]"), "line 2: site: must be the name of a file, {file"),
     "site-value": (  # the error is in the grid, not in the copy of the site file with the value
         edited(SITE, "site: {file: site.yaml, tau: [1.0, 0.0]}"),
         "grid.yaml, line 2: site.yaml with these values: tau = 0.0: must be from 0.001 to 3600 (s,",
     ),
     "no-file": (edited("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
-    "bound-block": (
-        GRID + "bound_block: 0.5\n",
-        "line 14: bound_block = 0.5: must be a whole number of ticks of 1 s, or 0 for no bound",
-    ),
+    "bound-block": (GRID + "bound_block: 0.5\n", "line 14: bound_block = 0.5: must be a whole num"),
     "no-start": (edited("    start: 2021-07-07T02:00\n", ""), "line 4: start: is missing or empty"),
     "start": (edited("2021-07-07T02:00", "noon"), "line 5: start = 'noon': must be a time such as"),
     "hours": (edited("0.25", "[0.25, -1]"), "line 6: hours = -1.0: must be a whole number"),
-    "gaps": (
-        edited("    hours: 0.25\n", "    hours: 0.25\n    gaps: guess\n"),
-        "line 7: gaps = 'guess': must be refuse or fill",
-    ),
-    "year": (
-        edited("    hours", "    year: {from: 2015}\n    hours"), "year: must be {from: 1, to: 50}",
-    ),
+    "gaps": (edited(HOURS, f"{HOURS}    gaps: guess\n"), "line 7: gaps = 'guess': must be refuse"),
+    "year": (edited(HOURS, f"{HOURS}    year: {{from: 1}}\n"), "year: must be {from: 1, to: 50}"),
     "initial": (edited("low-low", "low"), "line 8: initial: 'low' must be one of low-low, hig"),
-    "own-state": (
-        edited("low-low", "site"),
-        "line 8: initial: site needs initial_cistern and initial_roof in site.yaml",
-    ),
-    "one-value": (
-        edited("cistern: 40.0", "cistern: [40, 41]"), "cistern = [40, 41]: must be a number"
-    ),
+    "own-state": (edited("low-low", "site"), "line 8: initial: site needs initial_cistern and in"),
+    "one-value": (edited("40.0", "[40, 41]"), "cistern = [40, 41]: must be a number"),
     "volume": (edited("roof: 0.5", "roof: -0.5"), "initial: volumes must not be negative"),
     "half-state": (edited(", roof: 0.5", ""), "initial: a state must give either roof or roof_"),
     "state-twice": (edited("name: dry", "name: low-low"), "initial: has low-low twice"),
-    "deep": (
-        edited("cistern: 40.0", "cistern: 4.0e+6"),
-        "line 8: cistern = 4000000.0: must be at most 400 m3, a level of 16 m",
-    ),
+    "deep": (edited("40.0", "4.0e+6"), "line 8: cistern = 4000000.0: must be at most 400 m3, a"),
     "controller": (edited("onoff:", "pid:"), "line 13: controller = 'pid': must be one of mpc"),
-    "own-site": (
-        edited("onoff:", "onoff: {site: other.yaml}"), "other.yaml is not under 'site:' of the",
-    ),
-    "parameter": (
-        edited("weight", "wieght"),  # codespell:ignore
-        "line 11: wieght: is not a parameter of mpc; did you mean weight?",  # codespell:ignore
-    ),
+    "own-site": (edited("onoff:", "onoff: {site: x.yaml}"), "x.yaml is not under 'site:' of the"),
+    "parameter": (edited("weight", "weights"), "line 11: weights: is not a parameter of mpc; d"),
     "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be from 1e-09 to 1e+06"),
     "no-values": (edited("[1.0e-3, 0.1]", "[]"), "line 11: weight: is empty"),
-    "twice": (edited("0.1]", "0.001]"), "is the same run twice: mpc {'weight': 0.001"),
-    "forecast": (
-        GRID + "forecast: perfekt\n",
-        "line 14: forecast = 'perfekt': 'perfekt' must be one of perfect, persistence, errors, ens",
-    ),
+    "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': 'perfekt' must be"),
     "forecast-skill": (
         GRID + "forecast: {model: errors, skill: [real, large]}\n",
         "skill = 'large': 'large' must be one of much_",
     ),
-    "forecast-seed": (
-        GRID + "forecast: {model: errors, seed: 1.5}\n", "seed = 1.5: must be a whole number fr"
-    ),
-    "forecast-twice": (
-        GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"
-    ),
-    "sensor_pump_errors": (
-        GRID + "sensor_pump_errors: 0.0005\n",
-        "line 14: sensor_pump_errors = 0.0005: must be {roof_noise: ",
-    ),
+    "forecast-twice": (GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"),
     "sensor_pump_errors-twice": (
         GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n",
-        "forecast perfect, {'roof_noise': 0.0, ",
+        "is the same run twice: mpc {'weight': 0.001, ",
     ),
 }
 
@@ -127,24 +91,20 @@ def test_what_is_wrong_ends_before_anything_runs(
 
 
 def test_window_of_several_files(tmp_path: Path) -> None:
-    """A list or a pattern is one window, joined; the runs equal those of the complete file."""
+    """A list or a pattern is one window; the runs equal those of the complete file."""
     lines = WEATHER.read_text().splitlines(keepends=True)
     header = next(index for index, line in enumerate(lines) if line.startswith("time,"))
     hours = lines[header + 1 :]
     for name, part in (("part-1.csv", hours[:5]), ("part-2.csv", hours[4:])):
         (tmp_path / name).write_text("".join([lines[header], *part]))
-    (tmp_path / "grid.yaml").write_text(GRID)
-    whole = read_grid(tmp_path / "grid.yaml")
-    outcome = run_case(whole[-1], "inprocess", None)
+    whole = read_grid(tmp_path / grid(tmp_path))
     for files in ("[part-2.csv, part-1.csv]", "part-?.csv"):
-        (tmp_path / "grid.yaml").write_text(edited(str(WEATHER), files))
-        cases = read_grid(tmp_path / "grid.yaml")
+        cases = read_grid(tmp_path / grid(tmp_path, edited(str(WEATHER), files)))
         assert len(cases) == len(whole)
-        assert {case.columns()["weather"] for case in cases} == {
-            "2 files, part-1.csv to part-2.csv"
-        }
+        assert {case.weather_name for case in cases} == {"2 files, part-1.csv to part-2.csv"}
         assert [file.name for file in cases[-1].files] == ["site.yaml", "part-1.csv", "part-2.csv"]
-        assert run_case(cases[-1], "inprocess", None).results == outcome.results
+    results = [run_case(some[-1], "inprocess", None).results for some in (cases, whole)]
+    assert results[0] == results[1]
 
 
 # For each grid of years: sites, ticks (s), and runs of a year.
@@ -189,50 +149,30 @@ def test_grids_of_years(tmp_path: Path, file: str) -> None:
     assert {yaml.safe_load(case.site.content)["tau"] for case in cases} == ticks
 
 
-def test_whole_numbers_from_to(tmp_path: Path) -> None:
-    """Seeds and years; a list of files and starts contains each year."""
-    text = edited("2021-07-07T02:00", "2021-07-0{year}T02:00").replace(
-        "    hours", "    year: {from: 7, to: 9}\n    hours"
-    )
-    cases = read_grid(tmp_path / grid(tmp_path, text))
-    assert {case.start[:10] for case in cases} == {f"2021-07-0{day}" for day in (7, 8, 9)}
-    text = GRID + "forecast: {model: errors, seed: {from: 3, to: 5}}\n"
-    seeds = [case.forecast.seed for case in read_grid(tmp_path / grid(tmp_path, text))]
-    assert sorted(set(seeds)) == [3, 4, 5]
-
-
-def test_initial_levels(tmp_path: Path) -> None:
-    """With several sizes of the site, each has its own volumes."""
-    text = GRID.replace(str(CONFIG / "site.yaml"), "{file: site.yaml, a1: [5.0, 25.0]}")
-    text = text.replace("cistern: 40.0, roof: 0.5", "cistern_level: 3.0, roof_level: 0.01")
-    dry = [case for case in read_grid(tmp_path / grid(tmp_path, text)) if case.initial == "dry"]
-    assert {case.cistern for case in dry} == {15.0, 75.0}
-    assert [case.roof for case in dry] == pytest.approx([0.688] * len(dry))
-
-
-def test_settings_of_one_controller(tmp_path: Path) -> None:
-    """A list contains settings, each with separate combinations and forecasts."""
-    text = GRID[: GRID.index("    weight:")] + """
+def test_settings_and_whole_numbers(tmp_path: Path) -> None:
+    """A list contains settings, each with its combinations and forecasts; years and seeds."""
+    text = edited("2021-07-07T02:00", "2021-07-0{year}T02:00")
+    text = text.replace(HOURS, f"{HOURS}    year: {{from: 7, to: 9}}\n")
+    text = text[: text.index("    weight:")] + """
     - {weight: [0.001, 0.01], forecast: perfect}
-    - weight: 0.1
-      forecast: {model: errors, skill: real, seed: [1, 2]}
+    - {weight: 0.1, forecast: {model: errors, skill: real, seed: {from: 1, to: 2}}}
 """
     cases = read_grid(tmp_path / grid(tmp_path, text))
-    settings = sorted(
+    assert {case.start[:10] for case in cases} == {f"2021-07-0{day}" for day in (7, 8, 9)}
+    assert {
         (case.parameters["weight"], str(case.forecast), case.forecast.options().get("seed"))
-        for case in cases if (case.initial, case.evapotranspiration) == ("dry", "fao56")
-    )
-    assert settings == [
-        (0.001, "perfect", None), (0.01, "perfect", None), (0.1, "errors", 1), (0.1, "errors", 2),
-    ]
+        for case in cases
+    } == {(0.001, "perfect", None), (0.01, "perfect", None), (0.1, "errors", 1), (0.1, "errors", 2)}
+    assert len(cases) == 3 * 2 * 2 * 4  # years, methods, initial states, settings
 
 
 def test_sites_with_other_values(tmp_path: Path) -> None:
-    """Every combination is a site file; dependent values follow, and comments stay."""
+    """Every combination is a site file; dependent values and volumes follow, and comments stay."""
     text = (CONFIG / "site.yaml").read_text() + "initial_cistern: 50.0\ninitial_roof: 1.0\n"
     (tmp_path / "mine.yaml").write_text(text)
     own = "[{file: mine.yaml, a1: [5.0, 25.0], a2: 137.6, runoff_coefficient: 0.9}, mine.yaml]"
     text = GRID.replace(str(CONFIG / "site.yaml"), own).replace("[low-low, ", "[site, ")
+    text = text.replace("cistern: 40.0, roof: 0.5", "cistern_level: 3.0, roof_level: 0.01")
     cases = read_grid(tmp_path / grid(tmp_path, text))
     files = {case.site.name: case.site for case in cases}
     assert list(files) == [
@@ -246,8 +186,12 @@ def test_sites_with_other_values(tmp_path: Path) -> None:
     assert site["initial_roof"] == pytest.approx(2.0)
     assert site["z_o"] == 3.0
     assert "bottom surface area of the cistern [T1]" in cases[0].site.content.decode()
-    own_states = {case.site.name: case.cistern for case in cases if case.initial == "site"}
-    assert list(own_states.values()) == pytest.approx([10.0, 50.0, 50.0])
+    volumes = {(case.initial, case.site.name): (case.cistern, case.roof) for case in cases}
+    for initial, expected in (
+        ("site", [(10.0, 2.0), (50.0, 2.0), (50.0, 1.0)]),
+        ("dry", [(15.0, 1.376), (75.0, 1.376), (75.0, 0.688)]),
+    ):
+        np.testing.assert_allclose([volumes[initial, name] for name in files], expected)
 
 
 def test_seconds_of_the_bound(tmp_path: Path) -> None:
@@ -280,15 +224,17 @@ def test_names_of_files(tmp_path: Path) -> None:
     )
 
 
-def test_gaps_of_a_window(tmp_path: Path) -> None:
+def test_gaps_of_a_window(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """21 July 2022 lacks an hour of rain: refused, unless the window says to fill it."""
     july = edited(str(WEATHER), str(DATA / "en_climate_hourly_07-2022.csv"))
     july = july.replace("2021-07-07T02:00", "2022-07-21T11:00").replace("published, ", "")
-    (tmp_path / "grid.yaml").write_text(july)
-    refusal(read_grid, tmp_path / "grid.yaml", match="is missing at 2022-07-21T11:00-05:00")
-    (tmp_path / "grid.yaml").write_text(july.replace("hours: 0.25", "hours: 0.25\n    gaps: fill"))
-    case = read_grid(tmp_path / "grid.yaml")[-1]
-    assert case.columns()["gaps"] == "fill"
-    results = run_case(case, "inprocess", None).results
-    assert "precipitation: 2022-07-21T11:00-05:00" in results["filled"]
-    assert results["rain_m3"] == 0
+    file = tmp_path / grid(tmp_path, july)
+    refusal(read_grid, file, match="is missing at 2022-07-21T11:00-05:00")
+    july = july.replace("hours: 0.25", "hours: 0.02\n    gaps: fill")
+    done = run_here(tmp_path, f"{july}bound_block: 0\n")
+    rows = done.write_tables()
+    show(done.cases, rows, done.directory)
+    assert "NOTE: 6 of 6 runs had missing hours of weather filled in" in capsys.readouterr().out
+    for row in rows:
+        assert (row["gaps"], row["evapotranspiration"], row["rain_m3"]) == ("fill", "fao56", 0)
+        assert "precipitation: 2022-07-21T11:00-05:00" in row["filled"]

@@ -7,14 +7,15 @@ from collections.abc import Hashable, Iterable
 from pathlib import Path
 
 import pytest
-from places import CONFIG, Once
-from studies import WEATHER, rows_of, run_here, store_of
+from paper import site_file
+from studies import WEATHER, archive, rows_of, run_here
 
+from greenroof_ros.report.about import Assumptions
 from greenroof_ros.report.figures import make_figures
-from greenroof_ros.report.groups import Assumptions, Report
-from greenroof_ros.report.page import render
+from greenroof_ros.report.groups import Report
 from greenroof_ros.report.runs import find_runs
 from greenroof_ros.report.tables import make_tables
+from greenroof_ros.report.words import windows
 from greenroof_ros.study.__main__ import Names, show
 
 # Windows, forecasts, errors and settings: files with one name in two folders, and numbers that
@@ -44,22 +45,14 @@ RUNS = (2 + 1 + 1 + 1 + 3 + 4) * 2 * (3 + 1)
 
 def write_inputs(directory: Path) -> None:
     """Write two sites, storms and archives of forecasts with the same names."""
-    issued = "issued,time,precipitation [mm/h]\n"
+    weather, dry = WEATHER.read_text(), "2021-07-07T02:00-05:00,0.0,"
+    assert weather.count(dry) == 1
     for folder, soil, rain in (("north", 0.5, 4.0), ("south", 0.4, 5.0)):
-        (directory / folder).mkdir()
-        site = (CONFIG / "site.yaml").read_text()
-        assert site.count("z_soil: 0.5 ") == 1
-        site = site.replace("z_soil: 0.5 ", f"z_soil: {soil} ")
-        (directory / folder / "site.yaml").write_text(site)
-        storm = WEATHER.read_text()
-        dry = "2021-07-07T02:00-05:00,0.0,"
-        assert storm.count(dry) == 1
-        (directory / folder / "storm.csv").write_text(
-            storm.replace(dry, f"2021-07-07T02:00-05:00,{rain},")
-        )
-        (directory / folder / "archive.csv").write_text(issued + "".join(
-            f"2021-07-07T05:00Z,2021-07-07T{hour:02}:00Z,{rain}\n" for hour in range(5, 22)
-        ))
+        place = directory / folder
+        place.mkdir()
+        site_file(place, z_soil=soil)
+        (place / "storm.csv").write_text(weather.replace(dry, dry.replace("0.0", str(rain))))
+        archive(place, rain)
 
 
 def distinct(labels: Iterable[Hashable], count: int | None = None) -> None:
@@ -70,77 +63,63 @@ def distinct(labels: Iterable[Hashable], count: int | None = None) -> None:
     assert there and (count is None or len(there) == count)
 
 
-@pytest.fixture(scope="module")
-def varied(once: Once) -> Path:
-    """The directory of a study of the grid."""
-
-    def fill(directory: Path) -> None:
-        write_inputs(directory)
-        run_here(directory, VARIED)
-
-    return once("study-of-everything", fill)
-
-
-def test_table_and_terminal(
-    varied: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """By the columns before the results, and in a sentence; by titles and lines."""
-    rows = rows_of(varied / "out" / "results.csv")
-    columns = list(rows[0])
-    given = columns[1 : columns.index("status")]
-    distinct((tuple(row[column] for column in given) for row in rows), RUNS)
-    assert {row["site"] for row in rows} == {"site.yaml", "south-site.yaml"}
-    assert {row["weather"] for row in rows} == {"storm.csv", "south-storm.csv"}
-    store = store_of(varied)
-    distinct(map(Names(store.cases).name, store.cases), RUNS)
-
-    monkeypatch.setenv("COLUMNS", "400")
-    show(store.cases, store.write_tables(), store.directory)
-    tables = capsys.readouterr().out.split("Total deviation")[1:]
-    # Titles wrap.
-    distinct((" ".join(table.partition("┏")[0].split()) for table in tables), 2 * 5)
-    for table in tables:
-        lines = [line.split("│")[1:3] for line in table.splitlines() if line.startswith("│")]
-        distinct(tuple(cells) for cells in lines)
-
-
 def judged(*paths: Path) -> Report:
     """Read and judge runs."""
     return Report(find_runs(list(paths), None), Assumptions())
 
 
-def test_tables_and_figures_of_the_report(varied: Path) -> None:
-    """By the cells that are names, without a run's identity; titles, curves, marks and bars."""
-    report = judged(varied / "out")
-    tables = {table.name: table for table in make_tables(report)}
-    assert len(tables) == 5
-    for table in tables.values():
+# The cells that are names in the rows of a figure's data: by the start of the data's name.
+NAMES = {
+    "balance": ("run", "term"), "forecast": ("series", "skill", "amount"),
+    **dict.fromkeys(("total", "time", "energy", "pump-starts"), ("setting", "initial")),
+}
+
+
+def test_no_name_occurs_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the study's table and on the terminal; in the report's tables, figures and headings."""
+    write_inputs(tmp_path)
+    store = run_here(tmp_path, VARIED)
+    rows = rows_of(tmp_path / "out" / "results.csv")
+    columns = list(rows[0])
+    given = columns[1 : columns.index("status")]
+    distinct((tuple(row[column] for column in given) for row in rows), RUNS)
+    assert {row["site"] for row in rows} == {"site.yaml", "south-site.yaml"}
+    assert {row["weather"] for row in rows} == {"storm.csv", "south-storm.csv"}
+    distinct(map(Names(store.cases).name, store.cases), RUNS)
+
+    monkeypatch.setenv("COLUMNS", "400")
+    show(store.cases, store.write_tables(), store.directory)
+    printed = capsys.readouterr().out.split("Total deviation")[1:]
+    # Titles wrap.
+    distinct((" ".join(table.partition("┏")[0].split()) for table in printed), 2 * 5)
+    for table in printed:
+        lines = [line.split("│")[1:3] for line in table.splitlines() if line.startswith("│")]
+        distinct(map(tuple, lines))
+
+    report = judged(tmp_path / "out")
+    tables = make_tables(report)
+    distinct((table.name for table in tables), 5)
+    for table in tables:
         named = [
             place for place, name in enumerate(table.header)
             if name not in ("run", "seeds") and not name.endswith(")")
         ]
         distinct(tuple(row[place].text for place in named) for row in table.rows)
     distinct(map(report.heading, report.windows()), WINDOWS)
-    page = render(report, [])
-    headings = page.partition("<h1")[2].split("<li>")[1:]
-    distinct(heading.partition("</li>")[0] for heading in headings)
+    distinct(windows(report))
 
     figures = list(make_figures(report, None))
     distinct(figure.title for figure in figures)
     for figure in figures:
         distinct(str(panel.title) for panel in figure.panels)
-        for dataset, rows in figure.data.items():
-            kind = dataset.partition("-")[0]
-            if kind in ("command", "cistern", "roof"):  # one curve a run
-                shown = {row["setting"] for row in rows}
+        for dataset, drawn in figure.data.items():
+            if dataset.startswith(("command", "cistern", "roof")):  # one curve a run
+                shown = {row["setting"] for row in drawn}
                 assert len(shown) == (2 if dataset.endswith("mpc") else 1)
-            elif kind in ("total", "time", "energy", "pump"):
-                if rows and "setting" in rows[0]:
-                    distinct((row["setting"], row["initial"]) for row in rows)
-            elif kind == "balance":
-                distinct((row["run"], row["term"]) for row in rows)
-            elif kind == "forecast":
-                distinct((row["series"], row["skill"], row["amount"]) for row in rows)
+            for name in filter(dataset.startswith, NAMES):
+                distinct(tuple(row[key] for key in NAMES[name]) for row in drawn)
 
 
 def test_two_studies_that_use_one_name_for_two_things(tmp_path: Path) -> None:
@@ -157,16 +136,12 @@ controllers: {onoff: }
         run_here(place, text.replace("roof: 0.5", f"roof: {roof}"))
         place.joinpath("out").rename(place.with_name(f"of-{folder}"))
     both = judged(tmp_path / "of-north", tmp_path / "of-south")
-    windows = both.windows()
-    distinct(map(both.heading, windows), 2)
-    assert [window["site"] for window in windows] == [
-        "site.yaml (of-north)", "site.yaml (of-south)"
+    named = [
+        [window[fact] for fact in ("site", "weather", "forecast")] for window in both.windows()
     ]
-    assert [window["weather"] for window in windows] == [
-        "storm.csv (of-north)", "storm.csv (of-south)"
-    ]
-    assert [window["forecast"] for window in windows] == [
-        "archive.csv (of-north)", "archive.csv (of-south)"
+    assert named == [
+        [f"{name} (of-{folder})" for name in ("site.yaml", "storm.csv", "archive.csv")]
+        for folder in ("north", "south")
     ]
     assert both.initials == ["low-low", "dry (of-north)", "dry (of-south)"]
     # What is equal in both is compared.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import run_command
 from forecast_skill.figures import TIP, begin, days_ahead, figures, seasons
-from gauges import write_gauge
 from numpy.typing import NDArray
 from refusals import refusal
 
@@ -105,7 +105,10 @@ def test_records_that_say_too_little(rain: dict[int, Array]) -> None:
 def test_the_command_writes_a_skill(tmp_path: Path, rain: dict[int, Array]) -> None:
     """It can be read, has the records' climate, and is not as good as ``real``."""
     season = rain[2017][:2208]
-    write_gauge(tmp_path / "records.csv", season, begin(2017))
+    hours = enumerate(season.tolist())
+    (tmp_path / "records.csv").write_text("time,precipitation [mm/h]\n" + "".join(
+        f"{(begin(2017) + timedelta(hours=hour)).isoformat()},{mm}\n" for hour, mm in hours
+    ))
     done = run_command(
         "verify", "errors", "--forecast-skill", "much_worse", "--weather", "records.csv",
         "--sums", "12", "--events", "3", "--horizon", "48", "--fit", "mine.yaml",

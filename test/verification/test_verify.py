@@ -1,42 +1,73 @@
-"""The command: pairs by lead and sum, archives and models, table, CSV and page; wrong use."""
+"""The command: scores of archives and models, their table, CSV and page; dressing; wrong use."""
 
 from __future__ import annotations
 
 import csv
+import json
 import os
 import subprocess
-from datetime import datetime
+from collections.abc import Iterable, Sequence
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 from browsers import drawn_page
 from commands import run_command
-from gauges import FIRST, HOUR, write_gauge, write_previous_runs
 from places import DATA
 from scipy import stats
 
+from greenroof_ros.forecast.dressing import read_dressing
 from greenroof_ros.formats.own_csv import write_forecasts
 from greenroof_ros.formats.records import Issue
 
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"
 JULY = DATA / "en_climate_hourly_07-2021.csv"
 SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
+HOUR = timedelta(hours=1)
+FIRST = datetime.fromisoformat("2024-03-01T00:00+00:00")
 
 
-def verify(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run the command until it ends."""
-    return run_command(
-        "verify", *arguments, cwd=directory, env={**os.environ, "COLUMNS": "80"}
-    )
+def write_gauge(file: Path, rain: Iterable[object], first: datetime = FIRST) -> None:
+    """Write hours of rain as a weather file; an empty cell is a missing hour."""
+    file.write_text("\n".join([
+        "time,precipitation [mm/h],given evapotranspiration [mm/day]",
+        *(f"{(first + hour * HOUR).isoformat()},{mm},2.0" for hour, mm in enumerate(rain)), "",
+    ]))
+
+
+def write_previous_runs(file: Path, days: dict[int, Sequence[object]]) -> None:
+    """Write forecasts by the days before; a service's hours end at their time."""
+    rows = enumerate(zip(*days.values(), strict=True), 1)
+    file.write_text("\n".join([
+        ",".join(["datetime", *(f"precipitation_previous_day{day}" for day in days)]),
+        *(f"{FIRST + hour * HOUR:%Y-%m-%d %H:%M:%S},{','.join(map(str, row))}"
+          for hour, row in rows), "",
+    ]))
+
+
+def run(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a command until it ends."""
+    return run_command(*arguments, cwd=directory, env={**os.environ, "COLUMNS": "80"})
+
+
+def succeed(directory: Path, *arguments: str) -> str:
+    """Run a command that must succeed, and return its output."""
+    done = run(directory, *arguments)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def rows_of(file: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV file."""
+    with file.open(encoding="utf-8-sig") as stream:
+        return list(csv.DictReader(stream))
 
 
 def scores(directory: Path, *arguments: str) -> list[dict[str, str]]:
     """Return the table that the command writes."""
-    done = verify(directory, *arguments, "-o", "scores.csv")
-    assert done.returncode == 0, done.stderr
-    with (directory / "scores.csv").open() as stream:
-        return list(csv.DictReader(stream))
+    succeed(directory, "verify", *arguments, "-o", "scores.csv")
+    return rows_of(directory / "scores.csv")
 
 
 def blocks(series: dict[datetime, float], hours: int) -> dict[datetime, float]:
@@ -104,21 +135,24 @@ def test_runs_by_lead(tmp_path: Path) -> None:
     assert [float(row["crps_mm"]) for row in rows] == [0.0, 0.0]
 
 
+def rain_of_july() -> list[float]:
+    """Return the rain of July's rows; a row's time is the end of its hour."""
+    return [float(row["Precip. Amount (mm)"]) for row in rows_of(JULY)]
+
+
 def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
     """A service's rain is of the hour before its time: its right forecasts score as right."""
-    with JULY.open(encoding="utf-8-sig") as stream:
-        rows = list(csv.DictReader(stream))
-    lines = ["issued,time,precipitation [mm/h]"]
-    for number, row in enumerate(rows[1:]):
-        local = datetime.strptime(f"{row['Date/Time (LST)']} -0500", "%Y-%m-%d %H:%M %z") - HOUR
-        issued = local - number % 24 * HOUR
-        lines.append(f"{issued.isoformat()},{local.isoformat()},{row['Precip. Amount (mm)']}")
-    (tmp_path / "right.csv").write_text("\n".join([*lines, ""]))
+    rain = rain_of_july()[1:]  # the first row's hour was before the records
+    first = datetime.fromisoformat("2021-07-01T00:00-05:00")
+    (tmp_path / "right.csv").write_text(write_forecasts([
+        Issue(first + hour * HOUR, tmp_path, None, np.array([rain[hour:hour + 24]]))
+        for hour in range(0, len(rain), 24)
+    ]))
     (hourly,) = scores(
         tmp_path, "right.csv", "--weather", str(JULY), "--sums", "1", "--events", "1",
         "--horizon", "24",
     )
-    assert int(hourly["n"]) == len(rows) - 1  # the first row's hour was before the records
+    assert int(hourly["n"]) == len(rain)
     got = [float(hourly[name]) for name in ("r", "bias", "pod", "far")]
     assert got == pytest.approx([1.0, 1.0, 1.0, 0.0])
 
@@ -129,7 +163,7 @@ def test_forecasts_of_another_place(tmp_path: Path) -> None:
     rain, elsewhere = np.round(rng.gamma(0.5, 2.0, (2, 1300)) * (rng.random((2, 1300)) < 0.06), 2)
     write_gauge(tmp_path / "own.csv", rain)
     write_previous_runs(tmp_path / "archive.csv", {2: elsewhere})
-    done = verify(tmp_path, "archive.csv", "--weather", "own.csv", "-o", "page.html")
+    done = run(tmp_path, "verify", "archive.csv", "--weather", "own.csv", "-o", "page.html")
     assert (done.returncode, "day 2" in done.stdout) == (0, True)
     header = (tmp_path / "page.html").read_text(encoding="utf-8").partition("</header>")[0]
     for text in (done.stderr, header):
@@ -137,77 +171,148 @@ def test_forecasts_of_another_place(tmp_path: Path) -> None:
 
 
 def test_models_of_the_package(tmp_path: Path) -> None:
-    """Perfect forecasts score perfectly; persistence equals a plain count.
+    """Persistence by a plain count; only those of the usual sums are scored that divide the lead.
 
-    Only those of the usual sums are scored that divide the lead.
+    Local standard time is five hours behind UTC, where it is issued at 0, 6, 12 and 18.
     """
-    common = ("--weather", str(JULY), "--horizon", "24", "--lead", "12")
-    rows = scores(tmp_path, "perfect", *common)
-    (tmp_path / "scores.csv").unlink()
+    rows = scores(
+        tmp_path, "persistence", "--weather", str(JULY), "--horizon", "24", "--lead", "12"
+    )
     assert [(row["sum_hours"], row["event_mm"]) for row in rows] == 2 * [
         ("1", "1"), ("6", "2"), ("12", "3")
     ]
-    for row in rows:
-        assert [float(row[name]) for name in ("r", "pod", "ets")] == pytest.approx([1.0] * 3)
-        wrong = [float(row[name]) for name in ("far", "brier", "crps_mm")]
-        assert wrong == pytest.approx([0.0] * 3, abs=1e-6)
-    (hourly, *_) = scores(tmp_path, "persistence", *common)
-    with JULY.open(encoding="utf-8-sig") as stream:
-        rain = [float(row["Precip. Amount (mm)"]) for row in csv.DictReader(stream)]
-    # Local standard time is five hours behind UTC, where it is issued at 0, 6, 12 and 18.
+    rain = rain_of_july()
     pairs = [
         (rain[hour], rain[hour + lead])
         for hour in range(1, len(rain), 6) for lead in range(12) if hour + lead < len(rain)
     ]
     said, fell = map(np.array, zip(*pairs, strict=True))
-    assert int(hourly["n"]) == len(pairs)
-    assert float(hourly["r"]) == pytest.approx(stats.pearsonr(said, fell).statistic, rel=1e-5)
-    assert float(hourly["bias"]) == pytest.approx(said.sum() / fell.sum(), rel=1e-5)
+    assert int(rows[0]["n"]) == len(pairs)
+    assert float(rows[0]["r"]) == pytest.approx(stats.pearsonr(said, fell).statistic, rel=1e-5)
+    assert float(rows[0]["bias"]) == pytest.approx(said.sum() / fell.sum(), rel=1e-5)
 
 
 def test_the_page_draws_everything_and_asks_for_nothing(tmp_path: Path) -> None:
     """For an ensemble six panels by lead, then four of reliability and four of ranks."""
-    done = verify(
-        tmp_path, "ensemble", "--forecast-members", "5", "--weather", str(JULY), "-o", "page.html"
+    printed = succeed(
+        tmp_path, "verify", "ensemble", "--forecast-members", "5", "--weather", str(JULY),
+        "-o", "page.html",
     )
-    assert done.returncode == 0, done.stderr
-    assert "written: page.html" in done.stdout
-    heading = next(line for line in done.stdout.splitlines() if "POD" in line)
+    assert "written: page.html" in printed
+    heading = next(line for line in printed.splitlines() if "POD" in line)
     assert heading.split() == [
         "lead", "sum", "of", "event", "n", "bias", "r", "POD", "FAR", "ETS", "Brier", "CRPS", "mm",
     ]
-    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert max(map(len, printed.splitlines())) <= 80
     with drawn_page(tmp_path / "page.html", 14) as opened:
         assert opened.locator("tbody tr").count() == 20
         assert "124 issues of 5 members" in opened.inner_text("header")
 
 
+# --- dressing -------------------------------------------------------------------------------------
+
+DAYS = 100
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with a gauge's hours, and forecasts with twice their water, partly of other days.
+
+    The forecasts are previous runs of two days, dressed by dressed.csv.
+    """
+    directory = tmp_path_factory.mktemp("dressed")
+    rng = np.random.default_rng(3)
+    wet = np.repeat(rng.random(DAYS * 4) < 0.15, 6)
+    rain = np.round(wet * rng.gamma(0.7, 2.0, DAYS * 24), 1)
+    write_gauge(directory / "gauge.csv", rain)
+    write_previous_runs(directory / "archive.csv", {1: 2 * rain, 2: 2 * np.roll(rain, 3)})
+    printed = succeed(
+        directory, "verify", "--dress", "archive.csv", "--weather", "gauge.csv", "-o", "dressed.csv"
+    )
+    # Half a day after an issue a live site's default horizon still fits, however short it is.
+    assert "written: dressed.csv, 379 issues and 132 h after each" in printed
+    assert read_dressing(directory / "dressed.csv").edges[-1] == 48
+    (directory / "said.txt").write_text(printed)
+    return directory
+
+
+def test_what_dressing_is_worth(site: Path) -> None:
+    """Sums to the forecasts' end: issued ones have twice the water and a larger error.
+
+    Dressed ones are an archive of ten members, scored by lead like any other.
+    """
+    rows = [line.split() for line in (site / "said.txt").read_text().splitlines() if " h " in line]
+    assert [row[0] for row in rows[:2]] == ["12", "48"]
+    for row in rows[:2]:
+        issued, dressed, error, less, climate = map(float, row[4:])
+        assert issued == pytest.approx(2.0, abs=0.1)
+        assert dressed == pytest.approx(1.0, abs=0.1)
+        assert less < 0.6 * min(error, climate)
+    day = scores(
+        site, "archive.csv", "--dressed", "dressed.csv", "--weather", "gauge.csv", "--horizon", "24"
+    )[-1]
+    assert day["sum_hours"] == "24"
+    assert float(day["bias"]) == pytest.approx(1.0, abs=0.25)  # of one member
+
+
+def simulate(site: Path, hours: int, horizon: int, *arguments: str) -> str:
+    """Simulate some hours with dressed forecasts, and return the output."""
+    return succeed(
+        site, "simulate", "--weather", "gauge.csv", "--start", "2024-04-10T00:00", "--hours",
+        str(hours), "--controller", "lookahead", "--horizon", str(horizon), "--forecast",
+        "archive.csv", "--dressed", "dressed.csv", *arguments,
+    )
+
+
+def test_a_study_with_dressed_forecasts(site: Path) -> None:
+    """The study's deviation equals a single run's, and the table names the file."""
+    (site / "grid.yaml").write_text("""
+        site: site.yaml
+        weather: {file: gauge.csv, start: 2024-04-10T00:00, hours: 6}
+        initial: low-low
+        controllers: {lookahead: {horizon: 24.0, forecast: [
+          archive.csv, {model: archive.csv, dressed: dressed.csv}]}}
+    """)
+    succeed(site, "study", "grid.yaml", "--no-trajectories", "--output", "study")
+    plain, dressed = rows_of(site / "study" / "results.csv")
+    assert (plain["forecast_dressed"], dressed["forecast_dressed"]) == ("", "dressed.csv")
+    summary = json.loads(simulate(site, 6, 24, "--json"))
+    assert summary["forecast"] == {
+        "model": "file", "file": "archive.csv", "dressed": "dressed.csv",
+    }
+    deviation = summary["total_deviation_m3"]
+    assert float(dressed["total_deviation_m3"]) == deviation != float(plain["total_deviation_m3"])
+
+
+def test_members_that_are_shorter_than_the_horizon(site: Path) -> None:
+    """The run says both lengths, and that no rain is assumed in the rest."""
+    for horizon in (120, 240):
+        said = " ".join(simulate(site, 1, horizon).replace("│", " ").split())
+        short = "FORECAST 132 h is the longest issue, the horizon 240 h: no rain is assumed after"
+        assert (short in said) is (horizon == 240)
+
+
+# --- wrong use ------------------------------------------------------------------------------------
+
 WRONG = {
-    "events": (
-        ["errors", "--sums", "1", "--events", "1", "2"],
-        "--events: must be as many as --sums, 1, not 2",
-    ),
-    "alone": (["errors", "--events", "1", "2"], "--sums and --events: must be given together"),
-    "sums": (
-        ["errors", "--lead", "6", "--sums", "12", "--events", "3"],
+    "errors --sums 1 --events 1 2": "--events: must be as many as --sums, 1, not 2",
+    "errors --events 1 2": "--sums and --events: must be given together",
+    "errors --lead 6 --sums 12 --events 3":
         "--sums = 12: must each divide --lead, 6 h, and be given once",
-    ),
-    "lead": (
-        [str(GEM), "--lead", "6", "--sums", "6", "--events", "2"],
+    "GEM --lead 6 --sums 6 --events 2":
         f"--lead = 6: must be a multiple of 24 h, the finest lead time of {GEM} (Open-Meteo,",
-    ),
-    "apart": (
-        [str(GEM)],
-        f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records: these cover ",
-    ),
+    "GEM": f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records: these cover",
+    "GEM --dressed JULY": f"{JULY}, line 1: 'Longitude (x)': the column must be 'issued': a file",
+    "errors --dress -o new.csv": "FORECASTS = 'errors': must be an archive with --dress: a",
+    "GEM --dress": "--output: must be given once with --dress: FILE.csv, for --d",
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
-def test_wrong_use(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("arguments", WRONG)
+def test_wrong_use(tmp_path: Path, arguments: str) -> None:
     """One line that says what would be right, exit code 2, and nothing written."""
-    arguments, reason = WRONG[name]
-    done = verify(tmp_path, *arguments, "--weather", str(JULY))
+    words = arguments.replace("GEM", str(GEM)).replace("JULY", str(JULY)).split()
+    done = run(tmp_path, "verify", *words, "--weather", str(JULY))
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith(f"error: {reason}")
+    assert done.stderr.startswith(f"error: {WRONG[arguments]}")
     assert list(tmp_path.iterdir()) == []

@@ -32,11 +32,28 @@ def node(
     pairs = {"role": role, "process": process, **values}
     own = {key: json.dumps(value) for key, value in pairs.items()}
     return [
-        Status(name, OK, state, "host", own),
+        Status(name, OK, state, own),
         *(
-            Status(f"{name}: {part}", level, text, "host", {"code": code[0]} if code else {})
+            Status(f"{name}: {part}", level, text, {"code": code[0]} if code else {})
             for part, level, text, *code in parts
         ),
+    ]
+
+
+def silent_sensor() -> list[Status]:
+    """Return what a site's nodes report while the cistern's sensor is silent."""
+    old = ERROR, "/cistern/level is older than 5 s (level_limit)", "input_silent"
+    held = "held: the level of the cistern is unknown"
+    return [
+        *node("/onoff", "controller", ("inputs", *old)),
+        *node(
+            "/pump", "pump", ("pump", WARN, held, "cistern_level_unknown"), ("levels", *old),
+            ("delivery", WARN, "blind for 3 s", "delivery_blind"), pump=held,
+        ),
+        *node("/cistern_sensor", "cistern_sensor", (
+            "sensor", ERROR, "tcp://10.0.0.7:502, device 1: reading register 16: no valid answer "
+            "within 0.5 s", "sensor_lost",
+        )),
     ]
 
 

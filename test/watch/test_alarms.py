@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import tracemalloc
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from said import ERROR, OK, STALE, STOPPED, WARN, node
+from said import ERROR, OK, STALE, STOPPED, WARN, node, silent_sensor
 
 from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
@@ -34,10 +33,6 @@ def pump(*parts: tuple[Any, ...], **said: Any) -> list[Status]:
 
 def mpc(*parts: tuple[Any, ...], **said: Any) -> list[Status]:
     return node("/mpc", "controller", *parts, **said)
-
-
-def recorder(**said: Any) -> list[Status]:
-    return node("/recorder", "recorder", **said)
 
 
 def heard(*steps: tuple[float, list[Status]], namespace: str = "") -> Alarms:
@@ -113,11 +108,11 @@ def test_flapping_is_one_row() -> None:
             assert alarms.acknowledge("/pump: drive")
     (row,) = alarms.rows()
     assert (row["since"], row["acknowledged"], row["over"]) == (1.0, True, None)
+    assert not alarms.acknowledge("/pump: levels")
 
 
 def test_an_acknowledged_alarm_stays_listed_until_it_is_another_one() -> None:
     alarms = Alarms()
-    assert not alarms.acknowledge("/pump: drive")
     for level, what, acknowledged in (
         (WARN, "the drive: overvoltage 3", False), (WARN, "the drive: overvoltage 4", True),
         (ERROR, "the drive reports a fault", False),
@@ -195,8 +190,8 @@ _NAMES = "two processes report under this name: host 0 and host 1"
      ["/pump has finished: the run is over"]),
     ([(0.0, pump(BAD)), (0.5, pump(BAD, state="ended")), (60.0, [])], {}, ["/pump ended"]),
     # A node that failed says why.
-    ([(0.0, recorder()), (0.5, recorder(state="ended", failure=WHY)), (60.0, [])],
-     {"/recorder": ("error", f"ended: {WHY}")}, ["/recorder ended"]),
+    ([(0.0, mpc()), (0.5, mpc(state="ended", failure=WHY)), (60.0, [])],
+     {"/mpc": ("error", f"ended: {WHY}")}, ["/mpc ended"]),
     # A restart is an event; alarms of the previous process are over.
     ([(0.0, pump(BAD)), (5.0, pump(process="host 2", state="starting"))], {},
      ["/pump was started again"]),
@@ -215,11 +210,7 @@ def test_what_is_wrong_with_a_node(
     present_rows = [row for row in alarms.rows() if row["over"] is None]
     assert {row["id"]: (row["level"], row["what"]) for row in present_rows} == alarms_then
     assert happened(alarms) == events
-    for row in present_rows:
-        if row["code"] == "node_failed":
-            assert row["do"] == "Remedy what it says, and start it again."
-        if row["code"] == "two_processes":
-            assert "Two programs" in row["do"]
+    assert {row["code"] for row in present_rows} <= read_conditions().keys()
 
 
 def test_values_that_are_refused() -> None:
@@ -228,28 +219,21 @@ def test_values_that_are_refused() -> None:
     for step, count in enumerate([7, 7, 8, 9, *[9] * 12]):
         alarms.hear(step / 4, float(step), mpc(refused={"/forecast/rain": count}))
         assert (present(alarms) == ["/mpc: refused"]) == (2 <= step <= 11), step
-    assert rows(alarms)["/mpc: refused"]["what"] == (
-        "values of /forecast/rain are refused: not plausible"
-    )
+    assert "/forecast/rain" in rows(alarms)["/mpc: refused"]["what"]
 
 
 def test_events_of_parameters() -> None:
     """For a run all changes are reported; live, the newest 20 and their count."""
     alarms = Alarms()
-    changes = [
-        {"tick": 3, "parameter": "weight", "before": 1.0, "value": float(number)}
-        for number in range(25)
-    ]
+    changes = [{"parameter": "w", "before": 1, "value": number} for number in range(25)]
     for known in (1, 2, 2):
-        alarms.hear(known / 4, 0.0, mpc(parameter_changes=changes[:known]))
+        alarms.hear(0.0, 0.0, mpc(parameter_changes=changes[:known]))
+    assert happened(alarms) == ["/mpc: w was changed from 1 to 1"]
     for known in (20, 20, 22, 25):
-        alarms.hear(1.0, 0.0, node(
-            "/onoff", "controller", parameter_changes=changes[max(0, known - 20):known],
-            parameter_change_count=known,
-        ))
-    assert happened(alarms) == [
-        "/mpc: weight was changed from 1.0 to 1.0",
-        *(f"/onoff: weight was changed from 1.0 to {number}.0" for number in range(20, 25)),
+        newest = changes[max(0, known - 20):known]
+        alarms.hear(0.0, 0.0, mpc(parameter_changes=newest, parameter_change_count=known))
+    assert happened(alarms)[1:] == [
+        f"/mpc: w was changed from 1 to {number}" for number in range(2, 25)
     ]
 
 
@@ -262,27 +246,19 @@ def test_events_of_a_stop_and_a_fault() -> None:
         "stop was asked for: the pump is held off", "the stop was released",
         "the pump is off until it is reset: the drive reports: overheat", "the fault was reset",
     ]
-    alarms.add_event(6.0, "a new forecast came")
-    assert alarms.events()[0] == {"at": 6.0, "what": "a new forecast came"}
     for number in range(100):
         alarms.add_event(7.0, str(number))
     assert len(alarms.events()) == 50
+    assert alarms.events()[0] == {"at": 7.0, "what": "99"}
 
 
-SILENT = "/cistern/level is older than 5 s (level_limit)", "input_silent"
 TWO = "two publishers", "two_controllers"
 
 
 @pytest.mark.parametrize(("cause", "said", "chain"), [
     # The sensor comes first; the rest follows from it, the pump's state before all others.
-    ("/cistern_sensor: sensor", [
-        *node("/onoff", "controller", ("inputs", ERROR, *SILENT)),
-        *pump(
-            ("pump", WARN, "held: not known", "cistern_level_unknown"), ("levels", ERROR, *SILENT),
-            ("delivery", WARN, "blind for 3 s", "delivery_blind"),
-        ),
-        *node("/cistern_sensor", "cistern_sensor", ("sensor", ERROR, "no answer", "sensor_lost")),
-    ], ["/pump: pump", "/onoff: inputs", "/pump: levels", "/pump: delivery"]),
+    ("/cistern_sensor: sensor", silent_sensor(),
+     ["/pump: pump", "/onoff: inputs", "/pump: levels", "/pump: delivery"]),
     ("/rain_gauge: gauge", [
         *node("/weather", "weather", ("rain gauge", WARN, "/gauge/precipitation is older than 60 s",
                                       "gauge_bad")),
@@ -384,7 +360,7 @@ def test_no_error_follows_from_a_warning() -> None:
 
 def test_the_order_of_alarms() -> None:
     """The pump's state, then errors, stale parts and warnings; other devices last."""
-    other = Status("/camera", ERROR, "no picture", "camera")
+    other = Status("/camera", ERROR, "no picture")
     alarms = heard((0.0, [other, *mpc()]), (2.5, [
         other,
         *node("/weather", "weather", ("rain gauge", WARN, "/gauge/precipitation is older")),
@@ -429,15 +405,12 @@ def test_a_namespace_has_its_own_alarms() -> None:
     alarms = heard((0.0, [
         *node("/site2/pump", "pump", ("pump", ERROR, "fault: burst"), flow=2.0, stop=STOPPED),
         *node("/site1/pump", "pump", ("pump", WARN, "held", "operator_stop"), flow=1.0),
-        *node("/site1/mpc", "controller"),
     ]), namespace="/site1")
-    there, controller = (alarms.registry.node(role) for role in ("pump", "controller"))
-    assert there is not None and controller is not None
-    assert (there.name, there.values["flow"], there.state) == ("/site1/pump", 1.0, "ready")
-    assert (there.process, controller.name) == ("host 1", "/site1/mpc")
+    there = alarms.registry.node("pump")
+    assert there is not None
+    assert (there.name, there.values["flow"], there.process) == ("/site1/pump", 1.0, "host 1")
     assert present(alarms) == ["/site1/pump: pump", "/site2/pump: pump"]
     assert "/site1/pump/stop" in alarms.advice()
-    assert alarms.registry.node("weather") is None
 
 
 def test_the_end_of_another_graph_is_no_alarm() -> None:
@@ -457,7 +430,7 @@ def test_the_end_of_another_graph_is_no_alarm() -> None:
 
 def test_other_devices() -> None:
     """They have 5 s, and a device heard only once is not missed; they never count as an error."""
-    once, often = Status("/camera", OK, "fine", "c"), Status("disk usage", ERROR, "99 %", "host")
+    once, often = Status("/camera", OK, "fine"), Status("disk usage", ERROR, "99 %")
     alarms = heard((0.0, [once, often]))
     assert present(alarms) == ["disk usage"]
     assert alarms.counts() == (0, 1, 0)
@@ -479,7 +452,7 @@ _TEXTS = st.one_of(
     ]),
 )
 _STATUSES = st.builds(
-    Status, _TEXTS, st.integers(-(2**70), 2**70) | st.sampled_from([0, 1, 2, 3]), _TEXTS, _TEXTS,
+    Status, _TEXTS, st.integers(-(2**70), 2**70) | st.sampled_from([0, 1, 2, 3]), _TEXTS,
     st.dictionaries(
         st.sampled_from([
             "role", "refused", "stop", "fault", "warnings", "waiting", "parameter_changes",
@@ -509,35 +482,6 @@ def test_nothing_that_is_said_raises(messages: list[tuple[float, list[Status]]])
             assert row["what"].isprintable()
             assert row["id"].isprintable()
             assert len(row["what"]) <= 501
-
-
-def test_a_flood_crowds_nobody_out() -> None:
-    """10,000 statuses a message, texts of 1 MB: own alarms stay, and memory is bounded.
-
-    The names of own nodes are forged, too, from before the graph was there.
-    """
-    alarms, long = Alarms(), "x" * 1_000_000
-    forged = [
-        status for number in range(100) for status in node(f"/n{number}", "pump", ("p", ERROR, "!"))
-    ]
-    alarms.hear(0.0, 0.0, pump(WRONG))
-    tracemalloc.start()
-    for turn in range(1, 4):
-        flood = [
-            Status(f"/{turn} {number} {long[:100]}", number % 4, long, long, {"a": long})
-            for number in range(10_000)
-        ]
-        alarms.hear(turn / 4, 1.0, [*flood, *forged, *pump(WRONG, flow=1.0)])
-        alarms.rows()
-    del flood
-    held = tracemalloc.get_traced_memory()[0]
-    tracemalloc.stop()
-    assert held < 2_000_000
-    rest = alarms.rows()
-    assert len(rest) == 100
-    assert "/pump: drive" in [row["id"] for row in rest]
-    assert len(json.dumps(rest)) < 200_000
-    assert alarms.registry.pump(0.75) is not None
 
 
 def test_a_watcher_that_stood_still_takes_nobody_for_silent() -> None:

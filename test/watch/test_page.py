@@ -246,7 +246,7 @@ def test_hostile_texts_are_texts(open_page: Open) -> None:
     watched.set_present(mode="simulated", factor=30.0, note=HOSTILE)
     page = open_page(watched, [
         *mpc(what=HOSTILE), *pump(f"fault: {HOSTILE}"),
-        *(Status(f"{HOSTILE}{i}", ERROR, HOSTILE, "", {}) for i in range(50)),
+        *(Status(f"{HOSTILE}{i}", ERROR, HOSTILE) for i in range(50)),
     ])
     page.set_viewport_size({"width": 400, "height": 900})
     alarm = until_shown(page, ".alarm .what", "<script>hacked=2</script>")

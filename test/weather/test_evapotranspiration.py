@@ -1,28 +1,34 @@
-"""FAO-56 Penman-Monteith, compared with the paper's examples and its equations, written again."""
+"""Evapotranspiration and the sun, compared with FAO-56's examples and equations."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from datetime import datetime
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from paper import PAPER_SITE
-from refusals import refusal
+from paper import PAPER_SITE, weather_of
+from places import CONFIG
 
-from greenroof_ros.common.files import shared_directory
-from greenroof_ros.formats.records import Records
+from greenroof_ros.common.times import parse_time
 from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.weather.evapotranspiration import fao56, hourly
+from greenroof_ros.weather.evapotranspiration import (
+    evaporable,
+    extraterrestrial_radiation,
+    fao56,
+    hargreaves,
+    hourly,
+    over_the_day,
+    sun_height,
+)
+from greenroof_ros.weather.series import Weather
 
 NDIAYE = replace(
     PAPER_SITE, latitude=16 + 13 / 60, longitude=-(16 + 15 / 60), elevation=8.0, utc_offset=-1.0,
     wind_height=2.0,
 )
-TORONTO = read_site(shared_directory() / "config" / "site.yaml")
+TORONTO = read_site(CONFIG / "site.yaml")
 
 
 def dew_point(temperature: float, humidity: float) -> float:
@@ -31,26 +37,23 @@ def dew_point(temperature: float, humidity: float) -> float:
     return 237.3 * logarithm / (17.27 - logarithm)
 
 
-@pytest.mark.parametrize(
-    ("hour", "temperature", "humidity", "wind", "radiation", "expected"),
-    [(2, 28, 90, 1.9, 0.0, 0.00), (14, 38, 52, 3.3, 2.450, 0.63)],
-)
-def test_example_19(
-    hour: int, temperature: float, humidity: float, wind: float, radiation: float, expected: float
-) -> None:
+def test_example_19() -> None:
     """N'Diaye, 1 October: 0.00 mm from 2 to 3 h, 0.63 mm from 14 to 15 h.
 
     Pressure 101.2 kPa follows from 8 m, Eq. 7. The night's Rs/Rso, 0.8 there, changes nothing.
     """
-    values = {
-        "temperature": np.array([float(temperature)]),
-        "dew point": np.array([dew_point(temperature, humidity)]),
-        "wind speed": np.array([3.6 * wind]),
-        "station pressure": np.array([101.2]),
-        "solar radiation": np.array([radiation * 1e6 / 3600]),
-    }
-    first = datetime.fromisoformat(f"1998-10-01T{hour:02}:00-01:00")
-    assert hourly(NDIAYE, first, values)[0] == pytest.approx(expected, abs=0.005)
+    for hour, temperature, humidity, wind, radiation, expected in (
+        (2, 28, 90, 1.9, 0.0, 0.00), (14, 38, 52, 3.3, 2.450, 0.63),
+    ):
+        values = {
+            "temperature": np.array([float(temperature)]),
+            "dew point": np.array([dew_point(temperature, humidity)]),
+            "wind speed": np.array([3.6 * wind]),
+            "station pressure": np.array([101.2]),
+            "solar radiation": np.array([radiation * 1e6 / 3600]),
+        }
+        first = parse_time(f"1998-10-01T{hour:02}:00-01:00")
+        assert hourly(NDIAYE, first, values)[0] == pytest.approx(expected, abs=0.005)
 
 
 def test_example_18_hour_by_hour() -> None:
@@ -72,7 +75,7 @@ def test_example_18_hour_by_hour() -> None:
         "station pressure": np.full(24, 100.1),
         "solar radiation": 22.07e6 * shares / shares.sum() / 3600,
     }
-    day = hourly(uccle, datetime.fromisoformat("2015-07-06T00:00+00:00"), values)
+    day = hourly(uccle, parse_time("2015-07-06T00:00+00:00"), values)
     assert day.sum() == pytest.approx(3.88, abs=0.2)
 
 
@@ -95,18 +98,16 @@ def extraterrestrial(
     return np.asarray(60 * 0.0820 * distance * np.maximum(height, 0).mean(axis=1))
 
 
-def day_of_records(**changes: NDArray[np.float64]) -> Records:
+def day_of_records(**changes: NDArray[np.float64]) -> Weather:
     """Return a summer's day in Toronto, 14 to 30 degC."""
-    hours = np.arange(24)
     values = {
-        "precipitation": np.zeros(24),
-        "temperature": 22 + 8 * np.cos((hours - 15) * math.pi / 12),
+        "temperature": 22 + 8 * np.cos((np.arange(24) - 15) * math.pi / 12),
         "dew point": np.full(24, 12.0),
         "wind speed": np.full(24, 15.0),
         "station pressure": np.full(24, 100.5),
         **changes,
     }
-    return Records((Path("day.csv"),), datetime.fromisoformat("2021-07-15T00:00-05:00"), values)
+    return weather_of(np.zeros(24), first=parse_time("2021-07-15T00:00-05:00"), **values)
 
 
 def test_radiation_of_the_days_temperatures() -> None:
@@ -116,7 +117,7 @@ def test_radiation_of_the_days_temperatures() -> None:
     """
     records = day_of_records()
     estimated = fao56(records, TORONTO)
-    utc = replace(records, first=datetime.fromisoformat("2021-07-15T05:00+00:00"))
+    utc = replace(records, first=parse_time("2021-07-15T05:00+00:00"))
     assert fao56(utc, TORONTO).tolist() == estimated.tolist()
     radiation = 0.19 * math.sqrt(30 - 14) * extraterrestrial(TORONTO, 196, np.arange(24))
     measured = fao56(day_of_records(**{"solar radiation": radiation * 1e6 / 3600}), TORONTO)
@@ -154,8 +155,58 @@ def test_what_is_missing_is_not_made_up() -> None:
     assert not np.isnan(fao56(replace(part, values=measured), TORONTO)).any()
 
 
-@pytest.mark.parametrize("key", ["latitude", "elevation"])
-def test_place_is_needed(key: str) -> None:
-    """The error names what the site file lacks."""
-    nowhere = replace(TORONTO, **{key: None})
-    refusal(fao56, day_of_records(), nowhere, match=f"fao56 needs {key} in the site file")
+# --- Hargreaves' equation and the sun ------------------------------------------------------------
+
+
+def days(*texts: str) -> np.ndarray:
+    return np.array(texts, dtype="datetime64[D]")
+
+
+def test_worked_examples() -> None:
+    """Example 8: Ra on 3 September at 20 degrees south, 32.2 MJ/m2 and day, evaporates 13.1 mm.
+
+    Example 9: the sun is up for 11.7 h then. Example 20: Lyon in July, 14.8 to 26.6 degC, has
+    5.0 mm/day by Eq. 52, with the Ra of 15 July, 40.6. Hard frost has none.
+    """
+    radiation = extraterrestrial_radiation(-20.0, days("1998-09-03"))
+    assert radiation == pytest.approx([32.2], abs=0.05)
+    assert evaporable(radiation) == pytest.approx([13.1], abs=0.05)
+    seconds = (np.datetime64("1998-09-03", "s") + 60 * np.arange(1440)).astype(np.int64)
+    assert (sun_height(-20.0, seconds, 0.0) > 0).sum() / 60 == pytest.approx(11.7, abs=0.05)
+    lyon, july = 45 + 43 / 60, days("1998-07-15")
+    assert extraterrestrial_radiation(lyon, july) == pytest.approx([40.6], abs=0.05)
+    assert hargreaves(lyon, july, np.array([14.8]), np.array([26.6])) == pytest.approx(
+        [5.0], abs=0.05
+    )
+    assert hargreaves(52.5, days("2019-01-20"), np.array([-30.0]), np.array([-20.0])) == [0.0]
+
+
+def test_the_sun_stands_highest_at_noon_of_its_own_meridian() -> None:
+    """7.5 degrees west of the clock's meridian this is half an hour later.
+
+    On 15 April and 1 September the equation of time is 0 within a minute (Eq. 32).
+    """
+    seconds = (np.datetime64("1998-04-15", "s") + 60 * np.arange(1440)).astype(np.int64)
+    highest = int(np.argmax(sun_height(45.0, seconds, -7.5)))
+    assert highest == pytest.approx(12 * 60 + 30, abs=2)
+
+
+@pytest.mark.parametrize("step_s", [60, 300, 6 * 3600])
+def test_steps_of_any_length_keep_the_sums_of_whole_days(step_s: int) -> None:
+    """From noon on it is half of a day's; none falls at night; quarters of days are alike."""
+    first = np.datetime64("2015-06-01T12:00", "s").astype(np.int64)
+
+    def over(step_s: int) -> tuple[np.ndarray, np.ndarray]:
+        seconds = first + step_s * np.arange(int(2.5 * 86400) // step_s)
+        day = seconds // 86400 - first // 86400
+        daily = np.array([4.0, 5.0, 6.0])
+        return day, over_the_day(daily, 52.5, seconds, day, float(step_s), 0.0)
+
+    day, steps = over(step_s)
+    sums = np.bincount(day, steps)
+    assert sums[1:] == pytest.approx([5.0, 6.0], rel=1e-3)
+    assert sums[0] == pytest.approx(2.0, abs=0.1)
+    quarters = over(300)[1].reshape(-1, 72).sum(axis=1)
+    tolerance = 1e-3 if step_s < 300 else 1e-6
+    assert steps.reshape(10, -1).sum(axis=1) == pytest.approx(quarters, rel=tolerance)
+    assert over(300)[1][12 * 12:15 * 12].tolist() == [0.0] * 36

@@ -22,6 +22,7 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 import paths  # noqa: F401
+from markdown_tables import head, row
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.dressing import learn
@@ -63,13 +64,18 @@ def together(archives: list[Archive]) -> Archive:
     return replace(archives[0], source=Path("all as one ensemble"), issues=tuple(issues))
 
 
+def shortened(archive: Archive, hours: int) -> Archive:
+    """Return an archive cut to a number of hours."""
+    return replace(archive, issues=tuple(
+        replace(issue, rain=issue.rain[:, :hours]) for issue in archive.issues
+    ))
+
+
 def archive(text: str) -> Archive:
     """Read an archive, cut to a number of hours if the text has one."""
     path, _, hours = text.partition("@")
     past = read_archive(Path(path), read_site(shared_directory() / "config" / "site.yaml"))
-    length = int(hours or 10_000)
-    cut = tuple(replace(issue, rain=issue.rain[:, :length]) for issue in past.issues)
-    return replace(past, source=Path(Path(path).stem), issues=cut)
+    return replace(shortened(past, int(hours or 10_000)), source=Path(Path(path).stem))
 
 
 def lines(archives: list[Archive], weather: Weather) -> Iterator[str]:
@@ -83,12 +89,11 @@ def lines(archives: list[Archive], weather: Weather) -> Iterator[str]:
         (drier, wetter, "dry, wet"), (wetter, drier, "wet, dry"), (both, both, "all, all"),
     ):
         for service in archives:
-            for row in worth(service, learn(service, fit, 120), judge, lambda _: None):
-                values = [*(f"{x:.2f}" for x in row.bias), *(f"{x:.2f}" for x in row.crps)]
-                cells = [
-                    words, str(service.source), f"{row.hours} h", str(row.n), f"{row.fell:.1f}"
-                ]
-                yield f"| {' | '.join([*cells, *values])} |"
+            for scores in worth(service, learn(service, fit, 120), judge, lambda _: None):
+                yield row([
+                    words, str(service.source), f"{scores.hours} h", str(scores.n),
+                    f"{scores.fell:.1f}", *(f"{x:.2f}" for x in (*scores.bias, *scores.crps)),
+                ])
 
 
 def main() -> None:
@@ -102,7 +107,7 @@ def main() -> None:
     heads = ["fit, judged", "forecasts", "sum", "n", "observed mm"]
     for what in ("bias", "CRPS"):
         heads += [f"{what} issued", "dressed", "climate"]
-    print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
+    print(head(heads))
     for line in lines(arguments.archives, weather):
         print(line, flush=True)
 

@@ -18,7 +18,7 @@ from places import CONFIG
 from greenroof_ros.controllers.decide import decide
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
-from greenroof_ros.forecast.service import Fetcher, Service, ServiceRequest
+from greenroof_ros.forecast.service import Fetcher, Service
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.ledger import Ledger
 from greenroof_ros.pumping.limits import settings_for
@@ -47,7 +47,7 @@ def run_case(case: Case, directory: Path, outcome: Outcome) -> None:
     server.start()
     try:
         file = directory / "forecast.csv"
-        service = Service(site, ServiceRequest(url=f"{server.address}/v1/forecast"))
+        service = Service(site, url=f"{server.address}/v1/forecast")
         fetcher = Fetcher(service, file, None, _EVERY_S)
         fetcher.fetch()
         if fetcher.problem:

@@ -105,7 +105,7 @@ class Watcher:
         for status in message.status:
             self._hear(now, status)
         self._alarms.hear(now, time.time(), [
-            Status(status.name, status.level[0], status.message, status.hardware_id,
+            Status(status.name, status.level[0], status.message,
                    {entry.key: entry.value for entry in status.values})
             for status in message.status
         ])

@@ -27,9 +27,9 @@ from forecast_skill.figures import (
     NAMES,
     SUMS,
     TIP,
-    days_ahead,
     figures,
     seasons,
+    seasons_ahead,
     services,
 )
 from markdown_tables import head, row
@@ -60,15 +60,8 @@ def forecasts(
     rain: dict[int, np.ndarray], name: str, seeds: int, members: int
 ) -> list[dict[int, np.ndarray]]:
     """Return a skill's forecasts of all hours (mm) by days ahead, for each seed."""
-    skill, of_seeds = read_skill(name), []
-    for seed in range(1, seeds + 1):
-        ahead = [
-            days_ahead(year, season, skill, seed, DAYS, members) for year, season in rain.items()
-        ]
-        of_seeds.append({
-            day: np.concatenate([season[day] for season in ahead], axis=1) for day in DAYS
-        })
-    return of_seeds
+    skill = read_skill(name)
+    return [seasons_ahead(rain, skill, seed, DAYS, members) for seed in range(1, seeds + 1)]
 
 
 def table(

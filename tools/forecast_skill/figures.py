@@ -83,6 +83,14 @@ def figures(forecast: np.ndarray, observed: np.ndarray) -> np.ndarray:
     return np.array(scores)
 
 
+def seasons_ahead(
+    rain: dict[int, np.ndarray], skill: Skill, seed: int, days: tuple[int, ...], members: int = 1
+) -> dict[int, np.ndarray]:
+    """Return what :func:`days_ahead` does for seasons, one after the other."""
+    ahead = [days_ahead(year, season, skill, seed, days, members) for year, season in rain.items()]
+    return {day: np.concatenate([season[day] for season in ahead], axis=1) for day in days}
+
+
 def days_ahead(
     year: int, rain: np.ndarray, skill: Skill, seed: int, days: tuple[int, ...], members: int = 1
 ) -> dict[int, np.ndarray]:

@@ -17,7 +17,6 @@ from real_seasons.inputs import HOURS_OF, SERVICES, Inputs
 
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.skill import Skill
-from greenroof_ros.model.site import read_site
 from greenroof_ros.verification.fitting import fit_skill, skill_text
 from greenroof_ros.verification.pairs import Sum, issued_forecasts, tally
 
@@ -39,7 +38,7 @@ def ideal_forecast(inputs: Inputs, source: str, draw: int) -> ForecastChoice:
 def _write(inputs: Inputs, source: str, file: Path) -> None:
     """Fit a service's skill at the gauge, and write the skill of its best use."""
     archive = inputs.archives / f"{SERVICES[source]}_previous_runs.csv"
-    site, hours = read_site(inputs.site_file("measured")), HOURS_OF.get(source, 24 * _DAYS)
+    site, hours = inputs.sites["measured"], HOURS_OF.get(source, 24 * _DAYS)
     forecasts = issued_forecasts(ForecastChoice("file", file=archive), inputs.record, site, hours)
     tallies = tally(forecasts, inputs.record.precipitation, 24, _SUMS, lambda _: None)
     skill = fit_skill(tallies, forecasts.older, inputs.record.precipitation, lambda _: None)

@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from dressing.__main__ import together
+from dressing.__main__ import shortened, together
 from numpy.typing import NDArray
 from real_seasons.own_numbers import PACKAGE, chosen, used
 
@@ -85,15 +85,14 @@ class Inputs:
     def __init__(self, archives: Path, scratch: Path) -> None:
         """Take the directory of the archives, and one for the files that a run reads."""
         self.archives, self.scratch = archives, scratch
-        self._sites = {roof: self._write_site(roof) for roof in ROOFS}
-        gauge = scratch / "gauge.csv"
-        site = read_site(self.site_file("measured"))
+        self.sites = {roof: self._write_site(roof) for roof in ROOFS}
+        self._wet: dict[Period, NDArray[np.bool_]] = {}
+        gauge, site = scratch / "gauge.csv", self.sites["measured"]
         gauge.write_text(_gauge(archives / "gauge_2024.csv", site), encoding="utf-8")
         self.record = read_weather([gauge], site, rain_only=True)
         """rain as the gauge has it; missing hours are NaN"""
         self.weather = {
-            roof: read_weather([gauge], read_site(self.site_file(roof)), "assumed", "fill")
-            for roof in ROOFS
+            roof: read_weather([gauge], own, "assumed", "fill") for roof, own in self.sites.items()
         }
         """weather of a run, by roof; missing hours are dry"""
 
@@ -111,7 +110,7 @@ class Inputs:
     @cached_property
     def issued(self) -> Mapping[str, Archive]:
         """The archives by name, each known some hours after its nominal time, like a service's."""
-        site = self._sites["measured"]
+        site = self.sites["measured"]
         services = {
             short: replace(
                 read_archive(self.archives / f"{name}_previous_runs.csv", site),
@@ -120,7 +119,7 @@ class Inputs:
             for short, name in SERVICES.items()
         }
         services |= {
-            source: _shortened(services[source], hours) for source, hours in HOURS_OF.items()
+            source: shortened(services[source], hours) for source, hours in HOURS_OF.items()
         }
         gem = services["GEM"]
         return {
@@ -222,10 +221,6 @@ class Inputs:
             self._wet[period] = np.isin(period.blocks(), wettest)
         return self._wet[period]
 
-    @cached_property
-    def _wet(self) -> dict[Period, NDArray[np.bool_]]:
-        return {}
-
 
 def _half_sine(hour: int) -> float:
     """Return the factor from a day's mean evaporation to an hour of UTC; the sun rises at 5."""
@@ -243,13 +238,6 @@ def _gauge(file: Path, site: Site) -> str:
             dries = monthly[begins.month - 1] * _half_sine(begins.hour)
             lines.append(f"{begins.isoformat()},{rain},{dries:.4f}")
     return "\n".join([*lines, ""])
-
-
-def _shortened(archive: Archive, hours: int) -> Archive:
-    """Return an archive cut to a number of hours."""
-    return replace(archive, issues=tuple(
-        replace(issue, rain=issue.rain[:, :hours]) for issue in archive.issues
-    ))
 
 
 def _shifted(archive: Archive) -> Archive:

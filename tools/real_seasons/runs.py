@@ -22,7 +22,6 @@ from greenroof_ros.formats.records import HOUR, Archive
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.site import read_site
 
 Array = NDArray[np.float64]
 
@@ -116,15 +115,14 @@ def write(case: Case, inputs: Inputs, file: Path) -> None:
 
 def build(case: Case, inputs: Inputs) -> Run:
     """Return the run of a case, with its controller and forecasts."""
-    site_file = inputs.site_file(case.roof)
-    site, weather = read_site(site_file), inputs.weather[case.roof]
+    site, weather = inputs.sites[case.roof], inputs.weather[case.roof]
     onoff = case.source == ONOFF_NAME
     controller = find_controller("onoff" if onoff else "lookahead")
     parameters = {**controller.defaults(site), **(ONOFF if onoff else {})}
     if not case.trusts:
         parameters["trust_memory"] = 0.0
     run = build_run(
-        site_file, site, weather, case.period.start.isoformat(),
+        inputs.site_file(case.roof), site, weather, case.period.start.isoformat(),
         count_ticks(site, case.period.hours, "hours"), controller, parameters, "low-low",
         initial_state(site, "low-low"),
         ideal_forecast(inputs, case.source, case.draw) if case.form == IDEAL else ForecastChoice(),

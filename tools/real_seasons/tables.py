@@ -39,15 +39,25 @@ DRIER, WETTER = "drier half", "wetter half"
 OVER_ONOFF, OVER_NO_RAIN, GAINED = "over on/off", "over no rain", "gained"
 DEVIATION = "mean deviation (mm)"
 
-# What an owner sees of a run, and the weekly sums whose ratio it is.
-OWNERS = {
-    DEVIATION: ("total_deviation_m3", "deviated"),
-    "water stress (h)": ("stress_hours", ""),
-    "actual over potential evapotranspiration": ("evapotranspiration_m3", "asked"),
-    "pumped (m³)": ("pumped_m3", ""),
-    "share of it drained": ("lost", "pumped_m3"),
-    "mains water (m³)": ("mains_m3", ""),
-    "rain kept": ("kept", "rain_roof_m3"),
+Metric: TypeAlias = Callable[[dict[str, float]], float]
+_DEVIATION, _EVAPORATED, _PUMPED, _RAIN = map(operator.itemgetter, (
+    "total_deviation_m3", "evapotranspiration_m3", "pumped_m3", "rain_roof_m3",
+))
+
+# What an owner sees of a run: a metric, and if it is a ratio the one below it. Both are sums over
+# time, so that weeks can be drawn.
+OWNERS: dict[str, tuple[Metric, Metric | None]] = {
+    DEVIATION: (_DEVIATION, lambda row: _DEVIATION(row) / row["mean_deviation_mm"]),
+    "water stress (h)": (operator.itemgetter("stress_hours"), None),
+    "actual over potential evapotranspiration": (
+        _EVAPORATED, lambda row: _EVAPORATED(row) / row["evapotranspiration_ratio"],
+    ),
+    "pumped (m³)": (_PUMPED, None),
+    "share of it drained": (
+        lambda row: row["drainage_m3"] - (1 - row["rain_kept_share"]) * _RAIN(row), _PUMPED,
+    ),
+    "mains water (m³)": (operator.itemgetter("mains_m3"), None),
+    "rain kept": (lambda row: row["rain_kept_share"] * _RAIN(row), _RAIN),
 }
 STORMS = {
     "rain kept above 20 mm/h": "rain_kept_share_hour",
@@ -204,36 +214,16 @@ def _known(inputs: Inputs, roof: str, period: Period) -> Iterator[Row]:
 def _of_owner(results: Results) -> Iterator[Row]:
     """Yield what an owner sees, with intervals from blocks of weeks; storms have none."""
     for case, result in results.items():
-        sums = _weekly_sums(result)
+        weeks = len(result["until"])
         for measure, (above, below) in OWNERS.items():
-            weeks = len(sums[above])
-            other = sums[below] if below else np.full(weeks, 1 / weeks)
+            other = _added(result, below) if below else np.full(weeks, 1 / weeks)
             if not other[drawn_weeks(weeks)].sum(axis=1).all():
                 continue  # nothing is pumped in most weeks of the paper's roof
-            yield _row(case, ALL, measure, *interval(sums[above], other))
+            yield _row(case, ALL, measure, *interval(_added(result, above), other))
         for measure, name in STORMS.items():
             yield _row(case, ALL, measure, result["metrics"][name])
 
 
-def _weekly_sums(result: dict[str, Any]) -> dict[str, Array]:
-    """Return what each week added to the metrics that are sums, and to both terms of ratios."""
-    until: list[dict[str, float]] = result["until"]
-
-    def added(metric: Callable[[dict[str, float]], float]) -> Array:
-        return np.diff([0.0, *map(metric, until)])
-
-    return {
-        **{
-            name: added(operator.itemgetter(name))
-            for name in (
-                "total_deviation_m3", "stress_hours", "evapotranspiration_m3", "pumped_m3",
-                "mains_m3", "rain_roof_m3",
-            )
-        },
-        "deviated": added(lambda row: row["total_deviation_m3"] / row["mean_deviation_mm"]),
-        "asked": added(lambda row: row["evapotranspiration_m3"] / row["evapotranspiration_ratio"]),
-        "lost": added(lambda row: (
-            row["drainage_m3"] - (1 - row["rain_kept_share"]) * row["rain_roof_m3"]
-        )),
-        "kept": added(lambda row: row["rain_kept_share"] * row["rain_roof_m3"]),
-    }
+def _added(result: dict[str, Any], metric: Metric) -> Array:
+    """Return what each week added to a metric."""
+    return np.diff([0.0, *map(metric, result["until"])])

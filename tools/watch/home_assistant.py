@@ -25,9 +25,10 @@ import paths
 
 sys.path[:0] = [str(paths.CHECKOUT / "test" / "watch")]
 
-from brokers import mosquitto
+from brokers import Talker, mosquitto
 from graphs import Process, free_ports, own_domain, wait_for
-from test_bridge import phone, running_pump
+from test_bridge import state_on
+from test_watch_command import running_pump
 
 _OF_SITE = "green_roof_site1_"
 # Unit and device class of each number.
@@ -97,7 +98,7 @@ class HomeAssistant:
 def check(program: str, place: Path, domain: int) -> None:
     """Check that it shows a site whose pump runs, and stops that pump."""
     with (
-        mosquitto(place) as broker, phone(broker.address) as heard, running_pump(domain, place),
+        mosquitto(place) as broker, Talker(broker) as heard, running_pump(domain, place),
     ):
         bridge = Process(
             domain, "bridge", "--broker", broker.address, "--namespace", "site1", cwd=place
@@ -111,7 +112,7 @@ def check(program: str, place: Path, domain: int) -> None:
                 return str(home.states()[entity]["state"])
 
             wait_for(lambda: shown("sensor.pump") == "running", 60, "a running pump")
-            said, states = heard.state("site1"), home.states()
+            said, states = state_on(heard, "site1"), home.states()
             for name, (unit, kind) in _NUMBERS.items():
                 entity = states[f"sensor.{name}"]
                 attributes = entity["attributes"]

@@ -1,0 +1,246 @@
+"""Weather files: their columns, several as one, and gaps that are filled on request."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from paper import PAPER_SITE, paper_run, weather_of
+from places import CONFIG, DATA
+from refusals import refusal
+
+from greenroof_ros.common.times import parse_time
+from greenroof_ros.experiment.run_directory import write_configuration
+from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.reading import (
+    default_weather,
+    fill_long_gaps,
+    find_files,
+    read_weather,
+)
+from greenroof_ros.weather.series import FILL, Weather, WeatherSeries
+
+TORONTO = read_site(CONFIG / "site.yaml")
+JULY, MARCH = DATA / "en_climate_hourly_07-2021.csv", DATA / "en_climate_hourly_03-2021.csv"
+
+
+def test_packaged_weather_is_the_72_hours() -> None:
+    """Every hour's observations, and the evapotranspiration of the authors' published code."""
+    weather = read_weather([default_weather()], PAPER_SITE)
+    with (DATA / "toronto_hours.csv").open() as file:
+        source = list(csv.DictReader(file))
+    for quantity, column in {
+        "precipitation": "rain_mm",
+        "evapotranspiration": "published_et_mm_per_day",
+        "temperature": "temperature_degC",
+        "dew point": "dew_point_degC",
+        "wind speed": "wind_km_h",
+        "station pressure": "station_pressure_kPa",
+    }.items():
+        assert weather.values[quantity].tolist() == [float(row[column]) for row in source]
+    assert weather.method == "published"
+    assert weather.first.isoformat() == "2021-07-07T00:00:00-05:00"
+    assert weather.end.isoformat() == "2021-07-10T00:00:00-05:00"
+
+
+# --- columns --------------------------------------------------------------------------------------
+
+HEADER = "time,precipitation [mm/h],made up evapotranspiration [mm/day]"
+ROW = "2021-07-07T03:00-05:00,0.2,3.4"
+
+
+def write(path: Path, header: str, *rows: str) -> Path:
+    """Write a weather file with a comment in line 1 and the header in line 2."""
+    path.write_text("\n".join(["# Nowhere", header, *rows, ""]))
+    return path
+
+
+def test_columns_have_any_order(tmp_path: Path) -> None:
+    path = tmp_path / "weather.csv"
+    header = "time, fao56 evapotranspiration [mm/day],dew point [degC],precipitation [mm/h]"
+    weather = read_weather([write(path, header, "2021-07-07T03:00Z,1.5,-3.5,0.25")], PAPER_SITE)
+    assert (weather.precipitation.tolist(), weather.evapotranspiration.tolist()) == ([0.25], [1.5])
+    assert weather.method == "fao56"
+    unnamed = read_weather([write(path, HEADER.replace("made up ", ""), ROW)], PAPER_SITE)
+    assert unnamed.method == "unnamed"
+
+
+@pytest.mark.parametrize(
+    ("header", "reason"),
+    [
+        ("date" + HEADER[4:], "'date': the first column must be 'time'"),
+        (HEADER + ",humidity [%]", "'humidity [%]': is not a known column; choose from prec"),
+        (HEADER + ",temperature", "'temperature': a column must be named like"),
+        (HEADER.replace("mm/h]", "mm]"), "'precipitation [mm]': the unit of precipitation must be"),
+        (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': there is a"),
+        ("time,fao56 evapotranspiration [mm/day]", "there must be a column 'precipitation [mm/h]'"),
+    ],
+)
+def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
+    """The error has file, line and cell, and what would be right."""
+    row = ",".join([*ROW.split(","), "1"][:header.count(",") + 1])
+    path = write(tmp_path / "weather.csv", header, row)
+    assert refusal(read_weather, [path], PAPER_SITE).startswith(f"{path}, line 2: {reason}")
+
+
+def test_a_rain_gauge_alone(tmp_path: Path) -> None:
+    """Some need only rain, and an empty cell is a missing hour."""
+    header = "time,precipitation [mm/h]"
+    path = write(tmp_path / "a.csv", header, "2021-07-07T03:00Z,3.0", "2021-07-07T04:00Z,")
+    gauge = read_weather([path], PAPER_SITE, rain_only=True)
+    assert gauge.precipitation.tolist() == pytest.approx([3.0, np.nan], nan_ok=True)
+    assert np.isnan(gauge.evapotranspiration).all()
+
+
+# --- several files --------------------------------------------------------------------------------
+
+
+def piece(path: Path, first: int, last: int, *, rain: bool = True) -> Path:
+    """Write the records first..last (from 0) of July; the first one with or without its rain."""
+    header, *records = JULY.read_text(encoding="utf-8-sig").splitlines()
+    chosen = records[first : last + 1]
+    if not rain:
+        cells = chosen[0].split(",")
+        cells[header.replace('"', "").split(",").index("Precip. Amount (mm)")] = " "
+        chosen[0] = ",".join(cells)
+    path.write_text("\n".join([header, *chosen]) + "\n", encoding="utf-8")
+    return path
+
+
+def same(weather: Weather, expected: Weather) -> None:
+    """Check that two weathers are equal bit for bit, except for their files."""
+    assert (weather.first, weather.method) == (expected.first, expected.method)
+    for own, due in ((weather.values, expected.values), (weather.filled, expected.filled)):
+        assert {name: series.tobytes() for name, series in own.items()} == {
+            name: series.tobytes() for name, series in due.items()
+        }
+
+
+@pytest.mark.parametrize(
+    "spans",
+    [
+        [(481, 743), (0, 480)],  # in a gap of station pressure, 20 July 13:00 to 17:00
+        [(0, 400), (200, 600), (100, 150), (550, 743)],
+    ],
+)
+def test_pieces_of_a_month_are_the_month(tmp_path: Path, spans: list[tuple[int, int]]) -> None:
+    """In any order, with equal overlaps: each gap is filled as in the complete file."""
+    files = [piece(tmp_path / f"{first}.csv", first, last) for first, last in spans]
+    joined = read_weather(files, TORONTO)
+    same(joined, read_weather([JULY], TORONTO))
+    assert [int(file.stem) for file in joined.files] == sorted(first for first, _ in spans)
+
+
+def test_months_far_from_each_other() -> None:
+    """1 April to 30 June are 91 days without data; 31 + 91 + 31 are 153 days."""
+    weather = read_weather([JULY, MARCH], TORONTO)
+    assert weather.files == (MARCH, JULY)
+    assert len(weather.precipitation) == 153 * 24
+    march, july = read_weather([MARCH], TORONTO), read_weather([JULY], TORONTO)
+    assert weather.precipitation[:744].tobytes() == march.precipitation.tobytes()
+    assert np.isnan(weather.precipitation[744:-744]).all()
+    assert weather.evapotranspiration[-744:].tobytes() == july.evapotranspiration.tobytes()
+    site = replace(TORONTO, tau=600.0, M=1)
+    said = refusal(WeatherSeries, weather, site, parse_time("2021-03-31T12:00-05:00"), 6 * 24)
+    assert said.startswith(
+        f"{DATA / '2 files'}, {MARCH.name} to {JULY.name}: precipitation is missing at "
+        "2021-04-01T00:00-05:00 to 2021-04-01T12:00-05:00 (13 hours); choose another window"
+    )
+    assert "fill the gaps (--gaps fill; in a grid, gaps: fill)" in said
+
+
+def test_value_that_one_file_lacks(tmp_path: Path) -> None:
+    """The other file's value is used, whichever comes first."""
+    lacking = piece(tmp_path / "a.csv", 0, 30, rain=False)
+    expected = read_weather([JULY], TORONTO)
+    for files in ([lacking, JULY], [JULY, lacking]):
+        same(read_weather(files, TORONTO), expected)
+
+
+def test_what_cannot_be_joined(tmp_path: Path) -> None:
+    """Other values or quantities, another method, hours that begin at another minute."""
+
+    def own(first: str, method: str = "published", rain: float = 0.1) -> Path:
+        """Write two hours of a file in this project's format."""
+        hours = np.datetime64(first, "m") + np.arange(2).astype("timedelta64[h]")
+        return write(
+            tmp_path / f"{first[8:].replace(':', '')}-{method}-{rain}.csv",
+            f"time,precipitation [mm/h],{method} evapotranspiration [mm/day]",
+            *(f"{hour}-05:00,{rain},1.0" for hour in hours),
+        )
+
+    early = own("2021-07-01T00:00")
+    for late, reason in (
+        (own("2021-07-01T02:00", "lysimeter"),
+         f"must have the same method of evapotranspiration as {early}, published; it has lysimet"),
+        (own("2021-07-01T02:30"),
+         "its hours begin at 2021-07-01T02:30-05:00, which must be a whole number of hours from "
+         f"2021-07-01T00:00-05:00, as in {early}"),
+        (own("2021-07-01T01:00", rain=9.9),
+         f"precipitation at 2021-07-01T01:00-05:00 = 9.9: must be 0.1, as in {early}, or the files "
+         "must not overlap"),
+        (JULY, f"must have the same quantities as {early}, evapotranspiration, precipitation; it "
+         "has dew point, precipitation, station pressure, temperature, wind speed"),
+    ):
+        assert refusal(read_weather, [early, late], TORONTO).startswith(f"{late}: {reason}")
+
+
+def test_names_and_patterns(tmp_path: Path) -> None:
+    """A name as it is, a pattern sorted, each file once; the name of a file is not a pattern."""
+    for name in ("b-1.csv", "b-2.csv", "a.csv", "c[1].csv"):
+        (tmp_path / name).write_text("")
+    for names, expected in (
+        (["b-2.csv", "b-?.csv", "a.csv"], ["b-2.csv", "b-1.csv", "a.csv"]),
+        (["c[1].csv"], ["c[1].csv"]),
+        (["absent.csv"], ["absent.csv"]),  # reading it is an error
+        ([str(tmp_path / "b-[1].csv")], ["b-1.csv"]),
+    ):
+        assert [path.name for path in find_files(names, "--weather", tmp_path)] == expected
+    refusal(
+        find_files, ["a.csv", "d-*.csv"], "--weather", tmp_path,
+        match=r"--weather = 'd-\*\.csv': matches no file",
+    )
+
+
+def test_run_directory_keeps_all_files(tmp_path: Path) -> None:
+    """With unique names; the node's parameter has them in the order of time."""
+    parts: list[Path] = []
+    for name, first, last in (("late", 200, 400), ("early", 0, 199)):
+        (tmp_path / name).mkdir()
+        parts.append(piece(tmp_path / name / "july.csv", first, last))
+    run = paper_run(
+        "--weather", *map(str, parts), "--controller", "onoff", "--start", "2021-07-07T02:00",
+        "--hours", "1",
+    )
+    assert run.weather.source == str(tmp_path / "early" / "2 files, july.csv to july.csv")
+    (tmp_path / "run" / "configuration").mkdir(parents=True)
+    file = write_configuration(tmp_path / "run", run, {})
+    kept = tmp_path / "run" / "configuration" / "weather"
+    assert (kept / "july.csv").read_bytes() == parts[1].read_bytes()
+    assert (kept / "july-2.csv").read_bytes() == parts[0].read_bytes()
+    parameters = yaml.safe_load(file.read_text())["/**/weather"]["ros__parameters"]
+    assert parameters["weather_files"] == [str(kept / "july.csv"), str(kept / "july-2.csv")]
+
+
+# --- long gaps ------------------------------------------------------------------------------------
+
+
+def test_long_gaps_have_the_mean_of_the_days_about_them() -> None:
+    """At the same time of day, of three days before and three after; the rest stays missing."""
+    day, hour = np.divmod(np.arange(20 * 24), 24)
+    series = day**2 + hour / 100
+    series[5 * 24 : 13 * 24] = np.nan
+    filled = fill_long_gaps({"temperature": series})["temperature"]
+    assert np.flatnonzero(np.isnan(filled)).tolist() == list(range(8 * 24, 10 * 24))
+    assert filled[5 * 24 + 7] == pytest.approx((4 + 9 + 16) / 3 + 0.07)
+    assert filled[12 * 24] == pytest.approx((13**2 + 14**2 + 15**2) / 3)
+    assert filled[[4 * 24, 13 * 24]].tolist() == [16.0, 169.0]
+    weather = replace(weather_of(np.zeros(20 * 24), temperature=filled), gaps=FILL)
+    said = refusal(WeatherSeries, weather, TORONTO, weather.first + timedelta(days=8), 3600)
+    assert "temperature is missing at" in said
+    assert "--gaps" not in said

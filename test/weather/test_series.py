@@ -1,0 +1,167 @@
+"""The weather of a run: each tick's hour, gaps that were filled, and implausible rain."""
+
+from __future__ import annotations
+
+import tracemalloc
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run_command
+from graphs import environment
+from paper import PAPER_SITE, weather_of
+from places import CONFIG, DATA
+from refusals import refusal
+
+from greenroof_ros.common.times import parse_time
+from greenroof_ros.forecast.resampling import PerfectForecast
+from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.series import FILL, REFUSE, Weather, WeatherSeries, suspicious_rain
+
+TORONTO = read_site(CONFIG / "site.yaml")
+JULY = DATA / "en_climate_hourly_07-2022.csv"
+DECEMBER = DATA / "en_climate_hourly_12-2015.csv"
+LST = timezone(timedelta(hours=-5))
+THREE_HOURS = weather_of([0.2, 3.0, 7.2], first=parse_time("2021-07-07T03:00-05:00"))
+
+
+@pytest.mark.parametrize(
+    ("steps", "repeats"), [(3 * 3600, True), (3 * 3600 - 9, True), (3 * 3600 - 10, False)]
+)
+def test_last_record_is_repeated_past_the_end(steps: int, repeats: bool) -> None:
+    """The window of tick N reaches to tick N + 9; the records end with tick 10,799."""
+    run = WeatherSeries(THREE_HOURS, PAPER_SITE, THREE_HOURS.first, steps)
+    window = PerfectForecast(run, 10).precipitation(steps)
+    assert list(window) == pytest.approx([2e-6] * 10, rel=1e-15)
+    end = parse_time("2021-07-07T06:00-05:00")
+    assert run.repeats_from == (end if repeats else None)
+
+
+def test_run_outside_the_records() -> None:
+    """A second too early, and a second too long."""
+    for start, steps in (("2021-07-07T02:59:59-05:00", 10), ("2021-07-07T03:00-05:00", 10801)):
+        said = refusal(WeatherSeries, THREE_HOURS, PAPER_SITE, parse_time(start), steps)
+        assert said.startswith(
+            "drawn.csv: has records from 2021-07-07T03:00-05:00 to 2021-07-07T06:00-05:00, but "
+            "the run starts at "
+        )
+
+
+def years(hours: int) -> Weather:
+    """Return made-up records of this many hours."""
+    chance = np.random.default_rng(5)
+    rain, evaporated = chance.gamma(0.1, size=hours), chance.gamma(2.0, size=hours)
+    first = datetime(2014, 6, 1, tzinfo=LST)
+    return weather_of(rain, evaporated, first, temperature=chance.normal(5, 10, size=hours))
+
+
+@pytest.mark.parametrize("tau", [7.0, 0.3, 1234.5])
+def test_each_tick_has_its_hour(tau: float) -> None:
+    """By the clock: the hour in which a tick begins, even if the start is within an hour."""
+    site = replace(TORONTO, tau=tau, M=10)
+    weather = years(70)
+    late = timedelta(minutes=83)
+    steps = min(int(40 * 3600 / tau), 20_000)
+    series = WeatherSeries(weather, site, weather.first + late, steps)
+    hours = [
+        (late + tick * timedelta(seconds=tau)) // timedelta(hours=1) for tick in range(steps + 10)
+    ]
+    rain = weather.precipitation[hours] / 1000 / 3600
+    dry = weather.evapotranspiration[hours] / 1000 / 86400 * site.a2
+    frost = weather.frost[hours]
+    for values, due in (
+        (series.precipitation, rain), (series.evapotranspiration, dry), (series.frost, frost)
+    ):
+        assert list(values) == due.tolist()
+    for tick in range(0, steps + 10, 4):
+        now, until = series.at(tick), np.searchsorted(hours, hours[tick], "right")
+        assert now[:3] == (rain[tick], dry[tick], frost[tick])
+        assert min(now.until, steps + 10) == until
+    assert series.frost_hours == pytest.approx(frost[:steps].sum() * tau / 3600, rel=1e-12)
+    assert series.precipitation[5:25:3].tolist() == rain[5:25:3].tolist()
+    assert series.precipitation.largest == rain.max()
+    with pytest.raises(IndexError):
+        series.precipitation[steps + 10]
+
+
+def test_years_take_no_more_memory_than_hours() -> None:
+    """Three years of seconds: a few numbers per hour, and nothing per tick."""
+    weather = years(26_304)
+    site = replace(TORONTO, tau=1.0, M=10)
+    tracemalloc.start()
+    series = WeatherSeries(weather, site, weather.first, 26_000 * 3600)
+    series.at(26_000 * 3600)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # A byte a tick would be 94 MB.
+    assert peak < 14e6
+
+
+# --- gaps that were filled ------------------------------------------------------------------------
+
+
+def test_missing_rain_counts_as_none_and_every_hour_is_named() -> None:
+    plain, weather = (read_weather([JULY], TORONTO, gaps=gaps) for gaps in (REFUSE, FILL))
+    missing = np.flatnonzero(np.isnan(plain.precipitation)).tolist()
+    assert weather.precipitation.tolist() == np.nan_to_num(plain.precipitation).tolist()
+    named = WeatherSeries(weather, TORONTO, weather.first, 31 * 86_400).filled["precipitation"]
+    assert "2022-07-21T11:00-05:00" in named
+    assert named == [
+        (weather.first + timedelta(hours=hour)).isoformat(timespec="minutes") for hour in missing
+    ]
+    assert not np.isnan(weather.evapotranspiration).any()
+    # Julys of five years have a mean of 4 to 5 mm a day; far more would be another climate.
+    assert 3.5 < weather.evapotranspiration.mean() < 6
+
+
+def test_a_command_fills_gaps(tmp_path: Path) -> None:
+    """The summary names the filled hours; the node and the run's own records have the option."""
+    done = run_command(
+        "simulate", "--controller", "onoff", "--weather", str(JULY), "--start", "2022-07-21T10:30",
+        "--hours", "1", "--output", "run", "--gaps", "fill", cwd=tmp_path, env=environment(0),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "FILLED" in done.stdout
+    assert "2022-07-21T11:00-05:00" in done.stdout
+    assert "gaps: fill" in (tmp_path / "run" / "configuration" / "parameters.yaml").read_text()
+
+
+# --- implausible rain -----------------------------------------------------------------------------
+
+
+def test_hours_that_are_hard_to_believe() -> None:
+    """79.2 mm in an hour of December; not July's storms, nor March's sleet."""
+    weather = read_weather([DECEMBER], TORONTO, gaps=FILL)
+    (only,) = WeatherSeries(weather, TORONTO, weather.first, 29 * 86_400).suspicious
+    assert only.startswith("79.2 mm at 2015-12-29T02:00-05:00")
+    assert weather.precipitation.max() == 79.2
+    assert WeatherSeries(weather, TORONTO, weather.first, 3 * 86_400).suspicious == []
+    for month in ("07-2021", "03-2021"):
+        weather = read_weather([DATA / f"en_climate_hourly_{month}.csv"], TORONTO)
+        assert suspicious_rain(weather, range(weather.hours)) == []
+
+
+def test_factors_of_the_check() -> None:
+    """Durre et al. (2010): 9 times the 95th percentile, 5 times below 0 degC; 20 wet hours.
+
+    Usual amounts of the last days of December also count for the first of January.
+    """
+
+    def suspicious(most: float, temperature: float, wet: int = 100, last: int = 99) -> list[str]:
+        # From 22 December 1 mm in each wet hour, so the percentile is 1 mm; and one other hour.
+        rain = np.where(np.arange(480) < wet, 1.0, 0.0)
+        rain[last] = most
+        first = datetime(2021, 12, 22, tzinfo=LST)
+        weather = weather_of(rain, first=first, temperature=np.full(480, temperature))
+        return suspicious_rain(weather, range(480))
+
+    assert suspicious(8.9, 0.0) == []
+    assert len(suspicious(9.0, 0.0)) == 1
+    assert suspicious(4.9, -0.1) == []
+    assert len(suspicious(5.0, -0.1)) == 1
+    assert suspicious(500.0, 5.0, wet=18) == []
+    (only,) = suspicious(9.0, 0.0, last=11 * 24)
+    assert only.startswith("9 mm at 2022-01-02T00:00-05:00, 9.0 times")
