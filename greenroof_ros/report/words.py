@@ -91,6 +91,12 @@ def _deviation(value: float) -> str:
     return _m3(TOTAL, value)
 
 
+def _mean_deviation(row: Row) -> str:
+    """Write the mean deviation of a season (mm); if that is unknown, the sum over its ticks."""
+    mean = row["mean_deviation_mm"]
+    return _deviation(row[TOTAL]) if mean is None else f"{mean:{_FORMS['mean_deviation_mm']}} mm"
+
+
 def _over_least(row: Row) -> str:
     return "" if row["ratio"] is None else f", {row['ratio']:.4g} times the least possible"
 
@@ -216,7 +222,7 @@ def _of_seasons(report: Report) -> list[str]:
         first,
         "The least mean deviation of a season was "
         + _and(
-            f"{_deviation(row[TOTAL])}{_over_least(row)} ({who(row)}, forecast {row['forecast']}"
+            f"{_mean_deviation(row)}{_over_least(row)} ({who(row)}, forecast {row['forecast']}"
             + (f", {heading(row, apart, apart)})" if apart else ")")
             for row in best[:_MOST_NAMED]
         ) + ".",

@@ -113,7 +113,7 @@ YEARS = {
     "seasons.yaml": (2, {60}, 2 * (2 + 1 + 2 * 5)),
     "horizons.yaml": (2, {60}, 2 * (1 + 5 * (3 + 1))),
     "sizing.yaml": (18, {60}, 2 * 18),
-    "ticks.yaml": (4, {1, 60}, 4 * 4),
+    "ticks.yaml": (4, {1, 60}, 4 * 3),
 }
 GRIDS = {path.name: path for path in (CONFIG / "studies").iterdir()}
 
