@@ -480,7 +480,13 @@ def read_site(path: Path) -> Site:
     for name, key in by_name.items():
         if name not in entries:
             if not key.optional and name not in _FOLLOW_FROM:
-                raise ConfigurationError("is missing", file=path, key=name)
+                unit = "" if key.entry.unit in ("", "1") else f"{key.entry.unit}, "
+                raise ConfigurationError(
+                    f"is missing ({unit}{key.entry.meaning}): add it, or begin the file with "
+                    "'extends: site_neubrandenburg.yaml' to use the values of that file for all "
+                    "keys that are missing",
+                    file=path, key=name,
+                )
             continue
         entry, value, whole = key.entry, entries[name][2], key.kind is int
         limits = f"from {entry.low:g} to {entry.high:g}"

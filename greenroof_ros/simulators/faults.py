@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -136,5 +137,8 @@ def list_faults(known: Mapping[str, Fault]) -> str:
     lines = []
     for name, fault in known.items():
         shown = f" ({fault.parameter}; default {fault.default})" if fault.parameter else ""
-        lines.append(f"  {fault.number:2d} {name:17s} {fault.meaning}{shown}")
+        lines += textwrap.wrap(
+            f"{fault.number:2d} {name:17s} {fault.meaning}{shown}", 78, initial_indent="  ",
+            subsequent_indent=" " * 23,
+        )
     return "\n".join(lines)
