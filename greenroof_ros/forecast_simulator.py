@@ -46,7 +46,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--fault", choices=list(FAULTS), default=NONE, metavar="NAME",
-        help="fault from the start on; see below",
+        help="fault that is active from the start; see the list of faults",
     )
     return parser
 

@@ -107,7 +107,8 @@ def add_option(parser: argparse.ArgumentParser, known: Mapping[str, Fault]) -> N
     """Add the option ``--fault`` to a command."""
     parser.add_argument(
         "--fault", type=functools.partial(_read_fault, known=known), default=NONE,
-        metavar="KIND[=PARAMETER]", help="fault that is active from the start; see below",
+        metavar="KIND[=PARAMETER]",
+        help="fault that is active from the start; see the list of faults",
     )
 
 
