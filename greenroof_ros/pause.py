@@ -51,9 +51,10 @@ def main() -> int:
             raise ConfigurationError(
                 "must be a time such as 2026-12-24T08:00", key="--until", value=arguments.until
             ) from None
-        if end <= datetime.now().astimezone():
+        now = datetime.now().astimezone()
+        if end <= now:
             raise ConfigurationError(
-                f"must be in the future; it is now {datetime.now():%Y-%m-%dT%H:%M}",
+                f"must be in the future; it is now {now.isoformat(timespec='minutes')}",
                 key="--until", value=arguments.until,
             )
         until = end.isoformat(timespec="seconds")

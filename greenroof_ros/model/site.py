@@ -483,8 +483,7 @@ def read_site(path: Path) -> Site:
                 unit = "" if key.entry.unit in ("", "1") else f"{key.entry.unit}, "
                 raise ConfigurationError(
                     f"is missing ({unit}{key.entry.meaning}): add it, or begin the file with "
-                    "'extends: site_neubrandenburg.yaml' to use the values of that file for all "
-                    "keys that are missing",
+                    "'extends: site.yaml' to use the paper's values for all keys that are missing",
                     file=path, key=name,
                 )
             continue
