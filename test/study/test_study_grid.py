@@ -109,8 +109,8 @@ def test_window_of_several_files(tmp_path: Path) -> None:
 
 # For each grid of years: sites, ticks (s), and runs of a year.
 YEARS = {
-    # On each roof two on/off, mpc, and two controllers with five forecasts.
-    "seasons.yaml": (2, {60}, 2 * (2 + 1 + 2 * 5)),
+    # On each roof two on/off, and two controllers with five forecasts.
+    "seasons.yaml": (2, {60}, 2 * (2 + 2 * 5)),
     "horizons.yaml": (2, {60}, 2 * (1 + 5 * (3 + 1))),
     "sizing.yaml": (18, {60}, 2 * 18),
     "ticks.yaml": (4, {1, 60}, 4 * 3),

@@ -25,8 +25,8 @@ from greenroof_ros.model.metrics import Metrics
 
 Array = NDArray[np.float64]
 
-# A twentieth of the flow pumps in a tick of a minute what on/off pumps in three seconds.
-ONOFF = {"fraction": 0.05}
+# A sixtieth of the flow lifts in a tick of a minute what full flow lifts in the paper's tick of 1 s.
+ONOFF = {"fraction": 1 / 60}
 ISSUED, DRESSED, CROSSED = "as issued", "dressed", "dressed by the other half"
 NESTED = "dressed by the other half with its own numbers"
 SCALED, SCALED_BY_ITSELF = "scaled by the other half", "scaled by its own half"
