@@ -969,11 +969,22 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
 ])
 def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None:
     graph = Store()
-    hear(graph, 0, 36_000, {"/roof/level": 0.04}, every=seconds)
+    hear(graph, 0, round(hours * 3600), {"/roof/level": 0.04}, every=seconds)
     series = read_series(graph, hours)
     assert series["gaps"]["roof"] == gap
     assert np.diff([row[0] for row in series["lines"]["roof"]]).max() <= gap
     assert series["gaps"].keys() == series["lines"].keys()
+
+
+def test_a_run_that_has_just_begun_has_many_rows() -> None:
+    """Ten minutes of 12 h are shown in stretches of 20 s, each with its last value."""
+    graph = Store()
+    hear(graph, 0, 600, {"/roof/level": 0.04, "/weather/precipitation": 0.0})
+    series = read_series(graph, 12)
+    assert series["stretch"] == 20.0
+    for name in ("roof", "rain"):
+        times = [row[0] - START / 1e9 for row in series["lines"][name]]
+        assert times == list(range(19, 600, 20)), name
 
 
 # --- words --------------------------------------------------------------------------------------

@@ -376,15 +376,17 @@ def test_lines_and_bands_are_where_values_were(open_page: Open) -> None:
     """Two hours without values, and an hour since the last rain value; a value holds for 10 min.
 
     A band is drawn where values went beyond their line: a roof that only fills has none; a single
-    gust has one, of its stretch only.
+    gust has one, of its stretch only. The first stretch has one, since no line leads to its value;
+    the pump ran at its begin and at its end. A value that holds to its end has no band there.
     """
     watched = store("ended", SITE)
     before = np.arange(0, 4 * 3600, 10)
     newest = BEGIN + int(before[-1])
     level = np.where(before == 3600, 0.06, 0.03 + 1e-5 * np.minimum(before, 1800))
+    flow = np.where((before == 0) | (before == before[-1] - 10), 8e-3, 2e-4)
     after = newest + np.arange(2 * 3600, 3 * 3600, 10)
     for topic, values, last in (
-        ("/roof/level", level, 0.048), ("/pump/flow", np.full(len(before), 2e-4), 2e-4),
+        ("/roof/level", level, 0.048), ("/pump/flow", flow, 2e-4),
         ("/weather/precipitation", np.full(len(before), 1e-6), None),
     ):
         watched.add(topic, (BEGIN + before) * SECOND, values)
@@ -402,13 +404,16 @@ def test_lines_and_bands_are_where_values_were(open_page: Open) -> None:
     assert page.evaluate(READ, ["pump", "flow", newest + 610]) == ""
     held = page.evaluate("charts.rows.rain.at(-1).t - charts.ms(0)") / 1000
     assert held == newest + 600
-    (begin, *first), (end, *last) = page.evaluate(
-        "charts.rows.roof_range.filter((row) => row.high - row.low > 1e-6)"
-        ".map((row) => [row.t - charts.ms(0), row.low, row.high])"
-    )
+    bands = "(name) => charts.rows[name].filter((row) => row.high - row.low > 1e-6)" \
+        ".map((row) => [(row.t - charts.ms(0)) / 1000, row.low, row.high])"
+    (start, *_), (first_end, *_), (begin, *first), (end, *last) = page.evaluate(bands, "roof_range")
+    assert start == BEGIN and first_end <= BEGIN + 130
     assert first == last == pytest.approx([48.0, 60.0])
-    assert begin / 1000 - BEGIN <= 3600 <= end / 1000 - BEGIN
-    assert end - begin <= 130_000
+    assert begin - BEGIN <= 3600 <= end - BEGIN
+    assert end - begin <= 130
+    pumped = page.evaluate(bands, "flow_range")
+    assert [row[1:] for row in pumped] == [pytest.approx([12.0, 480.0])] * 4
+    assert pumped[0][0] == BEGIN and pumped[-1][0] == newest
 
 
 def test_pointer_and_keyboard_read_values(ended_run: tuple[Store, Any]) -> None:
