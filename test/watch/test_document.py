@@ -239,7 +239,7 @@ def test_the_plan_in_words() -> None:
     )
     for later, (rows, sentence) in enumerate((
         (plan, will), (np.empty((0, 3)), will),
-        (plan * [1, 0, 1], "will not pump in the next 12 h"),
+        (plan * [1, 0, 1], "will not pump in the next 12 h if the forecast is right"),
         (np.full((1, 3), np.nan), "commands no pumping now"),
     )):
         graph.add_plan(MINUTE + later * SECOND, rows)
@@ -287,7 +287,7 @@ def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
     assert "not a plausible value" in document["tiles"]["pump"]["sentence"]
     series = read_series(graph, 3)
     json.dumps(series, allow_nan=False)
-    assert {len(series["lines"][name]) for name in LINES} == {2}  # 0-39 and 40-60 s
+    assert {len(series["lines"][name]) for name in LINES} == {4}  # 0-19, 20-39, 40-59 and 60 s
     after = [row["number"] for row in account_of(graph).values()]
     assert after == pytest.approx(before, abs=1e-9)
     assert document["tiles"]["summary"]["level"] == "warn"
@@ -334,7 +334,7 @@ def test_what_is_not_newer_is_left_out() -> None:
     add_at(graph, "/roof/level", (70, 0.03), (65, 0.5), (80, 0.02))
     rows = read_series(graph, 3)["lines"]["roof"]
     assert [row[1:] for row in rows] == [
-        [0.04, 0.04, 0.04], [0.03, 0.04, 0.03], [0.02, 0.02, 0.02],
+        *[[0.04, 0.04, 0.04]] * 3, [0.03, 0.04, 0.03], [0.02, 0.02, 0.02],
     ]
 
 
@@ -405,8 +405,9 @@ def test_nothing_of_an_ended_run_is_stale_and_it_has_no_future() -> None:
     assert tiles["rain"]["sentence"] == "4.3 mm were expected in the next 12 h"
     assert tiles["summary"]["sentence"] == (
         "The run has ended. The roof was at its target; the pump was off, since nothing "
-        "is commanded."
+        "was commanded."
     )
+    assert tiles["pump"]["sentence"] == "0.0 L/min; nothing was commanded"
 
 
 def test_headings() -> None:
@@ -696,14 +697,24 @@ def test_a_pump_that_waits_for_rain_says_so() -> None:
 
 
 def test_a_roof_that_will_be_too_wet_is_said_in_words() -> None:
-    """And a horizon is in whole hours."""
-    plan = [[3600.0, 0.0, 0.040], [7200.0, 0.0, 0.050], [43200.0, 0.0, 0.0657]]
-    assert with_outlook(0.032, plan=plan)["summary"]["sentence"].endswith(
-        "It is expected to be too wet from 02:01 on, up to 20.0 mm above its target."
-    )
+    """From when the line of the chart leaves the band, which ends at 47.985 mm.
+
+    From 40 mm at 01:01 to 50 mm at 02:01 that is after 0.7985 h; from the present 35 mm at 00:01
+    to 60 mm at 01:01 after 0.5194 h. And a horizon is in whole hours.
+    """
+    end = [43200.0, 0.0, 0.0657]
+    for plan, begin in (
+        ([[3600.0, 0.0, 0.040], [7200.0, 0.0, 0.050], end], "01:48"),
+        ([[3600.0, 0.0, 0.060], end], "00:32"),
+    ):
+        assert with_outlook(0.032, plan=plan)["summary"]["sentence"].endswith(
+            f"It is expected to be too wet from {begin} on, up to 20.0 mm above its target."
+        )
     tiles = with_outlook(0.032, plan=[[3600.0, 0.0, 0.040], [42900.0, 0.0, 0.045]])
     assert "too wet" not in tiles["summary"]["sentence"]
-    assert tiles["controller"]["sentence"] == "will not pump in the next 12 h"
+    assert tiles["controller"]["sentence"] == (
+        "will not pump in the next 12 h if the forecast is right"
+    )
 
 
 def test_what_began_before_the_clock_of_a_run_is_of_its_clock() -> None:

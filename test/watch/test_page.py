@@ -322,8 +322,10 @@ def test_it_fits_every_width(open_page: Open) -> None:
 
 def test_a_recording_has_no_tick_and_shows_its_incidents(open_page: Open) -> None:
     watched = site_watched()
+    watched.recorded_controller = "onoff"
     page = open_page(watched)
     until_shown(page, "#summary", "Alarms are not known")
+    assert page.locator(".tile[data-key=controller] .state").inner_text().strip() == "worked"
     assert "ok" not in page.locator("#summary-shape").get_attribute("href")
     over = incident("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, BEGIN + 90.0)
     watched.recorded_incidents = [over]
