@@ -113,7 +113,7 @@ def cistern(store: Store) -> Tile:
         if level > site.z_o:
             return "high", "above its outlet: it overflows to the sewer"
         drains = "; its low outlet drains it" if level > site.lowest_outlet else ""
-        usable_text = words.quantity(usable, "m3", 1)
+        usable_text = words.quantity(usable, "m³", 1)
         return "good", f"{usable_text} above the suction level can be pumped{drains}"
 
     shown = 0.0 if newest is None else newest.value or 0.0
@@ -349,7 +349,7 @@ def _planned(store: Store, plan: Plan, now: float) -> str:
         return f"{'planned not to' if ended else 'will not'} pump in the next {reach} {right}"
     start = "from now on" if pumped.begin <= now else f"from {store.hour(pumped.begin)} on"
     return (
-        f"{'planned to' if ended else 'will'} pump {words.quantity(pumped.volume, 'm3', 2)} in the "
+        f"{'planned to' if ended else 'will'} pump {words.quantity(pumped.volume, 'm³', 2)} in the "
         f"next {reach}, {start}, up to {roof_level(pumped.level)} {right}"
     )
 

@@ -111,11 +111,11 @@ LOW_OUTLET = replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02)
     ("roof", SITE, 0.55, "high",
      "504.3 mm above its target; the soil is full, and water drains off"),
     ("roof", SITE, -0.0, "low", "45.7 mm below its target"),
-    ("cistern", SITE, 2.5, "good", "43.8 m3 above the suction level can be pumped"),
+    ("cistern", SITE, 2.5, "good", "43.8 m³ above the suction level can be pumped"),
     ("cistern", SITE, 0.75, "low", "too low for the pump: not above the suction level"),
     ("cistern", SITE, 3.01, "high", "above its outlet: it overflows to the sewer"),
     ("cistern", LOW_OUTLET, 2.5, "good",
-     "43.8 m3 above the suction level can be pumped; its low outlet drains it"),
+     "43.8 m³ above the suction level can be pumped; its low outlet drains it"),
 ])
 def test_levels(name: str, site: Site, level: float, state: str, sentence: str) -> None:
     """The roof's band is 5 % of the target of 45.7 mm: from 43.415 to 47.985 mm."""
@@ -235,7 +235,7 @@ def test_the_plan_in_words() -> None:
     graph.add_statuses(100.0, node("/lookahead", "controller"))
     plan = np.array([[4740.0, 0, 0.045], [7140.0, 1e-3, 0.047], [43200.0, 0, 0.046]])
     will = (
-        "will pump 2.40 m3 in the next 12 h, from 01:20 on, up to 47.0 mm if the forecast is right"
+        "will pump 2.40 m³ in the next 12 h, from 01:20 on, up to 47.0 mm if the forecast is right"
     )
     for later, (rows, sentence) in enumerate((
         (plan, will), (np.empty((0, 3)), will),
@@ -401,7 +401,7 @@ def test_nothing_of_an_ended_run_is_stale_and_it_has_no_future() -> None:
     document = shown(graph, 9999.0)
     tiles = document["tiles"]
     assert (document["heading"], tiles["roof"]["state"]) == ("Ended run", "good")
-    assert tiles["controller"]["sentence"].startswith("planned to pump 4.32 m3")
+    assert tiles["controller"]["sentence"].startswith("planned to pump 4.32 m³")
     assert tiles["rain"]["sentence"] == "4.3 mm were expected in the next 12 h"
     assert tiles["summary"]["sentence"] == (
         "The run has ended. The roof was at its target; the pump was off, since nothing "
@@ -456,12 +456,12 @@ def test_the_account_in_words() -> None:
     assert rows.pop("evapotranspiration_ratio") == "unknown"  # nothing to evaporate
     assert rows.pop("energy").endswith(" kWh")
     assert rows == {
-        "stress": "0.0 h", "deviation": "0.0 mm", "rain": "0.000 m3", "pumped": "0.060 m3",
-        "drained": "0.000 m3", "evapotranspired": "0.000 m3", "stored": "0.000 m3",
-        "unexplained": "-0.060 m3", "inflow": "0.000 m3", "overflow": "0.000 m3",
-        "saved": "0.060 m3",
+        "stress": "0.0 h", "deviation": "0.0 mm", "rain": "0.000 m³", "pumped": "0.060 m³",
+        "drained": "0.000 m³", "evapotranspired": "0.000 m³", "stored": "0.000 m³",
+        "unexplained": "-0.060 m³", "inflow": "0.000 m³", "overflow": "0.000 m³",
+        "saved": "0.060 m³",
     }  # the level stood still; without rain no share of it was kept
-    assert shown(graph)["account"]["sentence"] == "0.060 m3 not accounted for"
+    assert shown(graph)["account"]["sentence"] == "0.060 m³ not accounted for"
     hear(graph, 361, 400, QUIET)
     assert shown(graph)["account"]["sentence"].endswith(", with gaps of 5 min")
 
@@ -963,7 +963,7 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
     graph.add_plan(early_ns, plan)
     tiles = shown(graph, 0.0)["tiles"]
     assert tiles["rain"]["sentence"] == "26 mm expected in the next 12 h (8.6 to 43)"
-    assert tiles["controller"]["sentence"].startswith("will pump 4.32 m3")
+    assert tiles["controller"]["sentence"].startswith("will pump 4.32 m³")
     assert [row[2] for row in read_series(graph, 24)["plan"]] == [1e-4] * 12
     # A plan that was only shown is not kept as expected.
     plan_lasts(graph, 3600, hours)

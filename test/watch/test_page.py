@@ -185,7 +185,7 @@ def document_of(watched: Store) -> dict[str, Any]:
 def test_it_shows_the_words_of_the_document(ended_run: tuple[Store, Any]) -> None:
     """Word for word; the console stays empty, and no other server is contacted."""
     watched, page = ended_run
-    until_shown(page, "#account td", "m3")  # an ended run's account is closed
+    until_shown(page, "#account td", "m³")  # an ended run's account is closed
     document = document_of(watched)
     for key in ("roof", "cistern", "pump", "rain", "controller"):
         tile, shown = document["tiles"][key], page.locator(f".tile[data-key={key}]")
