@@ -378,9 +378,9 @@ def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
 def series(store: Store, hours: float) -> dict[str, Any]:
     """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
 
-    A row is of a ``stretch`` (s): a share of the time with values, so that a run that has just
-    begun has many rows. A line has a gap between two rows that are further apart than its entry in ``gaps`` (s); no
-    value holds for longer. It also has a gap from a row of None to the next row.
+    A row covers a ``stretch`` (s), which is a share of the time with values: a run that has just
+    begun has many rows. A line has a gap between two rows that are further apart than its entry in
+    ``gaps`` (s); no value holds for longer. It also has a gap from a row of None to the next row.
 
     Args:
         store: state of the graph.

@@ -26,7 +26,7 @@ const CHARTS = [
     lines: [{ name: "cistern", label: "measured", colour: "--cistern", range: "past" }],
   },
   {
-    key: "pump", shown: "flow", title: "Pump", height: 170, zero: true, right: "command", rightColour: "--command",
+    key: "pump", shown: "flow", title: "Pump", height: 170, zero: true, right: "command", rightColour: "--command-words",
     lines: [
       { name: "flow", label: "flow", colour: "--flow", steps: true, range: "past", rangeLabel: "its range" },
       { name: "plan", label: "flow planned", colour: "--flow", steps: true, dash: [6, 4] },
@@ -35,7 +35,7 @@ const CHARTS = [
   },
   {
     key: "rain", shown: "rain", title: "Rain and evapotranspiration", height: 195, zero: true,
-    right: "evapotranspiration", rightColour: "--evapotranspiration",
+    right: "evapotranspiration", rightColour: "--evapotranspiration-words",
     lines: [
       { name: "rain", label: "rain", colour: "--rain", fill: "--rain-fill", steps: true },
       { name: "forecast", label: "rain forecast", colour: "--rain", steps: true, dash: [6, 4], range: "step", rangeLabel: "its range" },
