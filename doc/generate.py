@@ -48,6 +48,7 @@ from greenroof_ros.model.site import read_site, site_parameters
 from greenroof_ros.pumping.interlocks import INTERLOCKS
 from greenroof_ros.pumping.limits import pump_parameters
 from greenroof_ros.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS, SITE_FAULTS, Fault
+from greenroof_ros.simulators.forecast_service import FAULTS as FORECAST_FAULTS
 
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",
@@ -305,6 +306,12 @@ def site_faults() -> str:
     return _faults(SITE_FAULTS)
 
 
+def forecast_faults() -> str:
+    """Return the faults of a simulated forecast service."""
+    rows = ((f"`{name}`", meaning) for name, meaning in FORECAST_FAULTS.items())
+    return markdown(("fault", "what then happens"), rows)
+
+
 def _faults(known: Mapping[str, Fault]) -> str:
     return markdown(
         ("number", "fault", "what then happens", "parameter", "default"),
@@ -534,6 +541,10 @@ def _command(
             f"As for [`{command}`](#{command.replace(' ', '-')}): {', '.join(options)}.\n"
             for command, options in elsewhere.items()
         ]
+    group, _, simulated = names[0].partition(" ")
+    if group == "simulators":
+        page = f"simulators.md#faults-of-the-{simulated}"
+        parts.append(f"The list of faults: [Simulators]({page}).\n")
     return "\n".join(parts)
 
 
@@ -637,6 +648,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "drive faults": drive_faults,
     "relay faults": relay_faults,
     "site faults": site_faults,
+    "forecast faults": forecast_faults,
     "which controller": which_controller,
     **{f"results {name}": partial(result, name) for name in RESULTS},
     **{f"real seasons {name}": partial(real_seasons, name) for name in REAL_SEASONS},

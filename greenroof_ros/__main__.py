@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import os
 import sys
@@ -75,7 +74,6 @@ def make_parser() -> Parser:
         usage="%(prog)s COMMAND [options]",
         description="\n\n".join(["A green roof, watered from a storm cistern.", *groups]),
         epilog="greenroof COMMAND --help shows its options, and examples.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "--version", action="version", version=f"greenroof_ros {__version__}",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import threading
@@ -105,15 +104,14 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof bound",
         usage="%(prog)s [options]",
-        description="Compute a lower bound of the total deviation that any controller could\n"
-        "reach if it knew all weather, and the results of two plans in the exact\n"
-        "plant: the bound's linear program, and lookahead's recursion.\n"
+        description="Compute a lower bound of the total deviation that any controller could "
+        "reach if it knew all weather, and the results of two plans in the exact "
+        "plant: the bound's linear program, and lookahead's recursion. "
         "The optimum lies in between. It is the same for every controller.",
         epilog="examples:\n"
         "  greenroof bound --start 2021-07-08T05:00\n"
         "  greenroof bound --block 1 --hours 2 --max-command 0.1\n\n"
         "exit codes: 0 done, 1 no bound found, 2 bad usage or configuration",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_site_arguments(parser.add_argument_group("the run"))
     group = parser.add_argument_group("the bound")

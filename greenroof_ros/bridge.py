@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 from contextlib import suppress
@@ -31,7 +30,9 @@ _EPILOG = """\
 examples:
   greenroof bridge --broker mqtt://127.0.0.1
   greenroof bridge --broker mqtts://home.example --login login.yaml
-  greenroof bridge --broker mqtt://127.0.0.1 --namespace north     topics: greenroof/north/...
+  greenroof bridge --broker mqtt://127.0.0.1 --namespace north
+
+With a namespace the topics begin with it: greenroof/north/...
 
 A login file has two lines, username: NAME and password: WORD. Keep others out of it (chmod 600).
 If it cannot reach the broker, it says so and keeps trying. Ctrl-C ends it.
@@ -46,7 +47,6 @@ def make_parser() -> Parser:
         prog="greenroof bridge",
         usage="%(prog)s --broker mqtt://HOST[:PORT] [options]",
         description=_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=_EPILOG,
     )
     parser.add_argument(

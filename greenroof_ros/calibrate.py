@@ -59,7 +59,8 @@ like these; empty cells and missing rows are gaps:
   level, cistern level         m, cm, mm
   pump state                   1, %; needs the cistern level
   reference evapotranspiration mm, mm/h, mm/day; or instead of it
-  temperature                  degC; or least temperature and greatest temperature of the day
+  temperature                  degC; or least temperature and greatest
+                               temperature of the day
 
 The model has no snow: if winters were recorded, say which months count, as in --months 4-10.
 
@@ -83,7 +84,6 @@ def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(
         prog="greenroof calibrate", description=_DESCRIPTION, epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "measured", type=Path, nargs="?", metavar="MEASURED",

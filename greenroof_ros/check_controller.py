@@ -34,7 +34,6 @@ def make_parser() -> Parser:
         "ticks, missing forecasts, parameters. Each failure is listed with the correct behaviour.",
         epilog="example:\n  greenroof check-controller my_package.my_module:MyController\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 it cannot be imported",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "controller", metavar="CONTROLLER",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 from greenroof_ros.common.command_line import Parser, command, print_findings, within
@@ -11,12 +10,20 @@ from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.model.site import read_site
 
 _INVENTED = (
-    "The levels and weather that it sends are invented: it would let the pump run a cistern dry, "
-    "or pump into a frozen pipe. With a real pump, make sure yourself that there is water in the "
-    "cistern, room on the roof and no frost, and set --period to the site's tau (1): at 0.1 the "
-    "least times on and off pass ten times as fast for the motor, which is started nine times. At "
-    "less than tau this package's pump node refuses any drive but the drive simulator; the pump "
-    "node ends with the check, as it does with the plant of a run."
+    "THE PUMP WILL RUN. The levels and weather that the check sends are invented: it would let the "
+    "pump run a cistern dry, or pump into a frozen pipe. With a real pump, make sure yourself that "
+    "there is water in the cistern, room on the roof and no frost, and set --period to the site's "
+    "tau (1): at 0.1 the least times on and off pass ten times as fast for the motor, which is "
+    "started nine times."
+)
+_SUBJECT = (
+    "Check a running pump driver, this package's or your own in any language, against the "
+    "interface, using topics only: off at start, one flow for each command, refused values, "
+    "watchdog, a second publisher, frost, unknown levels and frost, a cistern at the suction "
+    "level, and that it runs again after each. The check plays plant, weather and controller "
+    "itself, so start no bringup. With a --period of less than tau this package's pump node "
+    "refuses any drive but the drive simulator; the pump node ends with the check, as it does "
+    "with the plant of a run."
 )
 _LIMIT = (
     "The flows in the answers are the only evidence: topics do not show whether the pump's shaft "
@@ -47,16 +54,11 @@ def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(
         prog="greenroof check-pump",
-        description="Check a running pump driver, this package's or your own in any language, "
-        "against the interface, using topics only: off at start, one flow for each command, "
-        "refused values, watchdog, a second publisher, frost, unknown levels and frost, a cistern "
-        "at the suction level, and that it runs again after each. It plays plant, weather and "
-        f"controller itself, so start no bringup; THE PUMP WILL RUN. {_INVENTED} {_LIMIT}",
+        description=f"{_INVENTED}\n\n{_SUBJECT}\n\n{_LIMIT}",
         epilog="example:\n  python my_driver.py &\n"
         "  greenroof check-pump --node pump\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 there is no such driver, 3 a graph is "
         "running",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "--node", required=True, metavar="NAME",

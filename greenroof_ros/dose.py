@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -38,7 +37,6 @@ def make_parser() -> Parser:
         "minute ends, too. Ctrl-C ends this command but not the dose: to end that, stop the pump.",
         epilog="example:\n  greenroof dose --volume 0.2\n\n"
         "exit codes: 0 delivered, 1 refused or ended early, 2 bad usage",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "--volume", type=within(0.001, 1e6), required=True, metavar="M3",

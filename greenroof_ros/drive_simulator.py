@@ -30,13 +30,16 @@ def make_parser() -> Parser:
         prog="greenroof simulators drive",
         usage="%(prog)s --drive NAME [options]",
         description="Simulate a variable-speed drive with a motor on Modbus: registers, control "
-        "word, ramp, fault codes and\ncommunication timeout of the make that a drive file "
-        "describes, with faults on request.\nWith --at it is a relay on MQTT, with its timer.",
+        "word, ramp, fault codes and communication timeout of the make that a drive file "
+        "describes, with faults on request. With --at it is a relay on MQTT, with its timer.",
         epilog="The workbench is a Modbus TCP port beside the drive's, device 247, holding "
         "registers:\n"
-        "  0 true speed in 0.01 %   1 fault, by its number   2 its parameter, 65535 for the "
-        "default;\n  to be written before 1   3 power cycle: write 1   4 local control at the "
-        "panel: 1, 0\n  5 cistern level in 0.1 mm, for drives that report their flow\n\n"
+        "  0 true speed in 0.01 %\n"
+        "  1 fault, by its number\n"
+        "  2 its parameter, 65535 for the default; write it before 1\n"
+        "  3 power cycle: write 1\n"
+        "  4 local control at the panel: 1, 0\n"
+        "  5 cistern level in 0.1 mm, for drives that report their flow\n\n"
         "For a relay, register 0 is 10000 while its contact is closed, and register 4 is its "
         "button.\n\n"
         f"faults:\n{faults.list_faults(DRIVE_FAULTS)}\n\n"
@@ -46,9 +49,8 @@ def make_parser() -> Parser:
         "  greenroof simulators drive --drive danfoss_fc202 --fault late=900\n"
         "  greenroof simulators drive --drive schneider_atv630 --serial pty\n"
         "  greenroof simulators drive --drive tasmota --at mqtt://127.0.0.1/roof\n\n"
-        "Its first line says when it is ready, and where. Ctrl-C ends it.\n"
+        "Its first line says when it is ready, and where. Ctrl-C ends it.\n\n"
         "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "--drive", required=True, metavar="NAME",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, within
@@ -19,16 +18,15 @@ def make_parser() -> Parser:
         prog="greenroof fetch-forecast",
         usage="%(prog)s [options]",
         description="Ask Open-Meteo for the forecast at the site, and write the file that a "
-        "live site reads.\nThe data are under the licence CC BY 4.0; the service is free for "
+        "live site reads. The data are under the licence CC BY 4.0; the service is free for "
         "non-commercial use.",
         epilog="examples:\n"
         "  greenroof fetch-forecast --site site.yaml --ensemble\n"
         "  greenroof fetch-forecast --site site.yaml --every 60 --keep forecasts/\n"
         "  greenroof verify forecasts/ --site site.yaml --weather gauge.csv\n\n"
-        "'greenroof live --forecast open-meteo' does the same by itself.\n"
-        "exit codes: 0 done, 1 the service gave no forecast, 2 wrong usage or configuration,\n"
+        "'greenroof live --forecast open-meteo' does the same by itself.\n\n"
+        "exit codes: 0 done, 1 the service gave no forecast, 2 wrong usage or configuration, "
         "130 ended by Ctrl-C",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 
@@ -24,14 +23,13 @@ def make_parser() -> Parser:
         prog="greenroof simulators forecast",
         usage="%(prog)s [options]",
         description="Answer as Open-Meteo's forecast and ensemble interfaces do: the contents of "
-        "a weather file from --start on become\nthe forecast from now on.",
+        "a weather file from --start on become the forecast from now on.",
         epilog="faults; at run time, set one with 'curl -X POST "
         f"http://127.0.0.1:{_PORT}/fault/NAME':\n{faults}\n\n"
         "examples:\n"
         "  greenroof simulators forecast\n"
         f"  greenroof fetch-forecast --url http://127.0.0.1:{_PORT}/v1/ensemble --ensemble\n\n"
         "Its first line says when it is ready, and where. Ctrl-C ends it.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--site", type=Path, metavar="FILE", help="site file, for its place")
     parser.add_argument(
@@ -48,7 +46,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--fault", choices=list(FAULTS), default=NONE, metavar="NAME",
-        help="fault from the start on; see below",
+        help="fault that is active from the start; see the list of faults",
     )
     return parser
 

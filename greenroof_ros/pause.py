@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from contextlib import closing
+from datetime import datetime
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, namespace
 from greenroof_ros.common.errors import ConfigurationError
@@ -24,7 +24,6 @@ def make_parser() -> Parser:
         "somebody has checked it, stop it instead (~/stop).",
         epilog="examples:\n  greenroof pause --until 2026-12-24T08:00\n  greenroof pause --end\n\n"
         "exit codes: 0 done, 1 the pump node did not do so, 2 bad usage",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     choice = parser.add_mutually_exclusive_group(required=True)
     choice.add_argument(
@@ -52,6 +51,12 @@ def main() -> int:
             raise ConfigurationError(
                 "must be a time such as 2026-12-24T08:00", key="--until", value=arguments.until
             ) from None
+        now = datetime.now().astimezone()
+        if end <= now:
+            raise ConfigurationError(
+                f"must be in the future; it is now {now.isoformat(timespec='minutes')}",
+                key="--until", value=arguments.until,
+            )
         until = end.isoformat(timespec="seconds")
         message = f"the pump is paused until {to_people(end)}"
     with importing_ros(), closing(Looker(arguments.namespace, lambda *_: None)) as looker:

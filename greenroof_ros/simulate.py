@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import time
 from contextlib import ExitStack
@@ -46,7 +45,7 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof simulate",
         usage="%(prog)s [options]",
-        description="Run cistern, roof, pumps and controller over real weather in one process,\n"
+        description="Run cistern, roof, pumps and controller over real weather in one process, "
         "without ROS. The numbers equal the node graph's (bringup), bit for bit.",
         epilog="examples:\n"
         "  greenroof simulate --controller lookahead --trajectory run.csv\n"
@@ -55,7 +54,6 @@ def make_parser() -> Parser:
         "      --forecast errors --forecast-skill real --forecast-seed 3\n"
         "  greenroof simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
         "exit codes: 0 done, 2 bad usage or configuration, 130 interrupted",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_run_arguments(parser)
     group = add_output_arguments(parser)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,18 +24,18 @@ def make_parser() -> Parser:
         prog="greenroof simulators site",
         usage="%(prog)s [options]",
         description="Simulate cistern and roof in real time and answer as their sensors, over "
-        "Modbus, or publish on\nMQTT. The flow follows from a drive simulator's true speed. The "
+        "Modbus, or publish on MQTT. The flow follows from a drive simulator's true speed. The "
         "air is at 15 degC.",
-        epilog="The workbench is a Modbus TCP port, device 247, holding registers: 1 fault, by its "
-        "number;\n  2 its parameter, 65535 for the default, to be written before 1\n\n"
+        epilog="The workbench is a Modbus TCP port, device 247, holding registers:\n"
+        "  1 fault, by its number\n"
+        "  2 its parameter, 65535 for the default; write it before 1\n\n"
         f"faults:\n{faults.list_faults(SITE_FAULTS)}\n\n"
         "examples:\n"
         "  greenroof simulators drive --drive abb_acs880\n"
         "  greenroof simulators site --drive-at tcp://127.0.0.1:5021 --output levels.csv\n"
         "  greenroof simulators site --rain 4 --fault roof_frozen\n\n"
-        "Its first line says when it is ready, and where. Ctrl-C ends it.\n"
+        "Its first line says when it is ready, and where. Ctrl-C ends it.\n\n"
         "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     place = parser.add_argument_group("sensors and drive")
     place.add_argument(

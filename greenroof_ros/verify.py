@@ -48,16 +48,18 @@ gives a controller, instead of each forecast, the rain observed after ten simila
 _EPILOG = f"""\
 A model is one of {', '.join(MODELS)}.
 
-bias   forecast rain over observed rain
-r      correlation
-POD    probability of detection: events that were forecast over events
-FAR    false alarm ratio: forecast events that did not come over forecast events
-ETS    equitable threat score: 1 is perfect, 0 is no skill
-Brier  mean squared error of the event's probability
-CRPS   error of the whole distribution (mm), the fair one, alike for any number of members; of a
-       single forecast the mean error
+  bias   forecast rain over observed rain
+  r      correlation
+  POD    probability of detection: events that were forecast over events
+  FAR    false alarm ratio: forecast events that did not come over forecast
+         events
+  ETS    equitable threat score: 1 is perfect, 0 is no skill
+  Brier  mean squared error of the event's probability
+  CRPS   error of the whole distribution (mm), the fair one, alike for any
+         number of members; of a single forecast the mean error
 
 For an ensemble the first five use member 0, the last two all members.
+
 --dress scores sums from each issue on: as issued, dressed without past issues within the length of
 a member and five days of it, and by climate, which is all rain of the record.
 
@@ -83,7 +85,6 @@ def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(
         prog="greenroof verify", description=_DESCRIPTION, epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("forecasts", metavar="FORECASTS", help="archive or model")
     parser.add_argument(

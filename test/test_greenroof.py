@@ -65,6 +65,25 @@ def test_each_command_has_its_help_and_imports_little_for_it(tmp_path: Path) -> 
     assert not packages & {"rclpy", "pymodbus", "osqp", "aiohttp", "polars", "altair"}
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_fits_a_terminal(tmp_path: Path, name: str) -> None:
+    """Text is filled to 80 columns; only an example may be a little wider."""
+    if name == "live":
+        pytest.importorskip("rclpy")
+    done = run_command(
+        "__main__", *name.split(), "--help", cwd=tmp_path, env={**os.environ, "COLUMNS": "80"}
+    )
+    lines = done.stdout.splitlines()
+    assert done.returncode == 0
+    assert [line for line in lines if len(line) > 100] == []
+
+
+def test_a_danger_is_the_first_line_of_the_help(tmp_path: Path) -> None:
+    """Not a part of a long text about something else."""
+    done = greenroof(tmp_path, "check-pump", "--help")
+    assert "\n\nTHE PUMP WILL RUN. " in done.stdout
+
+
 def test_help_is_that_of_the_module(tmp_path: Path) -> None:
     ours = greenroof(tmp_path, "check-controller", "--help")
     module = run_command("check_controller", "--help", cwd=tmp_path, env=dict(os.environ))

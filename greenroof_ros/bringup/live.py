@@ -281,7 +281,7 @@ class _Record:
         })
 
     def _warn(self, of_nodes: set[str]) -> None:
-        """Print each new warning: those of the nodes, and those about files not written."""
+        """Print each new warning of the nodes, or about files not written."""
         warnings = {self._summary.problem} if self._summary.problem else set()
         if DISK.refused and not DISK.late:
             warnings.add(

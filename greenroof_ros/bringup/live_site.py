@@ -182,16 +182,15 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof live",
         usage="%(prog)s [options]",
-        description="Keep a site with sensors and a pump running, by the system clock; nothing is\n"
-        "simulated. It does not end by itself: Ctrl-C or SIGTERM stops the pump, and then the\n"
+        description="Keep a site with sensors and a pump running, by the system clock; nothing is "
+        "simulated. It does not end by itself: Ctrl-C or SIGTERM stops the pump, and then the "
         "nodes.",
         epilog="examples:\n"
         "  greenroof live --sensors sensors.yaml --forecast forecast.csv \\\n"
         "    --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
-        "exit codes: 0 asked to stop, 1 a node failed, the pump may run on, or there were\n"
-        "incidents: a drive or a sensor was lost for a while, 2 bad usage or configuration, 3 a\n"
+        "exit codes: 0 asked to stop, 1 a node failed, the pump may run on, or there were "
+        "incidents: a drive or a sensor was lost for a while, 2 bad usage or configuration, 3 a "
         "graph is already running, 130 interrupted",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     group = parser.add_argument_group("the site")
     add_controller_arguments(parser, group)

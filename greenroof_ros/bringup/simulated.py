@@ -56,12 +56,12 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof run",
         usage="%(prog)s [options]",
-        description="Start plant, weather, controller and recorder as ROS 2 nodes, each its own\n"
-        "process, run them in lockstep on simulated time, and end them. While it runs,\n"
+        description="Start plant, weather, controller and recorder as ROS 2 nodes, each its own "
+        "process, run them in lockstep on simulated time, and end them. While it runs, "
         "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.\n\n"
-        "With --drive and --drive-at there is hardware in the loop: a drive instead of the\n"
+        "With --drive and --drive-at there is hardware in the loop: a drive instead of the "
         "simulated pump, in real time, or with the drive simulator at another --speed.\n\n"
-        "A site with sensors, at which nothing is simulated, is greenroof live, or\n"
+        "A site with sensors, at which nothing is simulated, is greenroof live, or "
         "python -m greenroof_ros.bringup --plant external.",
         epilog="examples:\n"
         "  greenroof run --controller lookahead --initial high-low\n"
@@ -69,10 +69,9 @@ def make_parser() -> Parser:
         "  greenroof run --namespace site1 --site site1.yaml\n"
         "  greenroof run --speed 60 --no-record\n"
         "  greenroof run --drive danfoss_fc202 --drive-at gateway://127.0.0.1:5020\n\n"
-        "exit codes: 0 done, 1 a node failed, the pump may run on, or done with incidents: a\n"
-        "drive was lost for a while, 2 bad usage or configuration, 3 a graph is already\n"
+        "exit codes: 0 done, 1 a node failed, the pump may run on, or done with incidents: a "
+        "drive was lost for a while, 2 bad usage or configuration, 3 a graph is already "
         "running, 130 interrupted",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_run_arguments(parser)
     add_output_arguments(parser)

@@ -6,10 +6,12 @@ import argparse
 import errno
 import functools
 import io
+import itertools
 import math
 import os
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -144,18 +146,34 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
     return wrapper
 
 
+class _HelpFormatter(argparse.HelpFormatter):
+    """Fills the paragraphs of a description to the terminal's width; indented lines stay."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        filled: list[str] = []
+        for is_laid_out, lines in itertools.groupby(
+            text.strip().splitlines(), lambda line: not line or line.startswith(" ")
+        ):
+            if is_laid_out:
+                filled += lines
+            else:
+                filled += textwrap.wrap(" ".join(lines), width, break_on_hyphens=False)
+        return "\n".join(filled)
+
+
 class Parser(argparse.ArgumentParser):
     """The parser of a command's options.
 
     An option must be written in full: an abbreviation that is clear today would be ambiguous as
-    soon as a later version adds an option that begins likewise.
+    soon as a later version adds an option that begins likewise. In the help, lines of a description
+    or an epilog that are indented, such as examples, stay as they are; the others are filled.
 
     Attributes:
         hint: what the message about an unknown option says besides; empty for nothing.
     """
 
     def __init__(self, **settings: Any) -> None:
-        super().__init__(allow_abbrev=False, **settings)
+        super().__init__(allow_abbrev=False, formatter_class=_HelpFormatter, **settings)
         self.hint = ""
 
     def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:

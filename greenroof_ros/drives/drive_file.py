@@ -8,7 +8,7 @@ from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
 from greenroof_ros.common.parameter import Word, entry, error_at, find, read_record
 from greenroof_ros.drives.modbus_line import (
@@ -299,7 +299,7 @@ def find_drive_file(name: str) -> Path:
     if Path(name).is_file():
         return Path(name)
     raise ConfigurationError(
-        f"is neither a file nor one of {', '.join(names)} in config/drives/",
+        f"is neither a file nor a name in config/drives/; {did_you_mean(name, names)}",
         key="drive", value=name,
     )
 

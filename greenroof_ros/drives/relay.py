@@ -163,7 +163,7 @@ class RelayLine:
 
         Args:
             message: to the relay.
-            values: for the ``$`` names in it, besides those of the connection.
+            values: for the ``$`` names in it, besides the connection's values.
 
         Raises:
             DriveError: there is no connection any more.

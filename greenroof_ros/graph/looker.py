@@ -189,7 +189,11 @@ class Looker:
         until = time.monotonic() + timeout_s
         while not client.service_is_ready():
             if time.monotonic() > until:
-                raise StopFailedError(f"{name} has no {service} service that answers.")
+                raise StopFailedError(
+                    f"{name} does not answer: nothing provides its service {service}. Start its "
+                    "graph first, in the same ROS_DOMAIN_ID and with the same "
+                    "ROS_AUTOMATIC_DISCOVERY_RANGE."
+                )
             time.sleep(0.02)
         answer = client.call_async(self._types[service].Request(**request))
         self._executor.spin_until_future_complete(answer, max(0.0, until - time.monotonic()))

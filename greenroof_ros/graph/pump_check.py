@@ -322,7 +322,7 @@ class PumpCheck:
         """Publish a tick, and return the flow that answers its command (m3/s).
 
         Args:
-            overrides: values, by topic, that replace those of an undisturbed tick.
+            overrides: values, by topic, that replace the values of an undisturbed tick.
         """
         _require(not self._hindered, self._hindered)
         began, tau = time.monotonic(), self._site.tau

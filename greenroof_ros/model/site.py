@@ -480,7 +480,12 @@ def read_site(path: Path) -> Site:
     for name, key in by_name.items():
         if name not in entries:
             if not key.optional and name not in _FOLLOW_FROM:
-                raise ConfigurationError("is missing", file=path, key=name)
+                unit = "" if key.entry.unit in ("", "1") else f"{key.entry.unit}, "
+                raise ConfigurationError(
+                    f"is missing ({unit}{key.entry.meaning}): add it, or begin the file with "
+                    "'extends: site.yaml' to use the paper's values for all keys that are missing",
+                    file=path, key=name,
+                )
             continue
         entry, value, whole = key.entry, entries[name][2], key.kind is int
         limits = f"from {entry.low:g} to {entry.high:g}"

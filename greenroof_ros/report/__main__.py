@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -35,12 +34,10 @@ The output holds report.html, and each figure as SVG and PNG in figures/. A bag 
 missing counts as 0, and the report says so. The pumps' efficiency is pump_efficiency of the site.
 
 examples:
-  greenroof report studies/paper            a study
-  greenroof report runs/a runs/b --output both
-                                                          two runs, side by side
-  greenroof report bag --site my_site.yaml  a bag of a real site
-  greenroof report runs/a --force --water-price 5
-                                                          once more, with another price
+  greenroof report studies/paper                   a study
+  greenroof report runs/a runs/b --output both     two runs, side by side
+  greenroof report bag --site my_site.yaml         a bag of a real site
+  greenroof report runs/a --force --water-price 5  once more, with another price
 """
 
 
@@ -49,7 +46,6 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof report",
         description=_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=_EPILOG,
     )
     parser.add_argument(

@@ -168,7 +168,7 @@ def parameters(cells: Mapping[str, object]) -> Parameters:
 
 
 def labels(row: Row) -> Row:
-    """Return the columns that describe a run in words, from those of ``results.csv``.
+    """Return the columns that describe a run in words, from the columns of ``results.csv``.
 
     They are ``from`` (the initial state), ``length``, ``forecast``, ``model`` (the forecast with
     its number of members only), ``kind of forecast`` (all but the seed), ``skill``, ``seed`` and

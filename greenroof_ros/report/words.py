@@ -48,7 +48,7 @@ def sentences(report: Report) -> list[str]:
     if report.of(SEEDS):
         return _of_seeds(report)
     if len(report.runs) == 1:
-        return _of_one(report, report.single[0])
+        return _of_run(report, report.single[0])
     return _of_several(report)
 
 
@@ -109,7 +109,7 @@ def _runs(report: Report, where: Sequence[str], initials: Sequence[str] = ()) ->
     return f"{len(report.runs)} runs of {of}: {place}."
 
 
-def _of_one(report: Report, row: Row) -> list[str]:
+def _of_run(report: Report, row: Row) -> list[str]:
     whose = controller_name(row["controller"])
     if report.runs[row["run"]].parameters:
         whose += f" ({row['setting']})"

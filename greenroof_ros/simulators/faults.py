@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -106,7 +107,8 @@ def add_option(parser: argparse.ArgumentParser, known: Mapping[str, Fault]) -> N
     """Add the option ``--fault`` to a command."""
     parser.add_argument(
         "--fault", type=functools.partial(_read_fault, known=known), default=NONE,
-        metavar="KIND[=PARAMETER]", help="fault that is active from the start; see below",
+        metavar="KIND[=PARAMETER]",
+        help="fault that is active from the start; see the list of faults",
     )
 
 
@@ -136,5 +138,8 @@ def list_faults(known: Mapping[str, Fault]) -> str:
     lines = []
     for name, fault in known.items():
         shown = f" ({fault.parameter}; default {fault.default})" if fault.parameter else ""
-        lines.append(f"  {fault.number:2d} {name:17s} {fault.meaning}{shown}")
+        lines += textwrap.wrap(
+            f"{fault.number:2d} {name:17s} {fault.meaning}{shown}", 78, initial_indent="  ",
+            subsequent_indent=" " * 23,
+        )
     return "\n".join(lines)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import sys
@@ -46,11 +45,10 @@ exit codes: 0 done, 1 a run failed (the others are in the table) or the cluster 
 the same command to continue), 2 bad usage or configuration, 130 interrupted
 
 examples:
-  greenroof study                              the paper's 30 runs
-  greenroof study my_study.yaml --jobs 4       your grid, four runs at a time
-  greenroof study my_study.yaml --engine ros --output graphs
-                                                             the same by the node graph
-  greenroof report studies/paper               tables and figures of a study
+  greenroof study                                          the paper's 30 runs
+  greenroof study my_study.yaml --jobs 4                   your grid, on 4 cores
+  greenroof study my_study.yaml --engine ros --output ros  by the node graph
+  greenroof report studies/paper                           tables and figures
 """
 
 
@@ -59,7 +57,6 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof study",
         description=_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=_EPILOG,
     )
     parser.add_argument(

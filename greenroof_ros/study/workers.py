@@ -121,7 +121,7 @@ def cluster(address: str) -> Iterator[Workers]:
 
     Raises:
         ConfigurationError: distributed is not installed, the scheduler does not answer or has no
-            worker, or the versions on a worker differ from those of this process.
+            worker, or the versions on a worker differ from this process's.
         WorkersGoneError: the scheduler or all its workers disappeared during work.
     """
     try:

@@ -27,7 +27,8 @@ start and stop at any time: no run waits for them. The pump can be stopped on th
 if that was allowed.
 
 The address is printed. Only this machine can reach it; from another machine, use an ssh tunnel:
-  ssh -L 8080:localhost:8080 NAME_OF_THIS_MACHINE        and there, http://localhost:8080
+  ssh -L 8080:localhost:8080 NAME_OF_THIS_MACHINE
+and open http://localhost:8080 there.
 """
 _EPILOG = """\
 examples:
@@ -50,7 +51,6 @@ def make_parser() -> Parser:
         prog="greenroof watch",
         usage="%(prog)s [options]",
         description=_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=_EPILOG,
     )
     parser.add_argument(

@@ -31,8 +31,8 @@ _GONE_S = 10.0
 _WAITS_S = 5.0
 # The time over which the speed of a simulation is measured, at least and at most (s).
 _SPEED_S, _SPEED_MOST_S = 1.0, 3.0
-# Limits to what a hostile sender can fill, besides those of :mod:`.wire`: nodes, parts of each,
-# statuses of other devices, and characters of a name. A graph has seven nodes.
+# Limits to what a hostile sender can fill, besides the limits of :mod:`.wire`: nodes, parts of
+# each, statuses of other devices, and characters of a name. A graph has seven nodes.
 _NODES, _PARTS, _FOREIGN, _NAME = 32, 24, 200, 160
 _NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
 # The greatest tick of a run, and the first time (ns since 1970) that does not fit into 64 bits.

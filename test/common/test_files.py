@@ -26,7 +26,7 @@ VALUES = (
 
 
 def test_values_as_rcl_reads_them(tmp_path: Path, domain: int) -> None:
-    """Type and value equal those of a node that has read the file by rcl."""
+    """A node that has read the file by rcl has the same types and values."""
     rclpy = pytest.importorskip("rclpy", reason="rcl comes with ROS 2")
     from rclpy.node import Node
 

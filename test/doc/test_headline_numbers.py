@@ -1,10 +1,11 @@
-"""The headline numbers of the README are those of its figure."""
+"""The headline numbers of the README agree with its figure."""
 
 from __future__ import annotations
 
 import sys
 
 from places import CHECKOUT
+from real_seasons.inputs import ROOFS
 
 sys.path.append(str(CHECKOUT / "doc"))
 
@@ -17,6 +18,8 @@ def test_readme_says_what_its_figure_shows() -> None:
     assert (CHECKOUT / "doc" / "_static" / "worth.svg").read_text() == worth.drawing()
     rows = [row for roof in ("measured", "paper") for row in worth.rows(roof)]
     readme = " ".join((CHECKOUT / "README.md").read_text().split())
+    (target,) = {ROOFS[roof].target for roof in ("measured", "paper")}
+    assert f"from its target of {1000 * target:.1f} mm, in mm" in readme
     shares = [100 * row.share.value for row in rows]
     _, none, issued, dressed, perfect, plan, _, *paper = shares
     low = rows[5].share.low

@@ -96,10 +96,14 @@ def test_wrong_files_are_refused_by_line_key_and_value(
         read_drive_file(path)
 
 
-def test_a_drive_that_is_not_known() -> None:
-    message = "drive = 'siemens': is neither a file nor one of abb_acs880, danfoss_fc202,"
-    with pytest.raises(ConfigurationError, match=message):
-        find_drive_file("siemens")
+@pytest.mark.parametrize(("name", "remedy"), [
+    ("siemens", "choose from abb_acs880, danfoss_fc202, "),
+    ("danfos", "did you mean danfoss_fc202?"),
+])
+def test_a_drive_that_is_not_known(name: str, remedy: str) -> None:
+    message = f"drive = '{name}': is neither a file nor a name in config/drives/; {remedy}"
+    with pytest.raises(ConfigurationError, match=re.escape(message)):
+        find_drive_file(name)
 
 
 @pytest.mark.parametrize(

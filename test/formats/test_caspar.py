@@ -1,7 +1,7 @@
 """CaSPAr's NetCDF, written here by its conventions: what is read from the header of its files.
 
-Names, dimensions, units and standard names are those of 2024010100.nc of HRDPS (PAVICS,
-HRDPS_P_PR_SFC) and of a member of an ensemble, 2018030100_000.nc; a missing value at the first hour
+Names, dimensions, units and standard names are as in 2024010100.nc of HRDPS (PAVICS,
+HRDPS_P_PR_SFC) and in a member of an ensemble, 2018030100_000.nc; a missing value at the first hour
 has NetCDF's fill value.
 """
 

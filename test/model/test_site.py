@@ -91,9 +91,13 @@ def test_site_climate(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("key", [key for key in TABLE_I if key not in ("x2_star", "z_cap")])
 def test_missing(tmp_path: Path, key: str) -> None:
-    """The error has the file; the other two follow from these."""
+    """The error has the file, and a remedy that works; the other two follow from these."""
     path = write(tmp_path, **{key: None})
-    assert refusal(path) == f"{path}: {key}: is missing"
+    why = refusal(path)
+    assert why.startswith(f"{path}: {key}: is missing (")
+    (remedy,) = re.findall("begin the file with '(.+?)'", why)
+    path.write_text(f"{remedy}\n{path.read_text()}")
+    read_site(path)
 
 
 @pytest.mark.parametrize(("key", "wrong"), [("z_H", "-1e-300"), ("M", "10.5")])

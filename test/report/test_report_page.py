@@ -265,7 +265,7 @@ def click_legend(page: Any, panel: str, text: str) -> None:
 
 
 def test_legend_switches_a_run_off_and_on(page: Any) -> None:
-    """In the panel that was clicked, and in those of the same runs; not in the others."""
+    """In the panel that was clicked, and in panels of the same runs; not in the others."""
     first, same, other = (f"trajectories-1-1-panel-{number}" for number in (1, 3, 2))
 
     def lines(panel: str) -> set[str]:

@@ -91,7 +91,7 @@ def test_what_is_wrong_ends_before_anything_runs(
 
 
 def test_window_of_several_files(tmp_path: Path) -> None:
-    """A list or a pattern is one window; the runs equal those of the complete file."""
+    """A list or a pattern is one window; the runs equal the runs of the complete file."""
     lines = WEATHER.read_text().splitlines(keepends=True)
     header = next(index for index, line in enumerate(lines) if line.startswith("time,"))
     hours = lines[header + 1 :]

@@ -171,7 +171,7 @@ def test_forecasts_of_another_place(tmp_path: Path) -> None:
 
 
 def test_models_of_the_package(tmp_path: Path) -> None:
-    """Persistence by a plain count; only those of the usual sums are scored that divide the lead.
+    """Persistence by a plain count; of the usual sums only those that divide the lead are scored.
 
     Local standard time is five hours behind UTC, where it is issued at 0, 6, 12 and 18.
     """

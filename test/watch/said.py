@@ -25,7 +25,7 @@ def node(
     name: str, role: str, *parts: tuple[Any, ...], process: str = "host 1",
     state: str = "ready", **values: Any,
 ) -> list[Status]:
-    """Return a node's messages: its own status, and those of its parts.
+    """Return a node's messages: its own status, and each part's.
 
     Each part has a name, level and sentence, and optionally a code.
     """

@@ -223,7 +223,7 @@ def test_of_a_fast_run_the_bag_is_read_or_samples_are_shown(
 
 def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
     """No such node, and two nodes that claim the pump, are refused in words, and soon."""
-    one, other = (
+    pump, other = (
         node("pump", name=name, process=process) for name, process in
         (("/pump", "a 1"), ("/other", "b 1"))
     )
@@ -242,10 +242,10 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
             return _shown(watched)["stop"]
 
         assert "no pump node" in refusal(feed)
-        wait_for(lambda: stop_of(one)["node"] == "/pump", 60, "the pump node")
-        assert refusal(feed) == "/pump has no page_stop service that answers."
-        wait_for(lambda: stop_of(one, other)["warning"], 60, "a warning")
-        assert not stop_of(one, other)["possible"]
+        wait_for(lambda: stop_of(pump)["node"] == "/pump", 60, "the pump node")
+        assert refusal(feed).startswith("/pump does not answer: ")
+        wait_for(lambda: stop_of(pump, other)["warning"], 60, "a warning")
+        assert not stop_of(pump, other)["possible"]
         assert "/pump (a 1) and /other (b 1)" in refusal(feed)
 
 

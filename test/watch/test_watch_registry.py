@@ -71,11 +71,11 @@ def test_what_ros_lets_no_node_be_called_is_none() -> None:
 def test_a_bag_is_what_the_recorder_says_if_it_is_here(tmp_path: Path) -> None:
     """And only if it is on this machine."""
     here = f"{socket.gethostname()} 1"
-    for process, place, found in (
+    for process, place, bag in (
         (here, f"{tmp_path}", tmp_path), ("another 1", f"{tmp_path}", None),
         (here, f"{tmp_path}/none", None), (here, "/etc/passwd\0", None), (here, ".", None),
         (here, 7, None), (here, "/" + "p" * 5000, None),
     ):
         graph = Registry()
         say(graph, 0.0, "recorder", process=process, bag=place)
-        assert graph.bag() == found, place
+        assert graph.bag() == bag, place

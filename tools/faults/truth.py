@@ -34,7 +34,7 @@ class Truth:
         self.samples: deque[tuple[float, float]] = deque(maxlen=_KEPT)  # time (s), speed
         self._drive = Workbench(drive)
         self._site = None if site is None else Workbench(site, SITE_FAULTS)
-        self._one_at_a_time = threading.Lock()
+        self._in_turn = threading.Lock()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._sample, daemon=True)
         self._thread.start()
@@ -49,7 +49,7 @@ class Truth:
     def _sample(self) -> None:
         while not self._ended.wait(_PERIOD_S):
             # Nothing is known while the simulator is killed or stopped.
-            with suppress(DriveError), self._one_at_a_time:
+            with suppress(DriveError), self._in_turn:
                 before = time.monotonic()
                 speed = self._drive.speed()
                 self.samples.append(((before + time.monotonic()) / 2, speed))
@@ -68,7 +68,7 @@ class Truth:
         self._ask(lambda: self._drive.take_over(local))
 
     def _ask(self, request: Callable[[], None]) -> None:
-        with self._one_at_a_time:
+        with self._in_turn:
             try:
                 request()
             except DriveError:  # the simulator was restarted since the last request

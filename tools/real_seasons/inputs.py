@@ -140,7 +140,7 @@ class Inputs:
         """Return an archive with each half of a period dressed by the other half.
 
         Issues outside the period are dressed by the wetter half. With their own numbers the halves
-        choose those of dressing, too.
+        choose the numbers of dressing, too.
         """
         archive, by = self.issued[source], self.by_half(roof, source, period)
         numbers = {
