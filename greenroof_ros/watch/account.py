@@ -45,7 +45,7 @@ class Entry(NamedTuple):
     label: str
     metric: str = ""
     needs: tuple[str, ...] = ()
-    unit: str = "m3"
+    unit: str = "m³"
     decimals: int = 3
     factor: float = 1.0
 

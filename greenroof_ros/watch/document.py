@@ -378,8 +378,9 @@ def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
 def series(store: Store, hours: float) -> dict[str, Any]:
     """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
 
-    A line has a gap between two rows that are further apart than its entry in ``gaps`` (s); no
-    value holds for longer. It also has a gap from a row of None to the next row.
+    A row covers a ``stretch`` (s), which is a share of the time with values: a run that has just
+    begun has many rows. A line has a gap between two rows that are further apart than its entry in
+    ``gaps`` (s); no value holds for longer. It also has a gap from a row of None to the next row.
 
     Args:
         store: state of the graph.
@@ -392,11 +393,15 @@ def series(store: Store, hours: float) -> dict[str, Any]:
         if now is not None:
             newest = max((value.time_ns for value in store.newest.values()), default=0)
             last = max(newest, round(now * 1e9))
-            first = last - round(hours * 3.6e12)
+            pasts = {
+                name: store.newest[topic].past for name, topic in LINES.items()
+                if topic in store.newest
+            }
+            oldest = [past.begin for past in pasts.values() if past.begin is not None]
+            first = max(last - round(hours * 3.6e12), min(oldest, default=last))
             stretch = stretch_of(first, last, _POINTS)
-            for name, topic in LINES.items():
-                if topic in store.newest:
-                    lines[name] = store.newest[topic].past.window(first, last, _POINTS)
+            for name, past in pasts.items():
+                lines[name] = past.window(first, last, _POINTS)
             lines["roof_expected"] = store.expected.window(first, last, _POINTS)
         gaps = {name: _gap(rows, stretch) for name, rows in lines.items()}
         lost = Gaps()
@@ -411,6 +416,7 @@ def series(store: Store, hours: float) -> dict[str, Any]:
             "to": None if now is None else now + AHEAD_S,
             "lines": lines,
             "gaps": gaps,
+            "stretch": stretch / 1e9,
             "forecast": [] if forecast is None else forecast.rows(),
             "plan": [] if plan is None or now is None else plan.rows(now),
             "marks": {  # m; None if there is none

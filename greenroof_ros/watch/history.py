@@ -26,6 +26,11 @@ class History:
         self._times: Stamps = np.empty(0, dtype=np.int64)
         self._rows: Values = np.empty((0, 3))
 
+    @property
+    def begin(self) -> int | None:
+        """Time of the oldest row (ns); None without values."""
+        return int(self._times[0]) if len(self._times) else None
+
     def add(self, times: Stamps, values: Values) -> None:
         """Take finite values in the order of time, none older than those already there.
 

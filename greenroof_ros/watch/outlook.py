@@ -141,14 +141,20 @@ class Plan(_Steps):
         begin = max(now, float(self.begins[pumps[0]]))
         return Pumped(float(self.flow @ lengths), begin, float(self.level[pumps].max()))
 
-    def above(self, level: float, now: float) -> tuple[float, float] | None:
-        """Return when the roof is first above a level (s since 1970), and how high it rises.
+    def above(self, level: float, now: float, present: float) -> tuple[float, float] | None:
+        """Return when the roof rises above a level (s since 1970), and how high it rises.
 
-        Looks up to 12 h ahead; None if the roof is at no end of a step above the level.
+        Looks up to 12 h ahead; None if the roof is at no end of a step above the level. From the
+        present level, which is not above it, to the ends of the steps the roof rises in straight
+        lines, as the chart draws it.
         """
         ahead = (self.ends > now) & (self.ends <= now + AHEAD_S)
-        over = self.ends[ahead & (self.level > level)]
-        return (float(over[0]), float(self.level[ahead].max())) if len(over) else None
+        times, levels = np.append(now, self.ends[ahead]), np.append(present, self.level[ahead])
+        over = np.flatnonzero(levels > level)
+        if not len(over):
+            return None
+        rise = slice(over[0] - 1, over[0] + 1)
+        return float(np.interp(level, levels[rise], times[rise])), float(levels.max())
 
     def rows(self, now: float) -> list[list[float]]:
         """Return begin and end (s since 1970), flow, and level at the end of each coming step."""

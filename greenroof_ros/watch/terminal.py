@@ -75,10 +75,7 @@ def pages(
             lines += [[]] * room  # the block stays on one page
         lines += block
     if options.ascii_only:
-        lines = [
-            [Segment(part.text.encode("ascii", "replace").decode(), part.style) for part in line]
-            for line in lines
-        ]
+        lines = [[Segment(_ascii(part.text), part.style) for part in line] for line in lines]
     if height is None:
         return [SegmentLines(lines, new_lines=True)]
     begins, drawn = range(0, len(lines), fit), []
@@ -88,6 +85,11 @@ def pages(
         filled = [*seen, *[[]] * (fit - len(seen)), [Segment(keys, Style.parse(_DIM))]]
         drawn.append(SegmentLines(filled, new_lines=True))
     return drawn
+
+
+def _ascii(text: str) -> str:
+    """Return a text in ASCII, as long as before: m³ is m3, other characters are ``?``."""
+    return text.replace("³", "3").encode("ascii", "replace").decode()
 
 
 def _parts(

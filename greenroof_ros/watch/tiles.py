@@ -113,7 +113,7 @@ def cistern(store: Store) -> Tile:
         if level > site.z_o:
             return "high", "above its outlet: it overflows to the sewer"
         drains = "; its low outlet drains it" if level > site.lowest_outlet else ""
-        usable_text = words.quantity(usable, "m3", 1)
+        usable_text = words.quantity(usable, "m³", 1)
         return "good", f"{usable_text} above the suction level can be pumped{drains}"
 
     shown = 0.0 if newest is None else newest.value or 0.0
@@ -155,7 +155,7 @@ def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     elif not flow_known and not may_turn:
         parts.append("its flow is not known")
     if command is not None:
-        parts.append(_commanded(command.value))
+        parts.append(_commanded(command.value, _is(store)))
     newest = pumped if pumped is not None else command
     old = newest is not None and newest.stale
     # The node reports its state by another way than the flow.
@@ -179,11 +179,16 @@ def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     }
 
 
-def _commanded(share: float | None) -> str:
+def _is(store: Store) -> str:
+    """Return ``was`` after the end of a run, otherwise ``is``."""
+    return "was" if store.ended else "is"
+
+
+def _commanded(share: float | None, verb: str) -> str:
     if share is None:
-        return f"the command is {words.NOT_PLAUSIBLE}"
+        return f"the command {verb} {words.NOT_PLAUSIBLE}"
     if not share:
-        return "nothing is commanded"
+        return f"nothing {verb} commanded"
     return f"commanded {words.command(share)} of its maximum flow"
 
 
@@ -199,23 +204,25 @@ def _state(store: Store, said: str | None) -> tuple[str, str]:
         if share is None:
             return "unknown", "neither flow nor command is known"
         return ("off", why) if share == 0 or why else ("running", "")
-    return ("running", "") if pumped.value > 0 else ("off", why or "it rests between two runs")
+    rests = "it rested between two runs" if store.ended else "it rests between two runs"
+    return ("running", "") if pumped.value > 0 else ("off", why or rests)
 
 
 def _why_off(store: Store, share: float | None) -> str:
     """Return why a simulated pump stands; empty if nothing known explains it."""
     site, level, stored = store.site, store.known(_ROOF), store.known(_CISTERN)
+    verb = _is(store)
     if store.known(_FROST):
-        return "there is frost"
+        return f"there {verb} frost"
     if _quiet(store):
-        return "it is in quiet hours"
+        return f"it {verb} in quiet hours"
     if share == 0:
-        return "nothing is commanded"
+        return f"nothing {verb} commanded"
     if level is not None and level >= site.z_veg:
-        return "the roof has reached its target"
+        return f"the roof {'had' if store.ended else 'has'} reached its target"
     if stored is not None and stored < site.suction_level:
-        return "the cistern is below the suction level"
-    return "no command is known" if share is None else ""
+        return f"the cistern {verb} below the suction level"
+    return f"no command {verb} known" if share is None else ""
 
 
 def _quiet(store: Store) -> bool:
@@ -288,11 +295,12 @@ def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     elif name is None and command is None:
         sentence = "no controller is known"
     elif command is None or command.value is None:
-        sentence = "its command is unknown"
+        sentence = f"its command {_is(store)} unknown"
     elif command.value:
-        sentence = f"commands {words.command(command.value)} of the pump's maximum flow"
+        commands = "commanded" if store.ended else "commands"
+        sentence = f"{commands} {words.command(command.value)} of the pump's maximum flow"
     else:
-        sentence = "commands no pumping now"
+        sentence = "commanded no pumping" if store.ended else "commands no pumping now"
     if not alarm and not store.ended:
         sentence = "; ".join(filter(None, (_aim(store, plan, now), sentence, _trusted(store))))
     return {
@@ -332,17 +340,17 @@ def _trusted(store: Store) -> str:
 
 
 def _planned(store: Store, plan: Plan, now: float) -> str:
-    ended = store.ended
+    ended, right = store.ended, "if the forecast is right"
     if now >= plan.ends[-1]:
         return "its plan was over" if ended else "its plan is over"
     pumped = plan.pumped(now)
     reach = words.horizon(min(12 * 3600.0, float(plan.ends[-1]) - now))
     if pumped is None:
-        return f"{'planned not to' if ended else 'will not'} pump in the next {reach}"
+        return f"{'planned not to' if ended else 'will not'} pump in the next {reach} {right}"
     start = "from now on" if pumped.begin <= now else f"from {store.hour(pumped.begin)} on"
     return (
-        f"{'planned to' if ended else 'will'} pump {words.quantity(pumped.volume, 'm3', 2)} in the "
-        f"next {reach}, {start}, up to {roof_level(pumped.level)} if the forecast is right"
+        f"{'planned to' if ended else 'will'} pump {words.quantity(pumped.volume, 'm³', 2)} in the "
+        f"next {reach}, {start}, up to {roof_level(pumped.level)} {right}"
     )
 
 
@@ -379,8 +387,8 @@ def too_wet(store: Store) -> str:
     if plan is None or now is None or level is None or store.ended:
         return ""
     high = band_of(site)[1]
-    above = plan.above(high, now)
-    if above is None or level > high:
+    above = None if level > high else plan.above(high, now, level)
+    if above is None:
         return ""
     begin, highest = above
     return (

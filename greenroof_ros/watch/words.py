@@ -59,8 +59,8 @@ def rain(metres: float) -> str:
 
 
 def volume(cubic_metres: float) -> str:
-    """Write a volume: ``1.234 m3``."""
-    return quantity(cubic_metres, "m3", 3)
+    """Write a volume: ``1.234 m³``."""
+    return quantity(cubic_metres, "m³", 3)
 
 
 def command(share: float) -> str:

@@ -175,7 +175,8 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
     stop, availability = "greenroof/site1/stop", "greenroof/site1/availability"
     with (
         mosquitto(tmp_path) as broker, Talker(broker) as heard,
-        running_pump(domain, tmp_path) as (run, drive),
+        # At less than full flow, so that it still runs after the broker was lost.
+        running_pump(domain, tmp_path, "--fraction", "0.4") as (run, drive),
     ):
         heard.say(stop, "STOP", retain=True)
         bridge = Process(

@@ -111,11 +111,11 @@ LOW_OUTLET = replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02)
     ("roof", SITE, 0.55, "high",
      "504.3 mm above its target; the soil is full, and water drains off"),
     ("roof", SITE, -0.0, "low", "45.7 mm below its target"),
-    ("cistern", SITE, 2.5, "good", "43.8 m3 above the suction level can be pumped"),
+    ("cistern", SITE, 2.5, "good", "43.8 m³ above the suction level can be pumped"),
     ("cistern", SITE, 0.75, "low", "too low for the pump: not above the suction level"),
     ("cistern", SITE, 3.01, "high", "above its outlet: it overflows to the sewer"),
     ("cistern", LOW_OUTLET, 2.5, "good",
-     "43.8 m3 above the suction level can be pumped; its low outlet drains it"),
+     "43.8 m³ above the suction level can be pumped; its low outlet drains it"),
 ])
 def test_levels(name: str, site: Site, level: float, state: str, sentence: str) -> None:
     """The roof's band is 5 % of the target of 45.7 mm: from 43.415 to 47.985 mm."""
@@ -235,11 +235,11 @@ def test_the_plan_in_words() -> None:
     graph.add_statuses(100.0, node("/lookahead", "controller"))
     plan = np.array([[4740.0, 0, 0.045], [7140.0, 1e-3, 0.047], [43200.0, 0, 0.046]])
     will = (
-        "will pump 2.40 m3 in the next 12 h, from 01:20 on, up to 47.0 mm if the forecast is right"
+        "will pump 2.40 m³ in the next 12 h, from 01:20 on, up to 47.0 mm if the forecast is right"
     )
     for later, (rows, sentence) in enumerate((
         (plan, will), (np.empty((0, 3)), will),
-        (plan * [1, 0, 1], "will not pump in the next 12 h"),
+        (plan * [1, 0, 1], "will not pump in the next 12 h if the forecast is right"),
         (np.full((1, 3), np.nan), "commands no pumping now"),
     )):
         graph.add_plan(MINUTE + later * SECOND, rows)
@@ -287,7 +287,7 @@ def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
     assert "not a plausible value" in document["tiles"]["pump"]["sentence"]
     series = read_series(graph, 3)
     json.dumps(series, allow_nan=False)
-    assert {len(series["lines"][name]) for name in LINES} == {2}  # 0-39 and 40-60 s
+    assert {len(series["lines"][name]) for name in LINES} == {4}  # 0-19, 20-39, 40-59 and 60 s
     after = [row["number"] for row in account_of(graph).values()]
     assert after == pytest.approx(before, abs=1e-9)
     assert document["tiles"]["summary"]["level"] == "warn"
@@ -334,7 +334,7 @@ def test_what_is_not_newer_is_left_out() -> None:
     add_at(graph, "/roof/level", (70, 0.03), (65, 0.5), (80, 0.02))
     rows = read_series(graph, 3)["lines"]["roof"]
     assert [row[1:] for row in rows] == [
-        [0.04, 0.04, 0.04], [0.03, 0.04, 0.03], [0.02, 0.02, 0.02],
+        *[[0.04, 0.04, 0.04]] * 3, [0.03, 0.04, 0.03], [0.02, 0.02, 0.02],
     ]
 
 
@@ -401,12 +401,13 @@ def test_nothing_of_an_ended_run_is_stale_and_it_has_no_future() -> None:
     document = shown(graph, 9999.0)
     tiles = document["tiles"]
     assert (document["heading"], tiles["roof"]["state"]) == ("Ended run", "good")
-    assert tiles["controller"]["sentence"].startswith("planned to pump 4.32 m3")
+    assert tiles["controller"]["sentence"].startswith("planned to pump 4.32 m³")
     assert tiles["rain"]["sentence"] == "4.3 mm were expected in the next 12 h"
     assert tiles["summary"]["sentence"] == (
         "The run has ended. The roof was at its target; the pump was off, since nothing "
-        "is commanded."
+        "was commanded."
     )
+    assert tiles["pump"]["sentence"] == "0.0 L/min; nothing was commanded"
 
 
 def test_headings() -> None:
@@ -455,12 +456,12 @@ def test_the_account_in_words() -> None:
     assert rows.pop("evapotranspiration_ratio") == "unknown"  # nothing to evaporate
     assert rows.pop("energy").endswith(" kWh")
     assert rows == {
-        "stress": "0.0 h", "deviation": "0.0 mm", "rain": "0.000 m3", "pumped": "0.060 m3",
-        "drained": "0.000 m3", "evapotranspired": "0.000 m3", "stored": "0.000 m3",
-        "unexplained": "-0.060 m3", "inflow": "0.000 m3", "overflow": "0.000 m3",
-        "saved": "0.060 m3",
+        "stress": "0.0 h", "deviation": "0.0 mm", "rain": "0.000 m³", "pumped": "0.060 m³",
+        "drained": "0.000 m³", "evapotranspired": "0.000 m³", "stored": "0.000 m³",
+        "unexplained": "-0.060 m³", "inflow": "0.000 m³", "overflow": "0.000 m³",
+        "saved": "0.060 m³",
     }  # the level stood still; without rain no share of it was kept
-    assert shown(graph)["account"]["sentence"] == "0.060 m3 not accounted for"
+    assert shown(graph)["account"]["sentence"] == "0.060 m³ not accounted for"
     hear(graph, 361, 400, QUIET)
     assert shown(graph)["account"]["sentence"].endswith(", with gaps of 5 min")
 
@@ -696,14 +697,24 @@ def test_a_pump_that_waits_for_rain_says_so() -> None:
 
 
 def test_a_roof_that_will_be_too_wet_is_said_in_words() -> None:
-    """And a horizon is in whole hours."""
-    plan = [[3600.0, 0.0, 0.040], [7200.0, 0.0, 0.050], [43200.0, 0.0, 0.0657]]
-    assert with_outlook(0.032, plan=plan)["summary"]["sentence"].endswith(
-        "It is expected to be too wet from 02:01 on, up to 20.0 mm above its target."
-    )
+    """From when the line of the chart leaves the band, which ends at 47.985 mm.
+
+    From 40 mm at 01:01 to 50 mm at 02:01 that is after 0.7985 h; from the present 35 mm at 00:01
+    to 60 mm at 01:01 after 0.5194 h. And a horizon is in whole hours.
+    """
+    end = [43200.0, 0.0, 0.0657]
+    for plan, begin in (
+        ([[3600.0, 0.0, 0.040], [7200.0, 0.0, 0.050], end], "01:48"),
+        ([[3600.0, 0.0, 0.060], end], "00:32"),
+    ):
+        assert with_outlook(0.032, plan=plan)["summary"]["sentence"].endswith(
+            f"It is expected to be too wet from {begin} on, up to 20.0 mm above its target."
+        )
     tiles = with_outlook(0.032, plan=[[3600.0, 0.0, 0.040], [42900.0, 0.0, 0.045]])
     assert "too wet" not in tiles["summary"]["sentence"]
-    assert tiles["controller"]["sentence"] == "will not pump in the next 12 h"
+    assert tiles["controller"]["sentence"] == (
+        "will not pump in the next 12 h if the forecast is right"
+    )
 
 
 def test_what_began_before_the_clock_of_a_run_is_of_its_clock() -> None:
@@ -952,7 +963,7 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
     graph.add_plan(early_ns, plan)
     tiles = shown(graph, 0.0)["tiles"]
     assert tiles["rain"]["sentence"] == "26 mm expected in the next 12 h (8.6 to 43)"
-    assert tiles["controller"]["sentence"].startswith("will pump 4.32 m3")
+    assert tiles["controller"]["sentence"].startswith("will pump 4.32 m³")
     assert [row[2] for row in read_series(graph, 24)["plan"]] == [1e-4] * 12
     # A plan that was only shown is not kept as expected.
     plan_lasts(graph, 3600, hours)
@@ -969,11 +980,22 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
 ])
 def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None:
     graph = Store()
-    hear(graph, 0, 36_000, {"/roof/level": 0.04}, every=seconds)
+    hear(graph, 0, round(hours * 3600), {"/roof/level": 0.04}, every=seconds)
     series = read_series(graph, hours)
     assert series["gaps"]["roof"] == gap
     assert np.diff([row[0] for row in series["lines"]["roof"]]).max() <= gap
     assert series["gaps"].keys() == series["lines"].keys()
+
+
+def test_a_run_that_has_just_begun_has_many_rows() -> None:
+    """Ten minutes of 12 h are shown in stretches of 20 s, each with its last value."""
+    graph = Store()
+    hear(graph, 0, 600, {"/roof/level": 0.04, "/weather/precipitation": 0.0})
+    series = read_series(graph, 12)
+    assert series["stretch"] == 20.0
+    for name in ("roof", "rain"):
+        times = [row[0] - START / 1e9 for row in series["lines"][name]]
+        assert times == list(range(19, 600, 20)), name
 
 
 # --- words --------------------------------------------------------------------------------------

@@ -242,6 +242,7 @@ def test_hostile_texts_do_nothing_to_the_terminal() -> None:
         assert "\u202e" not in text
         assert "[red]x[/red]" in text
         assert text.isascii() == ascii_only
+        assert f"{'m3' if ascii_only else 'm³'} above the suction level" in text
 
 
 # --- as a process on a terminal -------------------------------------------------------------------

@@ -26,7 +26,7 @@ const CHARTS = [
     lines: [{ name: "cistern", label: "measured", colour: "--cistern", range: "past" }],
   },
   {
-    key: "pump", shown: "flow", title: "Pump", height: 170, zero: true, right: "command", rightColour: "--command",
+    key: "pump", shown: "flow", title: "Pump", height: 170, zero: true, right: "command", rightColour: "--command-words",
     lines: [
       { name: "flow", label: "flow", colour: "--flow", steps: true, range: "past", rangeLabel: "its range" },
       { name: "plan", label: "flow planned", colour: "--flow", steps: true, dash: [6, 4] },
@@ -35,7 +35,7 @@ const CHARTS = [
   },
   {
     key: "rain", shown: "rain", title: "Rain and evapotranspiration", height: 195, zero: true,
-    right: "evapotranspiration", rightColour: "--evapotranspiration",
+    right: "evapotranspiration", rightColour: "--evapotranspiration-words",
     lines: [
       { name: "rain", label: "rain", colour: "--rain", fill: "--rain-fill", steps: true },
       { name: "forecast", label: "rain forecast", colour: "--rain", steps: true, dash: [6, 4], range: "step", rangeLabel: "its range" },
@@ -306,7 +306,10 @@ export class Charts {
         rows[line.name] = broken(points.map(([t, low, high, last]) => ({
           t: this.ms(t), ...(last === null ? NOTHING : { v: last * f, low: low * f, high: high * f }),
         })), series.gaps[line.name] * 1000, line.steps, now);
-        if (line.range === "past") rows[`${line.name}_range`] = beyond(rows[line.name], line.steps);
+        if (line.range === "past") {
+          const begin = Math.floor((points[0]?.[0] ?? 0) / series.stretch) * series.stretch;
+          rows[`${line.name}_range`] = beyond(rows[line.name], line.steps, this.ms(begin));
+        }
       }
     }
     const [level, flow, rain] = ["roof", "flow", "rain"].map(factor);
@@ -507,20 +510,22 @@ export class Charts {
 const NOTHING = { v: null, low: null, high: null };
 
 // Adds a row without values to each gap of more than 'gap' (ms). A value that holds until the next one
-// holds for 'gap' at most, not beyond a time when it is not known, and not beyond now.
+// holds for 'gap' at most, not beyond a time when it is not known, and not beyond now; it has no range there.
 const broken = (rows, gap, holds, now) => rows.flatMap((row, i) => {
   const next = rows[i + 1];
   if (next && next.v !== null && next.t - row.t <= gap) return [row];
   const t = holds ? Math.min(row.t + gap, next?.v === null ? next.t - 1 : now, now) : row.t;
-  const end = t > row.t && row.v !== null ? [row, { ...row, t }] : [row];
+  const end = t > row.t && row.v !== null ? [row, { t, v: row.v, low: row.v, high: row.v }] : [row];
   return next && row.v !== null && next.v !== null ? [...end, { t: t + 1, ...NOTHING }] : end;
 });
 
 // How far a value went beyond its line, from row to row; a value that only rises or falls has no band.
-const beyond = (rows, holds) => rows.flatMap((row, i) => {
+// No line leads to the first row: its whole range is drawn, from the begin of its stretch.
+const beyond = (rows, holds, begin) => rows.flatMap((row, i) => {
   const before = rows[i - 1];
   if (row.v === null) return [row];
-  if (!before || before.v === null) return [];
+  if (!before) return [begin, row.t].map((t) => ({ t, low: row.low, high: row.high }));
+  if (before.v === null) return [];
   const end = holds ? before.v : row.v;
   const under = Math.max(0, Math.min(before.v, end) - row.low);
   const over = Math.max(0, row.high - Math.max(before.v, end));

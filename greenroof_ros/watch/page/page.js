@@ -88,7 +88,7 @@ const fillTile = (tile, data) => {
   const state = tile.querySelector(".state");
   state.hidden = form === null;
   if (form !== null) setShape(state.firstChild, form);
-  setText(state.lastChild, word);
+  setText(state.lastChild, word === "works" && shown.mode === "ended" ? "worked" : word);
   const value = tile.querySelector(".value");
   setText(value, data.value ?? "");
   value.classList.toggle("long", value.textContent.length > 10);
