@@ -336,7 +336,6 @@ _GENERATED = {
     ("anticipating_onoff", "real"): "`anticipating_onoff`, generated forecasts",
     ("lookahead", "real"): "`lookahead`, generated",
     ("lookahead", "none"): "`lookahead`, generated without skill",
-    ("mpc", ""): "the paper's `mpc`, perfect",
 }
 _ISSUED = {
     ISSUED: "`lookahead`, issued",
