@@ -25,7 +25,7 @@ from greenroof_ros.model.metrics import Metrics
 
 Array = NDArray[np.float64]
 
-# A sixtieth of the flow lifts in a tick of a minute what full flow lifts in the paper's tick of 1 s.
+# A sixtieth of the flow lifts in a minute what full flow lifts in a second, the paper's tick.
 ONOFF = {"fraction": 1 / 60}
 ISSUED, DRESSED, CROSSED = "as issued", "dressed", "dressed by the other half"
 NESTED = "dressed by the other half with its own numbers"
