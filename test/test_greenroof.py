@@ -67,7 +67,7 @@ def test_each_command_has_its_help_and_imports_little_for_it(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_fits_a_terminal(tmp_path: Path, name: str) -> None:
-    """Text is filled to 80 columns; only an example may be a little wider."""
+    """No line is longer than 100 columns, at a width of 80."""
     if name == "live":
         pytest.importorskip("rclpy")
     done = run_command(

@@ -224,7 +224,7 @@ def _to_hold(record: Record, site: Site) -> Values:
     evapotranspiration is subtracted at its full rate, because a good controller pumps no more than
     that, and nothing while it rains often enough.
     """
-    rate = max(_FULL_RATE, site.crop_coefficient) * bool(_watered(record).any())
+    rate = max(_FULL_RATE, site.crop_coefficient) * bool(np.nansum(record.pumped) > 0)
     return np.concatenate(([0.0], np.cumsum(record.came - rate * record.reference)))
 
 

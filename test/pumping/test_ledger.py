@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import math
 import os
+import signal
+import subprocess
+import sys
 import time
 import zlib
 from collections.abc import Callable
@@ -280,6 +283,31 @@ def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
         rig.run(30, 1.0)
         wait_for(lambda: rig.ledger.problem == "", 60, "the file")
         assert read(file, clock).starts
+
+
+def test_killed_at_any_moment(tmp_path: Path) -> None:
+    """Three times, during continuous writing: the file is always intact."""
+    file = tmp_path / "pump.json"
+    program = (
+        "import sys, time\n"
+        "from pathlib import Path\n"
+        "from greenroof_ros.pumping.ledger import Ledger\n"
+        "ledger = Ledger(Path(sys.argv[1]), time.time)\n"
+        "while True:\n"
+        "    ledger.stop('x' * 350)\n"
+        "    ledger.why_not_kept()\n"
+    )
+    before = 0
+    for attempt in range(3):
+        writer = subprocess.Popen([sys.executable, "-c", program, str(file)])
+        wait_for(
+            lambda: written(file)["sequence"] > before + 10, 60, "its work"  # noqa: B023
+        )
+        time.sleep(0.01 * attempt)
+        os.kill(writer.pid, signal.SIGKILL)
+        writer.wait()
+        before = written(file)["sequence"]
+        assert read(file, time.time).operator_stop == "x" * 350
 
 
 def test_a_pause_is_kept_until_its_date(tmp_path: Path, clock: Clock) -> None:

@@ -85,4 +85,4 @@ def test_the_simulations_own_tally(tmp_path: Path) -> None:
     )
     row = own_tally("--start", "2021-07-08T08:00", "--hours", "2", "--site", str(layer))
     assert row["outflow_m3"] > 20 and row["rain_cistern_m3"] > 0
-    assert 0 < row["final_layer_m3"] != 0.3 and row["drainage_m3"] > 0.1
+    assert row["final_layer_m3"] < 0.3 and row["drainage_m3"] > 0.1

@@ -33,7 +33,6 @@ QUIET = {
     "/cistern/outflow": 0.0, "/roof/drainage": 0.0,
 }
 ENSEMBLE = np.outer(np.arange(1.0, 12.0), np.full(32, 1e-7))  # 11 members, (member, step)
-RAIN = "/forecast/precipitation"
 
 
 def watched(mode: str = "simulated", **values: float) -> Store:

@@ -66,7 +66,8 @@ class Case:
             re.sub(r"\W+", "_", words)
             for words in (f"{self.roof} {self.period.words}", self.name)
         )
-        return directory / place / f"{name}.json"
+        flow = f"_{ONOFF['fraction']:.4f}" if self.source == ONOFF_NAME else ""
+        return directory / place / f"{name}{flow}.json"
 
 
 class HourAsForecast(SteppedForecast):
