@@ -68,7 +68,7 @@ class Outcome:
 
 
 class Rigs:
-    """The rig of consecutive cases: made for the first, and again after it broke.
+    """The rig of consecutive cases of a kind: made for the first, and again after it broke.
 
     Attributes:
         stack: ends the rig, and everything started for it.
@@ -78,10 +78,14 @@ class Rigs:
         self.stack = ExitStack()
         self._directory, self._count = directory, 0
         self._rig: Rig | None = None
+        self._of = ""
 
     def do(self, case: Case, outcome: Outcome, task: Callable[[Rig], None]) -> None:
         """Do something to a case's rig; if that fails or ends it, the next case gets a new one."""
         try:
+            if case.rig != self._of:
+                outcome.fail(self.end())
+                self._of = case.rig
             if self._rig is None:
                 self._count += 1
                 domain = self.stack.enter_context(own_domain())

@@ -39,6 +39,7 @@ class _Node:
     before: dict[str, float] = field(default_factory=dict)  # when other processes were last heard
     twice: float = -math.inf  # when two processes last reported in turn
     refuses: float = -math.inf  # when it last refused more values than before
+    refused: dict[str, dict[str, int]] = field(default_factory=dict)  # by process, then topic
     parts: dict[str, tuple[float, str]] = field(default_factory=dict)  # when heard, what is wrong
 
 
@@ -87,7 +88,8 @@ class Diagnosed:
         process = values["process"]
         node = self._nodes.get(name)
         if node is None:
-            self._nodes[name] = _Node(process, state, at, at, values)
+            node = self._nodes[name] = _Node(process, state, at, at, values)
+            node.refused[process] = values.get("refused") or {}
             return
         if process != node.process:
             node.before[node.process] = node.heard
@@ -97,12 +99,11 @@ class Diagnosed:
                 self.restarts.append((at, name))
                 node.parts.clear()
                 node.values = {}
-        counts = node.values.get("refused") or {}
-        more = any(
-            count > counts.get(topic, 0) for topic, count in (values.get("refused") or {}).items()
-        )
-        if more and node.values:
+        counts = values.get("refused") or {}
+        before = node.refused.setdefault(process, counts)
+        if any(count > before.get(topic, 0) for topic, count in counts.items()):
             node.refuses = at
+        node.refused[process] = counts
         if state != node.state:
             node.since = at
         node.process, node.state, node.heard, node.values = process, state, at, values
