@@ -29,7 +29,6 @@ from greenroof_ros.common.processes import (
     take_lock,
 )
 from greenroof_ros.common.standard_error import say
-from greenroof_ros.common.versions import versions
 from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import (
@@ -41,6 +40,7 @@ from greenroof_ros.experiment.incidents import (
     with_incidents,
 )
 from greenroof_ros.experiment.run_directory import writable, write_parameters
+from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.report.about import Assumptions, controller_name
+from greenroof_ros.report.run import Assumptions, controller_name
 
 if TYPE_CHECKING:
     from greenroof_ros.report.groups import Report
@@ -138,11 +138,12 @@ def main() -> int:
     """Make a report as the command line says."""
     arguments = make_parser().parse_args()
     with in_extra("study"):
-        from greenroof_ros.report import figures, groups, page, runs
+        from greenroof_ros.report import figures, groups, page
+        from greenroof_ros.report.sources import find_runs
     output: Path = arguments.output or arguments.paths[0] / "report"
     with _writing(output):
         former = _former_report(output, figures.is_figure, force=arguments.force)
-    sources = runs.find_runs(arguments.paths, arguments.site)
+    sources = find_runs(arguments.paths, arguments.site)
     assumptions = Assumptions(
         arguments.energy_price, arguments.water_price, arguments.currency, arguments.band
     )

@@ -27,7 +27,7 @@ from greenroof_ros.model.soil import soil_of
 from greenroof_ros.recording.bag_reader import Recorded, load_bag
 from greenroof_ros.recording.bag_writer import recovered_bag
 from greenroof_ros.recording.trajectory import Trajectory
-from greenroof_ros.report.about import Note, Row, Run, labels, meaning_of_initial, read_about
+from greenroof_ros.report.run import Note, Row, Run, labels, meaning_of_initial, read_about
 from greenroof_ros.weather.reading import read_weather
 
 MOST_POINTS = 500

@@ -20,7 +20,6 @@ import polars as pl
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.site import PLACE, read_site
-from greenroof_ros.report.about import NO_ERRORS, Row, controller_name
 from greenroof_ros.report.drawing import (
     COLOURS,
     SHAPES,
@@ -46,6 +45,7 @@ from greenroof_ros.report.groups import (
     who,
 )
 from greenroof_ros.report.pump_figures import pump_curve, pump_smoothing, read_pump_data
+from greenroof_ros.report.run import NO_ERRORS, Row, controller_name
 from greenroof_ros.report.trajectories import trajectories, weather
 
 _PAPER_START = datetime.fromisoformat("2021-07-07T02:00-05:00")

@@ -23,7 +23,9 @@ from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
 from greenroof_ros.recording.results_table import differing
-from greenroof_ros.report.about import (
+from greenroof_ros.report.bags import Drawn, drawn, measured, near_hours
+from greenroof_ros.report.intervals import Deviations, compare, worst_tenth
+from greenroof_ros.report.run import (
     NO_ERRORS,
     PAPERS_CONTROLLERS,
     Assumptions,
@@ -33,9 +35,7 @@ from greenroof_ros.report.about import (
     controller_name,
     parameter_text,
 )
-from greenroof_ros.report.bags import Drawn, drawn, measured, near_hours
-from greenroof_ros.report.intervals import Deviations, compare, worst_tenth
-from greenroof_ros.report.runs import Sources
+from greenroof_ros.report.sources import Sources
 
 SINGLE, SEEDS, SEASONS = "single", "seeds", "seasons"
 """the kinds of cases"""

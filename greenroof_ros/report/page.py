@@ -11,7 +11,7 @@ import jinja2
 import vl_convert
 from markupsafe import Markup
 
-from greenroof_ros.common.versions import versions, versions_text
+from greenroof_ros.experiment.summary import versions, versions_text
 from greenroof_ros.model.site import site_parameters
 from greenroof_ros.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.report.groups import SEASONS, SEEDS, Report

@@ -11,8 +11,8 @@ from typing import NamedTuple
 from greenroof_ros.common.times import hours_minutes_seconds, to_people
 from greenroof_ros.experiment import summary
 from greenroof_ros.model.metrics import METRICS, Metric
-from greenroof_ros.report.about import Row, controller_name
 from greenroof_ros.report.groups import SEASONS, SEEDS, TOTAL, Report, facts, who
+from greenroof_ros.report.run import Row, controller_name
 
 _METRICS = {metric.name: metric for metric in METRICS}
 

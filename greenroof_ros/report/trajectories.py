@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import altair as alt
 
 from greenroof_ros.model.site import Site
-from greenroof_ros.report.about import Row, controller_name
 from greenroof_ros.report.drawing import Figure, Panel, Rows, pointed, series_panel, short
 from greenroof_ros.report.groups import SKY, Report, unique
+from greenroof_ros.report.run import Row, controller_name
 
 _GREY = "#555555"
 _FULL_FLOW = "full flow; the pump cannot deliver more"

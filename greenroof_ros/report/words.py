@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.recording.results_table import shortest
-from greenroof_ros.report.about import Note, Row, Run, controller_name
 from greenroof_ros.report.groups import (
     SEASONS,
     SEEDS,
@@ -20,6 +19,7 @@ from greenroof_ros.report.groups import (
     who,
 )
 from greenroof_ros.report.intervals import CONTAINS_1
+from greenroof_ros.report.run import Note, Row, Run, controller_name
 
 LEADING = (
     "sizing", "season-comparisons", "seasons", "forecast-errors", "total-deviation-1",

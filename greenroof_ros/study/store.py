@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.versions import versions
+from greenroof_ros.experiment.summary import versions
 from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.recording.results_table import parameter_columns
 from greenroof_ros.study.case_run import Outcome

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra, with_extra
 from greenroof_ros.common.processes import end_with
-from greenroof_ros.common.versions import versions
+from greenroof_ros.experiment.summary import versions
 
 # Imported once by the fork server, not by each worker.
 _PRELOADED = [

@@ -29,8 +29,8 @@ from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
 from greenroof_ros.graph.supervision import RECORDER
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import wire
+from greenroof_ros.watch.alarms import read_beside
 from greenroof_ros.watch.bag import Batch, FollowedBag
-from greenroof_ros.watch.incidents import read_beside
 from greenroof_ros.watch.store import PLAN, Store, papers_site
 
 # The fastest run, in times real time, whose numbers are heard: 60 and some jitter.

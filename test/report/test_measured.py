@@ -14,8 +14,8 @@ from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_reader import Recorded
 from greenroof_ros.recording.trajectory import Trajectory
-from greenroof_ros.report.about import Row, Run
 from greenroof_ros.report.bags import measured, near_hours
+from greenroof_ros.report.run import Row, Run
 
 TARGET = 68.8 * 0.0457
 

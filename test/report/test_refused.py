@@ -16,7 +16,7 @@ from places import CONFIG
 from refusals import refusal
 
 from greenroof_ros.report.pump_figures import read_pump_data
-from greenroof_ros.report.runs import find_runs
+from greenroof_ros.report.sources import find_runs
 
 
 def bag(**changes: Any) -> Callable[[Path], Any]:

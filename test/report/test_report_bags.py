@@ -39,7 +39,7 @@ from rosbags.rosbag2 import StoragePlugin
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.recording.trajectory import Trajectory, read_parquet
 from greenroof_ros.report.__main__ import _show
-from greenroof_ros.report.runs import find_runs
+from greenroof_ros.report.sources import find_runs
 from greenroof_ros.report.tables import incident_tables
 
 TOTAL = "total_deviation_m3"

@@ -19,7 +19,7 @@ from places import DATA
 from studies import CONFIG, WEATHER, archive, begun, edited, grid, rows_of, run_here, stored, study
 
 from greenroof_ros.recording.trajectory import read_parquet
-from greenroof_ros.report.runs import find_runs
+from greenroof_ros.report.sources import find_runs
 from greenroof_ros.study.grid import read_grid
 
 

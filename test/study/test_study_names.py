@@ -10,10 +10,10 @@ import pytest
 from paper import site_file
 from studies import WEATHER, archive, rows_of, run_here
 
-from greenroof_ros.report.about import Assumptions
 from greenroof_ros.report.figures import make_figures
 from greenroof_ros.report.groups import Report
-from greenroof_ros.report.runs import find_runs
+from greenroof_ros.report.run import Assumptions
+from greenroof_ros.report.sources import find_runs
 from greenroof_ros.report.tables import make_tables
 from greenroof_ros.report.words import windows
 from greenroof_ros.study.__main__ import Names, show

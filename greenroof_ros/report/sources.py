@@ -23,7 +23,8 @@ from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.bag_reader import Recorded
 from greenroof_ros.recording.results_table import row_parameters
 from greenroof_ros.recording.trajectory import read_parquet
-from greenroof_ros.report.about import (
+from greenroof_ros.report.bags import read_run, run_directory
+from greenroof_ros.report.run import (
     NO_ERRORS,
     Row,
     Run,
@@ -32,7 +33,6 @@ from greenroof_ros.report.about import (
     notes_of,
     parameters,
 )
-from greenroof_ros.report.bags import read_run, run_directory
 
 _NEEDED = (
     "run", "site", "weather", "start", "hours", "evapotranspiration", "controller", "initial",

@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 
 import greenroof_ros
-from greenroof_ros.common.versions import versions, versions_text
+from greenroof_ros.experiment.summary import versions, versions_text
 
 
 def test_the_source_is_a_hash_and_people_are_told_so() -> None:
