@@ -57,8 +57,15 @@ _BLOCK = re.compile(
 
 
 def cell(text: object) -> str:
-    """Return a text as the cell of a table; text in backticks is left unchanged."""
-    line = re.sub(r"(?<![\w`-])--[a-z][a-z-]*", r"`\g<0>`", " ".join(str(text).split()))
+    """Return a text as the cell of a table; text in backticks is left unchanged.
+
+    Options, and commands in quotes, become code.
+    """
+    line = " ".join(str(text).split())
+    line = re.sub(r"'((?:ros2|greenroof|python) [^']*)'", r"`\1`", line)
+    parts = re.split(r"(`[^`]*`)", line)
+    parts[::2] = [re.sub(r"(?<![\w-])--[a-z][a-z-]*", r"`\g<0>`", part) for part in parts[::2]]
+    line = "".join(parts)
     parts = re.split(r"(`[^`]*`)", line)
     parts[::2] = [re.sub(r"([|*<>$\[\]{}]|\b_|_\b)", r"\\\1", part) for part in parts[::2]]
     return "".join(parts)

@@ -18,7 +18,7 @@ from greenroof_ros.watch.store import Store
 _GIVE_WAY = 10
 
 _DESCRIPTION = """\
-Publish on MQTT what the page of greenroof watch shows: levels, pump, rain, frost, what the
+Publish on MQTT what the page of 'greenroof watch' shows: levels, pump, rain, frost, what the
 controller plans, and alarms by code. Home Assistant discovers it by itself. It works beside any
 graph that runs in this ROS domain, simulated, with a drive in the loop or live. It may start late
 and stop early: nothing waits for it.
