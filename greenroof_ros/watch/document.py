@@ -379,8 +379,9 @@ def series(store: Store, hours: float) -> dict[str, Any]:
     """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
 
     A row covers a ``stretch`` (s), which is a share of the time with values: a run that has just
-    begun has many rows. A line has a gap between two rows that are further apart than its entry in
-    ``gaps`` (s); no value holds for longer. It also has a gap from a row of None to the next row.
+    begun has many rows. A line ends with the newest value, which the tiles show as well. It has a
+    gap between two rows that are further apart than its entry in ``gaps`` (s); no value holds for
+    longer. It also has a gap from a row of None to the next row.
 
     Args:
         store: state of the graph.
@@ -401,7 +402,11 @@ def series(store: Store, hours: float) -> dict[str, Any]:
             first = max(last - round(hours * 3.6e12), min(oldest, default=last))
             stretch = stretch_of(first, last, _POINTS)
             for name, past in pasts.items():
-                lines[name] = past.window(first, last, _POINTS)
+                lines[name] = rows = past.window(first, last, _POINTS)
+                present = store.newest[LINES[name]]
+                at = present.time_ns / 1e9
+                if present.value is not None and at > (rows[-1][0] if rows else first / 1e9):
+                    rows.append([at, present.value, present.value, present.value])
             lines["roof_expected"] = store.expected.window(first, last, _POINTS)
         gaps = {name: _gap(rows, stretch) for name, rows in lines.items()}
         lost = Gaps()

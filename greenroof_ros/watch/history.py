@@ -25,11 +25,13 @@ class History:
         """Start without values."""
         self._times: Stamps = np.empty(0, dtype=np.int64)
         self._rows: Values = np.empty((0, 3))
+        self._first: tuple[int, float] | None = None  # time (ns) and value
+        self._last = 0, 0.0
 
     @property
     def begin(self) -> int | None:
-        """Time of the oldest row (ns); None without values."""
-        return int(self._times[0]) if len(self._times) else None
+        """Time of the first value (ns); None without values."""
+        return None if self._first is None else self._first[0]
 
     def add(self, times: Stamps, values: Values) -> None:
         """Take finite values in the order of time, none older than those already there.
@@ -40,14 +42,19 @@ class History:
         """
         if not len(times):
             return
-        ends, rows = _condensed(times, np.column_stack((values, values, values)), STRETCH_NS)
-        if len(self._times) and self._times[-1] // STRETCH_NS == times[0] // STRETCH_NS:
-            low, high, _ = self._rows[-1]
-            self._rows[-1] = min(rows[0, 0], low), max(rows[0, 1], high), rows[0, 2]
-            self._times[-1] = ends[0]
-            ends, rows = ends[1:], rows[1:]
-        if len(ends):
-            self._times = np.concatenate((self._times, ends))[-KEPT:]
+        self._first = self._first or (int(times[0]), float(values[0]))
+        self._last = int(times[-1]), float(values[-1])
+        rows = np.column_stack((values, values, values))
+        goes_on = bool(len(self._times)) and self._times[-1] // STRETCH_NS == times[0] // STRETCH_NS
+        if goes_on:
+            times = np.concatenate((self._times[-1:], times))
+            rows = np.concatenate((self._rows[-1:], rows))
+        times, rows = _condensed(times, rows, STRETCH_NS)
+        if goes_on:
+            self._times[-1], self._rows[-1] = times[0], rows[0]
+            times, rows = times[1:], rows[1:]
+        if len(times):
+            self._times = np.concatenate((self._times, times))[-KEPT:]
             self._rows = np.concatenate((self._rows, rows))[-KEPT:]
 
     def window(self, first: int, last: int, points: int) -> list[list[float]]:
@@ -59,17 +66,23 @@ class History:
             points: about how many rows there are at most.
 
         Returns:
-            Rows of the time of the last value (s), the least, the greatest, and the last value.
+            Rows of the time since which the last value has held (s), the least, the greatest, and
+            the last value of a stretch: a step is at its own time. The first and the last value of
+            all have rows of their own: a line begins and ends with them.
         """
         place = slice(*np.searchsorted(self._times, (first, last + 1)))
         times, rows = self._times[place], self._rows[place]
-        if not len(times):
+        if self._first is None or not len(times):
             return []
         # Whole stretches, which begin at the same times in each call: a line that is redrawn does
         # not jitter.
-        ends, rows = _condensed(times, rows, stretch_of(first, last, points))
-        condensed: list[list[float]] = np.column_stack((ends / 1e9, rows)).tolist()
-        return condensed
+        times, rows = _condensed(times, rows, stretch_of(first, last, points))
+        window: list[list[float]] = np.column_stack((times / 1e9, rows)).tolist()
+        if first <= self._first[0] < times[0]:
+            window.insert(0, _row(*self._first))
+        if times[-1] < self._last[0] <= last:
+            window.append(_row(*self._last))
+        return window
 
 
 class Gaps:
@@ -124,12 +137,20 @@ class Gaps:
         return sorted(kept, key=lambda row: float(row[0]))
 
 
+def _row(time_ns: int, value: float) -> list[float]:
+    """Return a row of a single value."""
+    return [time_ns / 1e9, value, value, value]
+
+
 def _condensed(times: Stamps, rows: Values, stretch_ns: int) -> tuple[Stamps, Values]:
-    """Return the last time of each stretch of time, and its least, greatest and last value."""
+    """Return of each stretch of time since when its last value has held, and its three values."""
     begins = np.flatnonzero(np.diff(times // stretch_ns, prepend=-1))
     lasts = np.append(begins[1:], len(times)) - 1
     low, high = np.minimum.reduceat(rows[:, 0], begins), np.maximum.reduceat(rows[:, 1], begins)
-    return times[lasts], np.column_stack((low, high, rows[lasts, 2]))
+    changed = (rows[:, 0] != rows[:, 1]) | (np.diff(rows[:, 2], prepend=np.nan) != 0)
+    changed[begins] = True
+    since = np.maximum.reduceat(np.where(changed, np.arange(len(times)), 0), begins)
+    return times[since], np.column_stack((low, high, rows[lasts, 2]))
 
 
 def stretch_of(first: int, last: int, points: int) -> int:

@@ -926,15 +926,18 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
 
 
 def test_a_glance_is_ahead_of_the_charts() -> None:
-    """The newest value is shown while its past is still on its way; the past joins the charts."""
+    """The newest value is shown while its past is still on its way, in the charts as their end."""
     graph = watched()
     graph.add_present("/roof/level", START + 100 * SECOND, 0.05)
     assert tile_of(graph, "roof", 0.0)["number"] == 0.05
     assert shown(graph, 0.0)["time"]["now"] == START / 1e9 + 100
-    assert max(row[0] for row in read_series(graph, 3)["lines"]["roof"]) == START / 1e9 + 60
+    rows = read_series(graph, 3)["lines"]["roof"]
+    assert [row[0] - START / 1e9 for row in rows] == [0, 20, 40, 60, 100]
+    assert rows[-1][1:] == [0.05, 0.05, 0.05]
     graph.add("/roof/level", START + np.arange(61, 91) * SECOND, np.linspace(0.04, 0.041, 30))
     assert tile_of(graph, "roof", 0.0)["number"] == 0.05
-    assert read_series(graph, 3)["lines"]["roof"][-1][::3] == [START / 1e9 + 90, 0.041]
+    ends = [row[::3] for row in read_series(graph, 3)["lines"]["roof"][-2:]]
+    assert ends == [[START / 1e9 + 90, 0.041], [START / 1e9 + 100, 0.05]]
     # Values older than that are not shown as present, implausible ones are reported.
     graph.add_present("/roof/level", START + 99 * SECOND, 0.03)
     assert tile_of(graph, "roof", 0.0)["number"] == 0.05
@@ -942,6 +945,7 @@ def test_a_glance_is_ahead_of_the_charts() -> None:
     assert tile_of(graph, "roof", 0.0)["value"] == words.NOT_PLAUSIBLE
     graph.add_present("/no/topic", START + 102 * SECOND, 1.0)
     assert shown(graph, 0.0)["time"]["now"] == START / 1e9 + 101
+    assert read_series(graph, 3)["lines"]["roof"][-1][0] == START / 1e9 + 90
 
 
 def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
@@ -987,14 +991,14 @@ def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None
 
 
 def test_a_run_that_has_just_begun_has_many_rows() -> None:
-    """Ten minutes of 12 h are shown in stretches of 20 s, each with its last value."""
+    """Ten minutes of 12 h are shown in stretches of 20 s; the last row has the newest value."""
     graph = Store()
     hear(graph, 0, 600, {"/roof/level": 0.04, "/weather/precipitation": 0.0})
     series = read_series(graph, 12)
     assert series["stretch"] == 20.0
     for name in ("roof", "rain"):
         times = [row[0] - START / 1e9 for row in series["lines"][name]]
-        assert times == list(range(19, 600, 20)), name
+        assert times == [*range(0, 600, 20), 599], name
 
 
 # --- words --------------------------------------------------------------------------------------

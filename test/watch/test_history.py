@@ -17,27 +17,55 @@ def ticks(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_plain_python(times: np.ndarray, values: np.ndarray, stretch: int) -> list[list[float]]:
-    """Return last time (s), least, greatest and last value of each stretch (ns)."""
+    """Return of each stretch (ns) since when its last value has held (s), and its three values.
+
+    Before and after them are the first and the last value.
+    """
     rows: dict[int, list[float]] = {}
     for at, value in zip(times.tolist(), values.tolist(), strict=True):
-        row = rows.setdefault(at // stretch, [0.0, value, value, 0.0])
-        rows[at // stretch] = [at / 1e9, min(row[1], value), max(row[2], value), value]
-    return list(rows.values())
+        row = rows.setdefault(at // stretch, [at / 1e9, value, value, value])
+        since = row[0] if row[3] == value else at / 1e9
+        rows[at // stretch] = [since, min(row[1], value), max(row[2], value), value]
+    first, last = ([times[i] / 1e9, *[values[i]] * 3] for i in (0, -1))
+    stretches = list(rows.values())
+    return [
+        *([first] if first[0] < stretches[0][0] else []), *stretches,
+        *([last] if last[0] > stretches[-1][0] else []),
+    ]
 
 
 @pytest.mark.parametrize(("count", "batch", "stretch"), [
     *((5000, batch, STRETCH_NS) for batch in (1, 333)),
     (200_000, 200_000, 25 * STRETCH_NS),  # in 400 points they are 500 s each
 ])
-def test_batches_of_any_size_give_every_extreme(count: int, batch: int, stretch: int) -> None:
-    """In few rows, however wide the window is."""
+@pytest.mark.parametrize("decimals", [9, 0])
+def test_batches_of_any_size_give_every_extreme(
+    count: int, batch: int, stretch: int, decimals: int
+) -> None:
+    """In few rows, however wide the window is, and however long a value lasts."""
     times, values = ticks(count)
+    values = values.round(decimals)
     history = History()
     for first in range(0, count, batch):
         history.add(times[first : first + batch], values[first : first + batch])
     rows = history.window(int(times[0]), int(times[-1]), 400)
     assert rows == in_plain_python(times, values, stretch)
-    assert len(rows) <= 401
+    assert len(rows) <= 403
+
+
+@pytest.mark.parametrize("points", [400, 2])
+def test_a_step_is_where_it_happened(points: int) -> None:
+    """It stays there while values go on, in stretches of 20 s, or of 10 min in two points."""
+    history, runs = History(), 487  # s: within a stretch of either length
+    times = START + SECOND * np.arange(1200)
+    for first in range(0, 1200, 7):
+        batch = times[first : first + 7]
+        history.add(batch, np.where(batch < times[runs], 200.0, 0.0))
+        rows = history.window(int(times[0]), int(times[-1]), points)
+        assert rows[0] == [START / 1e9, 200.0, 200.0, 200.0]
+        assert (rows[-1][0], rows[-1][3]) == (batch[-1] / 1e9, 0.0 if first + 6 >= runs else 200.0)
+        stops = [row[0] for row, before in zip(rows[1:], rows, strict=False) if row[3] < before[3]]
+        assert stops == ([times[runs] / 1e9] if first + 6 >= runs else [])
 
 
 def test_rows_stand_still_while_the_window_moves() -> None:
@@ -49,7 +77,7 @@ def test_rows_stand_still_while_the_window_moves() -> None:
     history.add(times[90_000:90_002], values[90_000:90_002])
     after = history.window(int(times[40_002]), int(times[90_001]), 400)
     assert before[1:-1] == after[1:-1]
-    # The last value of each stretch lies in the window.
+    # All values differ: the last of each stretch holds since its own time.
     assert [row[0] - START / 1e9 for row in (after[0], after[-1])] == [40_139, 90_001]
     assert after[-1][3] == values[90_001]
 
