@@ -23,10 +23,10 @@ class History:
 
     def __init__(self) -> None:
         """Start without values."""
-        self._times: Stamps = np.empty(0, dtype=np.int64)
+        # Of each stretch: since when its last value has held, and the time of its last value (ns).
+        self._times: Stamps = np.empty((0, 2), dtype=np.int64)
         self._rows: Values = np.empty((0, 3))
         self._first: tuple[int, float] | None = None  # time (ns) and value
-        self._last = 0, 0.0
 
     @property
     def begin(self) -> int | None:
@@ -43,18 +43,17 @@ class History:
         if not len(times):
             return
         self._first = self._first or (int(times[0]), float(values[0]))
-        self._last = int(times[-1]), float(values[-1])
-        rows = np.column_stack((values, values, values))
-        goes_on = bool(len(self._times)) and self._times[-1] // STRETCH_NS == times[0] // STRETCH_NS
+        spans, rows = np.column_stack((times, times)), np.column_stack((values, values, values))
+        goes_on = len(self._times) and self._times[-1, 1] // STRETCH_NS == times[0] // STRETCH_NS
         if goes_on:
-            times = np.concatenate((self._times[-1:], times))
+            spans = np.concatenate((self._times[-1:], spans))
             rows = np.concatenate((self._rows[-1:], rows))
-        times, rows = _condensed(times, rows, STRETCH_NS)
+        spans, rows = _condensed(spans, rows, STRETCH_NS)
         if goes_on:
-            self._times[-1], self._rows[-1] = times[0], rows[0]
-            times, rows = times[1:], rows[1:]
-        if len(times):
-            self._times = np.concatenate((self._times, times))[-KEPT:]
+            self._times[-1], self._rows[-1] = spans[0], rows[0]
+            spans, rows = spans[1:], rows[1:]
+        if len(spans):
+            self._times = np.concatenate((self._times, spans))[-KEPT:]
             self._rows = np.concatenate((self._rows, rows))[-KEPT:]
 
     def window(self, first: int, last: int, points: int) -> list[list[float]]:
@@ -67,22 +66,25 @@ class History:
 
         Returns:
             Rows of the time since which the last value has held (s), the least, the greatest, and
-            the last value of a stretch: a step is at its own time. The first and the last value of
-            all have rows of their own: a line begins and ends with them.
+            the last value of a stretch: a step is at its own time. The first value has a row of
+            its own, and so has the last one before a stretch without values, or of all.
         """
-        place = slice(*np.searchsorted(self._times, (first, last + 1)))
+        place = slice(*np.searchsorted(self._times[:, 1], (first, last + 1)))
         times, rows = self._times[place], self._rows[place]
         if self._first is None or not len(times):
             return []
         # Whole stretches, which begin at the same times in each call: a line that is redrawn does
         # not jitter.
-        times, rows = _condensed(times, rows, stretch_of(first, last, points))
-        window: list[list[float]] = np.column_stack((times / 1e9, rows)).tolist()
-        if first <= self._first[0] < times[0]:
-            window.insert(0, _row(*self._first))
-        if times[-1] < self._last[0] <= last:
-            window.append(_row(*self._last))
-        return window
+        stretch = stretch_of(first, last, points)
+        times, rows = _condensed(times, rows, stretch)
+        since, ends = times.T
+        closed = (np.diff(since // stretch, append=2**62) > 1) & (since < ends)
+        singles = np.column_stack((ends / 1e9, *[rows[:, 2]] * 3))[closed]
+        window = [*np.column_stack((since / 1e9, rows)).tolist(), *singles.tolist()]
+        at, value = self._first
+        if first <= at < since[0]:
+            window.append([at / 1e9, value, value, value])
+        return sorted(window)
 
 
 class Gaps:
@@ -137,20 +139,16 @@ class Gaps:
         return sorted(kept, key=lambda row: float(row[0]))
 
 
-def _row(time_ns: int, value: float) -> list[float]:
-    """Return a row of a single value."""
-    return [time_ns / 1e9, value, value, value]
-
-
 def _condensed(times: Stamps, rows: Values, stretch_ns: int) -> tuple[Stamps, Values]:
-    """Return of each stretch of time since when its last value has held, and its three values."""
-    begins = np.flatnonzero(np.diff(times // stretch_ns, prepend=-1))
+    """Return the two times, and the least, greatest and last value, of each stretch of time."""
+    begins = np.flatnonzero(np.diff(times[:, 0] // stretch_ns, prepend=-1))
     lasts = np.append(begins[1:], len(times)) - 1
     low, high = np.minimum.reduceat(rows[:, 0], begins), np.maximum.reduceat(rows[:, 1], begins)
     changed = (rows[:, 0] != rows[:, 1]) | (np.diff(rows[:, 2], prepend=np.nan) != 0)
     changed[begins] = True
     since = np.maximum.reduceat(np.where(changed, np.arange(len(times)), 0), begins)
-    return times[since], np.column_stack((low, high, rows[lasts, 2]))
+    spans = np.column_stack((times[since, 0], times[lasts, 1]))
+    return spans, np.column_stack((low, high, rows[lasts, 2]))
 
 
 def stretch_of(first: int, last: int, points: int) -> int:

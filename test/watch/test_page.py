@@ -353,8 +353,9 @@ def test_charts_have_one_time_axis_and_the_values(ended_run: tuple[Store, Any]) 
     measured = [1000 * row[3] for row in read_series(watched, 12)["lines"]["roof"]]
     shown = page.evaluate("charts.rows.roof.map((row) => row.v)")
     assert shown[: len(measured)] == pytest.approx(measured)
-    band = page.evaluate("charts.rows.forecast[0]")
-    assert [band["low"], band["v"], band["high"]] == pytest.approx([0.0, 3.6, 7.2])
+    expected = page.evaluate("charts.rows.forecast[0].v")
+    block = page.evaluate("charts.blocks.forecast[0]")
+    assert [block["low"], expected, block["high"]] == pytest.approx([0.0, 3.6, 7.2])
     planned = page.evaluate("charts.rows.plan.map((row) => row.v)")
     assert min(planned) == 0 and max(planned) == pytest.approx(6.0)
 
@@ -379,12 +380,12 @@ READ = '''([key, name, t]) => {
 }'''
 
 
-def test_lines_and_bands_are_where_values_were(open_page: Open) -> None:
-    """Two hours without values, and an hour since the last rain value; a value holds for 10 min.
+def test_lines_and_blocks_are_where_values_were(open_page: Open) -> None:
+    """Two hours without values, in which a value holds for 10 min; a line ends at its last value.
 
-    A band is drawn where values went beyond their line: a roof that only fills has none; a single
-    gust has one, of its stretch only. The first stretch has one, since no line leads to its value;
-    the pump ran at its begin and at its end. A value that holds to its end has no band there.
+    A block is drawn where values went beyond their line: a roof that only fills has none; a single
+    gust has one, of its stretch only. The pump ran at first, where its line begins, and just before
+    the gap.
     """
     watched = store("ended", SITE)
     before = np.arange(0, 4 * 3600, 10)
@@ -409,18 +410,93 @@ def test_lines_and_bands_are_where_values_were(open_page: Open) -> None:
         assert page.evaluate(READ, [key, name, newest + 3600]) == ""
     assert page.evaluate(READ, ["pump", "flow", newest + 590]) != ""
     assert page.evaluate(READ, ["pump", "flow", newest + 610]) == ""
-    held = page.evaluate("charts.rows.rain.at(-1).t - charts.ms(0)") / 1000
-    assert held == newest + 600
-    bands = "(name) => charts.rows[name].filter((row) => row.high - row.low > 1e-6)" \
-        ".map((row) => [(row.t - charts.ms(0)) / 1000, row.low, row.high])"
-    (start, *_), (first_end, *_), (begin, *first), (end, *last) = page.evaluate(bands, "roof_range")
-    assert start == BEGIN and first_end <= BEGIN + 130
-    assert first == last == pytest.approx([48.0, 60.0])
+    assert page.evaluate("charts.rows.rain.at(-1).t - charts.ms(0)") / 1000 == newest
+    assert page.evaluate(READ, ["pump", "flow", BEGIN + 5]) == "480.0 L/min"
+    blocks = """(name) => charts.blocks[name].map(({ from, to, low, high }) => (
+        [...[from, to].map((t) => (t - charts.ms(0)) / 1000), low, high]))"""
+    ((begin, end, *gust),) = page.evaluate(blocks, "roof")
     assert begin - BEGIN <= 3600 <= end - BEGIN
-    assert end - begin <= 130
-    pumped = page.evaluate(bands, "flow_range")
-    assert [row[1:] for row in pumped] == [pytest.approx([12.0, 480.0])] * 4
-    assert pumped[0][0] == BEGIN and pumped[-1][0] == newest
+    assert end - begin == read_series(watched, 12)["stretch"] == 80
+    assert gust == pytest.approx([48.0, 60.0])
+    ((begin, end, *pumped),) = page.evaluate(blocks, "flow")
+    assert begin <= newest - 10 < newest < end <= newest + 80
+    assert pumped == pytest.approx([12.0, 480.0])
+    assert page.evaluate(READ, ["pump", "flow", newest - 5]) == "12.0 (12.0 to 480.0) L/min"
+    # Both are named beside their charts, a level that has no block is not.
+    shown = page.locator("[data-range]:visible").evaluate_all(
+        "(entries) => entries.map((entry) => [entry.dataset.line, entry.textContent])"
+    )
+    assert shown == [["roof", "its range"], ["flow", "its range"]]
+
+
+def test_the_pumps_line_ends_with_its_tile_and_stops_when_it_stopped(open_page: Open) -> None:
+    """Its past comes some seconds later than what it does now."""
+    watched = store("ended", SITE)
+    seconds = np.arange(0, 4 * 3600)
+    flow = np.where(seconds < 3 * 3600 + 7, 8e-3, 0.0)
+    watched.add("/pump/flow", (BEGIN + seconds) * SECOND, flow)
+    watched.add_present("/pump/flow", (BEGIN + 4 * 3600 + 9) * SECOND, 4e-3)
+    page = open_page(watched)
+    until_drawn(page)
+    assert until_shown(page, ".tile[data-key=pump] .sentence").text_content().startswith("240.0 L/min")
+    assert page.evaluate("charts.rows.flow.at(-1).v") == pytest.approx(240)
+    assert page.evaluate("charts.rows.flow.at(-1).t === charts.time")
+    stopped = BEGIN + 3 * 3600 + 7
+    reads = [page.evaluate(READ, ["pump", "flow", stopped + later]) for later in (-1, 0, 3600)]
+    assert reads == ["480.0 L/min", "0.0 L/min", "0.0 L/min"]
+
+
+# Of a rectangle of a chart's canvas (values on its axes): the greatest opacity of this colour.
+OPACITY = """([key, from, to, high, low, ink]) => {
+  const { plot } = charts.views.get(key);
+  const [x0, x1] = [from, to].map((t) => Math.floor(plot.valToPos(charts.ms(t), "x", true)));
+  const [y0, y1] = [high, low].map((v) => Math.round(plot.valToPos(v, "left", true)));
+  const copy = new OffscreenCanvas(x1 - x0 + 1, y1 - y0).getContext("2d", { willReadFrequently: true });
+  copy.drawImage(plot.ctx.canvas, -x0, -y0);
+  const pixels = copy.getImageData(0, 0, x1 - x0 + 1, y1 - y0).data;
+  return Math.max(...[...Array(pixels.length / 4).keys()].map((i) => (
+    ink.every((shade, c) => Math.abs(pixels[4 * i + c] - shade) < 40) ? pixels[4 * i + 3] / 255 : 0)));
+}"""
+BLUE = [0, 114, 178]
+
+
+@pytest.mark.parametrize("width", [400, 1400])
+def test_a_short_run_of_the_pump_is_seen_at_any_width(open_page: Open, width: int) -> None:
+    """Runs of 10 s in twelve hours, where a pixel has minutes; blocks are three tenths opaque."""
+    watched = store("ended", SITE)
+    seconds, runs = np.arange(0, 12 * 3600, 10), np.arange(3600, 12 * 3600, 5010)
+    watched.add("/pump/flow", (BEGIN + seconds) * SECOND, np.where(np.isin(seconds, runs), 8e-3, 0.0))
+    page = open_page(watched)
+    page.set_viewport_size({"width": width, "height": 900})
+    until_drawn(page)
+    read = "charts.views.get('pump').plot.width"
+    wait_for(lambda: abs(page.evaluate(read) - width) < 60, 60, "charts of this width")
+    for run in runs.tolist():
+        at = [BEGIN + run - 60, BEGIN + run + 60]
+        assert page.evaluate(OPACITY, ["pump", *at, 470, 20, BLUE]) == pytest.approx(0.3, abs=0.02)
+    at = [BEGIN + 4200, BEGIN + 4800]
+    assert page.evaluate(OPACITY, ["pump", *at, 470, 20, BLUE]) == 0
+
+
+@pytest.mark.parametrize("width", [400, 1400])
+def test_no_line_crosses_the_words_of_a_reference(open_page: Open, width: int) -> None:
+    """A level just above the words at the lower left, which go to the right; to come is nothing."""
+    watched = store("ended", SITE)
+    seconds = np.arange(0, 12 * 3600, 10)
+    watched.add("/cistern/level", (BEGIN + seconds) * SECOND, np.linspace(2.915, 2.905, len(seconds)))
+    page = open_page(watched)
+    page.set_viewport_size({"width": width, "height": 900})
+    until_drawn(page)
+    boxes = page.evaluate("""() => {
+        const { plot, chart, marks } = charts.views.get("cistern");
+        return charts.placed(plot, chart, marks).map(({ text, left, right, top, bottom }) => [
+            text, ...[left, right].map((x) => plot.posToVal(x, "x", true) / 1000 - charts.ms(0) / 1000),
+            ...[top, bottom].map((y) => plot.posToVal(y, "left", true))]);
+    }""")
+    assert [text for text, *_ in boxes] == ["suction level 750 mm ↓", "outlet 3000 mm"]
+    for text, *box in boxes:
+        assert page.evaluate(OPACITY, ["cistern", *box, BLUE]) == 0, text
+    assert page.evaluate(OPACITY, ["cistern", BEGIN, BEGIN + 3600, 2916, 2913, BLUE]) > 0.9
 
 
 def test_pointer_and_keyboard_read_values(ended_run: tuple[Store, Any]) -> None:

@@ -10,25 +10,25 @@ const TOP = 10; // px above the plot, for the upper half of the axis's highest n
 const FEWEST = 60_000; // ms: the least that a zoom shows
 
 // The lines of each chart, by the names of the series. They are on the axis of the line 'shown'; lines
-// with 'right' have an axis of their own. 'steps' hold from a time until the next. A 'range' is over the
-// stretch that ends at the time of its row ('past'), or over the step that begins there.
+// with 'right' have an axis of their own. 'steps' hold from a time until the next. A line with 'range' has
+// blocks where its values went beyond it.
 const CHARTS = [
   {
     key: "roof", shown: "roof", title: "Roof level", height: 200, marks: ["target"], band: true,
     lines: [
-      { name: "roof", label: "measured", colour: "--roof", range: "past" },
+      { name: "roof", label: "measured", colour: "--roof", range: true },
       { name: "roof_expected", label: "was expected an hour before", colour: "--roof", dash: [2, 3] },
       { name: "roof_planned", label: "expected by the controller", colour: "--roof", dash: [6, 4] },
     ],
   },
   {
     key: "cistern", shown: "cistern", title: "Cistern level", height: 150, marks: ["suction", "low_outlet", "outlet"],
-    lines: [{ name: "cistern", label: "measured", colour: "--cistern", range: "past" }],
+    lines: [{ name: "cistern", label: "measured", colour: "--cistern", range: true }],
   },
   {
     key: "pump", shown: "flow", title: "Pump", height: 170, zero: true, right: "command", rightColour: "--command-words",
     lines: [
-      { name: "flow", label: "flow", colour: "--flow", steps: true, range: "past", rangeLabel: "its range" },
+      { name: "flow", label: "flow", colour: "--flow", steps: true, range: true },
       { name: "plan", label: "flow planned", colour: "--flow", steps: true, dash: [6, 4] },
       { name: "command", label: "command", colour: "--command", steps: true, right: true, dash: [2, 2] },
     ],
@@ -38,7 +38,7 @@ const CHARTS = [
     right: "evapotranspiration", rightColour: "--evapotranspiration-words",
     lines: [
       { name: "rain", label: "rain", colour: "--rain", fill: "--rain-fill", steps: true },
-      { name: "forecast", label: "rain forecast", colour: "--rain", steps: true, dash: [6, 4], range: "step", rangeLabel: "its range" },
+      { name: "forecast", label: "rain forecast", colour: "--rain", steps: true, dash: [6, 4], range: true },
       { name: "evapotranspiration", label: "evapotranspiration", colour: "--evapotranspiration", steps: true, right: true, dash: [10, 3, 2, 3] },
     ],
   },
@@ -84,19 +84,14 @@ const swatch = ({ colour: stroke, dash, block }) => {
   return drawn;
 };
 
-// The places of the lines and words of references on an axis, from the lowest up. References beyond an
-// end of the axis share one line of words; the words of two lines that are close go on opposite sides.
-const placed = (named, unit, low, high, height) => {
+// The references on an axis, from the lowest up. Those beyond an end of the axis share one line of words.
+const onAxis = (named, unit, low, high) => {
   const beyond = (some, v, arrow) => some.length
-    ? [{ v, inside: false, above: v === high, text: `${some.map(({ text }) => text).join(", ")} ${unit} ${arrow}` }] : [];
-  const inside = named.filter(({ value }) => low <= value && value <= high);
-  const word = (16 / height) * (high - low);
+    ? [{ v, inside: false, text: `${some.map(({ text }) => text).join(", ")} ${unit} ${arrow}` }] : [];
   return [
     ...beyond(named.filter(({ value }) => value < low), low, "↓"),
-    ...inside.map(({ value, text }, i) => ({
-      v: value, inside: true, text: `${text} ${unit}`,
-      above: value > high - 0.1 * (high - low) || inside[i + 1]?.value - value < word,
-    })),
+    ...named.filter(({ value }) => low <= value && value <= high)
+      .map(({ value, text }) => ({ v: value, inside: true, text: `${text} ${unit}` })),
     ...beyond(named.filter(({ value }) => value > high), high, "↑"),
   ];
 };
@@ -113,6 +108,7 @@ export class Charts {
     this.paused = false;
     this.series = null;
     this.rows = null;
+    this.blocks = null;
     this.keyed = null; // the chart in which a reader moves by keys
     this.views = new Map();
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.rebuild());
@@ -140,7 +136,7 @@ export class Charts {
     if (!this.waiting || this.waiting.series.now === null) return;
     ({ series: this.series, offset: this.offset } = this.waiting);
     this.waiting = null;
-    this.rows = this.rowsOf(this.series);
+    this.read();
     if (this.views.size) this.draw();
     else this.rebuild();
   }
@@ -167,7 +163,7 @@ export class Charts {
     head.append(element("h3", "", chart.title));
     for (const line of chart.lines) {
       entry(line.name, line.label, line);
-      if (line.rangeLabel) entry(line.name, line.rangeLabel, { block: line.colour }, true);
+      if (line.range) entry(line.name, "its range", { block: line.colour }, true);
     }
     if (chart.band) entry("band", "good", { block: "--band" });
     const frame = element("div", "frame");
@@ -185,26 +181,16 @@ export class Charts {
     this.listen(view);
   }
 
-  // How uPlot draws a chart. Of a line with a range there are two more series, its ends.
+  // How uPlot draws a chart.
   options(view) {
     const { chart, frame } = view;
     const { linear, stepped } = uPlot.paths;
-    const series = [{}];
-    const bands = [];
-    for (const line of chart.lines) {
-      const scale = line.right ? "right" : "left";
-      if (line.range) {
-        const paths = line.range === "past" ? linear() : stepped({ align: 1 });
-        series.push(...[1, 2].map(() => ({ scale, paths, width: 0, points: { show: false } })));
-        bands.push({ series: [series.length - 1, series.length - 2], fill: faint(line.fill ?? line.colour) });
-      }
-      series.push({
-        scale, paths: line.steps ? stepped({ align: 1 }) : linear(), stroke: colour(line.colour), width: 2.2,
-        dash: line.dash, fill: line.fill && faint(line.fill),
-        // A single value makes no line: it is a dot.
-        points: { show: (plot, index) => plot.data[index].filter((value) => value != null).length === 1 },
-      });
-    }
+    const series = [{}, ...chart.lines.map((line) => ({
+      scale: line.right ? "right" : "left", paths: line.steps ? stepped({ align: 1 }) : linear(),
+      stroke: colour(line.colour), width: 2.2, dash: line.dash, fill: line.fill && faint(line.fill),
+      // A single value makes no line: it is a dot.
+      points: { show: (plot, index) => plot.data[index].filter((value) => value != null).length === 1 },
+    }))];
     const axis = (scale, name, ink) => ({
       scale, side: scale === "right" ? 1 : 3, size: AXIS - 14, labelSize: 14, gap: 3, label: this.units(name).title,
       labelFont: "12px Arial, Helvetica, sans-serif", font: "12px Arial, Helvetica, sans-serif", stroke: colour(ink), space: 36,
@@ -213,7 +199,7 @@ export class Charts {
     });
     const range = (name) => () => view.ranges[name] ?? [0, 1];
     return {
-      width: frame.clientWidth, height: chart.height, ms: 1, legend: { show: false }, series, bands,
+      width: frame.clientWidth, height: chart.height, ms: 1, legend: { show: false }, series,
       padding: [TOP, chart.right ? 0 : AXIS, 0, 0],
       tzDate: (at) => uPlot.tzDate(new Date(at), "Etc/UTC"),
       scales: { x: { range: range("x") }, left: { range: range("left") }, right: { range: range("right") } },
@@ -233,7 +219,7 @@ export class Charts {
       },
       hooks: {
         drawClear: [(plot) => this.drawBehind(plot, view)],
-        drawAxes: [(plot) => this.drawMarks(plot, view)],
+        drawAxes: [(plot) => this.drawMarks(plot, view), (plot) => this.drawBlocks(plot, chart)],
         setSelect: [(plot) => {
           const { left, width } = plot.select;
           if (width < 1) return;
@@ -258,77 +244,107 @@ export class Charts {
   }
 
   // The present time, and the references with their words, behind the series: no value is hidden.
-  drawMarks(plot, { marks }) {
+  drawMarks(plot, { chart, marks }) {
     const { ctx, bbox } = plot;
     const ratio = devicePixelRatio;
-    const line = (x0, y0, x1, y1, dash) => {
-      ctx.setLineDash(dash);
-      ctx.beginPath();
-      ctx.moveTo(x0, y0);
-      ctx.lineTo(x1, y1);
-      ctx.stroke();
-    };
     ctx.save();
     ctx.strokeStyle = ctx.fillStyle = colour("--reference");
-    ctx.lineWidth = 1.5 * ratio;
-    const x = plot.valToPos(this.time, "x", true);
-    if (bbox.left <= x && x <= bbox.left + bbox.width) line(x, bbox.top, x, bbox.top + bbox.height, []);
-    ctx.lineWidth = ratio;
     ctx.font = `${12 * ratio}px Arial, Helvetica, sans-serif`;
     ctx.textAlign = "left";
+    ctx.textBaseline = "top";
     ctx.lineJoin = "round";
-    for (const { v, inside, above, text } of marks) {
-      const y = plot.valToPos(v, "left", true);
-      if (inside) line(bbox.left, y, bbox.left + bbox.width, y, [3 * ratio, 2 * ratio]);
-      ctx.textBaseline = above ? "top" : "bottom";
-      // Neither the grid nor the line of the present time crosses the words.
-      const place = [text, bbox.left + 4 * ratio, y + (above ? 3 : -2) * ratio];
-      ctx.save();
-      ctx.setLineDash([]);
-      ctx.lineWidth = 4 * ratio;
-      ctx.strokeStyle = colour("--card");
-      ctx.strokeText(...place);
-      ctx.restore();
-      ctx.fillText(...place);
+    const x = plot.valToPos(this.time, "x", true);
+    if (bbox.left <= x && x <= bbox.left + bbox.width) ctx.fillRect(x - 0.75 * ratio, bbox.top, 1.5 * ratio, bbox.height);
+    ctx.lineWidth = ratio;
+    ctx.setLineDash([3 * ratio, 2 * ratio]);
+    ctx.beginPath();
+    for (const y of marks.filter(({ inside }) => inside).map(({ v }) => plot.valToPos(v, "left", true))) {
+      ctx.moveTo(bbox.left, y);
+      ctx.lineTo(bbox.left + bbox.width, y);
+    }
+    ctx.stroke();
+    // Neither the grid nor the line of the present time crosses the words.
+    ctx.setLineDash([]);
+    ctx.lineWidth = 4 * ratio;
+    ctx.strokeStyle = colour("--card");
+    for (const { text, left, top } of this.placed(plot, chart, marks)) {
+      ctx.strokeText(text, left, top);
+      ctx.fillText(text, left, top);
     }
     ctx.restore();
   }
 
-  // The series as rows of the charts, in the shown units instead of SI; the end of a line has a row.
-  rowsOf(series) {
-    const rows = {};
+  // Where the words of references are: by no other reference and, if there is such a place, by no series.
+  placed(plot, chart, marks) {
+    const { ctx, bbox } = plot;
+    const ratio = devicePixelRatio;
+    const lines = marks.map(({ v }) => plot.valToPos(v, "left", true));
+    const words = [];
+    marks.forEach(({ text }, i) => {
+      const width = ctx.measureText(text).width;
+      const places = [bbox.left + 4 * ratio, bbox.left + bbox.width - width - 4 * ratio].flatMap((left) => (
+        [lines[i] - 14 * ratio, lines[i] + 3 * ratio].map((top) => ({ text, left, right: left + width, top, bottom: top + 12 * ratio }))
+      ));
+      const apart = places.filter(({ top, bottom }) => bbox.top <= top && bottom <= bbox.top + bbox.height
+        && lines.every((y, j) => i === j || y < top || bottom < y) && words.every((other) => bottom < other.top || other.bottom < top));
+      const free = apart.find(({ left, right, top, bottom }) => {
+        const [low, high] = this.extent(chart, false, plot.posToVal(left, "x", true), plot.posToVal(right, "x", true));
+        return plot.posToVal(top, "left", true) < low || high < plot.posToVal(bottom, "left", true);
+      });
+      words.push(free ?? apart[0] ?? places[0]);
+    });
+    return words;
+  }
+
+  // The ranges of lines, behind the series: not narrower than a pixel, however many values one has.
+  drawBlocks({ ctx, bbox, valToPos }, chart) {
+    const clip = new Path2D();
+    clip.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.save();
+    ctx.clip(clip);
+    for (const line of chart.lines.filter(({ range }) => range)) {
+      ctx.fillStyle = faint(line.colour);
+      ctx.beginPath();
+      for (const { from, to, low, high } of this.blocks[line.name]) {
+        const [left, right] = [Math.floor(valToPos(from, "x", true)), Math.ceil(valToPos(to, "x", true))];
+        const [top, bottom] = [high, low].map((value) => valToPos(value, "left", true));
+        ctx.rect(left, top, Math.max(devicePixelRatio, right - left), bottom - top);
+      }
+      ctx.fill();
+    }
+    ctx.restore();
+  }
+
+  // Reads the series as rows and blocks of the charts, in the shown units instead of SI.
+  read() {
+    [this.rows, this.blocks] = [{}, {}];
+    const { series, rows, blocks } = this;
     const now = this.ms(series.now);
     const factor = (name) => this.units(name).factor;
     for (const chart of CHARTS) {
       for (const line of chart.lines) {
         const f = factor(line.right ? chart.right : chart.shown);
-        const points = series.lines[line.name] ?? [];
-        rows[line.name] = broken(points.map(([t, low, high, last]) => ({
-          t: this.ms(t), ...(last === null ? NOTHING : { v: last * f, low: low * f, high: high * f }),
-        })), series.gaps[line.name] * 1000, line.steps, now);
-        if (line.range === "past") {
-          const begin = Math.floor((points[0]?.[0] ?? 0) / series.stretch) * series.stretch;
-          rows[`${line.name}_range`] = beyond(rows[line.name], line.steps, this.ms(begin));
-        }
+        const points = (series.lines[line.name] ?? []).map(([t, low, high, last]) => (
+          { t: this.ms(t), v: last === null ? null : last * f, low: low * f, high: high * f }
+        ));
+        rows[line.name] = broken(points, series.gaps[line.name] * 1000, line.steps);
+        if (line.range) blocks[line.name] = beyond(points, series.stretch * 1000, this.ms(0));
       }
     }
     const [level, flow, rain] = ["roof", "flow", "rain"].map(factor);
-    const plan = series.plan.filter(([, end]) => end > series.now);
-    rows.plan = steps(plan.map(([t0, t1, planned]) => [this.ms(Math.max(t0, series.now)), this.ms(t1), { v: planned * flow }]));
-    const ahead = plan.map(([, t1, , value]) => ({ t: this.ms(t1), v: value * level }));
-    if (ahead.length) {
+    const coming = (parts) => parts.filter(([, end]) => end > series.now)
+      .map(([start, end, ...values]) => [this.ms(Math.max(start, series.now)), this.ms(end), ...values]);
+    const [plan, forecast] = [coming(series.plan), coming(series.forecast)];
+    rows.plan = steps(plan, flow);
+    rows.forecast = steps(forecast, rain);
+    blocks.forecast = forecast.filter(([, , , low, high]) => low < high)
+      .map(([from, to, , low, high]) => ({ from, to, low: low * rain, high: high * rain }));
+    if (plan.length) {
       const newest = rows.roof.at(-1);
       if (newest && now - newest.t <= series.gaps.roof * 1000) rows.roof_planned.push({ t: newest.t, v: newest.v });
-      rows.roof_planned.push(...ahead);
+      rows.roof_planned.push(...plan.map(([, t, , expected]) => ({ t, v: expected * level })));
     }
-    const expected = series.forecast.filter(([, end]) => end > series.now);
-    rows.forecast = steps(expected.map(([t0, t1, mean, low, high]) => [
-      this.ms(Math.max(t0, series.now)), this.ms(t1), { v: mean * rain, low: low * rain, high: high * rain },
-    ]));
-    return rows;
   }
-
-  rangeRows(line) { return this.rows[line.range === "past" ? `${line.name}_range` : line.name]; }
 
   // From the first value, or from the chosen time back, to the end of the forecast and the plan.
   whole() {
@@ -341,27 +357,25 @@ export class Charts {
     return [start, Math.max(end, this.ms(now), start + FEWEST)];
   }
 
+  // The least and the greatest value of an axis from one time to another.
+  extent(chart, right, from, to) {
+    const seen = (begin, end) => begin <= to && end >= from;
+    const values = chart.lines.filter((line) => Boolean(line.right) === right).flatMap(({ name }) => [
+      ...this.rows[name].flatMap(({ t, v }, i, rows) => seen(rows[i - 1]?.t ?? t, rows[i + 1]?.t ?? t) && v !== null ? [v] : []),
+      ...(this.blocks[name] ?? []).flatMap((block) => seen(block.from, block.to) ? [block.low, block.high] : []),
+    ]);
+    return [Math.min(...values), Math.max(...values)];
+  }
+
   // The range of an axis: from the visible values, and the references that are near them.
-  range(chart, right, [from, to], marks) {
-    let [low, high] = [Infinity, -Infinity];
-    const take = (value) => {
-      if (!Number.isFinite(value)) return;
-      low = Math.min(low, value);
-      high = Math.max(high, value);
-    };
-    for (const line of chart.lines.filter((other) => Boolean(other.right) === right)) {
-      const rows = this.rows[line.name];
-      for (const [i, row] of rows.entries()) {
-        const next = rows[i + 1]?.t ?? row.t;
-        if (next >= from && row.t <= to) [row.v, row.low, row.high].forEach(take);
-      }
-    }
+  range(chart, right, seen, marks) {
+    let [low, high] = this.extent(chart, right, ...seen);
     if (right && chart.right === "command") [low, high] = [0, Math.max(100, high)];
     if (low > high) [low, high] = [0, 1];
     if (chart.zero) return [0, high > 0 ? high * 1.1 : 1];
     const span = Math.max(high - low, 0.02 * high, 1e-9);
     for (const value of marks) {
-      if (low - 3 * span <= value && value <= high + 3 * span) take(value);
+      if (low - 3 * span <= value && value <= high + 3 * span) [low, high] = [Math.min(low, value), Math.max(high, value)];
     }
     const margin = 0.12 * Math.max(high - low, span);
     return [Math.max(0, low - margin), high + margin];
@@ -383,11 +397,11 @@ export class Charts {
       view.band = chart.band && known.band ? known.band.map((level) => level * factor) : [];
       const left = this.range(chart, false, seen, [...named.map(({ value }) => value), ...view.band]);
       view.ranges = { x: seen, left, right: chart.right && this.range(chart, true, seen, []) };
-      view.marks = placed(named, unit, ...left, chart.height - 24 - TOP);
+      view.marks = onAxis(named, unit, ...left);
       for (const entry of head.querySelectorAll("[data-line]")) {
         const line = chart.lines.find(({ name }) => name === entry.dataset.line);
         entry.hidden = !line ? !view.band.length
-          : entry.dataset.range === undefined ? !this.rows[line.name].length : !this.rangeRows(line).some((row) => row.high > row.low);
+          : !(entry.dataset.range === undefined ? this.rows : this.blocks)[line.name].length;
       }
       plot.setData(this.table(chart), true);
     }
@@ -397,12 +411,8 @@ export class Charts {
   // The rows of a chart for uPlot: all times, and the values of each series there. A line without a value
   // at a time goes on (undefined); it has a gap from an unknown value (null) to its next value.
   table(chart) {
-    const parts = chart.lines.flatMap((line) => {
-      const column = (rows, key) => [rows.map(({ t }) => t), rows.map((row) => row[key])];
-      const ends = line.range ? ["low", "high"].map((key) => column(this.rangeRows(line), key)) : [];
-      return [...ends, column(this.rows[line.name], "v")];
-    });
-    return uPlot.join(parts, parts.map((part) => part.map(() => 2)));
+    const parts = chart.lines.map(({ name }) => [this.rows[name].map(({ t }) => t), this.rows[name].map(({ v }) => v)]);
+    return uPlot.join(parts, parts.map(() => [2, 2]));
   }
 
   setHours(hours) {
@@ -494,47 +504,37 @@ export class Charts {
     const row = rows[before];
     if (!row || row.v === null || (after < 0 && t - row.t > FEWEST)) return "";
     const { decimals, unit } = this.units(line.right ? chart.right : chart.shown);
-    let value = row.v;
-    const next = rows[before + 1];
-    if (!line.steps && next && next.v !== null && next.t > row.t) {
-      value += ((next.v - row.v) * (t - row.t)) / (next.t - row.t);
-    }
-    const { low, high } = line.range === "past" && next && t > row.t ? next : row;
-    const ranged = line.range && high - low > 0.5 * 10 ** -decimals;
-    const range = ranged ? ` (${low.toFixed(decimals)} to ${high.toFixed(decimals)})` : "";
+    const next = rows[before + 1] ?? row;
+    const value = line.steps || next.v === null ? row.v : between(row, next, t);
+    const block = this.blocks[line.name]?.find(({ from, to }) => from <= t && t < to);
+    const range = block ? ` (${block.low.toFixed(decimals)} to ${block.high.toFixed(decimals)})` : "";
     return `${value.toFixed(decimals)}${range} ${unit}`;
   }
 }
 
-// The values at a time when they are not known.
-const NOTHING = { v: null, low: null, high: null };
+// The value between two rows, at a time (ms).
+const between = (row, next, t) => next.t > row.t ? row.v + ((next.v - row.v) * (t - row.t)) / (next.t - row.t) : row.v;
 
-// Adds a row without values to each gap of more than 'gap' (ms). A value that holds until the next one
-// holds for 'gap' at most, not beyond a time when it is not known, and not beyond now; it has no range there.
-const broken = (rows, gap, holds, now) => rows.flatMap((row, i) => {
-  const next = rows[i + 1];
-  if (next && next.v !== null && next.t - row.t <= gap) return [row];
-  const t = holds ? Math.min(row.t + gap, next?.v === null ? next.t - 1 : now, now) : row.t;
-  const end = t > row.t && row.v !== null ? [row, { t, v: row.v, low: row.v, high: row.v }] : [row];
-  return next && row.v !== null && next.v !== null ? [...end, { t: t + 1, ...NOTHING }] : end;
+// The rows of a line, with a row without a value in each gap of more than 'gap' (ms). A value that holds
+// until the next one holds for 'gap' at most, and not beyond a time when it is not known.
+const broken = (points, gap, holds) => points.flatMap(({ t, v }, i) => {
+  const next = points[i + 1];
+  if (v === null || !next || (next.v !== null && next.t - t <= gap)) return [{ t, v }];
+  const end = holds ? Math.max(t, Math.min(t + gap, next.t - 1)) : t;
+  return [{ t, v }, ...(end > t ? [{ t: end, v }] : []), ...(next.v === null ? [] : [{ t: end + 1, v: null }])];
 });
 
-// How far a value went beyond its line, from row to row; a value that only rises or falls has no band.
-// No line leads to the first row: its whole range is drawn, from the begin of its stretch.
-const beyond = (rows, holds, begin) => rows.flatMap((row, i) => {
-  const before = rows[i - 1];
-  if (row.v === null) return [row];
-  if (!before) return [begin, row.t].map((t) => ({ t, low: row.low, high: row.high }));
-  if (before.v === null) return [];
-  const end = holds ? before.v : row.v;
-  const under = Math.max(0, Math.min(before.v, end) - row.low);
-  const over = Math.max(0, row.high - Math.max(before.v, end));
-  return [[before.t + 1, before.v], [row.t, end]].map(([t, v]) => ({ t, low: v - under, high: v + over }));
+// Where values went beyond their line: a block for each stretch (ms, counted from 'zero'), from the first
+// value on, with the range of its values. A value that only rises or falls has none.
+const beyond = (points, stretch, zero) => points.flatMap(({ t, v, low, high }, i) => {
+  const line = [points[i - 1]?.v ?? v, v];
+  if (v === null || (Math.min(...line) <= low && high <= Math.max(...line))) return [];
+  const begin = t - ((t - zero) % stretch);
+  return [{ from: Math.max(begin, points[0].t), to: Math.min(begin + stretch, points.at(-1).t), low, high }];
 });
 
-// Points of steps [start, end, values]: each holds until its end.
-const steps = (parts) => {
-  const rows = parts.map(([t, , values]) => ({ t, ...values }));
-  if (parts.length) rows.push({ t: parts.at(-1)[1], ...parts.at(-1)[2] });
-  return rows;
-};
+// Rows of steps [start, end, value]: each holds until its end.
+const steps = (parts, factor) => [
+  ...parts.map(([t, , value]) => ({ t, v: value * factor })),
+  ...parts.slice(-1).map(([, t, value]) => ({ t, v: value * factor })),
+];
