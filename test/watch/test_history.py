@@ -68,6 +68,15 @@ def test_a_step_is_where_it_happened(points: int) -> None:
         assert stops == ([times[runs] / 1e9] if first + 6 >= runs else [])
 
 
+def test_a_line_goes_to_its_last_value_before_a_gap() -> None:
+    """Also if that has held for some seconds; stretches of 20 s that follow each other go on."""
+    history = History()
+    seconds = np.array([*range(0, 100, 10), 3615, 3625])
+    history.add(START + SECOND * seconds, np.full(len(seconds), 5.0))
+    rows = history.window(START, START + 2 * 3600 * SECOND, 400)
+    assert [row[0] - START / 1e9 for row in rows] == [0, 20, 40, 60, 80, 90, 3615, 3625]
+
+
 def test_rows_stand_still_while_the_window_moves() -> None:
     """A chart is redrawn every 2 s: the past must not flicker."""
     times, values = ticks(100_000)

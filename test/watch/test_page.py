@@ -422,11 +422,11 @@ def test_lines_and_blocks_are_where_values_were(open_page: Open) -> None:
     assert begin <= newest - 10 < newest < end <= newest + 80
     assert pumped == pytest.approx([12.0, 480.0])
     assert page.evaluate(READ, ["pump", "flow", newest - 5]) == "12.0 (12.0 to 480.0) L/min"
-    # Both are named beside their charts, a level that has no block is not.
-    shown = page.locator("[data-range]:visible").evaluate_all(
-        "(entries) => entries.map((entry) => [entry.dataset.line, entry.textContent])"
-    )
-    assert shown == [["roof", "its range"], ["flow", "its range"]]
+    # Blocks are named beside their chart.
+    assert [text.split("\n") for text in page.locator(".charts .head").all_inner_texts()] == [
+        ["Roof level", "measured", "its range", "good"], ["Cistern level"],
+        ["Pump", "flow", "its range"], ["Rain and evapotranspiration", "rain"],
+    ]
 
 
 def test_the_pumps_line_ends_with_its_tile_and_stops_when_it_stopped(open_page: Open) -> None:
@@ -438,7 +438,7 @@ def test_the_pumps_line_ends_with_its_tile_and_stops_when_it_stopped(open_page: 
     watched.add_present("/pump/flow", (BEGIN + 4 * 3600 + 9) * SECOND, 4e-3)
     page = open_page(watched)
     until_drawn(page)
-    assert until_shown(page, ".tile[data-key=pump] .sentence").text_content().startswith("240.0 L/min")
+    until_shown(page, ".tile[data-key=pump] .sentence", re.compile("^240.0.L/min"))
     assert page.evaluate("charts.rows.flow.at(-1).v") == pytest.approx(240)
     assert page.evaluate("charts.rows.flow.at(-1).t === charts.time")
     stopped = BEGIN + 3 * 3600 + 7
@@ -451,11 +451,14 @@ OPACITY = """([key, from, to, high, low, ink]) => {
   const { plot } = charts.views.get(key);
   const [x0, x1] = [from, to].map((t) => Math.floor(plot.valToPos(charts.ms(t), "x", true)));
   const [y0, y1] = [high, low].map((v) => Math.round(plot.valToPos(v, "left", true)));
-  const copy = new OffscreenCanvas(x1 - x0 + 1, y1 - y0).getContext("2d", { willReadFrequently: true });
+  const [width, height] = [x1 - x0 + 1, y1 - y0];
+  const copy = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
   copy.drawImage(plot.ctx.canvas, -x0, -y0);
-  const pixels = copy.getImageData(0, 0, x1 - x0 + 1, y1 - y0).data;
-  return Math.max(...[...Array(pixels.length / 4).keys()].map((i) => (
-    ink.every((shade, c) => Math.abs(pixels[4 * i + c] - shade) < 40) ? pixels[4 * i + 3] / 255 : 0)));
+  const pixels = copy.getImageData(0, 0, width, height).data;
+  return Math.max(...[...Array(width * height).keys()].map((i) => {
+    const [opacity, ...shades] = [3, 0, 1, 2].map((c) => pixels[4 * i + c]);
+    return ink.every((shade, c) => Math.abs(shades[c] - shade) < 40) ? opacity / 255 : 0;
+  }));
 }"""
 BLUE = [0, 114, 178]
 
@@ -465,7 +468,8 @@ def test_a_short_run_of_the_pump_is_seen_at_any_width(open_page: Open, width: in
     """Runs of 10 s in twelve hours, where a pixel has minutes; blocks are three tenths opaque."""
     watched = store("ended", SITE)
     seconds, runs = np.arange(0, 12 * 3600, 10), np.arange(3600, 12 * 3600, 5010)
-    watched.add("/pump/flow", (BEGIN + seconds) * SECOND, np.where(np.isin(seconds, runs), 8e-3, 0.0))
+    flow = np.where(np.isin(seconds, runs), 8e-3, 0.0)
+    watched.add("/pump/flow", (BEGIN + seconds) * SECOND, flow)
     page = open_page(watched)
     page.set_viewport_size({"width": width, "height": 900})
     until_drawn(page)
@@ -483,14 +487,15 @@ def test_no_line_crosses_the_words_of_a_reference(open_page: Open, width: int) -
     """A level just above the words at the lower left, which go to the right; to come is nothing."""
     watched = store("ended", SITE)
     seconds = np.arange(0, 12 * 3600, 10)
-    watched.add("/cistern/level", (BEGIN + seconds) * SECOND, np.linspace(2.915, 2.905, len(seconds)))
+    level = np.linspace(2.915, 2.905, len(seconds))
+    watched.add("/cistern/level", (BEGIN + seconds) * SECOND, level)
     page = open_page(watched)
     page.set_viewport_size({"width": width, "height": 900})
     until_drawn(page)
     boxes = page.evaluate("""() => {
         const { plot, chart, marks } = charts.views.get("cistern");
         return charts.placed(plot, chart, marks).map(({ text, left, right, top, bottom }) => [
-            text, ...[left, right].map((x) => plot.posToVal(x, "x", true) / 1000 - charts.ms(0) / 1000),
+            text, ...[left, right].map((x) => (plot.posToVal(x, "x", true) - charts.ms(0)) / 1000),
             ...[top, bottom].map((y) => plot.posToVal(y, "left", true))]);
     }""")
     assert [text for text, *_ in boxes] == ["suction level 750 mm ↓", "outlet 3000 mm"]

@@ -153,19 +153,6 @@ export class Charts {
   build(chart) {
     const part = element("section");
     const head = element("div", "head");
-    const entry = (name, label, look, isRange) => {
-      const made = element("span", "", label);
-      made.dataset.line = name;
-      if (isRange) made.dataset.range = "";
-      made.prepend(swatch(look));
-      head.append(made);
-    };
-    head.append(element("h3", "", chart.title));
-    for (const line of chart.lines) {
-      entry(line.name, line.label, line);
-      if (line.range) entry(line.name, "its range", { block: line.colour }, true);
-    }
-    if (chart.band) entry("band", "good", { block: "--band" });
     const frame = element("div", "frame");
     frame.tabIndex = 0;
     frame.setAttribute("role", "application");
@@ -174,7 +161,19 @@ export class Charts {
     tip.hidden = true;
     part.append(head, frame);
     this.box.append(part);
-    const view = { chart, frame, tip, head, marks: [], band: [], ranges: {} };
+    const view = { chart, frame, tip, legend: [], marks: [], band: [], ranges: {} };
+    const entry = (label, look, shown) => {
+      const made = element("span", "", label);
+      made.prepend(swatch(look));
+      head.append(made);
+      view.legend.push([made, shown]);
+    };
+    head.append(element("h3", "", chart.title));
+    for (const line of chart.lines) {
+      entry(line.label, line, () => this.rows[line.name].length > 0);
+      if (line.range) entry("its range", { block: line.colour }, () => this.blocks[line.name].length > 0);
+    }
+    entry("good", { block: "--band" }, () => view.band.length > 0);
     view.plot = new uPlot(this.options(view), [[]], frame);
     frame.append(tip);
     this.views.set(chart.key, view);
@@ -388,7 +387,7 @@ export class Charts {
     const seen = this.zoomed ?? whole;
     const known = this.series.marks;
     for (const view of this.views.values()) {
-      const { chart, plot, head } = view;
+      const { chart, plot } = view;
       const { factor, decimals, unit } = this.units(chart.shown);
       const named = (chart.marks ?? []).filter((name) => Number.isFinite(known[name])).map((name) => {
         const value = known[name] * factor;
@@ -398,11 +397,7 @@ export class Charts {
       const left = this.range(chart, false, seen, [...named.map(({ value }) => value), ...view.band]);
       view.ranges = { x: seen, left, right: chart.right && this.range(chart, true, seen, []) };
       view.marks = onAxis(named, unit, ...left);
-      for (const entry of head.querySelectorAll("[data-line]")) {
-        const line = chart.lines.find(({ name }) => name === entry.dataset.line);
-        entry.hidden = !line ? !view.band.length
-          : !(entry.dataset.range === undefined ? this.rows : this.blocks)[line.name].length;
-      }
+      for (const [entry, shown] of view.legend) entry.hidden = !shown();
       plot.setData(this.table(chart), true);
     }
     this.changed();
