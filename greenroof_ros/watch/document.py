@@ -36,6 +36,7 @@ LINES = {
     "evapotranspiration": "/weather/evapotranspiration",
 }
 """Lines of the charts, each with its topic."""
+_LEVELS = "roof", "cistern"  # change slowly, all others in steps
 
 # How much of the past a series may show (h), and about how many points a line has.
 LEAST_HOURS, MOST_HOURS, _POINTS = 0.1, 168.0, 400
@@ -402,12 +403,8 @@ def series(store: Store, hours: float) -> dict[str, Any]:
             first = max(last - round(hours * 3.6e12), min(oldest, default=last))
             stretch = stretch_of(first, last, _POINTS)
             for name, past in pasts.items():
-                lines[name] = rows = past.window(first, last, _POINTS)
-                present = store.newest[LINES[name]]
-                at = present.time_ns / 1e9
-                if present.value is not None and at > (rows[-1][0] if rows else first / 1e9):
-                    rows.append([at, present.value, present.value, present.value])
-            lines["roof_expected"] = store.expected.window(first, last, _POINTS)
+                lines[name] = past.window(first, last, _POINTS, steps=name not in _LEVELS)
+            lines["roof_expected"] = store.expected.window(first, last, _POINTS, steps=False)
         gaps = {name: _gap(rows, stretch) for name, rows in lines.items()}
         lost = Gaps()
         for incident in store.incidents():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,8 @@ Values = NDArray[np.float64]
 # Length of a stretch (ns), short enough for 400 points in 12 h; how many are kept: a week.
 STRETCH_NS = 20_000_000_000
 KEPT = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
-# The most gaps that are kept.
-_MOST_UNKNOWN = 1000
+# The most gaps that are kept, and the most values that are ahead of the past.
+_MOST_UNKNOWN = _MOST_AHEAD = 1000
 
 
 class History:
@@ -23,10 +24,12 @@ class History:
 
     def __init__(self) -> None:
         """Start without values."""
-        # Of each stretch: since when its last value has held, and the time of its last value (ns).
+        # Of each stretch: the time of its greatest change, and of its last value (ns); its least,
+        # greatest and last value, and how great that change was.
         self._times: Stamps = np.empty((0, 2), dtype=np.int64)
-        self._rows: Values = np.empty((0, 3))
+        self._rows: Values = np.empty((0, 4))
         self._first: tuple[int, float] | None = None  # time (ns) and value
+        self._ahead: deque[tuple[int, float]] = deque(maxlen=_MOST_AHEAD)
 
     @property
     def begin(self) -> int | None:
@@ -43,7 +46,9 @@ class History:
         if not len(times):
             return
         self._first = self._first or (int(times[0]), float(values[0]))
-        spans, rows = np.column_stack((times, times)), np.column_stack((values, values, values))
+        while self._ahead and self._ahead[0][0] <= times[-1]:
+            self._ahead.popleft()
+        spans, rows = self._raw(times, values)
         goes_on = len(self._times) and self._times[-1, 1] // STRETCH_NS == times[0] // STRETCH_NS
         if goes_on:
             spans = np.concatenate((self._times[-1:], spans))
@@ -56,35 +61,58 @@ class History:
             self._times = np.concatenate((self._times, spans))[-KEPT:]
             self._rows = np.concatenate((self._rows, rows))[-KEPT:]
 
-    def window(self, first: int, last: int, points: int) -> list[list[float]]:
+    def hear(self, time_ns: int, value: float | None) -> None:
+        """Take a value that is ahead of the others, until they have come up to it.
+
+        Args:
+            time_ns: later than all times before.
+            value: None if it is not plausible: it is left out.
+        """
+        if value is not None:
+            self._ahead.append((time_ns, value))
+
+    def window(self, first: int, last: int, points: int, *, steps: bool) -> list[list[float]]:
         """Return the values from ``first`` to ``last`` (both included).
 
         Args:
             first: begin (ns).
             last: end (ns).
             points: about how many rows there are at most.
+            steps: whether the value changes in steps, rather than slowly.
 
         Returns:
-            Rows of the time since which the last value has held (s), the least, the greatest, and
-            the last value of a stretch: a step is at its own time. The first value has a row of
-            its own, and so has the last one before a stretch without values, or of all.
+            Rows of a time (s), and the least, the greatest, and the last value of a stretch. It is
+            the time of the last value; for steps, of the greatest change, and the last value before
+            a stretch without values, or of all, has another row: a step is where it happened. The
+            first value has a row of its own.
         """
-        place = slice(*np.searchsorted(self._times[:, 1], (first, last + 1)))
-        times, rows = self._times[place], self._rows[place]
-        if self._first is None or not len(times):
+        if self._first is None:
+            return []
+        times, rows = self._times, self._rows
+        if self._ahead:
+            spans, singles = self._raw(*map(np.array, zip(*self._ahead, strict=True)))
+            times, rows = np.concatenate((times, spans)), np.concatenate((rows, singles))
+        place = slice(*np.searchsorted(times[:, 1], (first, last + 1)))
+        if place.start == place.stop:
             return []
         # Whole stretches, which begin at the same times in each call: a line that is redrawn does
         # not jitter.
         stretch = stretch_of(first, last, points)
-        times, rows = _condensed(times, rows, stretch)
-        since, ends = times.T
-        closed = (np.diff(since // stretch, append=2**62) > 1) & (since < ends)
-        singles = np.column_stack((ends / 1e9, *[rows[:, 2]] * 3))[closed]
-        window = [*np.column_stack((since / 1e9, rows)).tolist(), *singles.tolist()]
-        at, value = self._first
-        if first <= at < since[0]:
-            window.append([at / 1e9, value, value, value])
+        times, rows = _condensed(times[place], rows[place], stretch)
+        changes, ends = times.T
+        at = changes if steps else ends
+        window: list[list[float]] = np.column_stack((at / 1e9, rows[:, :3])).tolist()
+        for row in np.flatnonzero((np.diff(ends // stretch, append=2**62) > 1) & (at < ends)):
+            window.append(_single(ends[row], rows[row, 2]))
+        if first <= self._first[0] < at[0]:
+            window.append(_single(*self._first))
         return sorted(window)
+
+    def _raw(self, times: Stamps, values: Values) -> tuple[Stamps, Values]:
+        """Return values that follow the others as stretches of their own."""
+        before = self._rows[-1, 2] if len(self._rows) else values[0]
+        changes = np.abs(np.diff(values, prepend=before))
+        return np.column_stack((times, times)), np.column_stack((values, values, values, changes))
 
 
 class Gaps:
@@ -139,16 +167,22 @@ class Gaps:
         return sorted(kept, key=lambda row: float(row[0]))
 
 
+def _single(time_ns: int, value: float) -> list[float]:
+    """Return the row of a single value."""
+    return [time_ns / 1e9, value, value, value]
+
+
 def _condensed(times: Stamps, rows: Values, stretch_ns: int) -> tuple[Stamps, Values]:
-    """Return the two times, and the least, greatest and last value, of each stretch of time."""
-    begins = np.flatnonzero(np.diff(times[:, 0] // stretch_ns, prepend=-1))
+    """Return times and rows of longer stretches; of equal changes, the first counts."""
+    begins = np.flatnonzero(np.diff(times[:, 1] // stretch_ns, prepend=-1))
     lasts = np.append(begins[1:], len(times)) - 1
     low, high = np.minimum.reduceat(rows[:, 0], begins), np.maximum.reduceat(rows[:, 1], begins)
-    changed = (rows[:, 0] != rows[:, 1]) | (np.diff(rows[:, 2], prepend=np.nan) != 0)
-    changed[begins] = True
-    since = np.maximum.reduceat(np.where(changed, np.arange(len(times)), 0), begins)
-    spans = np.column_stack((times[since, 0], times[lasts, 1]))
-    return spans, np.column_stack((low, high, rows[lasts, 2]))
+    greatest = np.maximum.reduceat(rows[:, 3], begins)
+    is_greatest = rows[:, 3] == np.repeat(greatest, lasts - begins + 1)
+    changes = np.flatnonzero(is_greatest)
+    changes = changes[np.searchsorted(changes, begins)]
+    spans = np.column_stack((times[changes, 0], times[lasts, 1]))
+    return spans, np.column_stack((low, high, rows[lasts, 2], greatest))
 
 
 def stretch_of(first: int, last: int, points: int) -> int:

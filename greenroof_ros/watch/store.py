@@ -323,6 +323,7 @@ class Store:
             if newest.time_ns < time_ns <= self._latest_ns():
                 self.newest[topic] = newest
                 newest.take(time_ns, float(self._plausible(topic, np.array(value))))
+                newest.past.hear(time_ns, newest.value)
 
     def is_number(self, topic: str) -> bool:
         """Return whether the interface has this topic, and it is of single numbers."""

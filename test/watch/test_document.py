@@ -32,6 +32,7 @@ QUIET = {
     "/weather/precipitation": 0.0, "/weather/evapotranspiration": 0.0, "/weather/frost": 0.0,
     "/cistern/outflow": 0.0, "/roof/drainage": 0.0,
 }
+LEVELS = "roof", "cistern"  # lines with a point at the end of a stretch, not where a step is
 ENSEMBLE = np.outer(np.arange(1.0, 12.0), np.full(32, 1e-7))  # 11 members, (member, step)
 
 
@@ -286,7 +287,9 @@ def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
     assert "not a plausible value" in document["tiles"]["pump"]["sentence"]
     series = read_series(graph, 3)
     json.dumps(series, allow_nan=False)
-    assert {len(series["lines"][name]) for name in LINES} == {4}  # 0-19, 20-39, 40-59 and 60 s
+    for name in LINES:  # 0-19, 20-39, 40-59 and 60 s
+        times = [row[0] - START / 1e9 for row in series["lines"][name]]
+        assert times == ([0, 19, 39, 59, 60] if name in LEVELS else [0, 20, 40, 60]), name
     after = [row["number"] for row in account_of(graph).values()]
     assert after == pytest.approx(before, abs=1e-9)
     assert document["tiles"]["summary"]["level"] == "warn"
@@ -333,7 +336,7 @@ def test_what_is_not_newer_is_left_out() -> None:
     add_at(graph, "/roof/level", (70, 0.03), (65, 0.5), (80, 0.02))
     rows = read_series(graph, 3)["lines"]["roof"]
     assert [row[1:] for row in rows] == [
-        *[[0.04, 0.04, 0.04]] * 3, [0.03, 0.04, 0.03], [0.02, 0.02, 0.02],
+        *[[0.04, 0.04, 0.04]] * 4, [0.03, 0.04, 0.03], [0.02, 0.02, 0.02],
     ]
 
 
@@ -932,7 +935,7 @@ def test_a_glance_is_ahead_of_the_charts() -> None:
     assert tile_of(graph, "roof", 0.0)["number"] == 0.05
     assert shown(graph, 0.0)["time"]["now"] == START / 1e9 + 100
     rows = read_series(graph, 3)["lines"]["roof"]
-    assert [row[0] - START / 1e9 for row in rows] == [0, 20, 40, 60, 100]
+    assert [row[0] - START / 1e9 for row in rows] == [0, 19, 39, 59, 60, 100]
     assert rows[-1][1:] == [0.05, 0.05, 0.05]
     graph.add("/roof/level", START + np.arange(61, 91) * SECOND, np.linspace(0.04, 0.041, 30))
     assert tile_of(graph, "roof", 0.0)["number"] == 0.05
@@ -945,7 +948,7 @@ def test_a_glance_is_ahead_of_the_charts() -> None:
     assert tile_of(graph, "roof", 0.0)["value"] == words.NOT_PLAUSIBLE
     graph.add_present("/no/topic", START + 102 * SECOND, 1.0)
     assert shown(graph, 0.0)["time"]["now"] == START / 1e9 + 101
-    assert read_series(graph, 3)["lines"]["roof"][-1][0] == START / 1e9 + 90
+    assert read_series(graph, 3)["lines"]["roof"][-1][0] == START / 1e9 + 100
 
 
 def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
@@ -991,14 +994,15 @@ def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None
 
 
 def test_a_run_that_has_just_begun_has_many_rows() -> None:
-    """Ten minutes of 12 h are shown in stretches of 20 s; the last row has the newest value."""
+    """Ten minutes of 12 h are shown in stretches of 20 s, from the first to the newest value."""
     graph = Store()
     hear(graph, 0, 600, {"/roof/level": 0.04, "/weather/precipitation": 0.0})
     series = read_series(graph, 12)
     assert series["stretch"] == 20.0
     for name in ("roof", "rain"):
         times = [row[0] - START / 1e9 for row in series["lines"][name]]
-        assert times == [*range(0, 600, 20), 599], name
+        ends, begins = [0, *range(19, 600, 20)], [*range(0, 600, 20), 599]
+        assert times == (ends if name in LEVELS else begins), name
 
 
 # --- words --------------------------------------------------------------------------------------

@@ -484,24 +484,33 @@ def test_a_short_run_of_the_pump_is_seen_at_any_width(open_page: Open, width: in
 
 @pytest.mark.parametrize("width", [400, 1400])
 def test_no_line_crosses_the_words_of_a_reference(open_page: Open, width: int) -> None:
-    """A level just above the words at the lower left, which go to the right; to come is nothing."""
+    """Neither a cistern's level over all the width, nor a roof's that rises to its target."""
     watched = store("ended", SITE)
     seconds = np.arange(0, 12 * 3600, 10)
-    level = np.linspace(2.915, 2.905, len(seconds))
-    watched.add("/cistern/level", (BEGIN + seconds) * SECOND, level)
+    for topic, level in (
+        ("/cistern/level", np.full(len(seconds), 2.905)),
+        ("/roof/level", np.interp(seconds, [3600, 10_000, 43_200], [0.040, 0.0475, 0.0457])),
+    ):
+        watched.add(topic, (BEGIN + seconds) * SECOND, level)
     page = open_page(watched)
     page.set_viewport_size({"width": width, "height": 900})
     until_drawn(page)
-    boxes = page.evaluate("""() => {
-        const { plot, chart, marks } = charts.views.get("cistern");
+    read = """(key) => {
+        const { plot, chart, marks } = charts.views.get(key);
         return charts.placed(plot, chart, marks).map(({ text, left, right, top, bottom }) => [
             text, ...[left, right].map((x) => (plot.posToVal(x, "x", true) - charts.ms(0)) / 1000),
             ...[top, bottom].map((y) => plot.posToVal(y, "left", true))]);
-    }""")
-    assert [text for text, *_ in boxes] == ["suction level 750 mm ↓", "outlet 3000 mm"]
-    for text, *box in boxes:
-        assert page.evaluate(OPACITY, ["cistern", *box, BLUE]) == 0, text
-    assert page.evaluate(OPACITY, ["cistern", BEGIN, BEGIN + 3600, 2916, 2913, BLUE]) > 0.9
+    }"""
+    for key, ink, words, level in (
+        ("cistern", BLUE, ["suction level 750 mm ↓", "outlet 3000 mm"], 2905),
+        ("roof", [0, 0, 0], ["target 45.7 mm"], 40),
+    ):
+        boxes = page.evaluate(read, key)
+        assert [text for text, *_ in boxes] == words
+        for text, *box in boxes:
+            assert page.evaluate(OPACITY, [key, *box, ink]) == 0, text
+        line = [BEGIN, BEGIN + 1800, level + 0.5, level - 0.5]
+        assert page.evaluate(OPACITY, [key, *line, ink]) > 0.9
 
 
 def test_pointer_and_keyboard_read_values(ended_run: tuple[Store, Any]) -> None:

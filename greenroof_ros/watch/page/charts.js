@@ -322,12 +322,12 @@ export class Charts {
     const factor = (name) => this.units(name).factor;
     for (const chart of CHARTS) {
       for (const line of chart.lines) {
-        const f = factor(line.right ? chart.right : chart.shown);
+        const { factor: f, decimals } = this.units(line.right ? chart.right : chart.shown);
         const points = (series.lines[line.name] ?? []).map(([t, low, high, last]) => (
           { t: this.ms(t), v: last === null ? null : last * f, low: low * f, high: high * f }
         ));
         rows[line.name] = broken(points, series.gaps[line.name] * 1000, line.steps);
-        if (line.range) blocks[line.name] = beyond(points, series.stretch * 1000, this.ms(0));
+        if (line.range) blocks[line.name] = beyond(points, series.stretch * 1000, this.ms(0), 0.5 * 10 ** -decimals);
       }
     }
     const [level, flow, rain] = ["roof", "flow", "rain"].map(factor);
@@ -376,7 +376,7 @@ export class Charts {
     for (const value of marks) {
       if (low - 3 * span <= value && value <= high + 3 * span) [low, high] = [Math.min(low, value), Math.max(high, value)];
     }
-    const margin = 0.12 * Math.max(high - low, span);
+    const margin = 0.2 * Math.max(high - low, span); // room for the words of references beyond an end
     return [Math.max(0, low - margin), high + margin];
   }
 
@@ -501,8 +501,9 @@ export class Charts {
     const { decimals, unit } = this.units(line.right ? chart.right : chart.shown);
     const next = rows[before + 1] ?? row;
     const value = line.steps || next.v === null ? row.v : between(row, next, t);
-    const block = this.blocks[line.name]?.find(({ from, to }) => from <= t && t < to);
-    const range = block ? ` (${block.low.toFixed(decimals)} to ${block.high.toFixed(decimals)})` : "";
+    const blocks = (this.blocks[line.name] ?? []).filter(({ from, to }) => from <= t && t < to);
+    const ends = [Math.min(value, ...blocks.map(({ low }) => low)), Math.max(value, ...blocks.map(({ high }) => high))];
+    const range = blocks.length ? ` (${ends.map((end) => end.toFixed(decimals)).join(" to ")})` : "";
     return `${value.toFixed(decimals)}${range} ${unit}`;
   }
 }
@@ -519,13 +520,15 @@ const broken = (points, gap, holds) => points.flatMap(({ t, v }, i) => {
   return [{ t, v }, ...(end > t ? [{ t: end, v }] : []), ...(next.v === null ? [] : [{ t: end + 1, v: null }])];
 });
 
-// Where values went beyond their line: a block for each stretch (ms, counted from 'zero'), from the first
-// value on, with the range of its values. A value that only rises or falls has none.
-const beyond = (points, stretch, zero) => points.flatMap(({ t, v, low, high }, i) => {
+// Where values went beyond their line by more than 'least': blocks below and above it for each stretch (ms,
+// counted from 'zero'), from the first value on. A value that only rises or falls has none.
+const beyond = (points, stretch, zero, least) => points.flatMap(({ t, v, low, high }, i) => {
+  if (v === null) return [];
   const line = [points[i - 1]?.v ?? v, v];
-  if (v === null || (Math.min(...line) <= low && high <= Math.max(...line))) return [];
   const begin = t - ((t - zero) % stretch);
-  return [{ from: Math.max(begin, points[0].t), to: Math.min(begin + stretch, points.at(-1).t), low, high }];
+  const [from, to] = [Math.max(begin, points[0].t), Math.min(begin + stretch, points.at(-1).t)];
+  return [[low, Math.min(...line)], [Math.max(...line), high]].filter(([under, over]) => over - under > least)
+    .map(([under, over]) => ({ from, to, low: under, high: over }));
 });
 
 // Rows of steps [start, end, value]: each holds until its end.
