@@ -192,7 +192,7 @@ export class Charts {
     }))];
     const axis = (scale, name, ink) => ({
       scale, side: scale === "right" ? 1 : 3, size: AXIS - 14, labelSize: 14, gap: 3, label: this.units(name).title,
-      labelFont: "12px Arial, Helvetica, sans-serif", font: "12px Arial, Helvetica, sans-serif", stroke: colour(ink), space: 36,
+      labelFont: "12px Arial, Helvetica, sans-serif", font: "12px Arial, Helvetica, sans-serif", stroke: colour(ink), space: 28,
       grid: { show: scale === "left", stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--edge"), width: 1 },
       values: (_, splits) => splits.map((split) => String(Number(split.toPrecision(6)))),
     });
