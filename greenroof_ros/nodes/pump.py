@@ -680,8 +680,9 @@ class PumpNode(Lifecycle, LinkedNode):
         before, self._state = self._state, state
         if state != before:
             self.publish("/pump/state", state)
-        # Numbers in the words change too often for the log.
-        if (decision.state, [*decision.interlocks]) != (decided.state, [*decided.interlocks]):
+        # Not at every change of the words: they have numbers.
+        logged = (decided.state, decided.stands, *decided.interlocks)
+        if (decision.state, decision.stands, *decision.interlocks) != logged:
             self.get_logger().info(state)
 
     # --- reports ----------------------------------------------------------------------------------

@@ -231,8 +231,8 @@ _NAMES = "two processes report under this name: host 0 and host 1"
     ([(0.0, pump(RIGHT)), *each_quarter(2.25, pump(), begin=0.25)],
      {"/pump: drive": ("stale", "not heard for 2 s")}, []),
     # The end of a run or of a node is not an alarm.
-    ([(0.0, pump(BAD)), (0.5, pump(BAD, state="finished")), (60.0, [])], {},
-     ["/pump has finished: the run is over"]),
+    ([(0.0, pump(BAD)), (0.5, pump(BAD, state="finished")), (1.0, pump(BAD, state="ended")),
+      (60.0, [])], {}, []),
     ([(0.0, pump(BAD)), (0.5, pump(BAD, state="ended")), (60.0, [])], {}, ["/pump ended"]),
     # A node that failed says why.
     ([(0.0, mpc()), (0.5, mpc(state="ended", failure=WHY)), (60.0, [])],
@@ -288,7 +288,7 @@ def test_events_of_a_stop_and_a_fault() -> None:
     for stop, fault in (("", ""), (STOPPED, ""), (STOPPED, ""), ("", ""), ("", overheat), ("", "")):
         alarms.hear(0.0, 5.0, pump(stop=stop, fault=fault))
     assert happened(alarms) == [
-        "stop was asked for: the pump is held off", "the stop was released",
+        "a stop of the pump was asked for", "the stop was released",
         "the pump is off until it is reset: the drive reports: overheat", "the fault was reset",
     ]
     for number in range(100):
