@@ -217,7 +217,7 @@ def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
         )
     if store.mode == "ended":
         return "The run is over: this is not the present."
-    if {roof, pump["state"]} & {"unknown", "alarm"}:
+    if {shown[name]["state"] for name in ("roof", "cistern", "pump")} & {"unknown", "alarm"}:
         return (
             "Nothing is reported as wrong, but some values are unknown: check whether sensors and "
             "programs run."

@@ -152,6 +152,9 @@ def test_levels(name: str, site: Site, level: float, state: str, sentence: str) 
      "Nothing to do: the roof drains and dries by itself."),
     ({"roof_level": -1.0}, "off", "nothing is commanded", "warn",
      "Nothing is reported as wrong, but some values are unknown"),
+    ({"cistern_level": 0.7}, "off", "nothing is commanded", "warn", "Nothing to do."),
+    ({"cistern_level": -1.0}, "off", "nothing is commanded", "warn",
+     "Nothing is reported as wrong, but some values are unknown"),
 ])
 def test_the_simulated_pump_says_why_it_stands_and_the_page_what_to_do(
     values: dict[str, float], state: str, why: str, level: str, advice: str
