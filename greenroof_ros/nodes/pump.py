@@ -16,7 +16,6 @@ between, the drive can be stopped by wall time. /pump/state says why the pump is
 from __future__ import annotations
 
 import math
-import re
 import time
 from dataclasses import asdict
 from datetime import datetime
@@ -674,14 +673,17 @@ class PumpNode(Lifecycle, LinkedNode):
             # All ticks since the last step were missed, except the present one.
             self._control.pass_unseen(dt - self._site.tau)
             dt = self._site.tau
-        self._decision = decision = self._control.step(dt, observation, drive_dt)
+        decided, decision = self._decision, self._control.step(dt, observation, drive_dt)
+        self._decision = decision
         self._drive.exchange.demand(decision.speed)
         state = f"{decision.state}: {decision.why}"
         before, self._state = self._state, state
         if state != before:
             self.publish("/pump/state", state)
-            if re.sub(r"[\d.]+", "", state) != re.sub(r"[\d.]+", "", before):
-                self.get_logger().info(state)
+        # Not at every change of the words: they have numbers.
+        logged = (decided.state, decided.stands, *decided.interlocks)
+        if (decision.state, decision.stands, *decision.interlocks) != logged:
+            self.get_logger().info(state)
 
     # --- reports ----------------------------------------------------------------------------------
 

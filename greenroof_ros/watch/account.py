@@ -13,6 +13,7 @@ from greenroof_ros.model.plant import mains_flow, outlet_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 from greenroof_ros.watch.history import Stamps, Values
+from greenroof_ros.watch.words import SPACE
 
 # How long a value of a live site holds at most (ns); after that there is a gap, as in a report.
 HOLDS_NS = 600_000_000_000
@@ -58,10 +59,11 @@ ENTRIES = {
     ),
     "kept": Entry("Rain kept on the roof", "rain_kept_share", _OF_RAIN, "%", 0, 100.0),
     "kept_hour": Entry(
-        "Rain kept in storms above 20 mm/h", "rain_kept_share_hour", _OF_RAIN, "%", 0, 100.0
+        f"Rain kept in storms above 20{SPACE}mm/h", "rain_kept_share_hour", _OF_RAIN, "%", 0, 100.0
     ),
     "kept_day": Entry(
-        "Rain kept in storms above 10 mm in 24 h", "rain_kept_share_day", _OF_RAIN, "%", 0, 100.0
+        f"Rain kept in storms above 10{SPACE}mm in 24{SPACE}h", "rain_kept_share_day", _OF_RAIN,
+        "%", 0, 100.0,
     ),
     "deviation": Entry("Mean deviation from the target", "mean_deviation_mm", (_ROOF,), "mm", 1),
     "rain": Entry("Rain on the roof", "rain_roof_m3", (_RAIN,)),
@@ -110,7 +112,8 @@ class Account:
 
     A value holds until the next value of its topic. In a simulation that is one tick, and the sums
     equal the run's summary; a tick that was not heard is a gap. On a live site a value holds for
-    10 min at most, and then there is a gap, too. Nothing is guessed in a gap.
+    10 min at most, and then there is a gap, too. Nothing is guessed in a gap. All is summed up to
+    the roof's last level.
 
     Flows that nobody measures on a live site are computed from the levels: the overflow by Eq. (2),
     and the drainage by Eq. (4), which begins at the soil's capacity, or for a measured roof by
@@ -228,6 +231,10 @@ class Account:
                 pending.first for pending in self._topics.values() if pending.first <= end
             )
             self.since = self.until = begin
+        # Up to the roof's last level: what flowed after it is not in that level.
+        levels = self._topics[_ROOF].times if _ROOF in self._topics else np.empty(0)
+        levels = levels[(levels <= end) & (end - levels < HOLDS_NS)]
+        end = int(levels[-1]) if len(levels) else end
         if end > self.until:
             self._add_up(self.until, end)
             self.until = end

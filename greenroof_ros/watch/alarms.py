@@ -1,15 +1,14 @@
 """Alarms and events of a graph: what is wrong, since when, what to do, and what follows from what.
 
 An alarm is a status that is not OK, a node that failed, or a node that is not heard. It is
-identified by the name of its status: a number that changes in its sentence makes no new alarm, but
-a second fault under that name does. Its meaning and the advice come from the table of conditions,
-by its code; sentences are not parsed.
+identified by the name of its status and its code, and a drive's or latched fault also by that
+fault: other words under the same code are the same alarm, since numbers in them change. Its meaning
+and the advice come from the table of conditions, by its code; sentences are not parsed.
 """
 
 from __future__ import annotations
 
 import json
-import re
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -100,7 +99,7 @@ class Alarm:
         over: when it ended; None if it has not.
         wall: when it began (steady clock, s).
         over_wall: when it ended (steady clock, s).
-        acknowledged: its gist when somebody acknowledged it.
+        acknowledged: the trouble as somebody acknowledged it; None if nobody has.
     """
 
     trouble: Trouble
@@ -109,14 +108,7 @@ class Alarm:
     over: float | None = None
     wall: float = 0.0
     over_wall: float = 0.0
-    acknowledged: str = ""
-
-    @property
-    def gist(self) -> str:
-        """Level and code, and the trouble's gist, or else its sentence without the numbers."""
-        trouble = self.trouble
-        what = trouble.gist or re.sub(r"[0-9.]+", "", trouble.what)
-        return f"{trouble.level} {trouble.code} {what}"
+    acknowledged: Trouble | None = None
 
     @property
     def is_serious(self) -> bool:
@@ -125,8 +117,9 @@ class Alarm:
 
     @property
     def is_acknowledged(self) -> bool:
-        """Whether somebody has seen it in its present form; numbers do not count."""
-        return self.gist == self.acknowledged
+        """Whether somebody has seen it: as bad as it is now, and about the same nodes or topics."""
+        seen, now = self.acknowledged, self.trouble
+        return seen is not None and (seen.level, seen.names) == (now.level, now.names)
 
     def row(
         self, name: str, follows: str | None = None, *, recorded: bool = False
@@ -192,7 +185,7 @@ class Alarms:
                 self._alarms[name] = Alarm(trouble, now, trouble.at_least, wall=wall)
                 continue
             before = alarm.trouble
-            if trouble.gist and before.gist != trouble.gist:
+            if (before.code, before.gist) != (trouble.code, trouble.gist):
                 self._note(f"{name}: {trouble.what}; before: {before.what}")
                 self._alarms[name] = Alarm(trouble, now, trouble.at_least, wall=wall)
             else:
@@ -257,7 +250,7 @@ class Alarms:
         """Note that somebody saw an alarm, until it changes; False if there is no such alarm."""
         alarm = self._alarms.get(alarm_id)
         if alarm is not None:
-            alarm.acknowledged = alarm.gist
+            alarm.acknowledged = alarm.trouble
         return alarm is not None
 
     def counts(self) -> tuple[int, int, int]:

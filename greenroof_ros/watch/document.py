@@ -91,7 +91,7 @@ def _document(store: Store) -> dict[str, Any]:
     over = sum(row["over"] is not None for row in recorded)
     serious += len(recorded) - over
     level = "error" if serious or stop["warning"] else "warn" if warnings else _level(
-        store, shown, waits, over=over > 0, known=known
+        shown, over=over > 0, known=known
     )
     word = _word(serious, warnings, following, over, known)
     shown["summary"] = {
@@ -162,14 +162,14 @@ def _word(alarms: int, warnings: int, following: int, over: int, known: bool) ->
     return f"{', '.join(counts) or none}{more}."
 
 
-def _level(
-    store: Store, shown: dict[str, Tile], waits: str, *, over: bool, known: bool
-) -> str:
-    """Return the level without alarms: ``ok``, ``warn``, or ``stale`` if alarms are not known."""
-    roof, pump = shown["roof"]["state"], shown["pump"]["state"]
+def _level(shown: dict[str, Tile], *, over: bool, known: bool) -> str:
+    """Return the level without alarms: ``ok``, ``warn``, or ``stale`` if alarms are not known.
+
+    It is never ``ok`` beside a tile that says otherwise, even if there is nothing to do.
+    """
     attention = (
-        over or roof in ("unknown", "alarm") or pump in ("unknown", "alarm", "fault", "held")
-        or (roof in ("low", "high") and not waits)
+        over or any(shown[tank]["state"] != "good" for tank in ("roof", "cistern"))
+        or shown["pump"]["state"] in ("unknown", "fault", "held")
     )
     return "warn" if attention else "ok" if known else "stale"
 
@@ -218,7 +218,7 @@ def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
         )
     if store.mode == "ended":
         return "The run is over: this is not the present."
-    if {roof, pump["state"]} & {"unknown", "alarm"}:
+    if {shown[name]["state"] for name in ("roof", "cistern", "pump")} & {"unknown", "alarm"}:
         return (
             "Nothing is reported as wrong, but some values are unknown: check whether sensors and "
             "programs run."
@@ -349,10 +349,8 @@ def _account(store: Store) -> dict[str, Any]:
         if not account.measured:
             for key in ("drained", "overflow"):
                 labels[key] += ", computed from the level"
-        if "unexplained" in totals:
-            sentence = f"{words.volume(abs(totals['unexplained']))} not accounted for"
-        if account.gap_s:
-            sentence += f", with gaps of {words.length_of_time(account.gap_s)}"
+        gap = words.length_of_time(account.gap_s)
+        sentence = f"with gaps of {gap}" if account.gap_s else ""
     return {
         "since_text": since,
         "sentence": sentence,

@@ -40,7 +40,7 @@ _LAST_TICK, _LAST_NS = 2**40, 2**63
 # A name that ROS allows for a node; the name becomes part of commands that are advised.
 _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _PLANT = "plant"
-_LAST_WORDS = {FINISHED: "has finished: the run is over", ENDED: "ended"}
+_LAST_WORDS = (FINISHED, ENDED)
 _SAMPLES = {
     "/cistern/level": "cistern_level", "/roof/level": "roof_level", "/pump/command": "command",
 }
@@ -260,8 +260,9 @@ class Registry:
             before, node.values, node.first = node.values, values, False
             if state != node.state:
                 node.since = wall
-                if state in _LAST_WORDS:
-                    self._say(f"{name} {_LAST_WORDS[state]}")
+                # With a run that is over, its nodes finish and then end; that is one event.
+                if state == ENDED and node.state != FINISHED:
+                    self._say(f"{name} ended")
             node.role, node.state, node.heard = role, state, wall
             self._compare(wall, node, before)
         self._latest[name] = node
@@ -316,9 +317,7 @@ class Registry:
             node.refused_at, node.refused = wall, tuple(grown[:10])
         stop, fault = bool(values.get("stop")), node.text("fault")
         if bool(before.get("stop")) != stop:
-            self._say(
-                "stop was asked for: the pump is held off" if stop else "the stop was released"
-            )
+            self._say("a stop of the pump was asked for" if stop else "the stop was released")
         if before.get("fault", "") != values.get("fault", ""):
             self._say(
                 f"the pump is off until it is reset: {fault}" if fault else "the fault was reset"

@@ -27,6 +27,7 @@ from greenroof_ros.watch.document import document as document_of
 from greenroof_ros.watch.document import series as series_of
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.words import SPACE
 
 # How often the document and the charts are made (s).
 _LOOK_S, _CHARTS_S = 0.5, 2.0
@@ -89,7 +90,8 @@ def pages(
 
 def _ascii(text: str) -> str:
     """Return a text in ASCII, as long as before: m³ is m3, other characters are ``?``."""
-    return text.replace("³", "3").encode("ascii", "replace").decode()
+    plain = text.replace("³", "3").replace(SPACE, " ")
+    return plain.encode("ascii", "replace").decode()
 
 
 def _parts(
@@ -152,7 +154,7 @@ def _alarms(document: Mapping[str, Any]) -> list[RenderableType]:
 
 
 def _alarm(row: Mapping[str, Any], said_already: str) -> Iterator[RenderableType]:
-    since = f"{'at least ' if row['since_at_least'] else ''}since {row['since_text']}"
+    since = f"since {'before ' if row['since_at_least'] else ''}{row['since_text']}"
     yield Text.assemble(
         (f"{_WORDS[row['level']]}  ", _STYLES[row["level"]]), (f"{row['id']}  ", _HEAD),
         since, ", acknowledged" if row["acknowledged"] else "",
@@ -238,7 +240,7 @@ def _account(account: Mapping[str, Any]) -> list[RenderableType]:
         f"{row['label'].lower()} {row['value']}" for row in account["rows"]
         if row["number"] is not None
     )
-    title = f"Water {account['since_text']}, {account['sentence']}"
+    title = ", ".join(filter(None, (f"Water {account['since_text']}", account["sentence"])))
     return [Text(title, _HEAD), Padding(Text(entries), (0, 0, 0, 2))] if entries else []
 
 

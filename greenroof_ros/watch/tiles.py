@@ -266,7 +266,7 @@ def _range(amount: Amount) -> str:
     """Write the range of an ensemble's rain after its mean, `` (19 to 46)``; otherwise empty."""
     if amount.members == 1:
         return ""
-    low, high = (words.rain(rain).removesuffix(" mm") for rain in (amount.low, amount.high))
+    low, high = (words.rain(rain).split()[0] for rain in (amount.low, amount.high))
     return f" ({low} to {high})"
 
 

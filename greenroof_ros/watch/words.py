@@ -10,6 +10,8 @@ from greenroof_ros.common.interface import Display, read_topics
 
 NOT_PLAUSIBLE = "not a plausible value"
 UNKNOWN = "unknown"
+SPACE = "\N{NO-BREAK SPACE}"
+"""Between a number and its unit: no line ends there."""
 
 
 def number(value: float, decimals: int) -> str:
@@ -30,7 +32,7 @@ def quantity(value: float, unit: str, decimals: int, factor: float = 1.0) -> str
         factor: from the SI unit to the shown unit.
     """
     text = number(value * factor, decimals)
-    return text if text == UNKNOWN else f"{text} {unit}".rstrip()
+    return text if text == UNKNOWN or not unit else f"{text}{SPACE}{unit}"
 
 
 def value_of(topic: str, value: float) -> str:
@@ -58,15 +60,10 @@ def rain(metres: float) -> str:
     return quantity(metres, "mm", 0 if abs(metres) >= 0.00995 else 1, 1e3)
 
 
-def volume(cubic_metres: float) -> str:
-    """Write a volume: ``1.234 m³``."""
-    return quantity(cubic_metres, "m³", 3)
-
-
 def command(share: float) -> str:
     """Write a command: ``40 %``; a small one is not written as 0 %."""
     if 0 < share < 0.005:
-        return "less than 1 %"
+        return f"less than 1{SPACE}%"
     return value_of("/pump/command", share)
 
 
@@ -75,18 +72,17 @@ def length_of_time(seconds: float) -> str:
     if not math.isfinite(seconds):
         return UNKNOWN
     if seconds < 90:
-        return f"{number(seconds, 0)} s"
+        return quantity(seconds, "s", 0)
     if seconds < 5400:
-        return f"{number(seconds / 60, 0)} min"
-    if seconds < 172800:
-        return f"{number(seconds / 3600, 1).removesuffix('.0')} h"
-    return f"{number(seconds / 86400, 1).removesuffix('.0')} days"
+        return quantity(seconds / 60, "min", 0)
+    unit, long = ("h", seconds / 3600) if seconds < 172800 else ("days", seconds / 86400)
+    return quantity(long, unit, 0 if f"{long:.1f}".endswith(".0") else 1)
 
 
 def horizon(seconds: float) -> str:
     """Write how far ahead a forecast or plan reaches, from 90 min on in whole hours: ``12 h``."""
     if 5400 <= seconds < 172800:
-        return f"{number(seconds / 3600, 0)} h"
+        return quantity(seconds / 3600, "h", 0)
     return length_of_time(seconds)
 
 

@@ -228,6 +228,25 @@ def test_a_live_value_holds_for_ten_minutes_and_a_refused_one_is_unknown() -> No
     assert account.gap_s == pytest.approx(1120, rel=1e-12)
 
 
+def test_flows_are_summed_up_to_the_last_level() -> None:
+    """A level that comes every 5 s shows all of a steady flow, at whatever time one looks."""
+    topics = live_topics()
+    times = START + SECOND * np.arange(3601)
+    for topic in TOPICS[2:5]:
+        topics[topic] = times, np.full(3601, 8e-3 if topic == "/pump/flow" else 0.0)
+    at = topics["/roof/level"][0]
+    topics["/roof/level"] = at, 0.03 + 8e-3 * (at - START) / SECOND / PAPER_SITE.a2
+    for second in (3006, 3007, 3009, 3010):
+        until = START + second * SECOND
+        account = filled({
+            topic: (times[times <= until], values[times <= until])
+            for topic, (times, values) in topics.items() if topic in TOPICS[:5]
+        }, live=True)
+        totals = account.totals()
+        # From 0.4 s on, when the last topic was first heard; the level then is of 0 s.
+        assert totals["unexplained"] == pytest.approx(0.4 * 8e-3, rel=1e-6), second
+
+
 def test_a_topic_that_falls_silent_stops_the_account_for_ten_minutes_only() -> None:
     """The flow is last heard at 100 s, and holds until 700 s; then the account no longer waits."""
     account = Account(PAPER_SITE)

@@ -114,13 +114,13 @@ def test_flapping_is_one_row() -> None:
 def test_an_acknowledged_alarm_stays_listed_until_it_is_another_one() -> None:
     alarms = Alarms()
     for level, what, acknowledged in (
-        (WARN, "the drive: overvoltage 3", False), (WARN, "the drive: overvoltage 4", True),
-        (ERROR, "the drive reports a fault", False),
+        (WARN, "5 m3 are outstanding", False), (WARN, "6 m3 are outstanding", True),
+        (ERROR, "6 m3 are outstanding", False),
     ):
-        alarms.hear(0.0, 0.0, pump(("drive", level, what)))
-        assert present(alarms) == ["/pump: drive"]
+        alarms.hear(0.0, 0.0, pump(("limits", level, what, "limited")))
+        assert present(alarms) == ["/pump: limits"]
         assert alarms.rows()[0]["acknowledged"] == acknowledged
-        alarms.acknowledge("/pump: drive")
+        alarms.acknowledge("/pump: limits")
 
 
 def test_two_faults_of_a_drive_are_two_alarms() -> None:
@@ -146,6 +146,51 @@ def test_two_faults_of_a_drive_are_two_alarms() -> None:
         alarms.hear(at, at, pump(("drive", ERROR, what, code)))
     (row,) = (row for row in alarms.rows() if row["id"] == "/pump: drive")
     assert (row["acknowledged"], row["since"]) == (False, 500)
+
+
+def test_another_code_is_another_alarm() -> None:
+    """It begins when the code changes, is an event, and nobody has seen it yet."""
+    local = "drive", WARN, "the drive: it is in local control", "drive_local"
+    alarms = heard((1.0, pump(RIGHT)), (1000.0, pump(WRONG)))
+    alarms.acknowledge("/pump: drive")
+    alarms.hear(9000.0, 9000.0, pump(local))
+    (row,) = alarms.rows()
+    assert (row["code"], row["since"], row["acknowledged"]) == ("drive_local", 9000, False)
+    changed = "/pump: drive: the drive: it is in local control; before: no connection"
+    assert happened(alarms) == [changed]
+    # Also if the drive answered for a moment.
+    alarms.hear(9001.0, 9001.0, pump(RIGHT))
+    alarms.hear(9002.0, 9002.0, pump(WRONG))
+    (row,) = alarms.rows()
+    assert (row["code"], row["since"]) == ("drive_lost", 9002)
+
+
+@pytest.mark.parametrize("sentences", [
+    # Numbers that grow or fall: volumes, ages, device answers, times of day, a number of things.
+    ("5 m3 are outstanding", "5.25 m3 are outstanding", "about 1e-05 m3 are outstanding"),
+    ("blind for 3 s", "blind for 1 min 3 s"),
+    ("the day's volume was pumped; it may run again at 9:59", "... at 10:00 tomorrow"),
+    ("roof_level is NaN", "roof_level is -inf"),
+])
+def test_other_words_under_the_same_code_are_the_same_alarm(sentences: tuple[str, ...]) -> None:
+    alarms = heard((0.0, pump(("limits", OK, "nothing limits the pump"))))
+    for at, sentence in enumerate(sentences * 10, 1):
+        alarms.hear(at, at, pump(("limits", WARN, sentence, "limited")))
+        (row,) = alarms.rows()
+        assert (row["what"], row["since"], row["acknowledged"]) == (sentence, 1, at > 1)
+        alarms.acknowledge("/pump: limits")
+    assert happened(alarms) == []
+
+
+def test_an_acknowledged_alarm_that_is_about_something_else_is_not_acknowledged() -> None:
+    """Still the same alarm, since the same time: a node that waits for another node now."""
+    alarms = heard(*each_quarter(6, STARTING))
+    alarms.acknowledge("/mpc")
+    assert rows(alarms)["/mpc"]["acknowledged"]
+    since = rows(alarms)["/mpc"]["since"]
+    for at, said in each_quarter(1, mpc(state="starting", waiting=["plant"]), begin=6.0):
+        alarms.hear(at, at, said)
+    assert (rows(alarms)["/mpc"]["acknowledged"], rows(alarms)["/mpc"]["since"]) == (False, since)
 
 
 def test_what_is_over_is_kept_for_a_while() -> None:
@@ -186,8 +231,8 @@ _NAMES = "two processes report under this name: host 0 and host 1"
     ([(0.0, pump(RIGHT)), *each_quarter(2.25, pump(), begin=0.25)],
      {"/pump: drive": ("stale", "not heard for 2 s")}, []),
     # The end of a run or of a node is not an alarm.
-    ([(0.0, pump(BAD)), (0.5, pump(BAD, state="finished")), (60.0, [])], {},
-     ["/pump has finished: the run is over"]),
+    ([(0.0, pump(BAD)), (0.5, pump(BAD, state="finished")), (1.0, pump(BAD, state="ended")),
+      (60.0, [])], {}, []),
     ([(0.0, pump(BAD)), (0.5, pump(BAD, state="ended")), (60.0, [])], {}, ["/pump ended"]),
     # A node that failed says why.
     ([(0.0, mpc()), (0.5, mpc(state="ended", failure=WHY)), (60.0, [])],
@@ -243,7 +288,7 @@ def test_events_of_a_stop_and_a_fault() -> None:
     for stop, fault in (("", ""), (STOPPED, ""), (STOPPED, ""), ("", ""), ("", overheat), ("", "")):
         alarms.hear(0.0, 5.0, pump(stop=stop, fault=fault))
     assert happened(alarms) == [
-        "stop was asked for: the pump is held off", "the stop was released",
+        "a stop of the pump was asked for", "the stop was released",
         "the pump is off until it is reset: the drive reports: overheat", "the fault was reset",
     ]
     for number in range(100):

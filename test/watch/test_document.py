@@ -75,9 +75,13 @@ def leaves(value: Any) -> Iterator[Any]:
 
 
 def shown(graph: Store, wall: float = 100.0) -> dict[str, Any]:
-    """Return the document, which must be short, and JSON that a browser accepts."""
-    document = read_document(graph, wall)
-    assert len(json.dumps(document, allow_nan=False)) < 100_000
+    """Return the document, which must be short, and JSON that a browser accepts.
+
+    Here plain spaces are between numbers and units.
+    """
+    text = json.dumps(read_document(graph, wall), allow_nan=False)
+    assert len(text) < 100_000
+    document: dict[str, Any] = json.loads(text.replace(r"\u00a0", " "))
     for leaf in leaves(document):
         if isinstance(leaf, float):
             assert math.copysign(1, leaf) > 0 or leaf < 0, "minus zero"
@@ -148,6 +152,9 @@ def test_levels(name: str, site: Site, level: float, state: str, sentence: str) 
     ({"roof_level": 0.05}, "off", "nothing is commanded", "warn",
      "Nothing to do: the roof drains and dries by itself."),
     ({"roof_level": -1.0}, "off", "nothing is commanded", "warn",
+     "Nothing is reported as wrong, but some values are unknown"),
+    ({"cistern_level": 0.7}, "off", "nothing is commanded", "warn", "Nothing to do."),
+    ({"cistern_level": -1.0}, "off", "nothing is commanded", "warn",
      "Nothing is reported as wrong, but some values are unknown"),
 ])
 def test_the_simulated_pump_says_why_it_stands_and_the_page_what_to_do(
@@ -463,9 +470,9 @@ def test_the_account_in_words() -> None:
         "unexplained": "-0.060 m³", "inflow": "0.000 m³", "overflow": "0.000 m³",
         "saved": "0.060 m³",
     }  # the level stood still; without rain no share of it was kept
-    assert shown(graph)["account"]["sentence"] == "0.060 m³ not accounted for"
+    assert shown(graph)["account"]["sentence"] == ""
     hear(graph, 361, 400, QUIET)
-    assert shown(graph)["account"]["sentence"].endswith(", with gaps of 5 min")
+    assert shown(graph)["account"]["sentence"] == "with gaps of 5 min"
 
 
 def test_water_of_the_mains_in_the_account() -> None:
@@ -689,7 +696,8 @@ def test_a_pump_that_waits_for_rain_says_so() -> None:
         "The roof is too dry, 10.7 mm below its target; the pump is waiting for rain: 32 mm "
         "(19 to 45) by 04:00."
     )
-    assert (tiles["summary"]["level"], tiles["advice"]) == ("ok", "Nothing to do.")
+    # The sign does not contradict the roof's tile, which says too low.
+    assert (tiles["summary"]["level"], tiles["advice"]) == ("warn", "Nothing to do.")
     pumps_before = [[1800.0, 1e-3, 0.036], [43200.0, 0.0, 0.04]]
     for mean, more in (
         (0.008, {}), (0.032, {"command": 0.5}), (0.032, {"plan": pumps_before}),
@@ -1010,7 +1018,7 @@ def test_a_run_that_has_just_begun_has_many_rows() -> None:
 
 @pytest.mark.parametrize(("text", "expected"), [
     (words.value_of("/roof/level", -0.00001), "0.0 mm"),
-    (words.command(0.001), "less than 1 %"),
+    (words.command(0.4), "40 %"),
     (words.rain(0.00994), "9.9 mm"),
     (words.rain(0.00996), "10 mm"),
     (words.length_of_time(89), "89 s"),
@@ -1022,4 +1030,5 @@ def test_a_run_that_has_just_begun_has_many_rows() -> None:
     (words.number(1e15, 1), "unknown"),
 ])
 def test_as_an_operator_reads_it(text: str, expected: str) -> None:
-    assert text == expected
+    """Dates have plain spaces, quantities spaces at which no line ends (U+00A0)."""
+    assert text == (expected if ":" in expected else expected.replace(" ", "\u00a0"))

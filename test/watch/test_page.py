@@ -234,7 +234,7 @@ def test_it_says_how_it_is_by_word_shape_and_colour(open_page: Open) -> None:
     until_shown(page, ".tile.stale[data-key=roof] .value", "unknown")
     roof = page.locator(".tile[data-key=roof]")
     sentence = roof.locator(".sentence").text_content()
-    assert re.fullmatch(r"[\d.]+ mm when last heard at [\d:]+", sentence)
+    assert re.fullmatch(r"[\d.]+\u00a0mm when last heard at [\d:]+", sentence)
     wait_for(lambda: roof.locator(".fill").bounding_box()["width"] == 0, 60, "an empty gauge")
     assert roof.locator(".state").inner_text().strip() == "not known"
 
@@ -641,6 +641,26 @@ def test_alarms_are_acknowledged_and_events_listed(open_page: Open) -> None:
     page.wait_for_selector(".alarm", state="detached")
     button.evaluate("(button) => button.click()")
     until_shown(page, "#answer.failed", "This alarm is no longer listed.")
+
+
+def test_what_to_do_is_said_once_and_not_when_it_is_over(open_page: Open) -> None:
+    """Two parts report the drive's fault; what to do about it is at the top, for every reader."""
+    fault = "the drive reports: overheat"
+
+    def says(level: int, *code: str) -> list[Status]:
+        return node("/pump", "pump", *((part, level, fault, *code) for part in ("pump", "drive")),
+                    pump=fault, stands=True)
+
+    said = says(ERROR, "drive_fault")
+    page = open_page(site_watched("live"), said)
+    until_shown(page, ".alarm", fault)
+    todo = "Look the fault up in the drive's manual"
+    wait_for(lambda: page.locator(".alarm").count() == 2, 60, "both alarms")
+    assert page.locator("body").inner_text().count(todo) == 1
+    assert todo in page.locator("#advice").inner_text()
+    said[:] = says(0)
+    wait_for(lambda: page.locator(".alarm.over").count() == 2, 60, "the end of both")
+    assert todo not in page.locator("body").inner_text()
 
 
 def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:

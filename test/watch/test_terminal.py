@@ -120,6 +120,10 @@ def drawn(graph: Store, width: int = 80, height: int | None = 24, **more: bool) 
     return all_drawn(graph, width, height, **more)[0]
 
 
+def test_an_alarm_from_before_the_watcher_is_dated_as_on_the_page() -> None:
+    assert any("since before 11:00:00" in line for line in drawn(with_a_silent_sensor()))
+
+
 @pytest.mark.parametrize("size", [(80, 24), (200, 12), (40, 10), (10, 3)])
 @pytest.mark.parametrize("state", ["storm", "fault", "nothing", "many alarms"])
 def test_it_fits(state: str, size: tuple[int, int]) -> None:

@@ -73,7 +73,7 @@ _NO_CLICKS = Watched()
 
 @contextmanager
 def full_speed(domain: int, place: Path) -> Iterator[Watched]:
-    """A simulation at full speed, some hours after its start."""
+    """A simulation at full speed, an hour or more after its start."""
     run = Process(
         domain, "bringup", "--controller", "mpc", "--weather",
         str(DATA / "en_climate_hourly_07-2021.csv"), "--evapotranspiration", "fao56",
@@ -94,7 +94,7 @@ def storm(domain: int, place: Path) -> Iterator[Watched]:
         "--output", "run", cwd=place,
     )
     run.wait_for_ticks()
-    time.sleep(150)  # some hours
+    time.sleep(150)  # about 2.5 h
     yield Watched()
     run.process.terminate()
     run.wait(300)

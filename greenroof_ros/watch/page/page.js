@@ -162,14 +162,14 @@ const fillAlarm = (row, alarm) => {
   setShape(row.firstChild, alarm.level);
   // First what an operator understands, then the node's own words.
   const [what, todo] = [".what", ".do"].map((name) => row.querySelector(name));
-  row.classList.toggle("plain", alarm.plain);
+  // What to do is shown once: at the top, with the cause of this alarm, or not any more.
+  todo.hidden = Boolean(alarm.follows) || alarm.over !== null || alarm.do === shown.advice;
+  row.classList.toggle("plain", alarm.plain && !todo.hidden);
   row.classList.toggle("follows", Boolean(alarm.follows));
   const order = alarm.plain ? [todo, what] : [what, todo];
   if (what.parentNode.firstChild !== order[0]) what.parentNode.prepend(...order);
   setText(what, alarm.what);
   setText(todo, alarm.do);
-  // What to do about an alarm that follows is shown with its cause.
-  todo.hidden = Boolean(alarm.follows);
   setText(row.querySelector(".word"), alarm.over === null ? WORDS[alarm.level] : "Over");
   const since = `${alarm.since_at_least ? "since before" : "since"} ${alarm.since_text}`;
   const when = alarm.over === null ? since : `${since}, over at ${alarm.over_text}`;
