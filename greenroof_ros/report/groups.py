@@ -136,7 +136,8 @@ class Settings:
 
         Args:
             run: of the controller.
-            full: whether to name the parameter even if there is just one.
+            full: whether to name the parameter even if there is just one. Without parameters the
+                setting is then empty, and else ``none``.
         """
         texts = {
             name: parameter_text(run.parameters.get(name)) + run.changes.get(name, "")
@@ -144,7 +145,8 @@ class Settings:
         }
         if len(texts) == 1 and not full:
             return texts[self.title]
-        return ", ".join(f"{name} {text}" for name, text in texts.items()) or "none"
+        setting = ", ".join(f"{name} {text}" for name, text in texts.items())
+        return setting if full else setting or "none"
 
 
 class Report:
@@ -249,7 +251,7 @@ class Report:
                 **run.row, "tau": run.site.tau, "initial_layer": run.site.initial_layer,
                 "roof_m2": run.site.a2, "cistern_size_m3": run.site.a1 * run.site.z_o,
                 "label": label,
-                "setting": settings.label(run, full=True) if run.parameters else "",
+                "setting": settings.label(run, full=True),
                 "x": run.parameters[settings.axis] if settings.axis else None,
                 "rank": _SETTINGS * place + settings.labels.index(label),
                 "skill rank": _SKILLS.get(run.row["skill"], len(_SKILLS)), "ended": run.ended,
@@ -396,28 +398,28 @@ class Report:
         return {row["controller"] for row in self.of(SEASONS) if row["forecast"] != PERFECT}
 
     @cached_property
-    def plain_onoff(self) -> dict[int, list[Row]]:
-        """By place, the on/off controller that fills to the target, as in the paper.
+    def plain_onoff(self) -> list[Row]:
+        """Of each place, the on/off controller that fills to the target, as in the paper.
 
         Of several with different shares of the flow, it is the one with the least mean deviation:
         with ticks of some seconds, full flow overshoots the target, which no site would accept.
         """
         (level,) = (known.default for known in OnOff.parameters if known.name == "level")
-        return _lowest(
+        return lowest(
             row for row in self.of(SEASONS) if row["controller"] == "onoff"
             and self.runs[row["run"]].parameters.get("level", level) == level
         )
 
     @cached_property
-    def least(self) -> dict[int, list[Row]]:
-        """By place, the cases with the least mean deviation that is possible on a site.
+    def least(self) -> list[Row]:
+        """Of each place, the cases with the least mean deviation that is possible on a site.
 
         Controllers with perfect forecasts do not count, unless no forecasts here have errors, nor
         do cases that lack years or seeds.
         """
-        return _lowest(
-            row for row in self.of(SEASONS) if not row["missing"]
-            if not self.given_errors or row["forecast"] != PERFECT
+        complete = (row for row in self.of(SEASONS) if not row["missing"])
+        return lowest(
+            row for row in complete if not self.given_errors or row["forecast"] != PERFECT
             or not (row["controller"] in self.given_errors
                     or "horizon" in self.runs[row["run"]].parameters)
         )
@@ -433,16 +435,14 @@ class Report:
     @cached_property
     def over_least(self) -> list[Row]:
         """The same compared with the case of least deviation, if that is not plain on/off."""
-        plain = {row["case"] for rows in self.plain_onoff.values() for row in rows}
-        return self._over({
-            place: rows for place, rows in self.least.items()
-            if plain.isdisjoint(row["case"] for row in rows)
-        })
+        plain = [row["case"] for row in self.plain_onoff]
+        known = {row["place"] for row in self.least if row["case"] in plain}
+        return self._over([row for row in self.least if row["place"] not in known])
 
-    def _over(self, references: dict[int, list[Row]]) -> list[Row]:
-        compared = []
+    def _over(self, references: Sequence[Row]) -> list[Row]:
+        others, compared = {row["place"]: row for row in reversed(references)}, []
         for row in self.of(SEASONS):
-            than, *_ = references.get(row["place"], [row])
+            than = others.get(row["place"], row)
             has = compare(self._deviations[row["case"]], self._deviations[than["case"]])
             if than["case"] != row["case"] and has is not None:
                 compared.append({**row, "than": than, "has": has})
@@ -477,19 +477,16 @@ def by_place(rows: Iterable[Row]) -> list[list[Row]]:
     return [list(group) for _, group in groupby(rows, key=lambda row: row["place"])]
 
 
-def lowest(rows: Sequence[Row]) -> list[Row]:
-    """Return the case with the least total deviation, or several that are equal.
+def lowest(rows: Iterable[Row]) -> list[Row]:
+    """Return from each place the case with the least total deviation, or several that are equal.
 
     Cases that lack years or seeds come after all others: they may lack the worst.
     """
-    order = [(row["missing"], row[TOTAL]) for row in rows]
-    least = min(order)
-    return [row for row, key in zip(rows, order, strict=True) if key == least]
-
-
-def _lowest(rows: Iterable[Row]) -> dict[int, list[Row]]:
-    """Return by place the case with the least mean deviation, or several that are equal."""
-    return {here[0]["place"]: lowest(here) for here in by_place(rows)}
+    least: list[Row] = []
+    for here in by_place(rows):
+        order = [(row["missing"], row[TOTAL]) for row in here]
+        least += [row for row, key in zip(here, order, strict=True) if key == min(order)]
+    return least
 
 
 def _kinds(rows: Sequence[Row]) -> list[str]:

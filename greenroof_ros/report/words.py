@@ -171,13 +171,12 @@ def _least(report: Report) -> str:
         rows = sorted(here, key=lambda row: row[TOTAL])
         first, best = rows[0], lowest(rows)
         others = rows[len(best):]
-        alike = len(rows) > 1 and not others
         text = _deviation(first[TOTAL])
         if apart:
             text += f" in {heading(first, apart, apart)}"
         if len(report.initials) > 1:
             text += f" from {first['from']}"
-        whose = "whatever the controller" if alike else _and(map(who, best))
+        whose = _and(map(who, best)) if others or not rows[1:] else "whatever the controller"
         text += f" ({whose}{_over_least(first)}"
         return text + (f"; {who(others[0])} had {others[0][TOTAL]:.2f})" if others else ")")
 
@@ -212,11 +211,10 @@ def _of_seeds(report: Report) -> list[str]:
 
 def _of_seasons(report: Report) -> list[str]:
     first = _runs(report, _seasons(report))  # these name the initial states
-    cases = report.of(SEASONS)
     if report.sizing:
-        return [first, *_of_sizes(cases)]
-    best, apart = list(report.least.values()), report.apart(SEASONS)
-    shown = {row["case"] for rows in best for row in rows} if len(best) <= _MOST_NAMED else ()
+        return [first, *_of_sizes(report.of(SEASONS))]
+    best, apart = by_place(report.least), report.apart(SEASONS)
+    shown = [row["case"] for row in report.least] if len(best) <= _MOST_NAMED else []
     compared = [_over_onoff(row) for row in report.over_onoff if row["case"] in shown]
 
     def named(*rows: Row) -> str:

@@ -289,7 +289,9 @@ def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
         "anticipating_onoff": ["0.5", "none"], "proportional": ["none"],
     }
     # Nothing but their names distinguishes two runs of the same place without parameters.
-    assert [row["setting"] for row in report.single[4:]] == ["005", "006"]
+    assert [row["setting"] for row in report.single[2:]] == [
+        "threshold 0.5", "threshold none", "005", "006"
+    ]
     assert "trajectories-1-1" in figures_of(report)
     assert [row["setting"] for row in report.best()] == ["all alike"] * 3  # their totals are equal
 

@@ -195,7 +195,7 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
 
 def least(report: Report) -> list[tuple[str, str]]:
     """Return the controller with the least deviation, and its forecasts."""
-    return [(row["controller"], row["forecast"]) for (row,) in report.least.values()]
+    return [(row["controller"], row["forecast"]) for row in report.least]
 
 
 def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
@@ -275,7 +275,7 @@ def test_who_failed_in_the_worst_years_is_not_the_least(tmp_path: Path) -> None:
     (case,) = (row for row in report.of(SEASONS) if row["controller"] == "lookahead")
     assert case[TOTAL] == pytest.approx((1.02 * 600 + 0.8 * 310) / 7)  # less than 130
     assert least(report) == [("onoff", "perfect")]
-    assert {row["setting"] for (row,) in report.plain_onoff.values()} == {"fraction 1"}
+    assert {row["setting"] for row in report.plain_onoff} == {"fraction 1"}
     assert cautions(report)[-2:] == [
         "on/off fraction 0.5 ran in 5 of 7 years: its mean is of other years",
         "lookahead (forecast errors skill real) ran with as few as 1 of 2 seeds: its mean is of "
