@@ -445,8 +445,7 @@ def test_another_run_begins() -> None:
     """It can be of an earlier day."""
     graph = watched()
     graph.start_over()
-    assert shown(graph)["mode"] == "none"
-    graph.set_present(mode="simulated", factor=1.0, note="")
+    assert tile_of(graph, "roof")["state"] == "unknown"
     hear(graph, -86_400, -86_300, QUIET)
     assert tile_of(graph, "roof")["state"] == "good"
     assert shown(graph)["account"]["since_text"] == "since 2021-07-19 00:00:00"
