@@ -23,6 +23,13 @@ except ImportError:  # PyYAML without libyaml
     from yaml import BaseLoader as _LibYaml  # type: ignore[assignment]
 
 
+class _Loader(_LibYaml):
+    """Gives no tag to what has none in the file, so that every tag is the file's own."""
+
+    def resolve(self, kind: type[yaml.Node], value: Any, implicit: Any) -> str:
+        return ""
+
+
 def shared_directory() -> Path:
     """Return the directory that holds ``config/`` and ``msg_defs/``.
 
@@ -88,7 +95,6 @@ _DEEPEST = 200
 _TRUE = {"yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
 _FALSE = {"no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
 _NOTHING = {"", "~", "null", "Null", "NULL"}
-_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map")}
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
@@ -116,7 +122,7 @@ def _plain(text: str) -> Any:
     return None if text in _NOTHING else text
 
 
-def _plain_to_rcl(text: str) -> bool | int | float | str:
+def _plain_to_rcl(text: str) -> bool | int | float | str | None:
     """Return a value as rcl reads it (rcl_yaml_param_parser, parse.c): 010 is 8, 1e-5 a number."""
     if text in _TRUE | _FALSE | {"Y", "y", "N", "n"}:
         return text in _TRUE | {"Y", "y"}
@@ -128,7 +134,7 @@ def _plain_to_rcl(text: str) -> bool | int | float | str:
         value: float = number(ctypes.c_char_p(of_c), ctypes.byref(end), *base)
         if of_c and not end.value and not ctypes.get_errno():
             return value
-    return text
+    return text or None
 
 
 def _nesting(text: str) -> int:
@@ -142,24 +148,38 @@ def _nesting(text: str) -> int:
 
 
 def _compose(text: str) -> yaml.Node | None:
-    """Parse YAML with libyaml; if that finds an error, with PyYAML, whose messages say more.
+    """Parse YAML with libyaml; if that finds an error, say what PyYAML says, which is more.
 
     Every process reads the interface when it starts. Libyaml is ten times as fast as PyYAML there,
     and twenty times as fast as ruamel.yaml, which edits site files and keeps their comments.
     """
     try:
-        return yaml.compose(text, Loader=_LibYaml)
+        return yaml.compose(text, Loader=_Loader)
     except (yaml.YAMLError, ValueError):
-        return yaml.compose(text, Loader=yaml.BaseLoader)
+        yaml.compose(text, Loader=yaml.BaseLoader)
+        raise
 
 
 def read_ros_parameters(path: Path) -> YamlMapping:
     """Read a ROS 2 parameter file, with each value as rcl reads it for a node.
 
     Raises:
-        ConfigurationError: as :func:`read_yaml`.
+        ConfigurationError: as :func:`read_yaml`; or rcl would refuse a value.
     """
-    return read_yaml(path, _plain_to_rcl)
+    def check(mapping: YamlMapping) -> None:
+        for key, value in mapping.items():
+            items = value if isinstance(value, list) else [value]
+            if isinstance(value, YamlMapping):
+                check(value)
+            elif {*map(type, items)} not in ({bool}, {int}, {float}, {str}):
+                raise ConfigurationError(
+                    "must have a value, or a list of values of one type, such as [1.0, 2.0]; ROS "
+                    "refuses this file", file=path, line=mapping.lines[key], key=key, value=value,
+                )
+
+    content = read_yaml(path, _plain_to_rcl)
+    check(content)
+    return content
 
 
 def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
@@ -167,7 +187,7 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
 
     Args:
         path: the file.
-        plain: returns the value of an unquoted text.
+        plain: returns the value of an unquoted text; a block such as ``|-`` is not quoted.
 
     Raises:
         ConfigurationError: it cannot be read, is not YAML or nested too deeply, has a tag or gives
@@ -183,10 +203,10 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
 
     @functools.cache  # a node with several aliases is built once
     def value_of(node: yaml.Node) -> Any:
-        if node.tag not in _TAGS:
+        if node.tag:
             raise refuse(node, f"its values must have no tags such as {node.tag!r}")
         if isinstance(node, yaml.ScalarNode):
-            return node.value if node.style else plain(node.value)
+            return node.value if node.style in ("'", '"') else plain(node.value)
         if isinstance(node, yaml.SequenceNode):
             return [value_of(item) for item in node.value]
         mapping = YamlMapping()

@@ -437,12 +437,14 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[
         return entries
     _, line, base = entries.pop(_EXTENDS)
     chain = (*extended_by, path.resolve())
-    if not isinstance(base, str) or _base(path, base).resolve() in chain:
-        raise ConfigurationError(
-            "must be the name of another site file, such as site.yaml", file=path, line=line,
-            key=_EXTENDS, value=base,
-        )
-    return {**_entries(_base(path, base), chain), **entries}
+    expected = "must be the name of another site file, such as site.yaml"
+    if isinstance(base, str):
+        following = _base(path, base)
+        if following.resolve() not in chain:
+            return {**_entries(following, chain), **entries}
+        ring = [*chain[chain.index(following.resolve()):], following.resolve()]
+        expected += f"; this is a ring: {' extends '.join(map(str, ring))}"
+    raise ConfigurationError(expected, file=path, line=line, key=_EXTENDS, value=base)
 
 
 def _base(path: Path, name: str) -> Path:

@@ -249,13 +249,20 @@ def test_what_cannot_be_extended(tmp_path: Path) -> None:
         ("child.yaml", "child.yaml, line 1: extends = 'child.yaml': must be the name of another"),
         ("3", "child.yaml, line 1: extends = 3: must be the name of another site file, such as"),
         ("absent.yaml", "absent.yaml: cannot be read"),
-        ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of "),
+        ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of another "
+         f"site file, such as site.yaml; this is a ring: {child} extends {tmp_path / 'circle.yaml'}"
+         f" extends {child}"),
         ("base.yaml", f"base.yaml, line {len(TABLE_I) + 1}: a3: is not a parameter of a site"),
     ):
         child.write_text(f"extends: {base}\na1: 3.0\n")
         (tmp_path / "circle.yaml").write_text("extends: child.yaml\n")
         write(tmp_path, "a3: 5.0").rename(tmp_path / "base.yaml")
         assert refusal(child).startswith(str(tmp_path / reason))
+    # Of the files before a ring, nothing is said.
+    child.write_text("extends: child.yaml\n")
+    outside = tmp_path / "outside.yaml"
+    outside.write_text("extends: child.yaml\n")
+    assert refusal(outside).endswith(f"this is a ring: {child} extends {child}")
 
 
 def test_a_run_and_a_study_keep_the_whole_site(tmp_path: Path) -> None:
