@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.common.errors import ConfigurationError, did_you_mean
+from greenroof_ros.common.errors import ConfigurationError, a_number, did_you_mean, span
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, entry, keys, parameters_of
@@ -437,10 +437,14 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[
         return entries
     _, line, base = entries.pop(_EXTENDS)
     chain = (*extended_by, path.resolve())
-    if not isinstance(base, str) or _base(path, base).resolve() in chain:
+    if (
+        not isinstance(base, str)
+        or _base(path, base).resolve() in chain
+        or not _base(path, base).exists()
+    ):
         raise ConfigurationError(
-            "must be the name of another site file, such as site.yaml", file=path, line=line,
-            key=_EXTENDS, value=base,
+            "must be the name of another site file, beside this one or of this package, such as "
+            "site.yaml", file=path, line=line, key=_EXTENDS, value=base,
         )
     return {**_entries(_base(path, base), chain), **entries}
 
@@ -506,10 +510,10 @@ def read_site(path: Path) -> Site:
                 raise refuse(name, _OF_CLOCK[name]) from None
             continue
         if type(value) not in (int, float):
-            raise refuse(name, "must be a number")
+            raise refuse(name, f"must be {a_number(value)}")
         if not entry.low <= value <= entry.high or (whole and value % 1):
             unit = "" if entry.unit == "1" else f"{entry.unit}, "
-            limits = f"a whole number {limits}" if whole else limits
+            limits = f"a whole number {limits}" if whole else span(entry.low, entry.high, value)
             raise refuse(name, f"must be {limits} ({unit}{entry.meaning})")
         values[name] = int(value) if whole else float(value)
     for name in _FOLLOW_FROM.keys() - values.keys():
