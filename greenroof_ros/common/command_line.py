@@ -20,10 +20,10 @@ from typing import Any, NoReturn, TextIO
 from greenroof_ros.common.errors import (
     ConfigurationError,
     OccupiedError,
-    a_number,
     alike,
     must_be_one_of,
     span,
+    with_point,
 )
 from greenroof_ros.common.processes import end_with_parent
 
@@ -213,11 +213,9 @@ def within(
         kind: ``float`` or ``int``.
         word: a word that the option accepts, too; it stands for 0.
     """
+    number = "a whole number" if kind is int else "a number"
+    number = f"{word}, or {number}" if word else number
     limits = f"from {low} to {high}" if kind is int else f"from {low:g} to {high:g}"
-
-    def number(text: str) -> str:
-        words = "a whole number" if kind is int else a_number(text)
-        return f"{word}, or {words}" if word else words
 
     def parse(text: str) -> float:
         if word and text == word:
@@ -227,12 +225,12 @@ def within(
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            within_these = limits if kind is int else span(low, high, value)
-            raise argparse.ArgumentTypeError(f"must be {number(text)} {within_these}, not {text}")
+            expected = limits if kind is int else span(low, high, value) + with_point(text)
+            raise argparse.ArgumentTypeError(f"must be {number} {expected}, not {text}")
         return value
 
     # The documentation shows this as what the option accepts.
-    parse.__name__ = f"{number('').removeprefix('a ')} {limits}"
+    parse.__name__ = f"{number.removeprefix('a ')} {limits}"
     return parse
 
 

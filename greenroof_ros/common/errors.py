@@ -103,21 +103,21 @@ def must_be_one_of(known: Collection[str], name: str, otherwise: str = "") -> st
     return f"must be one of {', '.join(known)}{otherwise}"
 
 
-def a_number(value: object) -> str:
-    """Return "a number"; if the value has a decimal comma, with the hint that it needs a point."""
+def with_point(value: object) -> str:
+    """Return a clause for a message if a value is no number only because of its decimal comma."""
     comma = isinstance(value, str) and re.fullmatch(r"[-+]?\d*,\d+", value.strip())
-    return "a number with a decimal point" if comma else "a number"
+    return ", with a decimal point" if comma else ""
 
 
 # A limit this near 0 only excludes 0.
 _TINY = 1e-9
 
 
-def span(low: float, high: float, value: float) -> str:
-    """Return a range in words, for a message about a value outside."""
-    if 0 < low <= _TINY and not value > 0:
+def span(low: float, high: float, value: float | None = None) -> str:
+    """Return a range in words; for a message about a value outside, if that value is given."""
+    if value is not None and 0 < low <= _TINY and not value > 0:
         return "greater than 0"
-    if -_TINY <= high < 0 and not value < 0:
+    if value is not None and -_TINY <= high < 0 and not value < 0:
         return "less than 0"
     if math.isinf(high):
         return f"{low:.9g} or more"

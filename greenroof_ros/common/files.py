@@ -15,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from greenroof_ros.common.errors import ConfigurationError, a_number
+from greenroof_ros.common.errors import ConfigurationError, with_point
 
 try:
     from yaml import CBaseLoader as _LibYaml
@@ -245,7 +245,8 @@ def number(path: Path, mapping: YamlMapping, key: str) -> float:
     value = mapping[key]
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ConfigurationError(
-            f"must be {a_number(value)}", file=path, line=mapping.lines[key], key=key, value=value
+            f"must be a number{with_point(value)}", file=path, line=mapping.lines[key], key=key,
+            value=value,
         )
     try:
         return float(value)

@@ -19,10 +19,10 @@ from typing import Any, NewType, TypeVar, Union, get_args, get_origin, get_type_
 
 from greenroof_ros.common.errors import (
     ConfigurationError,
-    a_number,
     did_you_mean,
     must_be_one_of,
     span,
+    with_point,
 )
 from greenroof_ros.common.files import YamlMapping
 
@@ -285,7 +285,7 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
         value = int(value, 16)
     whole = kind in (int, Word)
     if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
-        expected = "a whole number" if whole else a_number(value)
+        expected = "a whole number" if whole else f"a number{with_point(value)}"
         if kind is Word:
             expected += ", such as 0x047E or 1150"
         raise _Wrong(parts, f"must be {' or '.join((expected, *entry.among))}", value)

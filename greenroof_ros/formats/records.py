@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError, a_number
+from greenroof_ros.common.errors import ConfigurationError, with_point
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import (
     DEFAULT_START,
@@ -449,7 +449,7 @@ class Table:
             if not low <= value <= high:
                 ends = [f"{end * unit.per_ours + unit.zero:g}" for end in (low, high)]
                 raise self.refuse(
-                    f"must be {a_number(text)} from {' to '.join(ends)} {unit.name}"
+                    f"must be a number from {' to '.join(ends)} {unit.name}{with_point(text)}"
                     + (", or empty" if "" in missing else "") + hint,
                     column, row,
                 )

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.common.errors import ConfigurationError, a_number, did_you_mean, span
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean, span, with_point
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, entry, keys, parameters_of
@@ -443,8 +443,8 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[
         or not _base(path, base).exists()
     ):
         raise ConfigurationError(
-            "must be the name of another site file, beside this one or of this package, such as "
-            "site.yaml", file=path, line=line, key=_EXTENDS, value=base,
+            "must be the name of another site file, such as site.yaml, beside this one or of this "
+            "package", file=path, line=line, key=_EXTENDS, value=base,
         )
     return {**_entries(_base(path, base), chain), **entries}
 
@@ -510,7 +510,7 @@ def read_site(path: Path) -> Site:
                 raise refuse(name, _OF_CLOCK[name]) from None
             continue
         if type(value) not in (int, float):
-            raise refuse(name, f"must be {a_number(value)}")
+            raise refuse(name, f"must be a number{with_point(value)}")
         if not entry.low <= value <= entry.high or (whole and value % 1):
             unit = "" if entry.unit == "1" else f"{entry.unit}, "
             limits = f"a whole number {limits}" if whole else span(entry.low, entry.high, value)

@@ -283,7 +283,7 @@ class InputRules:
             before = "received" if self._broken.why == _NOT_YET else f"{self._broken.why}; now good"
             return Verdict(
                 _RECOVERING,
-                f"{before}; used after {self._recovery:g} s without a fault (recovery_time)",
+                f"{before}; used after {self._recovery:g} s of good values (recovery_time)",
             )
         return verdict
 

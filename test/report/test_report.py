@@ -360,7 +360,7 @@ def test_seeds_belong_together(seeds: Report) -> None:
     # 25 different numbers of ticks give one note.
     assert text.count("found no solution in some ticks") == 1
     assert (
-        "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
+        "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, published evapotranspiration, forecast "
         "ensemble members 10 skill real, 25 seeds"
     ) in text
 
