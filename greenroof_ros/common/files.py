@@ -15,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, with_point
 
 try:
     from yaml import CBaseLoader as _LibYaml
@@ -81,7 +81,10 @@ def read_text(path: Path) -> str:
         text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
-        raise ConfigurationError("is not UTF-8 text", file=path, line=line) from error
+        form = "" if path.suffix in (".yaml", ".json") else " as CSV"
+        raise ConfigurationError(
+            f"is not UTF-8 text; save it{form} in UTF-8", file=path, line=line
+        ) from error
     if "\x00" in text:
         line = text.count("\n", 0, text.index("\x00")) + 1
         raise ConfigurationError("is not a text file (it holds a NUL byte)", file=path, line=line)
@@ -224,10 +227,11 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
         node = _compose(text)
         content = value_of(node) if node else None
     except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else None
-        raise ConfigurationError(
-            f"is not valid YAML: {error.problem}", file=path, line=line
-        ) from error
+        mark, problem = error.problem_mark, error.problem
+        if mark and mark.buffer and mark.buffer[mark.pointer] == "\t":
+            problem = "indent with spaces, not tabs"
+        line = mark.line + 1 if mark else None
+        raise ConfigurationError(f"is not valid YAML: {problem}", file=path, line=line) from error
     except RecursionError as error:
         raise ConfigurationError("is not valid YAML: a value contains itself", file=path) from error
     except (yaml.YAMLError, ValueError) as error:
@@ -261,7 +265,8 @@ def number(path: Path, mapping: YamlMapping, key: str) -> float:
     value = mapping[key]
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ConfigurationError(
-            "must be a number", file=path, line=mapping.lines[key], key=key, value=value
+            f"must be a number{with_point(value)}", file=path, line=mapping.lines[key], key=key,
+            value=value,
         )
     try:
         return float(value)

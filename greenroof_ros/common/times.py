@@ -26,6 +26,11 @@ def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
     return _within_years(time.replace(tzinfo=time.tzinfo or zone))
 
 
+def time_hint(text: str) -> str:
+    """Return the end of a message about a time that :func:`parse_time` refuses; mostly empty."""
+    return "; hours need two digits: 00:00" if re.search(r"[ T]\d:", text) else ""
+
+
 def parse_local_time(text: str, zone: tzinfo) -> datetime:
     """Read a local time, such as ``2021-07-01 0:00`` or ``2021-07-01T00:00``, in a zone.
 
@@ -96,7 +101,8 @@ def read_start(text: str, zone: tzinfo | None = None, key: str = "start") -> dat
         start = parse_time(text, zone)
     except ValueError:
         raise ConfigurationError(
-            f"must be a time such as {DEFAULT_START}, from {FIRST_YEAR} to {LAST_YEAR}",
+            f"must be a time such as {DEFAULT_START}, from {FIRST_YEAR} to {LAST_YEAR}"
+            + time_hint(text),
             key=key, value=text,
         ) from None
     if start.utcoffset() is None:

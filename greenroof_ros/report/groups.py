@@ -94,8 +94,8 @@ def heading(row: Row, apart: Sequence[str], names: Sequence[str] = ()) -> str:
     usual = {"site": row["site"], "forecast": PERFECT, "sensor and pump errors": NO_ERRORS}
     facts = {name: row[name] for name in names or _FACTS[row["kind"]]}
     return ", ".join(
-        f"{name} {text}" if name in ("evapotranspiration", "forecast") or text == NO_ERRORS
-        else text
+        f"{text} {name}" if name == "evapotranspiration"
+        else f"{name} {text}" if name == "forecast" or text == NO_ERRORS else text
         for name, text in facts.items() if name in apart or text != usual.get(name)
     )
 

@@ -13,7 +13,7 @@ from paper import PAPER_SITE
 from refusals import refusal
 
 from greenroof_ros.common.command_line import refuse_unwritable
-from greenroof_ros.common.files import read_ros_parameters, read_yaml
+from greenroof_ros.common.files import read_ros_parameters, read_text, read_yaml
 from greenroof_ros.controllers.registry import find_controller
 
 VALUES = (
@@ -125,7 +125,8 @@ def test_lines_and_anchors(tmp_path: Path) -> None:
         ("a: " + "[" * 300 + "]" * 300, ": is nested more than 200 levels deep"),
         (" \n", ": is empty"),
         ("a: 1\nb: \0\n", ", line 2: is not a text file (it holds a NUL byte)"),
-        ("a: 1\n# m\udcb2\n", ", line 2: is not UTF-8 text"),
+        ("a: 1\n# m\udcb2\n", ", line 2: is not UTF-8 text; save it in UTF-8"),
+        ("a:\n\tb: 1\n", ", line 2: is not valid YAML: indent with spaces, not tabs"),
         ("a: 1\nb: !!python/name:os.system\n", ", line 2: is not valid YAML"),
         ("a: !!int 5\n", ", line 1: is not valid YAML: its values must have no tags such as"),
         ("a: [1, !!str 5]\n", ", line 1: is not valid YAML: its values must have no tags such"),
@@ -139,6 +140,15 @@ def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
     for read in (read_yaml, read_ros_parameters):
         said = refusal(read, file)
         assert said.startswith(str(file)) and words in said
+
+
+def test_what_is_no_text(tmp_path: Path) -> None:
+    """Such as a spreadsheet that was renamed."""
+    file = tmp_path / "weather.csv"
+    file.write_bytes(b"PK\x03\x04\n\xff\xfe")
+    assert refusal(read_text, file) == (
+        f"{file}, line 2: is not UTF-8 text; save it as CSV in UTF-8"
+    )
 
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:

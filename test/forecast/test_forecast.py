@@ -63,7 +63,7 @@ def archive_of(*issues: Issue) -> Archive:
     horizon=st.sampled_from([0.0, 0.1, 0.5, 2.0, 7.5]),
     data=st.data(),
 )
-def test_means_are_those_of_every_second(
+def test_means_count_every_second(
     seed: int, tau: int, offset: int, horizon: float, data: st.DataObject
 ) -> None:
     """Every step of every member equals the mean of its seconds, one by one."""

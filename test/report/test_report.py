@@ -66,7 +66,7 @@ def study(simulated: list[Simulated], tmp_path_factory: pytest.TempPathFactory) 
 # --- exact results -------------------------------------------------------------------------------
 
 
-def test_results_are_those_of_the_table(tmp_path: Path) -> None:
+def test_results_are_the_tables(tmp_path: Path) -> None:
     """Not of the samples that are kept, which only show when there was frost."""
     row = {**simulate("onoff", "0.5", "low-low").row, "max_command": 2.0, "pump_starts": 31,
            "excess_starts": 11, "frost_hours": 3 / 3600}
@@ -379,7 +379,7 @@ def test_seeds_belong_together(seeds: Report) -> None:
     # 25 different numbers of ticks give one note.
     assert text.count("found no solution in some ticks") == 1
     assert (
-        "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
+        "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, published evapotranspiration, forecast "
         "ensemble members 10 skill real, 25 seeds"
     ) in text
 

@@ -891,7 +891,7 @@ def test_a_flood_of_statuses_crowds_nobody_out_and_leaves_a_short_document() -> 
 # --- charts -------------------------------------------------------------------------------------
 
 
-def test_what_the_charts_are_told() -> None:
+def test_what_the_charts_get() -> None:
     """Rows (for their rules see test_history.py), times, and what else is drawn."""
     series = read_series(watched(), 12)
     at = START / 1e9
