@@ -42,7 +42,7 @@ def shared_files(directory: str) -> list[tuple[str, list[str]]]:
     """List the files under a directory of the checkout, to go to the same place under share/."""
     by_folder: dict[Path, list[str]] = {}
     for path in sorted(Path(directory).rglob("*")):
-        if path.is_file() and not any(part.startswith(".") for part in path.parts):
+        if path.is_file() and not any(part.startswith((".", "__")) for part in path.parts):
             by_folder.setdefault(path.parent, []).append(path.as_posix())
     return [((SHARE / folder).as_posix(), files) for folder, files in by_folder.items()]
 
@@ -75,6 +75,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE.as_posix(), ["package.xml"]),
         *shared_files("config"),
+        *shared_files("examples"),
         *shared_files("msg_defs"),
     ],
     # What the simulation needs. The oldest version is the oldest that was tried or, where it says

@@ -36,10 +36,10 @@ from who_publishes import WAYS, drawing
 from worth import drawing as drawing_of_worth
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
+from greenroof_ros.common.errors import span as accepted
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic, markdown_table, read_conditions, read_topics
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
-from greenroof_ros.common.parameter import span as accepted
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.drives import drive_file, relay_file, sensor_file
 from greenroof_ros.forecast.skill import Climate, Errors

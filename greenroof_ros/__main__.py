@@ -41,8 +41,8 @@ GROUPS = {
         "recover": Command("recover", "restore a bag after a crash or a full disk"),
     },
     "compare controllers, without ROS": {
-        "simulate": Command("simulate", "do one run in one process, with the graph's numbers"),
-        "study": Command("study.__main__", "do a grid of runs: the paper's 30, or yours"),
+        "simulate": Command("simulate", "run once, in one process, with the graph's numbers"),
+        "study": Command("study.__main__", "run a grid of runs: the paper's 30, or yours"),
         "bound": Command("bound", "compute the least deviation that is possible"),
     },
     "fit it to your site": {

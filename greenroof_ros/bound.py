@@ -74,7 +74,7 @@ def _table(result: dict[str, Any]) -> Table:
         (
             "bound", f"{result['bound_m3']:.2f}",
             "m3, total deviation that no controller can beat "
-            f"({result['evapotranspiration_method']})",
+            f"({result['evapotranspiration_method']} evapotranspiration)",
         ),
         (
             "its plan", f"{result['plan_m3']:.2f}",

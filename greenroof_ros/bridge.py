@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 from contextlib import suppress
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, namespace
@@ -85,6 +86,8 @@ def main() -> int:
         )
     broker = parse_broker(arguments.broker, "--broker", arguments.login, arguments.authority)
     os.nice(_GIVE_WAY)
+    # A script that starts this in its background has it ignore SIGINT.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     store, signals = Store(arguments.namespace), Signals()
     with suppress(InterruptedRun), Feed(store) as feed:
         Bridge(store, feed, broker, arguments.prefix).run(signals)

@@ -64,9 +64,6 @@ like these; empty cells and missing rows are gaps:
 
 The model has no snow: if winters were recorded, say which months count, as in --months 4-10.
 
-Data that cannot be true are refused, with a code and figures; --accept CODE fits them anyway, with
-a warning: a dead sensor (sensor-dead), a wrong unit (unit-error) and so on.
-
 It writes the site file, and a page next to it with its name and .html. With --pump-data and no
 MEASURED it writes only the site file, with the pumps of the data sheet.
 
@@ -82,9 +79,7 @@ exit codes: 0 done, 2 bad usage, configuration or record, 130 interrupted
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = Parser(
-        prog="greenroof calibrate", description=_DESCRIPTION, epilog=_EPILOG,
-    )
+    parser = Parser(prog="greenroof calibrate", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
         "measured", type=Path, nargs="?", metavar="MEASURED",
         help="the record, CSV or a bag; not needed with --pump-data",
@@ -201,7 +196,7 @@ def _calibrate(
     counted = record.only(counts)
     doubts = accept([*pumps.findings, *check_record(counted, site)], arguments.accept, measured)
     halves = halve(record, comparable(record) & counts)
-    _refuse_dry(record, halves)
+    _refuse_dry(record, **halves)
     with progress_bar() as tell:
         fitted = fit(site, record, halves["fit"], tell)
     fitted = fitted._replace(
@@ -232,16 +227,18 @@ def _calibrate(
     return text, page
 
 
-def _refuse_dry(record: Record, halves: Mapping[str, Steps]) -> None:
-    """Refuse a record if nothing that was measured changes in one of its halves."""
-    for part, steps in zip(("first", "second"), halves.values(), strict=True):
-        if not steps.any() or all(
-            np.ptp(values[steps]) == 0 for values in record.measured.values()
-        ):
-            raise ConfigurationError(
-                f"in the {part} half of its rain nothing that was measured changes; a longer "
-                "record, with dry days in it, is needed", file=record.source,
-            )
+def _refuse_dry(record: Record, fit: Steps, validation: Steps) -> None:
+    """Refuse a record if there is nothing to fit, or no step after it."""
+    if not fit.any() or all(np.ptp(values[fit]) == 0 for values in record.measured.values()):
+        raise ConfigurationError(
+            "in the first half of its rain nothing that was measured changes, so there is nothing "
+            "to fit; leave out rows before the first runoff, or record longer", file=record.source,
+        )
+    if not validation.any():
+        raise ConfigurationError(
+            "after the first half of its rain nothing is left to judge the fit; a longer record, "
+            "with dry days in it and fewer gaps, is needed", file=record.source,
+        )
 
 
 def _span(record: Record, steps: Steps) -> str:
@@ -274,17 +271,16 @@ def _volume(row: Scores) -> str:
 
 def _print_fit(fitted: Fit, rows: Sequence[Scores]) -> None:
     """Print parameters and scores."""
-    table = Table(title="Parameters", title_justify="left")
-    for name in ("parameter", "value", "95 % interval", ""):
-        table.add_column(name)
+    table = Table(
+        "parameter", "value", "95 % interval", "", title="Parameters", title_justify="left"
+    )
     for parameter in fitted.parameters:
         table.add_row(
             parameter.name, f"{parameter.value:.4g}", parameter.interval or "not fitted",
             parameter.words,
         )
     times = list(rows[0].nse)
-    scores = Table(title="Scores", title_justify="left")
-    scores.add_column("of")
+    scores = Table("of", title="Scores", title_justify="left")
     for name in (*(f"NSE {time_name(time)}" for time in times), "KGE 1 day", "volume"):
         scores.add_column(name, justify="right")
     for row in rows:

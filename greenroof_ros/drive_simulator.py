@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, must_be_one_of
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.mqtt import parse_topic
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
@@ -129,7 +129,7 @@ def main() -> int:
     faults = RELAY_FAULTS if is_relay else DRIVE_FAULTS
     if arguments.fault[0] not in faults:
         raise ConfigurationError(
-            f"must be one of {', '.join(faults)}", key="--fault", value=arguments.fault[0]
+            must_be_one_of(faults, arguments.fault[0]), key="--fault", value=arguments.fault[0]
         )
     bench = (_relay if is_relay else _drive)(path, arguments)
     bench.serve(*arguments.fault)

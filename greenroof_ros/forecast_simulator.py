@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from pathlib import Path
 
@@ -62,6 +63,8 @@ def main() -> int:
         site, records, read_start(arguments.start, records.first.tzinfo), arguments.port
     )
     service.fault = arguments.fault
+    # A script that starts this in its background has it ignore SIGINT.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     service.start()
     print(f"ready: {service.address}/v1/forecast and {service.address}/v1/ensemble", flush=True)
     try:

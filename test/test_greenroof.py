@@ -84,7 +84,7 @@ def test_a_danger_is_the_first_line_of_the_help(tmp_path: Path) -> None:
     assert "\n\nTHE PUMP WILL RUN. " in done.stdout
 
 
-def test_help_is_that_of_the_module(tmp_path: Path) -> None:
+def test_a_command_has_the_help_of_its_module(tmp_path: Path) -> None:
     ours = greenroof(tmp_path, "check-controller", "--help")
     module = run_command("check_controller", "--help", cwd=tmp_path, env=dict(os.environ))
     assert (ours.returncode, ours.stdout, ours.stderr) == (0, module.stdout, "")

@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tarfile
 import time
 import urllib.request
 import venv
@@ -98,8 +99,8 @@ def assert_installed(module, prefix):
     files = [path for path in ours if path.suffix not in compiled]
     assert [path for path in files_under(module.parent) if path.suffix not in compiled] == files
     share = prefix / "share" / "greenroof_ros"
-    for name in ("config", "msg_defs"):
-        expected = files_under(CHECKOUT / name)
+    for name in ("config", "examples", "msg_defs"):
+        expected = [path for path in files_under(CHECKOUT / name) if path.suffix not in compiled]
         assert expected
         assert files_under(share / name) == expected
         _, different, unreadable = filecmp.cmpfiles(
@@ -188,6 +189,19 @@ def test_a_package_index_would_take_the_release(released):
     environment = dict(os.environ)
     run(sys.executable, "-m", "twine", "check", "--strict", *files, cwd=released, env=environment)
     run(sys.executable, "-m", "check_wheel_contents", files[0], cwd=released, env=environment)
+
+
+def test_the_source_distribution_has_what_a_user_copies(released):
+    """Configuration and examples, as in the checkout; and no tests."""
+    (archive,) = released.glob("*.tar.gz")
+    with tarfile.open(archive) as source:
+        files = {Path(*Path(name).parts[1:]) for name in source.getnames()}
+    for name in ("config", "examples", "msg_defs"):
+        there = {path for path in (CHECKOUT / name).rglob("*") if path.suffix != ".pyc"}
+        assert {
+            path.relative_to(CHECKOUT) for path in there if path.name != "__pycache__"
+        } <= files
+    assert Path("CHANGELOG.rst") in files and Path("test") not in files
 
 
 @pytest.fixture

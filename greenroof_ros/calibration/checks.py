@@ -60,14 +60,12 @@ def check_record(record: Record, site: Site) -> list[Finding]:
     ]
     level, runoff = record.level, record.runoff
     if level is not None:
-        findings += _level(record, site, level)
+        findings += [*_level(record, site, level), *_rise_without_rain(record, level)]
     if runoff is not None:
         findings += [
             *_runoff(record, site, runoff), *_storm_runoff(record, site, runoff),
             *_silence(record, site, runoff), *_runoff_without_rain(record, runoff),
         ]
-    if level is not None:
-        findings += _rise_without_rain(record, level)
     return findings
 
 
@@ -201,6 +199,9 @@ _BESIDE_S = 1800
 # More water than this (mm), even from many storms, must cause some runoff if it also exceeds what
 # the soil can hold. The measured roofs had no runoff from 44 mm in four weeks.
 _LEAVES_SOME = 80.0
+# Runoff of a record as a share of its water, if there is any: at least 0.0025 in windows of 30 days
+# or more, and with runoff in m instead of mm at most 0.0007.
+_LEAST_OF_WATER = 0.001
 # The measured roofs are not watered: they dry out, and bounds allow for evaporation meanwhile. A
 # watered roof evaporates at the full rate, at most 1.3 times the rate of the reference grass
 # (FAO-56, Eq. 72: 1.05 to 1.3).
@@ -217,15 +218,17 @@ def _watered(record: Record) -> Steps:
     return lately(np.nan_to_num(record.pumped) > 0, math.ceil(_WATERED_S / record.step_s))
 
 
-def _to_hold(record: Record, site: Site) -> Values:
+def _to_hold(record: Record, site: Site, runoff: Values) -> Values:
     """Return the gain of a roof without runoff up to each step (mm), shape (steps + 1,).
 
-    A dry roof must be able to hold the greatest rise of this gain. From a roof with a pump,
-    evapotranspiration is subtracted at its full rate, because a good controller pumps no more than
-    that, and nothing while it rains often enough.
+    A dry roof must be able to hold the greatest rise of this gain. Water in steps with unknown
+    runoff does not count. From a roof with a pump, evapotranspiration is subtracted at its full
+    rate, because a good controller pumps no more than that, and nothing while it rains often
+    enough.
     """
     rate = max(_FULL_RATE, site.crop_coefficient) * bool(np.nansum(record.pumped) > 0)
-    return np.concatenate(([0.0], np.cumsum(record.came - rate * record.reference)))
+    came = np.where(np.isnan(runoff), 0.0, record.came)
+    return np.concatenate(([0.0], np.cumsum(came - rate * record.reference)))
 
 
 def _most_held(site: Site) -> float:
@@ -267,9 +270,7 @@ def _rain(record: Record) -> Iterator[Finding]:
             "unit-error", "little rain", "rain", rain=rain, days=days, bound=_LEAST_RAIN,
         )
     if days > 7 and rain / days > _MOST_RAIN_A_DAY:
-        yield FINDINGS.make(
-            "unit-error", "much rain", "rain", rain=rain, days=days,
-        )
+        yield FINDINGS.make("unit-error", "much rain", "rain", rain=rain, days=days)
 
 
 def _level(record: Record, site: Site, level: Values) -> Iterator[Finding]:
@@ -303,17 +304,17 @@ def _level(record: Record, site: Site, level: Values) -> Iterator[Finding]:
 
 
 def _runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
-    """Find records with almost no runoff.
+    """Find records with almost no runoff, but some.
 
-    A watered roof may have none if its soil could hold all the water.
+    A watered roof may have so little if its soil could hold all the water.
     """
     known = ~np.isnan(runoff) & ~np.isnan(record.rain)
     came, gone = float(np.sum(record.came[known])), float(np.sum(runoff[known]))
-    if gone < 0.001 * came and (
-        not _watered(record).any() or greatest_rise(_to_hold(record, site)) > _most_held(site)
+    if 0 < gone < _LEAST_OF_WATER * came and (
+        not _watered(record).any()
+        or greatest_rise(_to_hold(record, site, runoff)) > _most_held(site)
     ):
-        code, case = ("unit-error", "little runoff") if gone > 0 else ("sensor-dead", "nothing")
-        yield FINDINGS.make(code, case, "runoff", gone=gone, came=came)
+        yield FINDINGS.make("unit-error", "little runoff", "runoff", gone=gone, came=came)
 
 
 def _storm_runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
@@ -365,14 +366,17 @@ _RISE_S, _RISE_VALUES, _RISE, _RISE_TO_FALL = 6 * HOUR_S, 6, 5.0, 3.0
 
 
 def _silence(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
-    """Find a flow meter that shows 0 for more water than soil and evapotranspiration take."""
-    most, gained = _most_held(site), _to_hold(record, site)
-    for low, high in gaps(runoff == 0):
+    """Find a flow meter that shows 0 for more water than soil and evapotranspiration take.
+
+    A meter that never shows anything else is judged by the whole record, despite gaps.
+    """
+    zero, most, gained = runoff == 0, _most_held(site), _to_hold(record, site, runoff)
+    for low, high in gaps(zero) if np.any(runoff > 0) else [(0, record.steps)]:
         if greatest_rise(gained[low:high + 1]) > most:
             yield FINDINGS.make(
                 "sensor-dead", "silent", "runoff",
                 days=(high - low) * record.step_s / DAY_S, since=record.time(low),
-                came=float(np.sum(record.came[low:high])), most=most,
+                came=float(np.sum((record.came * zero)[low:high])), most=most,
             )
             return
 
@@ -421,9 +425,6 @@ def _rise_without_rain(record: Record, level: Values) -> Iterator[Finding]:
 
 # If the volume of runoff is wrong by more than this share, the fit is poor.
 _VOLUME_OFF = 0.5
-_LOOK_AT = (
-    "Check the units, the clocks, the sensors (stuck or blocked?), and the site's a2 and z_soil."
-)
 
 
 def check_fit(scores: Sequence[Scores]) -> list[Finding]:
@@ -431,30 +432,35 @@ def check_fit(scores: Sequence[Scores]) -> list[Finding]:
 
     It is refused if it is worse than the mean of the measurements in every respect: every NSE is
     below 0, of hours (or of longer steps) and of days, in the fit and in the validation, and of
-    every series. A warning follows if, in the validation, the NSE of days is below 0 (of hours or
-    longer steps if there are too few days), or the volume of runoff is wrong by more than half.
+    every series. It is refused, too, if nothing that was measured changes in the validation, as can
+    be if nothing runs off a well-kept roof: then no NSE judges it. A warning follows if, in the
+    validation, the NSE of days is below 0 (of hours or longer steps if there are too few days), or
+    the volume of runoff is wrong by more than half.
     """
-    lines, best, worse, off = [], [], [], []
+    lines, best, worse, off, judged = [], [], [], [], False
     for row in scores:
         nses = {
             f"{nse:.2f} ({time_name(over_s)})": nse for over_s, nse in row.nse.items()
             if over_s >= HOUR_S and not math.isnan(nse)
         }
         lines.append(f"{row.quantity}, {row.part}: {' and '.join(nses)}")
-        best.append(max(nses.values(), default=0.0))
+        best.append(max(nses.values(), default=-math.inf))
         if row.part == "validation":
+            judged = judged or bool(nses)
             name, nse = [*nses.items()][-1] if nses else ("", 0.0)
             if nse < 0:
                 worse.append(f"NSE of {row.quantity} {name}")
             if row.quantity == "runoff" and abs(row.volume_error) > _VOLUME_OFF:
                 off.append(f"volume of runoff {100 * row.volume_error:+.0f} %")
     if max(best) < 0:
-        return [FINDINGS.make("no-fit", "no roof", "fit", scores="; ".join(lines), look=_LOOK_AT)]
+        return [FINDINGS.make("no-fit", "no roof", "fit", scores="; ".join(lines))]
+    if not judged:
+        return [FINDINGS.make("unjudged", "constant", "validation")]
     if not worse and not off:
         return []
     verdict = "worse than the mean of what was measured" if worse else "far off"
     why = ", ".join(worse + off)
-    return [FINDINGS.make("poor-fit", "poor", "fit", what=verdict, why=why, look=_LOOK_AT)]
+    return [FINDINGS.make("poor-fit", "poor", "fit", what=verdict, why=why)]
 
 
 # --- level sensors --------------------------------------------------------------------------------

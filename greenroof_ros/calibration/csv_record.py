@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -111,13 +112,9 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
     table = read_table(file)
     columns = _columns(table)
     clock = None if site.utc_offset is None else timezone(timedelta(hours=site.utc_offset))
-
-    def on_clock(text: str) -> datetime:
-        time = parse_time(text)
-        return time.replace(tzinfo=time.tzinfo or clock)
-
     times = table.times(
-        TIME, on_clock, "2015-06-01T14:05", ", or the site file must give utc_offset"
+        TIME, partial(parse_time, zone=clock), "2015-06-01T14:05",
+        ", or the site file must give utc_offset",
     )
     if len(times) < _FEWEST_ROWS:
         raise ConfigurationError(

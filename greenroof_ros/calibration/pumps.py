@@ -249,8 +249,7 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
     if len(runs) < _FEWEST_RUNS:
         return unseen
     standing = standing_steps(record.step_s)
-    all_count = np.full(record.steps, True)
-    fall = _Fall(site, record.step_s, command, cistern, runs, all_count)
+    fall = _Fall(site, record.step_s, command, cistern, runs, np.full(record.steps, True))
     coarse = fall.solve(3, standing + 1)
     delay, share = coarse.shares[:2].tolist()
     if not 1 / _BELIEVABLE < share < _BELIEVABLE:

@@ -17,7 +17,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
-from greenroof_ros.common.errors import ConfigurationError, OccupiedError, alike
+from greenroof_ros.common.errors import (
+    ConfigurationError,
+    OccupiedError,
+    alike,
+    must_be_one_of,
+    span,
+    with_point,
+)
 from greenroof_ros.common.processes import end_with_parent
 
 EXIT_DONE = 0
@@ -25,8 +32,6 @@ EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_OCCUPIED = 3
 EXIT_INTERRUPTED = 130
-# Lower limit of options that must be greater than 0; messages say "greater than 0" instead of it.
-_TINY = 1e-9
 
 
 def exit_code(error: Exception) -> int:
@@ -190,6 +195,12 @@ class Parser(argparse.ArgumentParser):
             )
         return parsed
 
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse a value that is not among the option's choices; say what it may mean."""
+        if action.choices is not None and value not in action.choices:
+            wrong = f"{value!r} {must_be_one_of([*action.choices], str(value))}"
+            raise argparse.ArgumentError(action, wrong)
+
 
 def within(
     low: float, high: float, kind: Callable[[str], float] = float, *, word: str = ""
@@ -214,7 +225,7 @@ def within(
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            expected = "greater than 0" if 0 < low <= _TINY and not value > 0 else limits
+            expected = limits if kind is int else span(low, high, value) + with_point(text)
             raise argparse.ArgumentTypeError(f"must be {number} {expected}, not {text}")
         return value
 
@@ -259,8 +270,8 @@ def print_findings(title: str, findings: Sequence[Finding]) -> int:
     for name in ("check", "result"):
         table.add_column(name)
     for finding in findings:
-        right = f"right: {finding.came}" if finding.came else "right"
-        table.add_row(finding.check, finding.problem or right)
+        passed = f"passed: {finding.came}" if finding.came else "passed"
+        table.add_row(finding.check, finding.problem or passed)
     Console().print(table)
     failed = [finding for finding in findings if finding.problem]
     print(f"{len(findings) - len(failed)} of {len(findings)} checks passed")

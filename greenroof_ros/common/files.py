@@ -15,12 +15,19 @@ from typing import Any
 
 import yaml
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, with_point
 
 try:
     from yaml import CBaseLoader as _LibYaml
 except ImportError:  # PyYAML without libyaml
     from yaml import BaseLoader as _LibYaml  # type: ignore[assignment]
+
+
+class _Loader(_LibYaml):
+    """Gives no tag to what has none in the file, so that every tag is the file's own."""
+
+    def resolve(self, kind: type[yaml.Node], value: Any, implicit: Any) -> str:
+        return ""
 
 
 def shared_directory() -> Path:
@@ -74,7 +81,10 @@ def read_text(path: Path) -> str:
         text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
-        raise ConfigurationError("is not UTF-8 text", file=path, line=line) from error
+        form = "" if path.suffix in (".yaml", ".json") else " as CSV"
+        raise ConfigurationError(
+            f"is not UTF-8 text; save it{form} in UTF-8", file=path, line=line
+        ) from error
     if "\x00" in text:
         line = text.count("\n", 0, text.index("\x00")) + 1
         raise ConfigurationError("is not a text file (it holds a NUL byte)", file=path, line=line)
@@ -88,7 +98,6 @@ _DEEPEST = 200
 _TRUE = {"yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
 _FALSE = {"no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
 _NOTHING = {"", "~", "null", "Null", "NULL"}
-_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map")}
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
@@ -116,7 +125,7 @@ def _plain(text: str) -> Any:
     return None if text in _NOTHING else text
 
 
-def _plain_to_rcl(text: str) -> bool | int | float | str:
+def _plain_to_rcl(text: str) -> bool | int | float | str | None:
     """Return a value as rcl reads it (rcl_yaml_param_parser, parse.c): 010 is 8, 1e-5 a number."""
     if text in _TRUE | _FALSE | {"Y", "y", "N", "n"}:
         return text in _TRUE | {"Y", "y"}
@@ -128,7 +137,7 @@ def _plain_to_rcl(text: str) -> bool | int | float | str:
         value: float = number(ctypes.c_char_p(of_c), ctypes.byref(end), *base)
         if of_c and not end.value and not ctypes.get_errno():
             return value
-    return text
+    return text or None
 
 
 def _nesting(text: str) -> int:
@@ -142,24 +151,38 @@ def _nesting(text: str) -> int:
 
 
 def _compose(text: str) -> yaml.Node | None:
-    """Parse YAML with libyaml; if that finds an error, with PyYAML, whose messages say more.
+    """Parse YAML with libyaml; if that finds an error, say what PyYAML says, which is more.
 
     Every process reads the interface when it starts. Libyaml is ten times as fast as PyYAML there,
     and twenty times as fast as ruamel.yaml, which edits site files and keeps their comments.
     """
     try:
-        return yaml.compose(text, Loader=_LibYaml)
+        return yaml.compose(text, Loader=_Loader)
     except (yaml.YAMLError, ValueError):
-        return yaml.compose(text, Loader=yaml.BaseLoader)
+        yaml.compose(text, Loader=yaml.BaseLoader)
+        raise
 
 
 def read_ros_parameters(path: Path) -> YamlMapping:
     """Read a ROS 2 parameter file, with each value as rcl reads it for a node.
 
     Raises:
-        ConfigurationError: as :func:`read_yaml`.
+        ConfigurationError: as :func:`read_yaml`; or rcl would refuse a value.
     """
-    return read_yaml(path, _plain_to_rcl)
+    def check(mapping: YamlMapping) -> None:
+        for key, value in mapping.items():
+            items = value if isinstance(value, list) else [value]
+            if isinstance(value, YamlMapping):
+                check(value)
+            elif {*map(type, items)} not in ({bool}, {int}, {float}, {str}):
+                raise ConfigurationError(
+                    "must have a value, or a list of values of one type, such as [1.0, 2.0]; ROS "
+                    "refuses this file", file=path, line=mapping.lines[key], key=key, value=value,
+                )
+
+    content = read_yaml(path, _plain_to_rcl)
+    check(content)
+    return content
 
 
 def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
@@ -167,7 +190,7 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
 
     Args:
         path: the file.
-        plain: returns the value of an unquoted text.
+        plain: returns the value of an unquoted text; a block such as ``|-`` is not quoted.
 
     Raises:
         ConfigurationError: it cannot be read, is not YAML or nested too deeply, has a tag or gives
@@ -183,10 +206,10 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
 
     @functools.cache  # a node with several aliases is built once
     def value_of(node: yaml.Node) -> Any:
-        if node.tag not in _TAGS:
+        if node.tag:
             raise refuse(node, f"its values must have no tags such as {node.tag!r}")
         if isinstance(node, yaml.ScalarNode):
-            return node.value if node.style else plain(node.value)
+            return node.value if node.style in ("'", '"') else plain(node.value)
         if isinstance(node, yaml.SequenceNode):
             return [value_of(item) for item in node.value]
         mapping = YamlMapping()
@@ -204,10 +227,11 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
         node = _compose(text)
         content = value_of(node) if node else None
     except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else None
-        raise ConfigurationError(
-            f"is not valid YAML: {error.problem}", file=path, line=line
-        ) from error
+        mark, problem = error.problem_mark, error.problem
+        if mark and mark.buffer and mark.buffer[mark.pointer] == "\t":
+            problem = "indent with spaces, not tabs"
+        line = mark.line + 1 if mark else None
+        raise ConfigurationError(f"is not valid YAML: {problem}", file=path, line=line) from error
     except RecursionError as error:
         raise ConfigurationError("is not valid YAML: a value contains itself", file=path) from error
     except (yaml.YAMLError, ValueError) as error:
@@ -241,7 +265,8 @@ def number(path: Path, mapping: YamlMapping, key: str) -> float:
     value = mapping[key]
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ConfigurationError(
-            "must be a number", file=path, line=mapping.lines[key], key=key, value=value
+            f"must be a number{with_point(value)}", file=path, line=mapping.lines[key], key=key,
+            value=value,
         )
     try:
         return float(value)

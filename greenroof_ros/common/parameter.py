@@ -17,7 +17,13 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, NewType, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from greenroof_ros.common.errors import ConfigurationError, did_you_mean
+from greenroof_ros.common.errors import (
+    ConfigurationError,
+    did_you_mean,
+    must_be_one_of,
+    span,
+    with_point,
+)
 from greenroof_ros.common.files import YamlMapping
 
 Record = TypeVar("Record")
@@ -75,11 +81,10 @@ class Parameter:
             return " or ".join(self.among)
         return f"{self.low} to {self.high}" if self.whole else f"{self.low:g} to {self.high:g}"
 
-    @property
-    def expected(self) -> str:
-        """What a number must be, for messages."""
+    def expected(self, value: float) -> str:
+        """Return what a number must be, for a message about a value that is not accepted."""
         kind = "a whole number " if self.whole else ""
-        return f"must be {kind}from {self.low:g} to {self.high:g}"
+        return f"must be {kind}{span(self.low, self.high, value)}"
 
     def accepts(self, value: float) -> bool:
         """Return whether a number is in the range, and whole if it must be."""
@@ -274,23 +279,16 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
         if not isinstance(value, str) or not (value.strip() or value in entry.among):
             raise _Wrong(parts, "must be text", value)
         if entry.among and value not in entry.among:
-            raise _Wrong(parts, f"must be one of {', '.join(filter(None, entry.among))}", value)
+            raise _Wrong(parts, must_be_one_of([*filter(None, entry.among)], value), value)
         return " ".join(value.split())
     if kind is Word and isinstance(value, str) and _HEXADECIMAL.fullmatch(value):
         value = int(value, 16)
     whole = kind in (int, Word)
     if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
-        expected = "a whole number" if whole else "a number"
+        expected = "a whole number" if whole else f"a number{with_point(value)}"
         if kind is Word:
             expected += ", such as 0x047E or 1150"
         raise _Wrong(parts, f"must be {' or '.join((expected, *entry.among))}", value)
     if not entry.low <= value <= entry.high:
-        raise _Wrong(parts, f"must be {span(entry.low, entry.high)}", value)
+        raise _Wrong(parts, f"must be {span(entry.low, entry.high, value)}", value)
     return value if whole else float(value)
-
-
-def span(low: float, high: float) -> str:
-    """Return a range in words."""
-    if math.isinf(high):
-        return f"{low:.9g} or more"
-    return f"at most {high:.9g}" if math.isinf(low) else f"from {low:.9g} to {high:.9g}"

@@ -16,13 +16,19 @@ DEFAULT_START = "2021-07-07T02:00-05:00"
 _EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
 
 
-def parse_time(text: str) -> datetime:
-    """Read an ISO 8601 time; a final ``Z`` stands for UTC.
+def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
+    """Read an ISO 8601 time, in a zone if it has no offset; a final ``Z`` stands for UTC.
 
     Raises:
         ValueError: it is not a time from :data:`FIRST_YEAR` to :data:`LAST_YEAR`.
     """
-    return _within_years(datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", text.strip())))
+    time = datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", text.strip()))
+    return _within_years(time.replace(tzinfo=time.tzinfo or zone))
+
+
+def time_hint(text: str) -> str:
+    """Return the end of a message about a time that :func:`parse_time` refuses; mostly empty."""
+    return "; hours need two digits: 00:00" if re.search(r"[ T]\d:", text) else ""
 
 
 def parse_local_time(text: str, zone: tzinfo) -> datetime:
@@ -92,19 +98,18 @@ def read_start(text: str, zone: tzinfo | None = None, key: str = "start") -> dat
         ConfigurationError: it is not an ISO 8601 time, or has no offset and no zone is given.
     """
     try:
-        start = parse_time(text)
+        start = parse_time(text, zone)
     except ValueError:
         raise ConfigurationError(
-            f"must be a time such as {DEFAULT_START}, from {FIRST_YEAR} to {LAST_YEAR}",
+            f"must be a time such as {DEFAULT_START}, from {FIRST_YEAR} to {LAST_YEAR}"
+            + time_hint(text),
             key=key, value=text,
         ) from None
-    if start.utcoffset() is not None:
-        return start
-    if zone is None:
+    if start.utcoffset() is None:
         raise ConfigurationError(
             f"must say its offset from UTC, as in {DEFAULT_START}", key=key, value=text
         )
-    return start.replace(tzinfo=zone)
+    return start
 
 
 def boot_time() -> float:

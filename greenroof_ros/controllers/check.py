@@ -125,7 +125,8 @@ def _parameters(trial: _Trial) -> None:
             raise _ProblemError(f"{parameter.name} has no unit ('1' if none) or no meaning")
         if not parameter.accepts(parameter.default):
             raise _ProblemError(
-                f"the default of {parameter.name}, {parameter.default:g}, {parameter.expected}"
+                f"the default of {parameter.name}, {parameter.default:g}, "
+                f"{parameter.expected(parameter.default)}"
             )
 
 

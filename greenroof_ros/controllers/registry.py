@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
-from greenroof_ros.common.errors import ConfigurationError, did_you_mean
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean, must_be_one_of
 from greenroof_ros.common.files import YamlMapping, number, read_ros_parameters, shared_directory
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.protocol import Controller, ControllerClass
@@ -213,7 +213,8 @@ def read_numbers(
         value, parameter = number(path, entries, key), parameters[key]
         if not parameter.accepts(value):
             raise ConfigurationError(
-                parameter.expected, file=path, line=entries.lines[key], key=key, value=entries[key]
+                parameter.expected(value), file=path, line=entries.lines[key], key=key,
+                value=entries[key],
             )
         values[key] = int(value) if parameter.whole else value
     return values
@@ -236,7 +237,7 @@ def find_controller(reference: str) -> ControllerChoice:
     if ":" not in reference:
         path = BUILT_IN.get(reference) or _of_other_packages().get(reference)
         if path is None:
-            expected = f"must be one of {', '.join(controller_names())}, or package.module:Class"
+            expected = must_be_one_of(controller_names(), reference, ", or package.module:Class")
             if reference in _REPLACED_BY_LOOKAHEAD:
                 expected = "was replaced by lookahead"
             raise ConfigurationError(expected, key="controller", value=reference)

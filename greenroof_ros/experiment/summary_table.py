@@ -61,7 +61,7 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     yield "from", *_initial(summary["initial"])
     yield (
         "length", f"{summary['steps']} ticks",
-        f"of {summary['tau_s']:g} s, evapotranspiration {summary['evapotranspiration_method']}",
+        f"of {summary['tau_s']:g} s, {summary['evapotranspiration_method']} evapotranspiration",
     )
     yield from _metric_rows(summary)
     solver = summary["solver"]

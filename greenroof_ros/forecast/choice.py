@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from greenroof_ros.common.errors import must_be_one_of
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.forecast.skill import REAL, SKILLS
 from greenroof_ros.formats.reading import SUFFIXES
@@ -92,7 +93,7 @@ def check_skill(text: str) -> None:
         ValueError: it is neither; the message says what it must be.
     """
     if text not in SKILLS and not text.lower().endswith(".yaml"):
-        raise ValueError(f"must be one of {', '.join(SKILLS)}, or a FILE.yaml")
+        raise ValueError(must_be_one_of(SKILLS, text, ", or a FILE.yaml"))
 
 
 def choose(text: str) -> ForecastChoice:
@@ -105,7 +106,6 @@ def choose(text: str) -> ForecastChoice:
         return ForecastChoice(text)
     if text.lower().endswith((*SUFFIXES, "/")) or (text and Path(text).is_dir()):
         return ForecastChoice(FILE, file=Path(text))
-    raise ValueError(
-        f"must be one of {', '.join(MODELS)}, or forecasts: a file ({', '.join(SUFFIXES)}) or a "
-        "directory of files"
-    )
+    raise ValueError(must_be_one_of(
+        MODELS, text, f", or forecasts: a file ({', '.join(SUFFIXES)}) or a directory of files"
+    ))

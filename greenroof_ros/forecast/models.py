@@ -31,7 +31,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import hours_since_1970, to_minutes
+from greenroof_ros.common.times import from_epoch_ns, hours_since_1970, to_minutes
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.dressing import chosen_archive
 from greenroof_ros.forecast.skill import Climate, Skill, read_skill
@@ -100,6 +100,10 @@ class ForecastModel(ABC):
             ConfigurationError: there is no forecast, or it needs a record that is missing.
         """
 
+    def issued(self, hour: int) -> datetime | None:
+        """Return the nominal time of an hour's newest issue; None if the model has no issues."""
+        return None
+
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
         """Return the time from which on these hours are assumed, not known; None if all are known.
 
@@ -107,6 +111,11 @@ class ForecastModel(ABC):
         """
         past = hour + hours > len(self._weather.precipitation)
         return self._weather.end if past else None
+
+
+def _issued(weather: Weather, hour: int) -> datetime:
+    """Return the time of the issue every six hours that is the newest in an hour."""
+    return from_epoch_ns(newest_issue(weather.first, hour)[0] * 3600 * 10**9)
 
 
 class PerfectModel(ForecastModel):
@@ -140,6 +149,10 @@ class PersistenceModel(ForecastModel):
         evapotranspiration = np.where(np.isnan(evapotranspiration), now, evapotranspiration)
         rain = np.full((1, hours), records_at(weather, PRECIPITATION, np.array([issued])))
         return rain, evapotranspiration
+
+    def issued(self, hour: int) -> datetime:
+        """Return the time of the newest issue; see :class:`ForecastModel`."""
+        return _issued(self._weather, hour)
 
     def repeats_from(self, hour: int, hours: int) -> None:
         """Return None: no record after the issue is needed."""
@@ -193,6 +206,10 @@ class FileModel(ForecastModel):
                 self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours)
             )
         return rain, evapotranspiration
+
+    def issued(self, hour: int) -> datetime:
+        """Return the time of the newest issue; see :class:`ForecastModel`."""
+        return self._newest(hour)[0].issued
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
         """Return the end of the issue, or of the records that it needs, if hours extend past it."""
@@ -355,6 +372,10 @@ class ErrorModel(ForecastModel):
                 QUANTITIES[EVAPOTRANSPIRATION][2],
             ),
         )
+
+    def issued(self, hour: int) -> datetime:
+        """Return the time of the newest issue; see :class:`ForecastModel`."""
+        return _issued(self._weather, hour - self._delay)
 
     def _make(self, issue: int, issued: int, leads: int) -> tuple[Array, Array]:
         """Make the forecast of an issue (h since 1970; index of its hour in the records).

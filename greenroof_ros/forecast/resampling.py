@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import ForecastModel, PerfectModel, make_model
-from greenroof_ros.formats.records import HOUR
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
@@ -38,7 +37,7 @@ class Outlook:
         evapotranspiration: likewise, of the whole bed (m3/s), shape (steps,).
         rain_now: m/s.
         evapotranspiration_now: m3/s.
-        issued: when the forecast was issued; in a run, the hour in which it was the newest.
+        issued: nominal time of the forecast's issue; None if it has no issue.
         temperature: of the air now (degC); NaN if unknown.
     """
 
@@ -46,7 +45,7 @@ class Outlook:
     evapotranspiration: array[float]
     rain_now: float
     evapotranspiration_now: float
-    issued: datetime
+    issued: datetime | None
     temperature: float
 
 
@@ -59,8 +58,8 @@ class Known:
     """
 
     def __init__(
-        self, issued: datetime, rain: Array, evapotranspiration: Array, area: float, ends: Array,
-        rain_now: float | None = None, temperature: float = math.nan,
+        self, issued: datetime | None, rain: Array, evapotranspiration: Array, area: float,
+        ends: Array, rain_now: float | None = None, temperature: float = math.nan,
     ) -> None:
         """Take a forecast.
 
@@ -148,6 +147,9 @@ class PerfectForecast:
         self._look(tick)
         return self._evapotranspiration[:]
 
+    def issued(self, tick: int) -> None:
+        """Return None: what is known exactly has no issue."""
+
     def _look(self, tick: int) -> None:
         """Take the window from a tick on, if it differs from the last; mostly it is the same."""
         if tick in self._ticks:
@@ -205,6 +207,10 @@ class SteppedForecast:
         """Return mean evapotranspiration of the whole bed (m3/s), shape (steps,)."""
         return self._at(tick).evapotranspiration
 
+    def issued(self, tick: int) -> datetime | None:
+        """Return the nominal time of the newest issue; None if the model has no issues."""
+        return self._at(tick).issued
+
     def _outlook(self, tick: int) -> Outlook:
         """Return what is known at a tick."""
         time = self._offset + tick * self._site.tau
@@ -233,8 +239,9 @@ class SteppedForecast:
         present = min(hour, len(self._weather.precipitation) - 1)
         rain[:, 0] = self._weather.precipitation[present]
         evapotranspiration[0] = self._weather.evapotranspiration[present]
-        issued = self._weather.first + hour * HOUR
-        return Known(issued, rain, evapotranspiration, self._site.a2, self._ends)
+        return Known(
+            self._model.issued(hour), rain, evapotranspiration, self._site.a2, self._ends
+        )
 
 
 Forecast: TypeAlias = PerfectForecast | SteppedForecast

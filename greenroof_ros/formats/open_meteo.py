@@ -51,12 +51,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
-from greenroof_ros.common.times import (
-    hours_since_1970,
-    parse_local_time,
-    parse_time,
-    to_minutes,
-)
+from greenroof_ros.common.times import hours_since_1970, parse_local_time, parse_time, to_minutes
 from greenroof_ros.formats.records import (
     FOR_EVAPOTRANSPIRATION,
     HOUR,
@@ -170,7 +165,7 @@ def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
     else:
         lines = numbered_lines(text)
         if lines and _OFFSET not in lines[0][1]:
-            return table_of(file, lines), _parse_saved
+            return table_of(file, lines), partial(parse_time, zone=timezone.utc)
         if len(lines) < 3:
             raise ConfigurationError(
                 "must have two lines about the place, then a header and records", file=file
@@ -181,12 +176,6 @@ def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
     zone = _check_place(place, site)
     table.require(["time"], _WHOSE)
     return table, partial(parse_local_time, zone=zone)
-
-
-def _parse_saved(text: str) -> datetime:
-    """Return a time of a saved file, in UTC unless it has an offset."""
-    time = parse_time(text)
-    return time if time.utcoffset() is not None else time.replace(tzinfo=timezone.utc)
 
 
 def _json_tables(file: Path, text: str) -> tuple[Table, Table]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
+from greenroof_ros.common.errors import did_you_mean
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
@@ -70,8 +71,8 @@ def _columns(table: Table) -> tuple[dict[str, str], str]:
     for column, name, unit in table.quantities(_FORECAST[PRECIPITATION]):
         quantity = EVAPOTRANSPIRATION if name.endswith(EVAPOTRANSPIRATION) else name
         if quantity not in QUANTITIES:
-            known = ", ".join(f"{key} [{value[0]}]" for key, value in QUANTITIES.items())
-            raise table.refuse(f"is not a known column; choose from {known}", column)
+            known = [f"{key} [{value[0]}]" for key, value in QUANTITIES.items()]
+            raise table.refuse(f"is not a known column; {did_you_mean(column, known)}", column)
         if unit != QUANTITIES[quantity][0]:
             raise table.refuse(f"the unit of {name} must be [{QUANTITIES[quantity][0]}]", column)
         if quantity in columns:

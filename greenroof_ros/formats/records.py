@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, with_point
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import (
     DEFAULT_START,
@@ -23,6 +23,7 @@ from greenroof_ros.common.times import (
     LAST_YEAR,
     hours_since_1970,
     parse_time,
+    time_hint,
     to_minutes,
 )
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
@@ -448,7 +449,7 @@ class Table:
             if not low <= value <= high:
                 ends = [f"{end * unit.per_ours + unit.zero:g}" for end in (low, high)]
                 raise self.refuse(
-                    f"must be a number from {' to '.join(ends)} {unit.name}"
+                    f"must be a number from {' to '.join(ends)} {unit.name}{with_point(text)}"
                     + (", or empty" if "" in missing else "") + hint,
                     column, row,
                 )
@@ -477,7 +478,8 @@ class Table:
                 time = parse(text)
             except ValueError:
                 raise self.refuse(
-                    f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}", column, row
+                    f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}"
+                    + time_hint(text), column, row,
                 ) from None
             if time.utcoffset() is None:
                 raise self.refuse(
@@ -550,6 +552,11 @@ def table_of(
     rows: list[list[str]] = []
     first = 0
     for line, text in lines:
+        if not rows and ";" in text and "," not in text:
+            raise ConfigurationError(
+                "columns must be separated by commas; this file has semicolons", file=file,
+                line=line,
+            )
         try:
             cells = [cell.strip() for cell in next(csv.reader([text], strict=True))]
         except csv.Error as error:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.common.errors import ConfigurationError, did_you_mean
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean, span, with_point
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, entry, keys, parameters_of
@@ -437,12 +437,16 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[
         return entries
     _, line, base = entries.pop(_EXTENDS)
     chain = (*extended_by, path.resolve())
-    if not isinstance(base, str) or _base(path, base).resolve() in chain:
-        raise ConfigurationError(
-            "must be the name of another site file, such as site.yaml", file=path, line=line,
-            key=_EXTENDS, value=base,
-        )
-    return {**_entries(_base(path, base), chain), **entries}
+    expected = (
+        "must be the name of another site file, such as site.yaml, beside this one or of this "
+        "package"
+    )
+    if isinstance(base, str) and (following := _base(path, base)).exists():
+        if following.resolve() not in chain:
+            return {**_entries(following, chain), **entries}
+        ring = [*chain[chain.index(following.resolve()):], following.resolve()]
+        expected += f"; this is a ring: {' extends '.join(map(str, ring))}"
+    raise ConfigurationError(expected, file=path, line=line, key=_EXTENDS, value=base)
 
 
 def _base(path: Path, name: str) -> Path:
@@ -506,10 +510,10 @@ def read_site(path: Path) -> Site:
                 raise refuse(name, _OF_CLOCK[name]) from None
             continue
         if type(value) not in (int, float):
-            raise refuse(name, "must be a number")
+            raise refuse(name, f"must be a number{with_point(value)}")
         if not entry.low <= value <= entry.high or (whole and value % 1):
             unit = "" if entry.unit == "1" else f"{entry.unit}, "
-            limits = f"a whole number {limits}" if whole else limits
+            limits = f"a whole number {limits}" if whole else span(entry.low, entry.high, value)
             raise refuse(name, f"must be {limits} ({unit}{entry.meaning})")
         values[name] = int(value) if whole else float(value)
     for name in _FOLLOW_FROM.keys() - values.keys():

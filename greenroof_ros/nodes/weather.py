@@ -241,8 +241,8 @@ class WeatherNode(LinkedNode):
         else:
             self._records = _Records(site, values)
             self._time = self.subscribe(CLOCK)
-        # Prefix of each forecast: its issue time, NaN for a forecast from records, and the ends of
-        # its steps (s from now).
+        # Prefix of each forecast: the time of its issue, NaN if it has none, and the ends of its
+        # steps (s from now).
         self._front = array("d", [math.nan, *look_ahead_ends(site, values["horizon"])[1:]])
         self.open_outputs(
             _FROST, _RAIN, _EVAPOTRANSPIRATION, _RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST
@@ -257,7 +257,8 @@ class WeatherNode(LinkedNode):
         tick = records.tick(self._time.value)
         hour = records.series.at(tick)
         # The controller's inputs come first, since it takes the longest.
-        front, forecast = self._front, records.forecast
+        forecast = records.forecast
+        front = self._front_of(forecast.issued(tick))
         self.publish(_FROST, hour.frost)
         self.publish(_RAIN_FORECAST, WithFront(front, forecast.precipitation(tick)))
         self.publish(
@@ -266,6 +267,11 @@ class WeatherNode(LinkedNode):
         self.publish(_RAIN, hour.precipitation)
         self.publish(_EVAPOTRANSPIRATION, hour.evapotranspiration)
         self.set_time(self._time.value)
+
+    def _front_of(self, issued: datetime | None) -> array[float]:
+        """Return the prefix of a forecast from its issue."""
+        self._front[0] = math.nan if issued is None else issued.timestamp()
+        return self._front
 
     def _publish_live(self) -> None:
         """Publish what is known now; readers notice a missing value by its age."""
@@ -285,7 +291,7 @@ class WeatherNode(LinkedNode):
         self.publish(_FROST, self._frost(temperature))
         evapotranspiration: float | None
         if outlook is not None:
-            front = array("d", [outlook.issued.timestamp(), *self._front[1:]])
+            front = self._front_of(outlook.issued)
             self.publish(_RAIN_FORECAST, WithFront(front, outlook.rain))
             self.publish(
                 _EVAPOTRANSPIRATION_FORECAST, WithFront(front, outlook.evapotranspiration)
@@ -377,6 +383,7 @@ class WeatherNode(LinkedNode):
                 why = f"the record of past weather replaces the forecast: {why}"
                 self.diagnose("forecast", WARN, why, "forecast_of_record", unreadable)
             return of_record
+        assert outlook.issued is not None  # a file's forecasts have issues
         age = (now - outlook.issued).total_seconds()
         self.reports.numbers["forecast"] = {"issued_ago_s": age}
         issued = f"the newest forecast was issued at {to_people(outlook.issued)}"

@@ -183,13 +183,18 @@ def _show(report: Report) -> None:
                 console.print(text, style="bold", soft_wrap=True, markup=False)
     windows = report.windows()
     for window in windows[:_MOST_TABLES]:
-        title = f"Least total deviation: {report.heading(window)}"
+        title = f"Least deviation from the target: {report.heading(window)}"
         table = Table("from", "controller", "best setting", title=title, title_justify="left")
-        table.add_column("m3", justify="right")
+        for unit in ("mean mm", "total m3"):
+            table.add_column(unit, justify="right")
         for row in report.best():
             if row["window"] == window["window"]:
                 name = controller_name(row["controller"])
-                table.add_row(row["from"], name, row["setting"], f"{row[TOTAL]:.2f}")
+                mean = row["mean_deviation_mm"]
+                table.add_row(
+                    row["from"], name, row["setting"], "" if mean is None else f"{mean:.2f}",
+                    f"{row[TOTAL]:.2f}",
+                )
         console.print(table)
     if len(windows) > _MOST_TABLES:
         console.print(f"and {len(windows) - _MOST_TABLES} more windows in the report")

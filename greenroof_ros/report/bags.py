@@ -33,8 +33,6 @@ from greenroof_ros.weather.reading import read_weather
 MOST_POINTS = 500
 """of a drawn line, about"""
 
-_WEATHER = Path("configuration") / "weather"
-
 
 def run_directory(path: Path) -> Path:
     """Return the directory with a run's configuration: the path, or the parent of its bag."""
@@ -50,8 +48,8 @@ def _bag_in(path: Path) -> Path:
 def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
     """Return the run in a run directory or bag; a row with its error if it left no bag."""
     bag, run = _bag_in(path), run_directory(path)
-    if not _is_closed(bag) and _is_closed(recovered_bag(bag)):
-        bag = recovered_bag(bag)
+    closed = [place for place in (bag, recovered_bag(bag)) if (place / "metadata.yaml").is_file()]
+    bag = next(iter(closed), bag)
     repair = f"greenroof recover {path} makes a whole one"
     own_site, notes = site_file_of(run), list[Note]()
     if site_file is not None:
@@ -65,7 +63,7 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
             Note("no site file came with the bag: the site is the paper's, config/site.yaml")
         )
     about = read_about(run, site)
-    if not _is_closed(bag):
+    if not closed:
         if any(bag.glob("*.mcap")) or any(bag.glob("*.db3")):
             raise ConfigurationError(
                 f"has no metadata.yaml: it is being recorded, or was cut off; {repair}", file=bag
@@ -83,7 +81,7 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
     if zone is None:
         notes.append(Note("times are in UTC: no configuration says the offset"))
     row = {**about.row, "run": name, "site": site_name, "status": "done"}
-    weather = sorted((run / _WEATHER).glob("*"))
+    weather = sorted((run / "configuration" / "weather").glob("*"))
     forecast = sorted((run / "configuration" / "forecast").rglob("*"))
     return replace(
         about,
@@ -105,10 +103,6 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
             "from": meaning_of_initial(row),
         },
     )
-
-
-def _is_closed(bag: Path) -> bool:
-    return (bag / "metadata.yaml").is_file()
 
 
 def _own_bound(

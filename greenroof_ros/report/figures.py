@@ -279,7 +279,7 @@ def published_totals(report: Report, rows: Sequence[Row]) -> Rows:
     place = (*PLACE, "monthly_evapotranspiration", "time_zone")
     if (
         row["evapotranspiration"] != "published"
-        or not _is_time(row["start"], _PAPER_START) or row["hours"] != _PAPER_HOURS
+        or datetime.fromisoformat(row["start"]) != _PAPER_START or row["hours"] != _PAPER_HOURS
         or row["forecast"] != PERFECT or row["sensor and pump errors"] != NO_ERRORS
         or replace(site, **{name: getattr(papers, name) for name in place}) != papers
     ):
@@ -295,13 +295,6 @@ def published_totals(report: Report, rows: Sequence[Row]) -> Rows:
         for row in totals.to_dicts()
         if report.settings[row["controller"]].axis == _PAPERS_PARAMETER[row["controller"]]
     ]
-
-
-def _is_time(text: str, time: datetime) -> bool:
-    try:
-        return datetime.fromisoformat(text) == time
-    except (ValueError, TypeError):  # not a time, or a time without an offset
-        return False
 
 
 _TERMS = {

@@ -75,6 +75,8 @@ _SCHEMA: dict[str, Any] = {
 }
 # A rank is a controller's place times this, plus the place of the setting; no controller has more.
 _SETTINGS = 10_000
+# Named skills from the best to the worst, after forecasts without a skill and before skill files.
+_SKILLS = {skill: rank for rank, skill in enumerate(("", *SKILLS))}
 # The parameters that depend on a site's size: areas, the cistern's depth, and volumes.
 _BY_SIZE = {
     "a1", "a2", "z_o", "x2_star", "z_cap", "initial_cistern", "initial_roof", "initial_layer",
@@ -92,8 +94,8 @@ def heading(row: Row, apart: Sequence[str], names: Sequence[str] = ()) -> str:
     usual = {"site": row["site"], "forecast": PERFECT, "sensor and pump errors": NO_ERRORS}
     facts = {name: row[name] for name in names or _FACTS[row["kind"]]}
     return ", ".join(
-        f"{name} {text}" if name in ("evapotranspiration", "forecast") or text == NO_ERRORS
-        else text
+        f"{text} {name}" if name == "evapotranspiration"
+        else f"{name} {text}" if name == "forecast" or text == NO_ERRORS else text
         for name, text in facts.items() if name in apart or text != usual.get(name)
     )
 
@@ -134,7 +136,8 @@ class Settings:
 
         Args:
             run: of the controller.
-            full: whether to name the parameter even if there is just one.
+            full: whether to name the parameter even if there is just one. Without parameters the
+                setting is then empty, and else ``none``.
         """
         texts = {
             name: parameter_text(run.parameters.get(name)) + run.changes.get(name, "")
@@ -142,7 +145,8 @@ class Settings:
         }
         if len(texts) == 1 and not full:
             return texts[self.title]
-        return ", ".join(f"{name} {text}" for name, text in texts.items()) or run.name
+        setting = ", ".join(f"{name} {text}" for name, text in texts.items())
+        return setting if full else setting or "none"
 
 
 class Report:
@@ -247,10 +251,10 @@ class Report:
                 **run.row, "tau": run.site.tau, "initial_layer": run.site.initial_layer,
                 "roof_m2": run.site.a2, "cistern_size_m3": run.site.a1 * run.site.z_o,
                 "label": label,
-                "setting": settings.label(run, full=True) if run.parameters else "",
+                "setting": settings.label(run, full=True),
                 "x": run.parameters[settings.axis] if settings.axis else None,
                 "rank": _SETTINGS * place + settings.labels.index(label),
-                "skill rank": _skill_rank(run.row), "ended": run.ended,
+                "skill rank": _SKILLS.get(run.row["skill"], len(_SKILLS)), "ended": run.ended,
             })
         table = pl.DataFrame(rows, schema=_SCHEMA)
         col, season = pl.col, pl.col("kind") == SEASONS
@@ -260,8 +264,6 @@ class Report:
             forecast=pl.when(season).then("kind of forecast")
             .when(col("kind") == SEEDS).then("model").otherwise("forecast"),
             year=pl.when(season).then("year"),
-            setting=pl.when((col("kind") == SINGLE) & (col("setting") == "")).then("label")
-            .otherwise("setting"),
             index=pl.row_index(),
         )
         first = col("index").min()
@@ -269,7 +271,12 @@ class Report:
             window=pl.when(season).then(first.over("kind", *_SEASON))
             .otherwise(first.over("kind", *_WINDOW)),
         ).with_columns(place=first.over("window", "from"))
+        # Only their names distinguish several runs of a controller without parameters in a place.
+        several = pl.len().over("place", "controller") > 1
+        nameless = (col("kind") == SINGLE) & (col("setting") == "") & several
         return table.with_columns(
+            pl.when(nameless).then("run").otherwise(key).alias(key) for key in ("label", "setting")
+        ).with_columns(
             case=pl.when(col("kind") == SINGLE).then("index").otherwise(
                 first.over("place", "controller", "setting", "forecast", "skill")
             ),
@@ -279,21 +286,24 @@ class Report:
         """Return the means of each case's runs: over the seeds of each year, then over years."""
         table, col = self.table, pl.col
         yearly = table.group_by("case", "year", maintain_order=True).agg(
-            col(_NUMBERS).mean(), col("bound_m3").first(), seeds=pl.len(),
+            col(_NUMBERS).mean(), col("bound_m3").first(), seeds=col("seed").n_unique(),
         )
         means = yearly.group_by("case", maintain_order=True).agg(
             col(_NUMBERS).mean(),
             bound_m3=pl.when((col("bound_m3").fill_null(0) > 0).all()).then(
                 col("bound_m3").mean()
             ),
-            years=pl.len(), seeds=col("seeds").max(),
+            years=pl.len(), seeds=col("seeds").min(), runs=col("seeds").sum(),
             worst_year=col("year").sort_by(TOTAL).last(), worst_year_m3=col(TOTAL).max(),
         )
-        names = table.group_by("case", maintain_order=True).agg(
+        names = table.with_columns(
+            all_years=col("year").n_unique().over("place"),
+            all_seeds=col("seed").n_unique().over("place", "forecast", "skill"),
+        ).group_by("case", maintain_order=True).agg(
             col(
                 "run", "kind", "window", "place", *_FACTS[SINGLE], "from", "controller", "label",
                 "setting", "x", "rank", "skill", "skill rank", "ended", "hours", "roof_m2",
-                "cistern_size_m3",
+                "cistern_size_m3", "all_years", "all_seeds",
             ).first(),
             totals=col(TOTAL), worst_m3=col(TOTAL).max(),
         )
@@ -304,9 +314,10 @@ class Report:
         ]
         return names.with_columns(worst_tenth_m3=pl.Series(worst, dtype=pl.Float64)).join(
             means, on="case", maintain_order="left"
-        ).with_columns(ratio=col(TOTAL) / col("bound_m3")).sort(
-            "place", "rank", "skill rank", "case"
-        )
+        ).with_columns(
+            ratio=col(TOTAL) / col("bound_m3"),
+            missing=col("all_years") * col("all_seeds") - col("runs"),
+        ).sort("place", "rank", "skill rank", "case")
 
     @cached_property
     def _deviations(self) -> dict[int, Deviations]:
@@ -387,27 +398,28 @@ class Report:
         return {row["controller"] for row in self.of(SEASONS) if row["forecast"] != PERFECT}
 
     @cached_property
-    def plain_onoff(self) -> dict[int, Row]:
-        """By place, the on/off controller that fills to the target, as in the paper.
+    def plain_onoff(self) -> list[Row]:
+        """Of each place, the on/off controller that fills to the target, as in the paper.
 
         Of several with different shares of the flow, it is the one with the least mean deviation:
         with ticks of some seconds, full flow overshoots the target, which no site would accept.
         """
         (level,) = (known.default for known in OnOff.parameters if known.name == "level")
-        return _least(
+        return lowest(
             row for row in self.of(SEASONS) if row["controller"] == "onoff"
             and self.runs[row["run"]].parameters.get("level", level) == level
         )
 
     @cached_property
-    def least(self) -> dict[int, Row]:
-        """By place, the controller with the least mean deviation that is possible on a site.
+    def least(self) -> list[Row]:
+        """Of each place, the cases with the least mean deviation that is possible on a site.
 
-        Controllers with perfect forecasts do not count, unless no forecasts here have errors.
+        Controllers with perfect forecasts do not count, unless no forecasts here have errors, nor
+        do cases that lack years or seeds.
         """
-        return _least(
-            row for row in self.of(SEASONS)
-            if not self.given_errors or row["forecast"] != PERFECT
+        complete = (row for row in self.of(SEASONS) if not row["missing"])
+        return lowest(
+            row for row in complete if not self.given_errors or row["forecast"] != PERFECT
             or not (row["controller"] in self.given_errors
                     or "horizon" in self.runs[row["run"]].parameters)
         )
@@ -423,15 +435,14 @@ class Report:
     @cached_property
     def over_least(self) -> list[Row]:
         """The same compared with the case of least deviation, if that is not plain on/off."""
-        plain = [row["case"] for row in self.plain_onoff.values()]
-        return self._over({
-            place: row for place, row in self.least.items() if row["case"] not in plain
-        })
+        plain = [row["case"] for row in self.plain_onoff]
+        known = {row["place"] for row in self.least if row["case"] in plain}
+        return self._over([row for row in self.least if row["place"] not in known])
 
-    def _over(self, references: dict[int, Row]) -> list[Row]:
-        compared = []
+    def _over(self, references: Sequence[Row]) -> list[Row]:
+        others, compared = {row["place"]: row for row in reversed(references)}, []
         for row in self.of(SEASONS):
-            than = references.get(row["place"], row)
+            than = others.get(row["place"], row)
             has = compare(self._deviations[row["case"]], self._deviations[than["case"]])
             if than["case"] != row["case"] and has is not None:
                 compared.append({**row, "than": than, "has": has})
@@ -466,16 +477,16 @@ def by_place(rows: Iterable[Row]) -> list[list[Row]]:
     return [list(group) for _, group in groupby(rows, key=lambda row: row["place"])]
 
 
-def _least(rows: Iterable[Row]) -> dict[int, Row]:
-    """Return by place the case with the least mean deviation."""
-    return {here[0]["place"]: min(here, key=lambda row: row[TOTAL]) for here in by_place(rows)}
+def lowest(rows: Iterable[Row]) -> list[Row]:
+    """Return from each place the case with the least total deviation, or several that are equal.
 
-
-def _skill_rank(row: Row) -> int:
-    """Return the rank of a skill: named skills from the best to the worst, then skill files."""
-    words = row["forecast"].split()
-    known = [number for number, skill in enumerate(SKILLS) if skill in words]
-    return known[0] if known else len(SKILLS) if row["skill"] else -1
+    Cases that lack years or seeds come after all others: they may lack the worst.
+    """
+    least: list[Row] = []
+    for here in by_place(rows):
+        order = [(row["missing"], row[TOTAL]) for row in here]
+        least += [row for row, key in zip(here, order, strict=True) if key == min(order)]
+    return least
 
 
 def _kinds(rows: Sequence[Row]) -> list[str]:

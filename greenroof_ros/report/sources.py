@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -43,9 +44,6 @@ _NUMBERS = (
     "hours", "cistern_m3", "roof_m3", "fallbacks", "filled_hours", "frost_hours", "bound_m3",
     *PARAMETERS, *(metric.name for metric in METRICS),
 )
-
-
-_STATUS = ("done", "failed", "not run")
 
 
 @dataclass
@@ -177,12 +175,9 @@ def read_results(file: Path) -> pl.DataFrame:
         ConfigurationError: it is not a study's table, or it was cut short or has a wrong value.
     """
     text = read_text(file)
-    try:
-        table = pl.read_csv(io.StringIO(text), infer_schema=False)
-    except pl.exceptions.PolarsError as error:
-        reason = str(error).partition("\n")[0]
-        raise ConfigurationError(f"is not the table of a study: {reason}", file=file) from error
-    missing = [column for column in _NEEDED if column not in table.columns]
+    rows = csv.reader(io.StringIO(text))
+    header = next(rows, [])
+    missing = [column for column in _NEEDED if column not in header]
     if missing:
         raise ConfigurationError(
             f"has no column {', '.join(missing)}; is it the results.csv of a study?",
@@ -193,13 +188,20 @@ def read_results(file: Path) -> pl.DataFrame:
             "ends in the middle of a line, as if a copy was cut short; copy it again",
             file=file, line=text.count("\n") + 1,
         )
-    rows = csv.reader(io.StringIO(text))
-    for cells in rows:  # polars fills short rows with empty cells
-        if len(cells) != len(table.columns):
+    for name, count in Counter(header).items():
+        if count > 1:
             raise ConfigurationError(
-                f"must have {len(table.columns)} cells, not {len(cells)}", file=file,
-                line=rows.line_num,
+                f"is the name of {count} columns; delete all but one", file=file, line=1, key=name
             )
+    cells, lines = list[list[str | None]](), list[int]()
+    for row in rows:
+        if len(row) != len(header):
+            raise ConfigurationError(
+                f"must have {len(header)} cells, not {len(row)}", file=file, line=rows.line_num
+            )
+        cells.append([cell or None for cell in row])
+        lines.append(rows.line_num)
+    table = pl.DataFrame(cells, dict.fromkeys(header, pl.String), orient="row")
     if table.is_empty():
         raise ConfigurationError("has a header but no runs", file=file)
     names = [column for column in _NUMBERS if column in table.columns]
@@ -208,26 +210,31 @@ def read_results(file: Path) -> pl.DataFrame:
     done = pl.col("status") == "done"
     for key, wrong, expected in (
         ("run", outside, "the name of a directory under runs/"),
-        ("status", ~pl.col("status").fill_null("").is_in(_STATUS), "done, failed or not run"),
+        ("status", ~pl.col("status").fill_null("").is_in(("done", "failed", "not run")),
+         "done, failed or not run"),
         *((name, done & pl.col(name).is_null(), "given, because the run is done")
           for name in _NEEDED if name != "error"),
         *((name, pl.col(name).is_not_null() & ~numbers[name].is_finite().fill_null(False),
            "a number") for name in names),
         ("hours", pl.lit(numbers["hours"] <= 0), "more than 0"),
-        ("total_deviation_m3", pl.lit(numbers["total_deviation_m3"] < 0), "0 or more"),
+        *((name, pl.lit(~numbers[name].is_between(0, most)), expected) for name, most, expected in (
+            ("total_deviation_m3", math.inf, "0 or more"), ("bound_m3", math.inf, "0 or more"),
+            ("near_target_hours", numbers["hours"] + 1, "from 0 to the run's hours and a tick"),
+        ) if name in names),
         ("start", _unreadable(datetime.fromisoformat, table["start"]),
          "a time such as 2021-07-07T02:00:00-05:00"),
-        ("weekly_deviation_m3", _unreadable(_weeks, table.to_dict().get("weekly_deviation_m3", ())),
-         "numbers with spaces between"),
+        ("weekly_deviation_m3", _unreadable(
+            lambda text: all(0 <= week < math.inf for week in _weeks(text)),
+            table.to_dict().get("weekly_deviation_m3", ()),
+        ), "numbers, 0 or more, with spaces between"),
+        ("run", ~pl.col("run").is_first_distinct(), "in one row; an earlier row has the same run"),
     ):
         for place in table.select(wrong.arg_true()).to_series():
-            before = "".join(cell or "" for row in table[:place].rows() for cell in row)
             raise ConfigurationError(
-                f"must be {expected}", file=file, line=place + 2 + before.count("\n"), key=key,
+                f"must be {expected}", file=file, line=lines[place], key=key,
                 value=table[key][place],
             )
-    volumes = pl.col("hours", "cistern_m3", "roof_m3").fill_null(0.0)
-    return numbers.with_columns(volumes)
+    return numbers.with_columns(pl.col("hours", "cistern_m3", "roof_m3").fill_null(0.0))
 
 
 def _unreadable(read: Callable[[str], object], cells: Iterable[str | None]) -> pl.Expr:

@@ -336,7 +336,7 @@ def _means(report: Report, cases: Sequence[Row]) -> Table:
     return _table("Means of a season", [
         *_named(report),
         *(sizes if report.sizing else []),
-        Column("years", "years", "d"), Column("seeds", "seeds", "d"),
+        Column("years", "years", "d"), Column("fewest seeds in a year", "seeds", "d"),
         _metric(TOTAL, ".0f"),
         *_ratio(cases),
         Column("worst year (m³)", "worst_year_m3", ".0f"), Column("which", "worst_year", "d"),

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
+from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.report.groups import (
@@ -16,6 +17,7 @@ from greenroof_ros.report.groups import (
     Report,
     by_place,
     heading,
+    lowest,
     who,
 )
 from greenroof_ros.report.intervals import CONTAINS_1
@@ -116,9 +118,7 @@ def _runs(report: Report, where: Sequence[str], initials: Sequence[str] = ()) ->
 
 
 def _of_run(report: Report, row: Row) -> list[str]:
-    whose = controller_name(row["controller"])
-    if report.runs[row["run"]].parameters:
-        whose += f" ({row['setting']})"
+    whose = controller_name(row["controller"]) + f" ({row['setting']})" * bool(row["setting"])
     near = row["near_target_hours"]
     return [
         f"A run of {whose}: {heading(row, ['site'])}, from {row['from']}: {row['ended']}.",
@@ -144,66 +144,66 @@ def _of_several(report: Report) -> list[str]:
     ]
 
 
-def _winners(what: str, places: Sequence[Sequence[Row]], deviation: str) -> str:
-    """Say in how many places each controller was best; a tie is counted as shared."""
+def _least_of(
+    places: Sequence[Sequence[Row]], what: str, deviation: str, named: Callable[..., str]
+) -> str:
+    """Say what had the least deviation in each place; for many places, which controller how often.
+
+    A tie between controllers is counted as shared.
+    """
+    if not places:
+        return f"All lack years or seeds: it is open which has the least {deviation}."
+    if len(places) <= _MOST_NAMED:
+        return f"The least {deviation} was {_and(named(*rows) for rows in places)}."
     wins: Counter[str] = Counter()
     for rows in places:
-        names = {controller_name(row["controller"]) for row in _best(rows)}
+        names = {controller_name(row["controller"]) for row in lowest(rows)}
         wins[f"{names.pop()}'s" if len(names) == 1 else "shared"] += 1
     won = _and(f"{whose} in {count}" for whose, count in wins.most_common())
     return f"Of {len(places)} {what} the least {deviation} was {won}."
 
 
-def _best(rows: Sequence[Row]) -> list[Row]:
-    """Return the row with the least total deviation, or several that are equal."""
-    least = min(row[TOTAL] for row in rows)
-    return [row for row in rows if row[TOTAL] == least]
-
-
 def _least(report: Report) -> str:
     """Say which run had the least total deviation; for many places, which controller how often."""
-    cases = [sorted(rows, key=lambda row: row[TOTAL]) for rows in by_place(report.best())]
-    if len(cases) > _MOST_NAMED:
-        return _winners("windows and initial states", cases, "total deviation")
-    parts, apart = [], report.apart()
-    for rows in cases:
-        first, best = rows[0], _best(rows)
+    apart = report.apart()
+
+    def named(*here: Row) -> str:
+        rows = sorted(here, key=lambda row: row[TOTAL])
+        first, best = rows[0], lowest(rows)
         others = rows[len(best):]
-        alike = len(rows) > 1 and not others
         text = _deviation(first[TOTAL])
         if apart:
             text += f" in {heading(first, apart, apart)}"
         if len(report.initials) > 1:
             text += f" from {first['from']}"
-        whose = "whatever the controller" if alike else _and(map(who, best))
+        whose = _and(map(who, best)) if others or not rows[1:] else "whatever the controller"
         text += f" ({whose}{_over_least(first)}"
-        if others:
-            text += f"; {who(others[0])} had {others[0][TOTAL]:.2f}"
-        parts.append(f"{text})")
-    return f"The least total deviation was {_and(parts)}."
+        return text + (f"; {who(others[0])} had {others[0][TOTAL]:.2f})" if others else ")")
+
+    return _least_of(
+        by_place(report.best()), "windows and initial states", "total deviation", named
+    )
 
 
 def _of_seeds(report: Report) -> list[str]:
     cases = report.of(SEEDS)
 
-    def named(row: Row, *others: Row) -> str:
-        whose = _and(map(who, (row, *others)))
+    def named(*rows: Row) -> str:
+        row, whose = rows[0], _and(map(who, rows))
         return f"{whose} from {row['from']}, forecasts of skill {row['skill']}"
 
     groups: dict[object, list[Row]] = {}
     for row in cases:
-        groups.setdefault((row["place"], row["skill"]), []).append(row)
-    best = [_best(rows) for rows in groups.values()]
-    second = (
-        _winners("windows, initial states and skills", best, "mean total deviation")
-        if len(best) > _MOST_NAMED else
-        "The least mean total deviation over the seeds was "
-        + _and(f"{_deviation(rows[0][TOTAL])} ({named(*rows)})" for rows in best) + "."
-    )
+        if not row["missing"]:
+            groups.setdefault((row["place"], row["skill"]), []).append(row)
     worst = max(cases, key=lambda row: row["worst_tenth_m3"] / row[TOTAL] if row[TOTAL] else 0.0)
     return [
         _runs(report, windows(report), list(dict.fromkeys(row["from"] for row in cases))),
-        second,
+        _least_of(
+            [lowest(rows) for rows in groups.values()], "windows, initial states and skills",
+            "mean total deviation over the seeds",
+            lambda *rows: f"{_deviation(rows[0][TOTAL])} ({named(*rows)})",
+        ),
         f"The seed matters most for {named(worst)}: {_deviation(worst[TOTAL])} on average, "
         f"{_deviation(worst['worst_tenth_m3'])} in the worst tenth.",
     ]
@@ -211,25 +211,21 @@ def _of_seeds(report: Report) -> list[str]:
 
 def _of_seasons(report: Report) -> list[str]:
     first = _runs(report, _seasons(report))  # these name the initial states
-    cases = report.of(SEASONS)
     if report.sizing:
-        return [first, *_of_sizes(cases)]
-    best, apart = list(report.least.values()), report.apart(SEASONS)
-    compared = [
-        row for row in report.over_onoff if row["case"] == report.least[row["place"]]["case"]
-    ]
+        return [first, *_of_sizes(report.of(SEASONS))]
+    best, apart = by_place(report.least), report.apart(SEASONS)
+    shown = [row["case"] for row in report.least] if len(best) <= _MOST_NAMED else []
+    compared = [_over_onoff(row) for row in report.over_onoff if row["case"] in shown]
+
+    def named(*rows: Row) -> str:
+        row, whose = rows[0], [f"{who(row)}, forecast {row['forecast']}" for row in rows]
+        where = f", {heading(row, apart, apart)}" if apart else ""
+        return f"{_mean_deviation(row)}{_over_least(row)} ({', and '.join(whose)}{where})"
+
     return [
         first,
-        "The least mean deviation of a season was "
-        + _and(
-            f"{_mean_deviation(row)}{_over_least(row)} ({who(row)}, forecast {row['forecast']}"
-            + (f", {heading(row, apart, apart)})" if apart else ")")
-            for row in best[:_MOST_NAMED]
-        ) + ".",
-        *(
-            ["Relative to on/off in the same years it is "
-             f"{_and(map(_over_onoff, compared[:_MOST_NAMED]))}."] if compared else []
-        ),
+        _least_of(best, "seasons and initial states", "mean deviation of a season", named),
+        *([f"Relative to on/off in the same years it is {_and(compared)}."] if compared else []),
     ]
 
 
@@ -286,7 +282,20 @@ def cautions(report: Report) -> list[str]:
         (report.failed, f"{counted(len(report.failed), 'run')} failed or did not run, and left "
          "nothing to show"),
         (hurt, f"{counted(sum(hurt), 'incident')}{of}: something was lost while the run went on"),
-    ) if there] + list(_too_few(report).values())
+    ) if there] + list(_too_few(report).values()) + _missing(report)
+
+
+def _missing(report: Report) -> list[str]:
+    """Name the first cases that lack years or seeds that others have, and count the rest."""
+    texts = [
+        who(row) + (f" (forecast {row['forecast']})" if row["forecast"] != PERFECT else "")
+        + f" ran {how} {row[what]} of {row[f'all_{what}']} {what}: its mean is of other {what}"
+        for row in report.cases.to_dicts()
+        for how, what in (("in", "years"), ("with as few as", "seeds"))
+        if row[what] < row[f"all_{what}"]
+    ]
+    more = f"{len(texts) - _MOST_NAMED} more controllers or settings lack years or seeds"
+    return texts[:_MOST_NAMED] + [more] * (len(texts) > _MOST_NAMED)
 
 
 def _too_few(report: Report) -> dict[str, str]:

@@ -13,7 +13,7 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, must_be_one_of
 
 DEVICE_ID = 247
 SPEED, FAULT, PARAMETER, POWER_CYCLE, LOCAL, CISTERN_LEVEL = range(6)
@@ -120,7 +120,7 @@ def _read_fault(text: str, known: Mapping[str, Fault]) -> tuple[str, int]:
     """
     name, equals, parameter = text.partition("=")
     if name not in known:
-        raise ConfigurationError(f"must be one of {', '.join(known)}", key="--fault", value=text)
+        raise ConfigurationError(must_be_one_of(known, name), key="--fault", value=text)
     if not equals:
         return name, DEFAULT
     if not known[name].parameter:

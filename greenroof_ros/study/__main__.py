@@ -61,7 +61,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "grid", nargs="?", type=Path, metavar="GRID.yaml",
-        help="the grid (default: the paper's, config/studies/paper.yaml; copy and edit it)",
+        help="the grid, yours or of this package (default: config/studies/paper.yaml, the paper's)",
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
@@ -114,7 +114,10 @@ def main() -> int:
         raise ConfigurationError(
             "must be a directory with weather files", key="--weather", value=str(arguments.weather)
         )
-    grid: Path = arguments.grid or shared_directory() / "config" / "studies" / "paper.yaml"
+    grid: Path = arguments.grid or Path("config/studies/paper.yaml")
+    shipped = shared_directory() / grid  # outside a checkout, where the package's own grids are
+    if arguments.grid is None or (shipped.is_file() and not grid.exists()):
+        grid = shipped
     cases = read_grid(grid, arguments.weather)
     every = None if arguments.no_trajectories else arguments.trajectory_every
     store = Store(
@@ -235,7 +238,7 @@ def _facts(case: Case) -> dict[str, str]:
         "initial": case.initial, "start": f"from {case.start}",
         "hours": f"{shortest(case.hours)} h", "weather": case.weather_name,
         "site": case.site.name,
-        "evapotranspiration": f"evapotranspiration {case.evapotranspiration}",
+        "evapotranspiration": f"{case.evapotranspiration} evapotranspiration",
         "forecast": f"forecast {_forecast(case)}",
     }
 
@@ -257,7 +260,7 @@ def _named(name: str, values: Mapping[str, float | str]) -> str:
 
 
 def show(cases: Sequence[Case], rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
-    """Print total deviations: a row for each setting and forecast, initial states as columns.
+    """Print mean deviations: a row for each setting and forecast, initial states as columns.
 
     Args:
         cases: of the study.
@@ -273,19 +276,19 @@ def show(cases: Sequence[Case], rows: Sequence[Mapping[str, Any]], directory: Pa
     for case, row in zip(cases, rows, strict=True):
         window = tuple(row[column] for column in _WINDOW)
         line = (names.setting(case), _forecast(case))[: len(labels)]
-        total = row["status"].upper()
+        mean = row["status"].upper()
         if row["status"] == "done":
-            total = f"{row['total_deviation_m3']:.2f}"
-        tables.setdefault(window, {}).setdefault(line, {})[case.initial] = total
+            mean = f"{row['mean_deviation_mm']:.2f}"
+        tables.setdefault(window, {}).setdefault(line, {})[case.initial] = mean
     for (site, weather, start, hours, method), lines in tables.items():
         table = Table(
             *labels, *(Column(initial, justify="right") for initial in initials),
-            title=f"Total deviation (m3, summed over the ticks): {weather}, "
-            f"{shortest(hours)} h from {start}, evapotranspiration {method}, {site}",
+            title=f"Mean deviation from the target level (mm): {weather}, "
+            f"{shortest(hours)} h from {start}, {method} evapotranspiration, {site}",
             title_justify="left",
         )
-        for line, totals in lines.items():
-            table.add_row(*line, *(totals.get(initial, "") for initial in initials))
+        for line, means in lines.items():
+            table.add_row(*line, *(means.get(initial, "") for initial in initials))
         console.print(table)
     for column, what in _NOTES.items():
         count = sum(bool(row.get(column)) for row in rows)

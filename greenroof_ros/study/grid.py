@@ -292,8 +292,9 @@ class _Grid:
         files: list[Path] = []
         for named in self._combinations(window, ["file"]):
             name = of_year(self._text(named, "file"))
+            place = self._place(window, "file", name)
             with self._at(window, "file"):
-                files += find_files([name], "file", self._place(window, "file", name))
+                files += find_files([name], "file", place)
         hours = number(self._path, window, "hours") if "hours" in window else None
         with self._at(window, "hours"):
             steps = count_ticks(site, hours, "hours")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import secrets
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +12,7 @@ from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, namesp
 from greenroof_ros.common.errors import ConfigurationError, with_extra
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback
+from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback, new_token, read_token
 from greenroof_ros.watch.store import Store
 
 # Niceness: a watcher must not slow down others; on a busy core it gets a tenth of the time.
@@ -37,6 +36,8 @@ examples:
   greenroof watch --bag runs/a/bag      a run that has ended
   greenroof watch --namespace site1 --port 8081
   greenroof watch --host 0.0.0.0        for other machines: with a token
+  greenroof watch --allow-release --port 8080 --token-file token
+                                        with an address that can be a bookmark
   greenroof run --watch                 a run, and its page beside it
 
 When a run ends, it waits for the next one and shows it. Ctrl-C ends it.
@@ -89,6 +90,12 @@ def make_parser() -> Parser:
         help=f"TCP port of the page (default: {PORTS[0]}, and if it is in use, the next free "
              "port)",
     )
+    parser.add_argument(
+        "--token-file", type=Path, metavar="FILE",
+        help="file with the token that the page then always needs, so that its address stays the "
+        "same; if it is missing, it is made with a new token. Only its owner may have access "
+        "(default: a new token at each start, if the page needs one)",
+    )
     return parser
 
 
@@ -99,9 +106,13 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
         ConfigurationError: an option is wrong.
     """
     if arguments.terminal:
-        for key in ("host", "port"):
-            if getattr(arguments, key) is not None:
-                raise ConfigurationError("applies to the page, not to --terminal", key=f"--{key}")
+        of_the_page = {
+            "--host": arguments.host, "--port": arguments.port,
+            "--token-file": arguments.token_file,
+        }
+        for key, value in of_the_page.items():
+            if value is not None:
+                raise ConfigurationError("applies to the page, not to --terminal", key=key)
     bag: Path | None = arguments.bag
     if bag is not None and not (bag.is_dir() and any(bag.glob("*.mcap"))):
         raise ConfigurationError(
@@ -150,7 +161,9 @@ def main() -> int:
     host, port = arguments.host or LOOPBACK, arguments.port
     # Releasing always needs a token: behind a proxy each request comes from this machine.
     needed = store.allow_release or not is_loopback(host)
-    token = secrets.token_urlsafe(24) if needed else None
+    token = new_token() if needed else None
+    if arguments.token_file is not None:
+        token = read_token(arguments.token_file)
     signals = Signals()
     with (
         suppress(InterruptedRun),

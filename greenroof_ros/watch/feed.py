@@ -115,11 +115,9 @@ class Feed:
         self._recorded: FollowedBag | None = None
         self._begin_hearing()
         self._listens_since = 0.0
-        self._mode = "none"
         self._live: bool | None = None  # whether the graph shown, now or last, is live
         self._site: tuple[Path, int] | None = None  # file, and when it was written (ns)
         self._awake = time.monotonic()
-        self._said = 0.0
         self._problem, self._problem_until = "", 0.0
         self._asked: list[tuple[str, dict[str, float], Future[str]]] = []
         self._asking = threading.Lock()  # of that list
@@ -250,17 +248,17 @@ class Feed:
             self._forget()
             self._store.add_event(time.time(), "Another run began.")
         self._live = live
-        if mode != self._mode:
-            if mode == "ended" and self._mode != "none":
+        if mode != self._store.mode:
+            if mode == "ended" and self._store.mode != "none":
                 self._store.add_event(time.time(), "The run ended.")
-            if self._mode == "none":
+            if self._store.mode == "none":
                 self._waits_since = now
-            self._mode = mode
+            with self._store.lock:
+                self._store.mode = mode
             if mode == "ended" and self._recorded is not None:
                 # The bag may have been followed before the controller's name was written.
                 self._read_beside(self._recorded.bag)
-            self._said = 0.0
-            self._say()  # before new values: an account has other rules on a live site
+            self._say_now()  # before new values: an account has other rules on a live site
         self._judge_by(self._site_file or self._site_of_graph())
         bag = self._bag or self._graph.bag()
         if bag is not None and (self._recorded is None or self._recorded.bag != bag):
@@ -342,7 +340,7 @@ class Feed:
     def _choose_topics(self, now: float) -> None:
         """Subscribe to as much as the graph can bear."""
         assert self._looker is not None
-        listens, live = self._listens_since > 0, self._mode == "live"
+        listens, live = self._listens_since > 0, self._store.mode == "live"
         wanted = live
         if self._running:
             factor = self._factor
@@ -367,7 +365,7 @@ class Feed:
     @property
     def _running(self) -> bool:
         """Whether a simulation runs."""
-        return self._mode in ("simulated", "loop")
+        return self._store.mode in ("simulated", "loop")
 
     # --- incoming messages ----------------------------------------------------------------------
 
@@ -396,7 +394,7 @@ class Feed:
             return
         topic = self._topics[name]
         stamp: int | None = arrived_ns
-        if self._mode != "live":
+        if self._store.mode != "live":
             stamp = self._ticks.newest_ns
             if topic.per_tick:
                 # A pump driver from another package may have begun at any tick.
@@ -453,16 +451,16 @@ class Feed:
     # --- state of the graph ---------------------------------------------------------------------
 
     def _say(self) -> None:
-        now = time.monotonic()
-        if now - self._said < _SAY_S:
-            return
-        self._said = now
-        recorded = self._recorded
+        if time.monotonic() - self._store.wall >= _SAY_S:
+            self._say_now()
+
+    def _say_now(self) -> None:
+        now, mode, recorded = time.monotonic(), self._store.mode, self._recorded
         notes = [self._problem] if now < self._problem_until else []
         if self._no_ros:
             notes.append(f"Only the recording is shown: {self._no_ros}.")
         if recorded is not None:
-            if self._mode in ("live", "ended"):
+            if mode in ("live", "ended"):
                 notes.append(self._no_incidents)
             notes += [recorded.read.problem, recorded.read.progress]
         shown = self._shows_graph()
@@ -474,7 +472,7 @@ class Feed:
                 "of it here."
             )
         self._store.set_present(
-            mode=self._mode, factor=self._factor if self._running else None,
+            mode=mode, factor=self._factor if self._running else None,
             note=" ".join(filter(None, notes)), graph_shown=shown,
         )
         self._store.look(now, time.time())

@@ -1,12 +1,16 @@
-"""Where the page is served: the socket, the host names that requests may use, and the address."""
+"""Where the page is served: the socket, the host names that requests may use, and its token."""
 
 from __future__ import annotations
 
 import errno
 import ipaddress
 import os
+import re
+import secrets
 import socket
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
 
@@ -17,6 +21,8 @@ PORTS = range(8080, 8100)
 _SENDING = 65_536
 # An address for documentation (RFC 5737): the route to it shows this machine's own address.
 _ELSEWHERE = ("192.0.2.1", 9)
+# Characters of a token that need no escape in an address, and the fewest of them.
+_TOKEN = re.compile(r"[A-Za-z0-9_-]{32,}")
 
 
 @dataclass(frozen=True)
@@ -91,6 +97,46 @@ def listen(host: str, port: int | None) -> Place:
     url = f"http://{f'[{shown}]' if ':' in shown else shown}:{listening.getsockname()[1]}/"
     names = None if anywhere else frozenset({host.lower(), address, LOOPBACK, "::1", "localhost"})
     return Place(listening, url, names)
+
+
+def new_token() -> str:
+    """Return a token that nobody can guess: 192 random bits."""
+    return secrets.token_urlsafe(24)
+
+
+def read_token(file: Path) -> str:
+    """Return the token in a file; if the file is missing, it is made, with a new token.
+
+    Raises:
+        ConfigurationError: the file is unusable, or other users may read or change it.
+    """
+    def refuse(why: str) -> ConfigurationError:
+        return ConfigurationError(why, key="--token-file", value=str(file))
+
+    try:
+        with (
+            suppress(FileExistsError),
+            open(file, "x", opener=lambda path, flags: os.open(path, flags, 0o600)) as made,
+        ):
+            made.write(f"{new_token()}\n")
+            made.flush()
+            os.fsync(made.fileno())
+        with file.open(encoding="ascii", errors="replace") as stream:
+            mode = os.fstat(stream.fileno()).st_mode
+            token = stream.read().strip()
+    except OSError as error:
+        raise refuse(f"cannot be used: {error.strerror}") from error
+    if mode & 0o077:
+        raise refuse(
+            "other users may read or change it: remove it, and the next start makes a new token; "
+            "or protect it with chmod 600, if nobody has read it"
+        )
+    if not _TOKEN.fullmatch(token):
+        raise refuse(
+            "must hold a token of at least 32 letters, digits, - or _; remove it, and the next "
+            "start makes one"
+        )
+    return token
 
 
 def _own_address(wildcard: str) -> str:

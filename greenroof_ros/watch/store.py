@@ -140,10 +140,11 @@ class Store:
         self.allow_release = False
         self.site = read_site(papers_site())
         self.notes = ["", ""]
+        self.mode = "none"
+        self.factor: float | None = None
         self.recorded_controller = ""
         self.recorded_incidents: Sequence[Alarm] = ()
         self.alarms = Alarms(namespace)
-        self._nobody = Registry()
         self._interface = read_topics()
         self.wall = 0.0
         self._began = time.time()  # s since 1970
@@ -153,12 +154,10 @@ class Store:
         self.start_over()
 
     def start_over(self) -> None:
-        """Forget everything except the nodes: another run began."""
+        """Forget everything except the nodes and how they are watched: another run began."""
         with self.lock:
             self.alarms.start_over()
             self._heard_since: float | None = None  # when nodes were first heard (s since 1970)
-            self.mode = "none"
-            self.factor: float | None = None
             self._forget_values()
 
     def _forget_values(self) -> None:
@@ -187,7 +186,7 @@ class Store:
     @property
     def graph(self) -> Registry:
         """The registry of the shown graph; an empty one if another graph is there."""
-        return self.alarms.registry if self.alarms.shown else self._nobody
+        return self.alarms.registry if self.alarms.shown else Registry()
 
     @property
     def pump(self) -> Node | None:

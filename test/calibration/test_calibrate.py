@@ -166,6 +166,19 @@ def test_wrong_use_ends_it_with_2(arguments: str, message: str, tmp_path: Path) 
     assert list(tmp_path.iterdir()) == [file]
 
 
+def test_a_record_without_any_runoff_has_nothing_to_fit(fitted: Path, tmp_path: Path) -> None:
+    """A measured roof in dry weeks: it is not refused as a dead sensor."""
+    record = Path(__file__).parents[1] / "data" / "neubrandenburg_dry.csv"
+    ended = calibrate(
+        tmp_path, str(record), "--site", str(fitted / "site.yaml"), "-o", "new.yaml"
+    )
+    assert (ended.returncode, ended.stderr) == (
+        2, f"error: {record}: in the first half of its rain nothing that was measured changes, so "
+        "there is nothing to fit; leave out rows before the first runoff, or record longer\n",
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_finding_that_is_accepted_is_a_warning(fitted: Path, tmp_path: Path) -> None:
     """A level that is stuck for two weeks: output, page and site file say so."""
     rows = summed(record_rows(TWIN, 60, 1, gaps=False), 1)

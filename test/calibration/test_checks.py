@@ -13,10 +13,13 @@ from refusals import refusal
 from twins import DAY, TWIN, a_record, record_of, record_rows
 
 from greenroof_ros.calibration.checks import FINDINGS, check_fit, check_record, level_sensor
+from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.record import Record, in_months
 from greenroof_ros.calibration.scores import Scores, score
 from greenroof_ros.calibration.simulation import simulate
+from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.quality import Severity, accept
+from greenroof_ros.model.site import read_site
 
 Change = Callable[[np.ndarray, int], np.ndarray]
 """changes a column, given the number of its steps in a day"""
@@ -73,7 +76,6 @@ OF_A_MONTH: dict[str, tuple[tuple[str, ...], str, Change, tuple[str, ...]]] = {
     "level in cm": (BOTH, "level", scaled(100), ("unit-error", "high level", "level")),
     "runoff in m": (BOTH, "runoff", scaled(1e-4), ("unit-error", "little runoff", "runoff")),
     "rain of the hour": (BOTH, "rain", scaled(12), ("unit-error", "held", "runoff")),
-    "dead": (BOTH, "runoff", scaled(0.0), ("sensor-dead", "nothing", "runoff")),
     "stuck": (BOTH, "runoff", fixed(0.05, 5), ("sensor-stuck", "stuck", "runoff")),
     "blocked": (LEVEL, "rain", fixed(0.0, 8), ("gauge-blocked", "rise", "rain")),
     "sparse": (BOTH, "level", sparse, ("sensor-sparse", "sparse", "level")),
@@ -83,6 +85,7 @@ OF_A_MONTH: dict[str, tuple[tuple[str, ...], str, Change, tuple[str, ...]]] = {
     "late level": (LEVEL, "level", shifted(24), ("clock-shifted", "roof", "level", "after")),
 }
 OF_A_SEASON: dict[str, tuple[tuple[str, ...], str, Change, tuple[str, ...]]] = {
+    "dead": (BOTH, "runoff", scaled(0.0), ("sensor-dead", "silent", "runoff")),
     "runoff too large": (BOTH, "runoff", scaled(10), ("unit-error", "excess", "runoff")),
     "runoff too small": (BOTH, "runoff", scaled(0.1), ("unit-error", "shares", "runoff")),
     "level too small": (LEVEL, "level", scaled(0.01), ("unit-error", "rises", "level")),
@@ -131,6 +134,37 @@ def test_what_is_wrong_in_other_months_does_not_count() -> None:
     assert check_record(record.only(in_months(record, "5-7")), TWIN) == []
 
 
+# --- roofs off which nothing runs -----------------------------------------------------------------
+
+
+def test_a_measured_roof_in_dry_weeks_is_right() -> None:
+    """The roof at Neubrandenburg, 45 days with 39 mm of rain and no runoff.
+
+    With three times the rain, 116 mm, the soil of 108 mm could not hold it.
+    """
+    site = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml")
+    file = Path(__file__).parents[1] / "data" / "neubrandenburg_dry.csv"
+    record = read_csv_record(file, replace(site, utc_offset=1.0))
+    assert np.nansum(record.rain) == pytest.approx(38.61)
+    assert np.nansum(record.runoff) == 0
+    assert check_record(record, site) == []
+    (finding,) = check_record(replace(record, rain=3 * record.rain), site)
+    assert (finding.code, finding.case) == ("sensor-dead", "silent")
+
+
+def test_gaps_do_not_hide_a_dead_flow_meter() -> None:
+    """113 mm in all steps with readings, at most 63 mm without a gap; the soil is 100 mm deep."""
+    record = changed(twin(60, gaps=True), "runoff", scaled(0.0))
+    (finding,) = check_record(record, TWIN)
+    assert (finding.code, finding.case) == ("sensor-dead", "silent")
+    known = record.rain[~np.isnan(record.runoff)]
+    assert finding.figures["came"] == pytest.approx(known.sum())
+    assert 100 < known.sum() < 120
+    without = np.where(np.cumsum(np.where(np.isnan(record.runoff), 0.0, record.rain)) > 99.0,
+                       np.nan, record.runoff)
+    assert check_record(replace(record, runoff=without), TWIN) == []
+
+
 # --- roofs that are watered -----------------------------------------------------------------------
 
 
@@ -172,13 +206,14 @@ def test_a_flow_meter_that_shows_nothing_of_too_much_water_is_dead() -> None:
     """15 mm a day exceed what a watered roof evaporates, 1.3 x 5 mm, by 230 mm in 27 days."""
     record = kept_roof(27, 15.0)
     dead = replace(record, runoff=np.zeros(record.steps), level=None)
-    first, second = check_record(dead, TWIN)
-    assert [(finding.code, finding.case) for finding in (first, second)] == [
-        ("sensor-dead", "nothing"), ("sensor-dead", "silent"),
-    ]
-    assert first.severity is Severity.REFUSAL
-    assert first.figures["came"] == pytest.approx(27 * 15 + 10)
-    assert first.text == "runoff: is 0 in total, although 415 mm came: is the sensor dead?"
+    (finding,) = check_record(dead, TWIN)
+    assert (finding.code, finding.case) == ("sensor-dead", "silent")
+    assert finding.severity is Severity.REFUSAL
+    assert finding.figures["came"] == pytest.approx(27 * 15 + 10)
+    assert finding.text == (
+        "runoff: is 0 for 27 days from 2021-07-01 00:00:00, in which 415 mm came, more than 100 "
+        "mm: is the sensor dead? Leave the cells empty there"
+    )
 
 
 # --- evapotranspiration ---------------------------------------------------------------------------
@@ -223,7 +258,9 @@ def test_a_refusal_stands_unless_it_is_accepted() -> None:
     stuck = FINDINGS.make(
         "sensor-stuck", "stuck", "level", value=0.03, unit="m", hours=30.0, since="noon", fell=12.0
     )
-    dead = FINDINGS.make("sensor-dead", "nothing", "runoff", came=80.0)
+    dead = FINDINGS.make(
+        "sensor-dead", "silent", "runoff", days=30, since="noon", came=120.0, most=100.0
+    )
     note = FINDINGS.make("months", "counted", "months", months="4-10")
     for accepted, codes in (([], "sensor-stuck sensor-dead"), (["sensor-stuck"], "sensor-dead")):
         said = refusal(accept, [stuck, note, dead], accepted, Path("roof.csv"))
@@ -266,6 +303,20 @@ def test_a_fit_is_judged_by_the_half_that_it_has_not_seen() -> None:
         assert (finding.code, refused) == (code, code == "no-fit")
         assert finding.text.startswith(f"fit: {text}")
     assert check_fit([row("fit", OPPOSITE), row("validation", GOOD)]) == []
+
+
+def test_a_half_without_runoff_judges_no_fit() -> None:
+    """It is refused, but can be accepted; a fit that is poor even where it was fitted is not.
+
+    A level that changes judges the fit.
+    """
+    nothing = np.zeros(240)
+    dry = score("runoff", "validation", nothing, nothing, np.arange(240) * 3600, 3600.0)
+    (finding,) = check_fit([row("fit", GOOD), dry])
+    assert (finding.code, finding.severity) == ("unjudged", Severity.REFUSAL)
+    assert [finding.code for finding in check_fit([row("fit", OPPOSITE), dry])] == ["no-fit"]
+    level = row("validation", GOOD)._replace(quantity="level")
+    assert check_fit([row("fit", GOOD), dry, level]) == []
 
 
 # --- level sensors --------------------------------------------------------------------------------

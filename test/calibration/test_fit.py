@@ -149,7 +149,7 @@ def test_of_daily_sums_the_soil_is_found() -> None:
     assert all(row.words for row in fitted.parameters if not row.interval)
 
 
-def test_the_interval_of_a_mean_is_that_of_students_t() -> None:
+def test_a_mean_has_the_interval_of_students_t() -> None:
     """The jackknife of a mean is its standard error, s / sqrt(n) (Efron 1982, chapter 3).
 
     One group gives no interval; a dominant group reduces the degrees of freedom.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ from paper import PAPER_SITE
 from refusals import refusal
 
 from greenroof_ros.common.command_line import refuse_unwritable
-from greenroof_ros.common.files import read_ros_parameters, read_yaml
+from greenroof_ros.common.files import read_ros_parameters, read_text, read_yaml
 from greenroof_ros.controllers.registry import find_controller
 
 VALUES = (
@@ -21,26 +23,47 @@ VALUES = (
     ".inf", ".Inf", ".INF", "+.inf", "+.Inf", "+.INF", "-.inf", "-.Inf", "-.INF", ".iNf",
     ".infinity", "-.infinity", "5.inf", "nan", "-nan", "nan(1)", ".nan", ".NaN", ".NAN", ".Nan",
     "+.nan", "-.nan", ".nan(1)", "null", "~", "'5'", '"on"', "2021-07-01", "[010, 1]", "[1e-5, .5]",
-    "[on, off]", "['1', x]",
+    "[on, off]", "['1', x]", "[1, ]", "[~]", "''", "! 5", "|-\n      5", "|-\n      on",
+    "|-\n      1e3", "|\n      5", ">-\n      5", ">-\n      no", ">-\n      1e3\n      m",
+)
+REFUSED = (
+    "", "[]", "[1.0, 2]", "[1, on]", "['1', 2]", "[on, 'on']", "[1, ~]", "[[1], [2]]", "{a: }",
+    "{a: [1, 2.]}", "|-\n      ",
 )
 
 
-def test_values_as_rcl_reads_them(tmp_path: Path, domain: int) -> None:
-    """A node that has read the file by rcl has the same types and values."""
+def written(directory: Path, *values: str) -> Path:
+    """Write a parameter file with a value after another."""
+    file = directory / "parameters.yaml"
+    lines = [f"    p{number}: {value}" for number, value in enumerate(values)]
+    file.write_text("\n".join(["/**:", "  ros__parameters:", *lines, ""]))
+    return file
+
+
+@contextmanager
+def node_with(file: Path, domain: int) -> Iterator[Any]:
+    """A node that has read a parameter file by rcl."""
     rclpy = pytest.importorskip("rclpy", reason="rcl comes with ROS 2")
     from rclpy.node import Node
 
-    file = tmp_path / "parameters.yaml"
-    lines = [f"    p{number}: {value}" for number, value in enumerate(VALUES)]
-    file.write_text("\n".join(["/**:", "  ros__parameters:", *lines, ""]))
     context = rclpy.Context()
     rclpy.init(
         args=["--ros-args", "--params-file", str(file)], context=context, domain_id=domain
     )
-    node = Node(
-        "reader", context=context, automatically_declare_parameters_from_overrides=True,
-        start_parameter_services=False, enable_rosout=False,
-    )
+    try:
+        node = Node(
+            "reader", context=context, automatically_declare_parameters_from_overrides=True,
+            start_parameter_services=False, enable_rosout=False,
+        )
+        yield node
+        node.destroy_node()
+    finally:
+        context.try_shutdown()
+
+
+def test_values_as_rcl_reads_them(tmp_path: Path, domain: int) -> None:
+    """A node that has read the file by rcl has the same types and values."""
+    file = written(tmp_path, *VALUES)
     ours = read_ros_parameters(file)["/**"]["ros__parameters"]
 
     def exactly(value: Any) -> object:
@@ -48,14 +71,24 @@ def test_values_as_rcl_reads_them(tmp_path: Path, domain: int) -> None:
             type(value), "nan" if isinstance(value, float) and math.isnan(value) else value
         )
 
-    try:
+    with node_with(file, domain) as node:
         for name, value in zip(ours, VALUES, strict=True):
             theirs = node.get_parameter(name).value
             theirs = theirs if isinstance(theirs, (str, int, float)) else list(theirs)
             assert exactly(ours[name]) == exactly(theirs), value
-    finally:
-        node.destroy_node()
-        context.try_shutdown()
+
+
+@pytest.mark.parametrize("value", REFUSED)
+def test_values_that_rcl_refuses(value: str, tmp_path: Path, domain: int) -> None:
+    """No node starts with such a file, and none of our commands reads it."""
+    file = written(tmp_path, "1.0", value)
+    said = refusal(read_ros_parameters, file)
+    assert said.startswith(f"{file}, line 4: ") and "must have a value, or a list of" in said
+    with (
+        pytest.raises(Exception, match=r"No value|same type|cannot be key|NOT_SET"),
+        node_with(file, domain),
+    ):
+        pass
 
 
 def test_a_controllers_file_is_read_as_its_node_reads_it(tmp_path: Path) -> None:
@@ -92,9 +125,11 @@ def test_lines_and_anchors(tmp_path: Path) -> None:
         ("a: " + "[" * 300 + "]" * 300, ": is nested more than 200 levels deep"),
         (" \n", ": is empty"),
         ("a: 1\nb: \0\n", ", line 2: is not a text file (it holds a NUL byte)"),
-        ("a: 1\n# m\udcb2\n", ", line 2: is not UTF-8 text"),
+        ("a: 1\n# m\udcb2\n", ", line 2: is not UTF-8 text; save it in UTF-8"),
+        ("a:\n\tb: 1\n", ", line 2: is not valid YAML: indent with spaces, not tabs"),
         ("a: 1\nb: !!python/name:os.system\n", ", line 2: is not valid YAML"),
         ("a: !!int 5\n", ", line 1: is not valid YAML: its values must have no tags such as"),
+        ("a: [1, !!str 5]\n", ", line 1: is not valid YAML: its values must have no tags such"),
         ("a: &x {b: *x}\n", ": is not valid YAML: a value contains itself"),
     ],
 )
@@ -105,6 +140,15 @@ def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
     for read in (read_yaml, read_ros_parameters):
         said = refusal(read, file)
         assert said.startswith(str(file)) and words in said
+
+
+def test_what_is_no_text(tmp_path: Path) -> None:
+    """Such as a spreadsheet that was renamed."""
+    file = tmp_path / "weather.csv"
+    file.write_bytes(b"PK\x03\x04\n\xff\xfe")
+    assert refusal(read_text, file) == (
+        f"{file}, line 2: is not UTF-8 text; save it as CSV in UTF-8"
+    )
 
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def test_after_the_forecast_the_roof_dries_slowly() -> None:
     assert np.ptp(last_day) / 2 == pytest.approx(0.3 * mean * 1.57 * 0.157, rel=0.15)
 
 
-def test_after_the_forecast_the_first_mean_is_that_of_the_forecast() -> None:
+def test_after_the_forecast_the_first_mean_is_the_forecasts_own() -> None:
     """Of its first day, whatever its later steps have."""
     edges = growing_steps(48)
     after = AfterForecast(PAPER_SITE, 48, 10)

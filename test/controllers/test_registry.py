@@ -60,7 +60,7 @@ def test_a_file_for_all_nodes(tmp_path: Path) -> None:
         ),
         (
             "onoff", "/**/onoff:\n  ros__parameters:\n    fraction: -1.0\n",
-            r"mine.yaml, line 3: fraction = -1.0: must be from 1e-09 to 1e\+06",
+            r"mine.yaml, line 3: fraction = -1.0: must be greater than 0$",
         ),
         (
             "lookahead", "lookahead: {ros__parameters: {days_after: 1.5}}\n",
@@ -78,7 +78,8 @@ def test_wrong_files(tmp_path: Path, name: str, text: str, message: str) -> None
 @pytest.mark.parametrize(
     ("reference", "message"),
     [
-        ("onof", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
+        ("onof", r"is not known; did you mean onoff\?$"),
+        ("pid", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
         ("planning_mpc", "was replaced by lookahead"),
         ("a b:C", "must be of the form package.module:Class"),
         ("package:Plant", "its node would have the name of another node, plant"),

@@ -91,7 +91,7 @@ def test_phrases_that_nobody_says_are_not_split_between_lines() -> None:
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if "<!-- table: " in page.read_text()], ids=name
 )
-def test_tables_are_those_of_the_package(page: Path) -> None:
+def test_tables_are_the_packages(page: Path) -> None:
     """'make docs' would write nothing else."""
     text = page.read_text()
     assert generate.renew(text) == text
@@ -176,7 +176,7 @@ def test_pictures_differ_in_their_colours_only() -> None:
     assert light == dark
 
 
-def test_drawings_are_those_of_the_interface() -> None:
+def test_drawings_show_the_interface() -> None:
     """'make docs' would draw nothing else."""
     assert len(generate.WAYS) == 3
     for name, way in generate.WAYS.items():

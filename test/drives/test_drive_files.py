@@ -164,7 +164,7 @@ def test_values_of_all_types(kind: str, order: str, words: list[int], value: obj
     ("uint16", 0, 0xFFFF), ("int16", -0x8000, 0x7FFF),
     ("uint32", 0, 0xFFFF_FFFF), ("int32", -0x8000_0000, 0x7FFF_FFFF),
 ])
-def test_limits_are_those_of_the_type(kind: str, low: int, high: int) -> None:
+def test_a_type_has_its_own_limits(kind: str, low: int, high: int) -> None:
     assert limits(kind) == (low, high)
 
 

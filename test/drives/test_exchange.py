@@ -794,7 +794,7 @@ def test_a_stop_that_is_not_taken_is_tried_three_times(bench: Bench) -> None:
     assert bench.wire.connections == 3
 
 
-def test_the_waits_fit_into_those_of_the_pump_control_bringup_and_the_service() -> None:
+def test_the_waits_fit_into_the_longer_ones_of_pump_control_bringup_and_service() -> None:
     """The control waits 15 s (follow_time); the node infers from UNREAD_S that a drive stands.
 
     Then the pump node's end; the supervisor's stop, perhaps after another one; the other nodes.

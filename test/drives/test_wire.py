@@ -269,7 +269,7 @@ def test_what_it_says(name: str, dialogue: str, expected: dict[str, Any]) -> Non
     assert {key: getattr(status, key) for key in expected} == expected
 
 
-def test_that_its_own_timeout_has_passed_is_that_of_the_port_in_use() -> None:
+def test_the_timeout_of_the_port_in_use_has_passed() -> None:
     """By ABB's code, and by Danfoss's bit 4 if no other bit is set."""
     (abb, code, _), (danfoss, bits, _) = READS[1], READS[4]
     for name, dialogue in ((abb, code), (danfoss, bits.replace("4000 0010", "0000 0010"))):

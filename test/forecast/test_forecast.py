@@ -63,7 +63,7 @@ def archive_of(*issues: Issue) -> Archive:
     horizon=st.sampled_from([0.0, 0.1, 0.5, 2.0, 7.5]),
     data=st.data(),
 )
-def test_means_are_those_of_every_second(
+def test_means_count_every_second(
     seed: int, tau: int, offset: int, horizon: float, data: st.DataObject
 ) -> None:
     """Every step of every member equals the mean of its seconds, one by one."""
@@ -140,6 +140,8 @@ def test_perfect_forecast_is_the_series(tau: float) -> None:
         ):
             assert ahead.tolist() == [values[tick + lead] for lead in range(site.M)]
             ahead[0] = -1.0
+    hourly = make_forecast(weather, series, site, start, 6.0, ForecastChoice())
+    assert forecast.issued(0) is hourly.issued(0) is None  # exact knowledge has no issue
 
 
 # --- issues ------------------------------------------------------------------------------------
@@ -177,6 +179,7 @@ def test_errors_are_known_as_late_as_a_services() -> None:
             known = at_once.known(hour - late, 24 + late)
             for before, now in zip(known, delayed.known(hour, 24), strict=True):
                 assert before[..., late:].tobytes() == now.tobytes()
+            assert delayed.issued(hour) == MIDNIGHT.replace(hour=(hour - late) // 6 * 6)
 
 
 def test_persistence_by_hand() -> None:
@@ -189,6 +192,7 @@ def test_persistence_by_hand() -> None:
     weather = weather_of(np.arange(100) / 7, np.arange(100) / 10)
     rain, evapotranspiration = PersistenceModel(weather).known(32, 30)
     assert rain.tolist() == [[30 / 7] * 30]
+    assert PersistenceModel(weather).issued(32) == MIDNIGHT + 30 * HOUR
     expected = [*range(8, 31), *range(7, 14)]
     assert evapotranspiration.tolist() == [hour / 10 for hour in expected]
     gap = np.arange(40) / 10
@@ -196,8 +200,9 @@ def test_persistence_by_hand() -> None:
     model = PersistenceModel(weather_of(np.arange(40), gap))
     assert model.known(6, 3)[1].tolist() == [0.6] * 3
     assert model.known(30, 4)[1].tolist() == [3.0, 3.0, 3.0, 0.9]
-    # The issue from before the records counts as made at their first hour.
+    # For an issue from before the records, their first hour persists.
     model = PersistenceModel(weather_of([3, 4, 5], [1, 2, 3], MIDNIGHT.replace(hour=4)))
+    assert model.issued(1) == MIDNIGHT
     rain, evapotranspiration = model.known(1, 4)
     assert (rain.tolist(), evapotranspiration.tolist()) == ([[3.0] * 4], [1.0] * 4)
 
@@ -281,6 +286,7 @@ def test_archives_by_definition(delay: float, late: int, evaporates: bool) -> No
         newest = [n for n, begin in enumerate(begins) if begin + delay + late <= hour][-1]
         age = hour - begins[newest]
         got_rain, got_evapotranspiration = model.known(hour, 55)
+        assert model.issued(hour) == MIDNIGHT + begins[newest] * HOUR
         for lead in range(age, age + 55):
             fell = rain[newest, :, lead - late] if lead - late < 30 else np.zeros(2)
             assert got_rain[:, lead - age].tolist() == fell.tolist()
@@ -351,13 +357,14 @@ def test_choices(tmp_path: Path) -> None:
 
 
 def test_the_graph_is_given_the_same(domain: int, tmp_path: Path) -> None:
-    """Over an issue at 06:00 UTC; the bag has, bit for bit, what was forecast.
+    """The bag has, bit for bit, what was forecast, after the time of its issue and ends of steps.
 
-    The run carries its directory of forecasts, and the graph reads the copy.
+    The issue of 06:00 UTC is half an hour late, so it is used from 07:00 on, at tick 300. The run
+    carries its directory of forecasts, and the graph reads the copy.
     """
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     write_runs(tmp_path / "runs")
-    options = ["--controller", "mpc", "--start", "2021-07-07T00:55", "--hours", "0.1"]
+    options = ["--controller", "mpc", "--start", "2021-07-07T01:55", "--hours", "0.1"]
     options += ["--forecast-delay", "0.5", "--forecast"]
     summary = bring_up(domain, tmp_path, *options, "runs")
     assert summary["forecast"] == {"model": "file", "file": "runs", "delay": 0.5}
@@ -371,5 +378,9 @@ def test_the_graph_is_given_the_same(domain: int, tmp_path: Path) -> None:
         ("/forecast/evapotranspiration", run.forecast.evapotranspiration),
     ):
         length = len(forecast(0))
-        expected = [struct.pack(f"<{length}d", *forecast(tick)) for tick in range(run.steps + 1)]
-        assert [message[-8 * length :] for message in bag[topic]] == expected, topic
+        expected = []
+        for tick in range(run.steps + 1):
+            issued = MIDNIGHT + (0 if tick < 300 else 6) * HOUR
+            numbers = (issued.timestamp(), *range(1, length + 1), *forecast(tick))
+            expected.append(struct.pack(f"<{len(numbers)}d", *numbers))
+        assert [message[-len(expected[0]) :] for message in bag[topic]] == expected, topic

@@ -1,5 +1,6 @@
 """Forecasts from the internet: what a service answers, in each way in which this can go wrong."""
 
+import signal
 import subprocess
 import sys
 import threading
@@ -194,6 +195,8 @@ def test_the_command_and_the_simulator_of_a_service(tmp_path):
     with subprocess.Popen(
         [sys.executable, "-m", "greenroof_ros", "simulators", "forecast", "--port", "0"],
         stdout=subprocess.PIPE, text=True,
+        # As a shell starts it in a script's background.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
     ) as simulator:
         try:
             url = simulator.stdout.readline().split()[-1]
@@ -202,8 +205,10 @@ def test_the_command_and_the_simulator_of_a_service(tmp_path):
             assert ended.returncode == 0, ended.stderr
             assert "11 members; forecasts by Open-Meteo.com, CC BY 4.0" in ended.stdout
             assert len(read_forecasts(tmp_path / "forecast.csv")[0].rain) == 11
+            simulator.send_signal(signal.SIGINT)
+            assert simulator.wait(60) == 0
         finally:
-            simulator.terminate()
+            simulator.kill()
     ended = run_command(*asked, cwd=tmp_path, env=environment(0))
     assert ended.returncode == 1
     assert ended.stdout.startswith("no forecast: ")

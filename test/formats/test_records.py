@@ -47,6 +47,10 @@ def test_what_is_no_table() -> None:
         ([], ": has a header but no records"),
     ):
         assert refusal(table, *rows) == f"{FILE}{reason}"
+    lines = numbered_lines("time;rain [mm/h]\n2021-07-07T03:00;0,2\n")
+    assert refusal(table_of, FILE, lines) == (
+        f"{FILE}, line 1: columns must be separated by commas; this file has semicolons"
+    )
     assert refusal(table_of, FILE, []) == (
         f"{FILE}: holds only comments; a header and records must follow"
     )
@@ -59,6 +63,12 @@ def test_numbers_that_are_not_believed(text: str) -> None:
     assert refusal(read.numbers, "rain [mm/h]", RAIN) == (
         f"{FILE}, line 5: rain [mm/h] = {text!r}: must be a number from 0 to 500 mm/h"
     )
+
+
+def test_a_decimal_comma_is_named() -> None:
+    read = table('2021-07-07T04:00-05:00,"0,2",1')
+    said = refusal(read.numbers, "rain [mm/h]", RAIN)
+    assert said.endswith("'0,2': must be a number from 0 to 500 mm/h, with a decimal point")
 
 
 def test_missing_values_and_other_units() -> None:
@@ -77,6 +87,10 @@ def test_missing_values_and_other_units() -> None:
     [
         ("2021-07-07T04:00", "must say its offset from UTC, as in 2021-07-07T02:00-05:00"),
         ("07/07/2021 04:00", "must be a time such as 2021-07-07T02:00-05:00, 1971 to 2037"),
+        (
+            "2021-07-07 4:00", "must be a time such as 2021-07-07T02:00-05:00, 1971 to 2037; "
+            "hours need two digits: 00:00",
+        ),
         ("2021-07-07T05:00-05:00", "must be 2021-07-07T04:00-05:00: the records must have consec"),
         # In the offset of the wrong record.
         ("2021-07-07T04:00-04:00", "must be 2021-07-07T05:00-04:00: the records must have consec"),

@@ -148,7 +148,7 @@ def test_an_owners_metrics_by_hand() -> None:
     assert not KEPT & results.keys()  # it did not rain
 
 
-def test_stress_is_that_of_the_soil() -> None:
+def test_stress_is_the_soils() -> None:
     """34.4 m3 of soil with 30 % at field capacity, 10 % at wilting: stress below 20 %, 6.88 m3."""
     site = replace(
         PAPER_SITE, tau=3600.0, z_cap=10.32, field_capacity=0.3, wilting_point=0.1,

@@ -123,7 +123,9 @@ TWELVE = "twelve numbers in brackets, January to December, each from 0 to 20"
     ("base", "changes", "key", "reason"),
     [
         # Out of range: with a unit, without one, and a whole number.
-        (PAPERS, {"a2": "-68.8"}, "a2", "from 1e-12 to 1e+09 (m2, bottom surface area of the roof"),
+        (PAPERS, {"a2": "-68.8"}, "a2", "greater than 0 (m2, bottom surface area of the roof"),
+        (PAPERS, {"a2": "1e10"}, "a2", "from 1e-12 to 1e+09 (m2, bottom surface area of the roof"),
+        (PAPERS, {"a_hat": "0"}, "a_hat", "less than 0 (s2/m5, coefficient of the pump curve"),
         (PAPERS, {"k_L": "-1.0e-9"}, "k_L", "from 0 to 1e+09 (minor loss coefficient of the pipe)"),
         (PAPERS, {"M": "1001"}, "M", "a whole number from 1 to 1000 (ticks, look-ahead"),
         # A value that contradicts another.
@@ -200,6 +202,11 @@ def test_a_mistyped_key(tmp_path: Path) -> None:
     assert refusal(path).startswith(start)
 
 
+def test_a_decimal_comma_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path, latitude="43,66")
+    assert refusal(path).endswith("latitude = '43,66': must be a number, with a decimal point")
+
+
 def test_a_site_that_extends_another(tmp_path: Path) -> None:
     """It has only what differs, and so may its base; its text is complete by itself."""
     write(tmp_path)
@@ -248,14 +255,21 @@ def test_what_cannot_be_extended(tmp_path: Path) -> None:
     for base, reason in (
         ("child.yaml", "child.yaml, line 1: extends = 'child.yaml': must be the name of another"),
         ("3", "child.yaml, line 1: extends = 3: must be the name of another site file, such as"),
-        ("absent.yaml", "absent.yaml: cannot be read"),
-        ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of "),
+        ("absent.yaml", "child.yaml, line 1: extends = 'absent.yaml': must be the name of "),
+        ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of another "
+         "site file, such as site.yaml, beside this one or of this package; this is a ring: "
+         f"{child} extends {tmp_path / 'circle.yaml'} extends {child}"),
         ("base.yaml", f"base.yaml, line {len(TABLE_I) + 1}: a3: is not a parameter of a site"),
     ):
         child.write_text(f"extends: {base}\na1: 3.0\n")
         (tmp_path / "circle.yaml").write_text("extends: child.yaml\n")
         write(tmp_path, "a3: 5.0").rename(tmp_path / "base.yaml")
         assert refusal(child).startswith(str(tmp_path / reason))
+    # Of the files before a ring, nothing is said.
+    child.write_text("extends: child.yaml\n")
+    outside = tmp_path / "outside.yaml"
+    outside.write_text("extends: child.yaml\n")
+    assert refusal(outside).endswith(f"this is a ring: {child} extends {child}")
 
 
 def test_a_run_and_a_study_keep_the_whole_site(tmp_path: Path) -> None:

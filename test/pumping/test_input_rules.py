@@ -96,6 +96,14 @@ def test_courses_of_an_input(name: str) -> None:
         assert verdict.alarming == (broken not in ("", "waiting", "recovering"))
 
 
+def test_what_is_said_until_it_is_used() -> None:
+    """After the first value only that it came; later also the fault before it."""
+    rules = InputRules(0.0, limit=5.0, recovery=3.0, limit_name="level_limit")
+    rest = "; used after 3 s of good values (recovery_time)"
+    assert rules.came(1.0, 1.0).why == f"received{rest}"
+    assert rules.came(20.0, 1.0).why == f"is older than 5 s (level_limit); now good{rest}"
+
+
 def test_frozen() -> None:
     """Frozen: the pump must have lowered it by more than 1 cm, but it has not changed at all.
 

@@ -47,6 +47,16 @@ def replaced(old: str, new: str) -> Callable[[Path], Any]:
     return study(lambda text: text.replace(old, new))
 
 
+def with_cell(column: str, text: str) -> Callable[[Path], Any]:
+    """Return what writes a study with another text in a column of its only run."""
+
+    def make(at: Path) -> None:
+        row = simulate("onoff", "0.5", "low-low", "0.01").row
+        write_study(at, [({**row, column: text}, None)])
+
+    return make
+
+
 def cut_bag(at: Path) -> None:
     """Write a bag with a truncated file."""
     os.truncate(small_bag(at) / "in.mcap", 300)
@@ -73,7 +83,7 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     "no-finished-run": (replaced(",done,", ",failed,"), "no finished run; 1 failed or did not run"),
     "row-cut": (study(lambda text: text[:-20]), "results.csv, line 2: ends in the middle of a li"),
     "row-too-short": (study(lambda text: text[:-20] + "\n"), "line 2: must have .* cells"),
-    "row-too-long": (study(lambda text: text[:-1] + ",1\n"), "results.csv.*more fields"),
+    "row-too-long": (study(lambda text: text[:-1] + ",1\n"), "line 2: must have .* cells"),
     "status-after-an-error-of-two-lines": (
         study(
             lambda text: text.replace(",done,,", ',done,"a\nb",')
@@ -83,6 +93,27 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "volume-a-word": (replaced(",57.69", ",much57.69"), "line 2: cistern_m3 = 'much57.69"),
     "run-outside": (replaced("\n001,", "\n../001,"), "line 2: run = '../001'"),
+    "a-row-twice": (
+        study(lambda text: text + text.splitlines()[1] + "\n"),
+        "results.csv, line 3: run = '001': must be in one row; an earlier row has the same run",
+    ),
+    "a-column-twice": (
+        study(lambda text: text.replace("near_target_hours", "hours", 1)),
+        "results.csv, line 1: hours: is the name of 2 columns",
+    ),
+    "near-target-below-0": (with_cell("near_target_hours", "-4"), "near_target_hours = '-4': must"),
+    "near-target-longer-than-the-run": (
+        with_cell("near_target_hours", "400"),
+        "line 2: near_target_hours = '400': must be from 0 to the run's hours and a tick",
+    ),
+    "bound-below-0": (with_cell("bound_m3", "-1"), "line 2: bound_m3 = '-1': must be 0 or more"),
+    "week-not-finite": (
+        with_cell("weekly_deviation_m3", "1.5 nan"), "line 2: weekly_deviation_m3 = '1.5 nan'",
+    ),
+    "week-below-0": (
+        with_cell("weekly_deviation_m3", "1.5 -2"),
+        "weekly_deviation_m3 = '1.5 -2': must be numbers, 0 or more, with spaces between",
+    ),
 }
 
 

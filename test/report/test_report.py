@@ -38,7 +38,7 @@ from greenroof_ros.report.figures import is_figure
 from greenroof_ros.report.groups import SEEDS, Report
 from greenroof_ros.report.pump_figures import pump_curve, pump_smoothing, read_pump_data
 from greenroof_ros.report.tables import make_tables
-from greenroof_ros.report.words import sentences
+from greenroof_ros.report.words import cautions, sentences
 
 TOTAL = "total_deviation_m3"
 
@@ -66,7 +66,7 @@ def study(simulated: list[Simulated], tmp_path_factory: pytest.TempPathFactory) 
 # --- exact results -------------------------------------------------------------------------------
 
 
-def test_results_are_those_of_the_table(tmp_path: Path) -> None:
+def test_results_are_the_tables(tmp_path: Path) -> None:
     """Not of the samples that are kept, which only show when there was frost."""
     row = {**simulate("onoff", "0.5", "low-low").row, "max_command": 2.0, "pump_starts": 31,
            "excess_starts": 11, "frost_hours": 3 / 3600}
@@ -286,10 +286,29 @@ def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
     ]))
     assert {name: settings.labels for name, settings in report.settings.items()} == {
         "lookahead": ["horizon 9, forecast perfect", "horizon 60, forecast hourly"],
-        "anticipating_onoff": ["0.5", "none"], "proportional": ["005", "006"],
+        "anticipating_onoff": ["0.5", "none"], "proportional": ["none"],
     }
+    # Nothing but their names distinguishes two runs of the same place without parameters.
+    assert [row["setting"] for row in report.single[2:]] == [
+        "threshold 0.5", "threshold none", "005", "006"
+    ]
     assert "trajectories-1-1" in figures_of(report)
     assert [row["setting"] for row in report.best()] == ["all alike"] * 3  # their totals are equal
+
+
+def test_a_controller_without_parameters(tmp_path: Path) -> None:
+    """It has no settings, whatever the number of its runs, and is called by its name alone."""
+    example = simulate("mpc", "0.001", "low-low")
+    report = study_of(tmp_path / "study", *(
+        {**example.row, "parameter:weight": "", "controller": "mine",
+         "start": f"2021-07-0{day}T02:00:00-05:00"} for day in (1, 2, 3)
+    ))
+    first, second, _ = sentences(report)
+    assert first == "3 runs of mine, from low-low: 3 sets of conditions."
+    assert second.count("(mine)") == 3
+    assert [row["setting"] for row in report.best()] == [""] * 3
+    drawn = figures_of(report)["water-balance-1"].data["balance-1-roof"]
+    assert {row["run"] for row in drawn} == {"mine, low-low"}
 
 
 def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
@@ -360,7 +379,7 @@ def test_seeds_belong_together(seeds: Report) -> None:
     # 25 different numbers of ticks give one note.
     assert text.count("found no solution in some ticks") == 1
     assert (
-        "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
+        "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, published evapotranspiration, forecast "
         "ensemble members 10 skill real, 25 seeds"
     ) in text
 
@@ -402,6 +421,33 @@ def test_seeds_beside_other_runs(tmp_path: Path) -> None:
     words = "nly 2 seeds: with fewer than 10, the worst tenth is a single run"
     assert words in text.partition("</header>")[0]
     assert words in text.partition('id="warnings"')[2]
+
+
+def test_the_least_of_the_same_seeds(tmp_path: Path) -> None:
+    """By hand: MPC is worse by 0.1 m3 with every seed, and failed with the worst, 25."""
+    row = {**simulate("onoff", "0.5", "low-low").row, "forecast": "errors",
+           "forecast_skill": "real", "parameter:fraction": ""}
+    totals = {seed: 10.0 + seed for seed in range(1, 26)}
+    report = study_of(tmp_path / "study", *(
+        {**row, "controller": controller, "forecast_seed": seed, TOTAL: total + more,
+         "status": "failed" if more and seed == 25 else "done"}
+        for controller, more in (("onoff", 0.0), ("mpc", 0.1)) for seed, total in totals.items()
+    ))
+    assert "over the seeds was 23.00 m³ (on/off from low-low" in sentences(report)[1]
+    assert cautions(report)[-1] == (
+        "MPC (forecast errors) ran with as few as 24 of 25 seeds: its mean is of other seeds"
+    )
+
+
+def test_skills_in_the_order_of_their_names(tmp_path: Path) -> None:
+    """From the best to the worst; then files, whatever words are in their names."""
+    skills = ("a real one.yaml", "worse", "real", "much_better")
+    row = {**simulate("onoff", "0.5", "low-low").row, "forecast": "errors"}
+    report = study_of(tmp_path / "study", *(
+        {**row, "forecast_skill": skill, "forecast_seed": seed} for skill in skills
+        for seed in (1, 2)
+    ))
+    assert [row["skill"] for row in report.of(SEEDS)] == list(skills[::-1])
 
 
 @pytest.mark.parametrize(("forecast", "seeds"), [("perfect", ("",)), ("errors", (1, 2))])

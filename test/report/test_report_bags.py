@@ -161,7 +161,7 @@ def test_outliers_are_left_out_and_wrong_units_are_not(tmp_path: Path) -> None:
         assert len(loaded(bag)[0].roof) == 3
 
 
-def test_limits_are_those_of_the_site(tmp_path: Path) -> None:
+def test_the_limits_are_the_sites(tmp_path: Path) -> None:
     """Three times the pumps' flow at the outlet's level, by hand; just below is accepted."""
     full = np.roots([
         (3.56 * 18.4 / 0.2 + 0.6) / (2 * 9.81 * (0.01 * np.pi) ** 2) + 5.78e5, 0, 16 - 3 - 55.2
@@ -211,7 +211,7 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     assert row["bound_m3"] is None
 
 
-def test_a_run_directorys_notes(tmp_path: Path) -> None:
+def test_notes_of_a_run_directory(tmp_path: Path) -> None:
     """Fallbacks, repeated forecasts, filled hours: by name, and on the page."""
     path = ended_run(
         tmp_path / "run", example=simulate("onoff", "0.5", "low-low", "0.01"), limited_steps=4,

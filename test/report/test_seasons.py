@@ -16,7 +16,7 @@ from greenroof_ros.report.drawing import Figure
 from greenroof_ros.report.groups import SEASONS, Report
 from greenroof_ros.report.intervals import CONTAINS_1, Comparison, Deviations, compare, worst_tenth
 from greenroof_ros.report.tables import make_tables
-from greenroof_ros.report.words import sentences
+from greenroof_ros.report.words import cautions, sentences
 
 YEARS = range(2015, 2026)
 ONOFF = {year: 100.0 + 10 * (year - 2015) for year in YEARS}
@@ -195,7 +195,7 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
 
 def least(report: Report) -> list[tuple[str, str]]:
     """Return the controller with the least deviation, and its forecasts."""
-    return [(row["controller"], row["forecast"]) for row in report.least.values()]
+    return [(row["controller"], row["forecast"]) for row in report.least]
 
 
 def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
@@ -218,12 +218,12 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
     assert table.name.startswith("Deviation relative to the controller with the least deviation")
     figure = figures_of(report)["seasons"]
     assert [panel.title[-1] for panel in figure.panels] == [
-        "forecasts: errors skill real", "forecasts: perfect"
+        "forecasts: perfect", "forecasts: errors skill real"
     ]
     assert [
         {row["series"]: row["v"] for row in of_panel if row["year"] == 2015}
         for of_panel in figure.data.values()
-    ] == [{"on/off": 100, "MPC": 100, "lookahead": shown} for shown in (80, 70)]
+    ] == [{"on/off": 100, "MPC": 100, "lookahead": shown} for shown in (70, 80)]
 
     perfect = rows("mpc", None, lowest)
     assert least(study_of(tmp_path / "b", *onoff, *looking, *perfect)) == [("mpc", "perfect")]
@@ -234,6 +234,79 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
     assert least(study_of(tmp_path / "d", *onoff, *perfect)) == [("mpc", "perfect")]
     report = study_of(tmp_path / "e", *rows("onoff", None, lower), *rows("mpc", None, ONOFF))
     assert len(make_tables(report)) == 2
+
+
+def failed(run: dict[str, Any]) -> dict[str, Any]:
+    """Return the row of a run that failed."""
+    return {**run, "status": "failed", "error": "no solution", TOTAL: "", "weekly_deviation_m3": ""}
+
+
+def test_who_failed_in_the_worst_years_is_not_the_least(tmp_path: Path) -> None:
+    """Two percent more in every year is more, also without the two worst years or their seeds.
+
+    Without those years lookahead's mean is 122.4 m3, with them on/off's is 130 m3. Its comparison
+    with on/off is in the five years of both.
+    """
+    seven = {year: ONOFF[year] for year in range(2015, 2022)}
+    more = {year: 1.02 * total for year, total in seven.items()}
+    onoff = rows("onoff", None, seven)
+    five = [
+        failed(row) if row["weather"] > "2020" else row for row in rows("lookahead", None, more)
+    ]
+    report = study_of(tmp_path / "a", *onoff, *five)
+    assert least(report) == [("onoff", "perfect")] and not report.over_least
+    assert "deviation of a season was 130.00 m³, 2.6 times the least possible (on/off, forecast p" \
+        in sentences(report)[1]
+    (compared,) = report.over_onoff
+    assert compared["has"].mean.value == pytest.approx(1.02) and compared["has"].years == 5
+    assert "lookahead ran in 5 of 7 years: its mean is of other years" in cautions(report)
+
+    # The same for the worse of two seeds in these years, and for on/off's settings.
+    better, worse = (
+        {year: share * total for year, total in seven.items()} for share in (0.8, 1.24)
+    )
+    seeds = rows("lookahead", 1, better) + [
+        failed(row) if row["weather"] > "2020" else row for row in rows("lookahead", 2, worse)
+    ]
+    half, full = ([{**row, "parameter:fraction": fraction} for row in runs] for fraction, runs in (
+        (0.5, [{**row, "controller": "onoff"} for row in five]), (1.0, onoff),
+    ))
+    report = study_of(tmp_path / "b", *half, *full, *seeds)
+    (case,) = (row for row in report.of(SEASONS) if row["controller"] == "lookahead")
+    assert case[TOTAL] == pytest.approx((1.02 * 600 + 0.8 * 310) / 7)  # less than 130
+    assert least(report) == [("onoff", "perfect")]
+    assert {row["setting"] for row in report.plain_onoff} == {"fraction 1"}
+    assert cautions(report)[-2:] == [
+        "on/off fraction 0.5 ran in 5 of 7 years: its mean is of other years",
+        "lookahead (forecast errors skill real) ran with as few as 1 of 2 seeds: its mean is of "
+        "other seeds",
+    ]
+    (table, *_) = make_tables(report)
+    place = table.header.index("fewest seeds in a year")
+    assert [row[place].text for row in table.rows] == ["1"] * 3
+
+    # If no controller has all years, none is called the least; on/off is still compared with.
+    report = study_of(tmp_path / "c", failed(onoff[0]), *onoff[1:], *five)
+    assert not report.least and len(report.over_onoff) == 1
+    assert "it is open which has the least mean deviation" in sentences(report)[1]
+    many = [{**row, "controller": f"mine_{n}"} for n in range(4) for row in five]
+    assert cautions(study_of(tmp_path / "d", *onoff, *many))[-1] == (
+        "1 more controllers or settings lack years or seeds"
+    )
+
+
+def test_a_tie_between_seasons_names_all(tmp_path: Path) -> None:
+    """As between single runs; of more than three seasons it is counted as shared."""
+    report = study_of(tmp_path / "a", *rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF))
+    assert "(MPC, forecast perfect, and on/off, forecast perfect)" in sentences(report)[1]
+    assert not report.over_least  # on/off is among them
+    report = study_of(tmp_path / "b", *(
+        {**row, "initial": "custom", "cistern_m3": volume,
+         TOTAL: row[TOTAL] + (volume > 2 and row["controller"] == "mpc")}
+        for volume in (1.0, 2.0, 3.0, 4.0)
+        for row in (*rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF))
+    ))
+    assert sentences(report)[1].endswith("was shared in 2 and on/off's in 2.")
 
 
 # --- from the grid to the figures ----------------------------------------------------------------

@@ -54,7 +54,7 @@ def test_a_factor_makes_the_motor_faster() -> None:
     assert drive.speed == pytest.approx(0.25)
 
 
-def test_the_flow_of_a_drive_that_reports_it_is_that_of_the_sites_curve() -> None:
+def test_a_drive_that_reports_its_flow_follows_the_sites_curve() -> None:
     """By hand, at half speed: (0.25 x 55.2 + level - 16)^0.5 x 1.29646e-3 m3/s.
 
     At 3 / 1.3 = 2.3077 m that is 4.255e-4 m3/s = 1.53 m3/h; at 3 m 1.1596e-3 m3/s = 4.17 m3/h.
@@ -226,6 +226,7 @@ def test_wrong_options_are_refused_with_what_would_be_right(
 ) -> None:
     refused = partial(refusal, monkeypatch, drive_simulator, "--drive", "abb_acs880")
     assert "must be one of none, refused" in refused("--fault", "smoke")
+    assert "--fault = 'slw=3': is not known; did you mean slow?" in refused("--fault", "slw=3")
     assert "silence has no parameter" in refused("--fault", "silence=3")
     assert "whole number from 0 to 65534" in refused("--fault", "late=soon")
     assert "is not an exception code" in refused(*FREE, "--fault", "exception=99")

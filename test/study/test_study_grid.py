@@ -46,9 +46,9 @@ WRONG = {
     "controller": (edited("onoff:", "pid:"), "line 13: controller = 'pid': must be one of mpc"),
     "own-site": (edited("onoff:", "onoff: {site: x.yaml}"), "x.yaml is not under 'site:' of the"),
     "parameter": (edited("weight", "weights"), "line 11: weights: is not a parameter of mpc; d"),
-    "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be from 1e-09 to 1e+06"),
+    "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be greater than 0"),
     "no-values": (edited("[1.0e-3, 0.1]", "[]"), "line 11: weight: is empty"),
-    "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': 'perfekt' must be"),
+    "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': 'perfekt' is not"),
     "forecast-skill": (
         GRID + "forecast: {model: errors, skill: [real, large]}\n",
         "skill = 'large': 'large' must be one of much_",
@@ -74,6 +74,7 @@ def test_wrong_grid(tmp_path: Path, name: str) -> None:
     ("options", "expected"),
     [
         (["grid.yaml", "--output", "out"], WRONG["value"][1]),
+        (["config/studies/ticks.yaml"], f"{CONFIG / 'studies' / 'ticks.yaml'}, line 8: file = "),
         (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs: cannot be used with"),
         (["--output", "/proc/study"], "--output = '/proc/study': cannot be read or written"),
     ],

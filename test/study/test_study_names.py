@@ -91,7 +91,7 @@ def test_no_name_occurs_twice(
 
     monkeypatch.setenv("COLUMNS", "400")
     show(store.cases, store.write_tables(), store.directory)
-    printed = capsys.readouterr().out.split("Total deviation")[1:]
+    printed = capsys.readouterr().out.split("Mean deviation")[1:]
     # Titles wrap.
     distinct((" ".join(table.partition("┏")[0].split()) for table in printed), 2 * 5)
     for table in printed:

@@ -36,7 +36,7 @@ def rain() -> dict[int, Array]:
     return seasons()
 
 
-def test_scores_of_a_sample_are_those_of_the_model(rain: dict[int, Array]) -> None:
+def test_a_sample_has_the_scores_of_the_model(rain: dict[int, Array]) -> None:
     """Forecasts of one lead, drawn at once, are as good as those that the model issues.
 
     r, POD and FAR of half days, by another count, over six seasons; single seasons scatter more.

@@ -448,8 +448,7 @@ def test_another_run_begins() -> None:
     """It can be of an earlier day."""
     graph = watched()
     graph.start_over()
-    assert shown(graph)["mode"] == "none"
-    graph.set_present(mode="simulated", factor=1.0, note="")
+    assert tile_of(graph, "roof")["state"] == "unknown"
     hear(graph, -86_400, -86_300, QUIET)
     assert tile_of(graph, "roof")["state"] == "good"
     assert shown(graph)["account"]["since_text"] == "since 2021-07-19 00:00:00"
@@ -895,7 +894,7 @@ def test_a_flood_of_statuses_crowds_nobody_out_and_leaves_a_short_document() -> 
 # --- charts -------------------------------------------------------------------------------------
 
 
-def test_what_the_charts_are_told() -> None:
+def test_what_the_charts_get() -> None:
     """Rows (for their rules see test_history.py), times, and what else is drawn."""
     series = read_series(watched(), 12)
     at = START / 1e9

@@ -143,7 +143,7 @@ def test_the_newest_that_is_heard_is_shown_while_the_bag_is_read() -> None:
     """
     store = Store()
     feed = Feed(store)  # not entered: no graph
-    feed._mode = "live"  # a message has the time at which it came
+    store.mode = "live"  # a message has the time at which it came
     now_ns = 1_626_757_200 * 10**9
     now = now_ns / 1e9
     ends, rain = growing_steps(12)[1:], np.full(32, 1e-7)

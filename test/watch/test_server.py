@@ -263,7 +263,7 @@ def test_a_body_of_100_megabytes_is_refused_unread(port: int) -> None:
     assert_goes_on(port)
 
 
-def test_a_body_that_does_not_come_is_waited_for_only_so_long(
+def test_a_body_that_does_not_come_is_waited_for_only_some_time(
     port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "_BODY_S", 0.5)

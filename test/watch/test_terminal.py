@@ -222,7 +222,7 @@ def test_bars_by_hand() -> None:
     assert chart(drawn(graph, 80, 30), "Pump")[27:53] == "▁" * 26
 
 
-def test_the_range_of_a_chart_is_that_of_all_values() -> None:
+def test_a_chart_has_the_range_of_all_values() -> None:
     """A gust of rain between two columns' last values is shown, and so is the least level."""
     graph = run_of(12.0)
     times = START + 12 * 3600 * SECOND + SECOND * np.arange(1, 41)

@@ -36,7 +36,7 @@ from test_terminal import Terminal
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.incidents import read_incidents
-from greenroof_ros.watch.listening import listen
+from greenroof_ros.watch.listening import listen, read_token
 
 URL = re.compile(r"http://127\.0\.0\.1:(\d+)/\n")
 
@@ -132,6 +132,8 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
 @pytest.mark.parametrize(("arguments", "message"), [
     (("--bag", "nowhere"), "--bag = 'nowhere': must be the directory of a bag"),
     (("--terminal", "--port", "8080"), "--port: applies to the page, not to --terminal"),
+    (("--terminal", "--token-file", "t"), "--token-file: applies to the page, not to --terminal"),
+    (("--token-file", "."), "--token-file = '.': cannot be used: Is a directory"),
     (("--namespace", "1"), "argument --namespace: invalid namespace"),
     (("--port", "0"), "argument --port: must be a whole number from 1 to 65535, not 0"),
 ])
@@ -196,6 +198,47 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
             ).status == status
         end(process)
     assert len(tokens) == 2
+
+
+def test_with_a_token_file_its_address_survives_a_restart(domain: int, tmp_path: Path) -> None:
+    """The first start makes the file; on loopback, too, the page needs the token in it."""
+    (port,) = free_ports(1)
+    file, urls = tmp_path / "token", set()
+    previous = os.umask(0)  # inherited: the file is private all the same
+    try:
+        for _ in range(2):
+            process = Process(
+                domain, "watch", "--token-file", file.name, "--port", str(port), cwd=tmp_path
+            )
+            urls.add(wait_for(process.stdout, 60, "an address"))
+            assert request(port, "GET", "/events").status == 401
+            end(process, signal.SIGTERM)
+    finally:
+        os.umask(previous)
+    assert urls == {f"http://127.0.0.1:{port}/#token={file.read_text().strip()}\n"}
+    assert (file.stat().st_mode & 0o777, len(file.read_text())) == (0o600, 33)
+
+
+@pytest.mark.parametrize(("content", "mode", "message"), [
+    ("a" * 32, 0o640, "other users may read or change it"),
+    ("a" * 32, 0o602, "other users may read or change it"),
+    ("", 0o600, "must hold a token of at least 32 letters"),
+    ("a" * 31, 0o600, "must hold a token of at least 32 letters"),
+    ("a" * 20 + " " + "a" * 20, 0o600, "must hold a token of at least 32 letters"),
+    ("é" * 40, 0o600, "must hold a token of at least 32 letters"),
+])
+def test_a_token_that_others_may_know_is_refused(
+    content: str, mode: int, message: str, tmp_path: Path
+) -> None:
+    """The message names the file, but not the token."""
+    file = tmp_path / "token"
+    file.write_text(f"{content}\n", encoding="utf-8")
+    file.chmod(mode)
+    with pytest.raises(ConfigurationError, match=message) as refused:
+        read_token(file)
+    assert f"--token-file = '{file}'" in str(refused.value)
+    assert not content or content not in str(refused.value)
+    assert file.read_text(encoding="utf-8") == f"{content}\n"
 
 
 def _watcher_of(bringup: Process) -> int:

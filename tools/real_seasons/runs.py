@@ -18,7 +18,7 @@ from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import FileModel
 from greenroof_ros.forecast.resampling import Known, Rain, SteppedForecast
-from greenroof_ros.formats.records import HOUR, Archive
+from greenroof_ros.formats.records import Archive
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
@@ -79,8 +79,9 @@ class HourAsForecast(SteppedForecast):
         present = min(hour, len(self._weather.precipitation) - 1)
         self._now = self._weather.precipitation[present] / 1000 / 3600
         evapotranspiration[0] = self._weather.evapotranspiration[present]
-        issued = self._weather.first + hour * HOUR
-        return Known(issued, rain, evapotranspiration, self._site.a2, self._ends)
+        return Known(
+            self._model.issued(hour), rain, evapotranspiration, self._site.a2, self._ends
+        )
 
     def precipitation(self, tick: int) -> Rain:
         """Return the means of the steps (m/s); the first is observed."""
