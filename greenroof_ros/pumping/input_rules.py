@@ -31,7 +31,6 @@ _MOST_RAIN = QUANTITIES[PRECIPITATION][2] / 1000 / 3600
 _MOST_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION][2] / 1000 / 86400
 
 _WAITING, _RECOVERING = "input_waiting", "input_recovering"
-_NOT_YET = "has not come yet"
 
 
 class Verdict(NamedTuple):
@@ -232,7 +231,7 @@ class InputRules:
         self._begun = now
         self._came: float | None = None
         # Verdict on the newest value, or why there is none; and the broken rule to recover from.
-        self._newest = self._broken = Verdict(_WAITING, _NOT_YET)
+        self._newest = self._broken = Verdict(_WAITING, "has not come yet")
         self._good_since: float | None = None
 
     def came(self, now: float, value: object, refused: str = "") -> Verdict:
@@ -280,7 +279,8 @@ class InputRules:
         if self._good_since is None:
             self._good_since = now
         if now - self._good_since < self._recovery:
-            before = "received" if self._broken.why == _NOT_YET else f"{self._broken.why}; now good"
+            first = self._broken.code == _WAITING
+            before = "received" if first else f"{self._broken.why}; now good"
             return Verdict(
                 _RECOVERING,
                 f"{before}; used after {self._recovery:g} s of good values (recovery_time)",
