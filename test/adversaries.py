@@ -46,6 +46,9 @@ class Adversary:
         members = kinds.values() if self._kind == TOGETHER else [kinds[self._kind]]
         return np.stack([*members]), self._weather.evapotranspiration[now]
 
+    def issued(self, hour: int) -> None:
+        """Return None: these forecasts have no issues."""
+
     def repeats_from(self, hour: int, hours: int) -> None:
         """Return None: this is not a record that repeats."""
 

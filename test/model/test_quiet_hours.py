@@ -117,7 +117,7 @@ def test_of_a_site(tmp_path: Path) -> None:
         ("time_zone", "America/Tornto", "must be the IANA name of a time zone"),
         ("time_zone", "America", "must be the IANA name of a time zone"),
         ("time_zone", "../secret", "must be the IANA name of a time zone"),
-        ("greatest_dose", "0", "must be from 0.001 to 1e+06"),
+        ("greatest_dose", "0", "must be from 0.001 to 1000000"),
     ],
 )
 def test_wrong_ones_are_refused_with_line_and_value(
