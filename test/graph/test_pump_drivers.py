@@ -113,7 +113,8 @@ def failures(output: str) -> dict[str, str]:
             rows.append([cell.strip() for cell in line.strip("│").split("│")])
         elif line.startswith("├"):
             rows.append([])
-    return {check: result for check, result in filter(None, rows) if not result.startswith("passed")}
+    results = dict(filter(None, rows))
+    return {check: result for check, result in results.items() if not result.startswith("passed")}
 
 
 def source_of(name: str) -> str:
