@@ -680,10 +680,10 @@ class PumpNode(Lifecycle, LinkedNode):
         before, self._state = self._state, state
         if state != before:
             self.publish("/pump/state", state)
-        # Not at every change of the words: they have numbers.
-        logged = (decided.state, decided.stands, *decided.interlocks)
-        if (decision.state, decision.stands, *decision.interlocks) != logged:
-            self.get_logger().info(state)
+            # Not at every change of the words: they have numbers.
+            logged = (decided.state, decided.stands, *decided.interlocks)
+            if (decision.state, decision.stands, *decision.interlocks) != logged:
+                self.get_logger().info(state)
 
     # --- reports ----------------------------------------------------------------------------------
 
