@@ -147,7 +147,7 @@ def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
         # Simulations pump nothing during frost.
         row["frost_pumped_m3"] = 0.0
         trajectory = path / "runs" / run / "trajectory.parquet"
-        forecasts = (row.get(key) for key in ("forecast", "forecast_skill", "forecast_dressed"))
+        forecasts = (row.get(key) for key in ("forecast", "forecast_skill"))
         sources.runs.append(Run(
             row=row,
             site=site,

@@ -246,8 +246,7 @@ def _facts(case: Case) -> dict[str, str]:
 def _forecast(case: Case) -> str:
     """Name the forecasts of a case."""
     choice = case.forecast
-    dressed = {} if choice.dressed is None else {"dressed": choice.dressed.name}
-    return _named(str(choice), {**choice.options(), **dressed})
+    return _named(str(choice), choice.options())
 
 
 def _named(name: str, values: Mapping[str, float | str]) -> str:

@@ -152,8 +152,6 @@ def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> O
         "--parameters", str(parameters), "--cistern", repr(case.cistern), "--roof", repr(case.roof),
         "--forecast", str(forecast),
     ]
-    if forecast.dressed is not None:
-        command += ["--dressed", str(forecast.dressed)]
     for name, value in forecast.options().items():
         command += [f"--forecast-{name}", str(value)]
     if case.sensor_pump_errors is not None:

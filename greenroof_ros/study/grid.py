@@ -66,7 +66,7 @@ _STATE = (
 )
 _SETTINGS = "must hold parameters, a list of these, or nothing"
 # Keys for the digests of a case's forecast files in the data of its identity.
-_DIGESTS = {"file": "forecast_file", "skill": "skill_file", "dressed": "dressed"}
+_DIGESTS = {"file": "forecast_file", "skill": "skill_file"}
 # Names that the directory of a study uses itself.
 _OWN_FILES = ("grid.yaml", "study.json")
 
@@ -165,10 +165,6 @@ class Case:
             **({"gaps": self.gaps} if self.gaps != REFUSE else {}),
             "forecast": str(self.forecast),
             **{f"forecast_{name}": self.forecast.options().get(name) for name in OPTIONS},
-            **(
-                {} if self.forecast.dressed is None
-                else {"forecast_dressed": self.forecast.dressed.name}
-            ),
             **(self.sensor_pump_errors.values() if self.sensor_pump_errors is not None else {}),
             "controller": self.controller.name,
             "initial": self.initial,
@@ -372,16 +368,13 @@ class _Grid:
             except ValueError as error:
                 wrong = f"{text!r} {error}, or {_FORECAST}"
                 raise self._refuse(mapping, "forecast", wrong) from error
-            of_file: tuple[str, ...] = ()
             if choice.file is not None:
-                choice, of_file = replace(choice, file=self._file(block, key)), ("dressed",)
-            self._keys(block, (key,), (*choice.takes, *of_file))
-            for options in self._combinations(block, (*choice.takes, *of_file)):
+                choice = replace(choice, file=self._file(block, key))
+            self._keys(block, (key,), choice.takes)
+            for options in self._combinations(block, choice.takes):
                 given: dict[str, Any] = read_numbers(self._path, options, NUMBERS)
                 if "skill" in options:
                     given["skill"] = self._skill(options)
-                if "dressed" in options:
-                    given["dressed"] = self._file(options, "dressed")
                 yield replace(choice, **given)
 
     def _weather(
@@ -468,9 +461,8 @@ class _Grid:
         A directory becomes one file in the project's own format, and so does NetCDF, because the
         issue of a NetCDF file is in its name, which the study may change.
         """
-        named = {"skill": choice.skill_file, "dressed": choice.dressed}
-        files = {key: self._input(file) for key, file in named.items() if file is not None}
-        path = choice.file
+        skill, path = choice.skill_file, choice.file
+        files = {} if skill is None else {"skill": self._input(skill)}
         if path is not None and (path.is_dir() or path.suffix.lower() == ".nc"):
             archive = read_archive(path, site, choice.delay)
             choice = replace(choice, delay=archive.delay)
