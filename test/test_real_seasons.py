@@ -79,7 +79,7 @@ def test_evapotranspiration_adds_up_to_the_months_mean(inputs: Path) -> None:
 
 
 def test_three_services_as_one_ensemble(archives: Path, inputs: Path) -> None:
-    """Each issue has the rain of each service, as long as that of the shortest: GFS, four days."""
+    """Each issue has the rain of each service, as long as GFS's, the shortest: four days."""
     site = read_site(site_file(inputs, "paper"))
     services = [
         {issue.issued: issue for issue in read_archive(
