@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, tzinfo
@@ -13,11 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text, read_yaml
+from greenroof_ros.common.files import YamlMapping, read_text, read_yaml
 from greenroof_ros.common.times import hours_minutes, hours_minutes_seconds, to_people
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import INCIDENTS, Incident, read_incidents, with_incidents
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT
+from greenroof_ros.formats.records import name_files
 from greenroof_ros.model.initial_state import INITIAL_STATES
 from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
@@ -33,6 +35,7 @@ PAPERS_CONTROLLERS = {"mpc": "MPC", "onoff": "on/off"}
 
 # The options in a name of forecasts, in the order in which they follow the model or file.
 _LABELLED = (*OPTIONS, "dressed")
+_PARAMETERS = "configuration/parameters.yaml"
 # How an unfinished run ended, as a sentence and in short, by the status in its summary.
 _NOT_DONE = {
     "failed": ("failed", "failed"),
@@ -238,7 +241,7 @@ def notes_of(row: Row) -> list[Note]:
 
 
 def read_about(run: Path, site: Site) -> Run:
-    """Read a run's summary.
+    """Read a run's summary or, if it is missing or damaged, the parameters of its nodes.
 
     A damaged or foreign file beside a bag leaves a note; the bag is still used. Incidents have a
     file of their own, which exists before the summary lists them.
@@ -254,28 +257,63 @@ def read_about(run: Path, site: Site) -> Run:
         incidents = tuple(read_incidents(run))
     except (OSError, ValueError) as error:
         unused(INCIDENTS, "damaged", error)
-    if (run / summary.SUMMARY).is_file():
-        try:
-            about = _understand(json.loads(read_text(run / summary.SUMMARY)), site)
-        except (ConfigurationError, json.JSONDecodeError) as error:
-            unused(summary.SUMMARY, "damaged or foreign", error)
-        except Exception:  # a foreign file can be wrong in any way
-            unused(
-                summary.SUMMARY, "damaged or foreign", "it lacks what a run writes about itself"
-            )
+    for name, read in ((summary.SUMMARY, _summary), (_PARAMETERS, _node_parameters)):
+        if (run / name).is_file():
+            try:
+                about = _understand(read(run / name), site)
+            except (ConfigurationError, json.JSONDecodeError) as error:
+                unused(name, "damaged or foreign", error)
+            except Exception:  # a foreign file can be wrong in any way
+                unused(name, "damaged or foreign", "it lacks what a run writes about itself")
+            else:
+                break
     return replace(
         about, external_pump=about.own and _external_pump(run), notes=(*notes, *about.notes),
         incidents=incidents or about.incidents,
     )
 
 
+def _summary(file: Path) -> Any:
+    return json.loads(read_text(file))
+
+
 def _external_pump(run: Path) -> bool:
     """Whether a run's node parameters say that the pump flow came from a pump driver."""
     try:
-        nodes = read_yaml(run / "configuration" / "parameters.yaml")
-        return bool(nodes["/**/plant"]["ros__parameters"]["pump"] == "external")
+        return bool(_nodes(run / _PARAMETERS)["plant"]["pump"] == "external")
     except Exception:  # no such file, or a foreign one, which can be wrong in any way
         return False
+
+
+def _nodes(file: Path) -> dict[str, YamlMapping]:
+    """Return the parameters of a run's nodes, by node name."""
+    return {
+        key.removeprefix("/**/"): section["ros__parameters"]
+        for key, section in read_yaml(file).items()
+    }
+
+
+def _node_parameters(file: Path) -> dict[str, Any]:
+    """Return the parameters of a run's nodes in the form of a summary."""
+    nodes = defaultdict(YamlMapping, _nodes(file))
+    plant, weather = nodes["plant"], nodes["weather"]
+    controller = nodes["recorder"].get("controller")
+    given = nodes[str(controller)]
+    volumes = {f"{name}_m3": plant.get(f"initial_{name}_volume") for name in ("cistern", "roof")}
+    return {
+        "controller": controller,
+        "parameters": {key: value for key, value in given.items() if key != "site_file"},
+        "weather": name_files([Path(file) for file in weather.get("weather_files") or []]),
+        "evapotranspiration_method": weather.get("evapotranspiration"),
+        "gaps": weather.get("gaps"),
+        "forecast": {
+            "model": weather.get("forecast"), "dressed": weather.get("dressed"),
+            **{option: weather.get(f"forecast_{option}") for option in OPTIONS},
+        },
+        "sensor_pump_errors": {name: plant.get(name) for name in PARAMETERS},
+        "initial": None if None in volumes.values() else volumes,
+        "start": plant.get("start"),
+    }
 
 
 def _understand(content: dict[str, Any], site: Site) -> Run:

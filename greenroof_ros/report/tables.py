@@ -19,9 +19,9 @@ _METRICS = {metric.name: metric for metric in METRICS}
 
 # The results of single runs, by the table that shows them; a page has room for a dozen columns.
 _RESULTS = {
-    "deviation": (
-        "near_target_hours", "near_percent", "mean_deviation_mm", "stress_hours",
-        "evapotranspiration_ratio", "rain_kept_share", "rain_kept_share_hour",
+    "deviation": ("near_target_hours", "near_percent", "mean_deviation_mm"),
+    "plants and rain": (
+        "stress_hours", "evapotranspiration_ratio", "rain_kept_share", "rain_kept_share_hour",
         "rain_kept_share_day",
     ),
     "pump and water": (
@@ -366,7 +366,7 @@ def _means(report: Report, cases: Sequence[Row]) -> list[Table]:
         _metric(TOTAL, ".0f"),
         *_ratio(cases),
         Column("worst year (m³)", "worst_year_m3", ".0f"), Column("which", "worst_year", "d"),
-        Column("worst tenth of weeks, of a week (m³)", "worst_tenth_m3", ".0f"),
+        Column("worst tenth of weeks (m³)", "worst_tenth_m3", ".0f"),
         _NEAR, *_known({"mean_deviation_mm": ".2f"}, cases),
     ]} | {name: _known(metrics, cases) for name, metrics in _MEANS.items()}
     return [
