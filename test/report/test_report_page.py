@@ -392,7 +392,7 @@ def test_many_seeds(browser: Any, tmp_path: Path) -> None:
 
 
 def test_seasons(browser: Any, tmp_path: Path) -> None:
-    """Many controllers and forecasts on two roofs, of which one is far worse than the others.
+    """Many controllers and forecasts on two roofs; one controller is far worse than the others.
 
     On/off, with which all are compared, has no mark in that figure, and no name.
     """
