@@ -211,7 +211,7 @@ class Drawn(NamedTuple):
 def drawn(trajectory: Trajectory) -> Drawn:
     """Return the curves of a trajectory that are drawn."""
     curves = {}
-    for name in ("command", "cistern", "roof", "precipitation", "evapotranspiration"):
+    for name in ("command", "pump_flow", "cistern", "roof", "precipitation", "evapotranspiration"):
         values = getattr(trajectory, name)
         if name not in ("cistern", "roof"):
             # The run ends at the last sample: its flows never held, so draw the values before it.
