@@ -525,6 +525,10 @@ class DeviceThread(ABC, Generic[K]):
         self._wake.clear()
 
     def _pause_until(self, due: float) -> None:
-        """Wait until a time (s, `time.monotonic`); only closing ends the wait early."""
-        while not self._closing and (remaining := due - time.monotonic()) > 0:
+        """Wait until a time (s, `time.monotonic`), or until `_hurried`."""
+        while not self._hurried() and (remaining := due - time.monotonic()) > 0:
             self._pause(remaining)
+
+    def _hurried(self) -> bool:
+        """Whether a wait for the next attempt must end now."""
+        return self._closing
