@@ -231,8 +231,9 @@ class DriveExchange(DeviceThread[Snapshot]):
     while a speed was asked for, the drive stays off until `demand` has asked for off: the caller,
     which counts starts and waits between them, decides on the next. During a silence nothing is
     sent for longer than the drive's own timeout, which then stops it: it may count any order as a
-    sign of life. A timeout above the limit is not relied on, and `stop` ends a silence early. `close` works in every state and leaves the drive stopped. From the first
-    connection to `close` no other program on this machine can use the drive.
+    sign of life. A timeout above the limit is not relied on, and `stop` ends a silence early.
+    `close` works in every state and leaves the drive stopped. From the first connection to `close`
+    no other program on this machine can use the drive.
     """
 
     def __init__(
