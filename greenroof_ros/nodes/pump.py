@@ -490,6 +490,8 @@ class PumpNode(Lifecycle, LinkedNode):
         self._take_state()
         (self._control.stop_on_page if of_page else self._control.stop)(request.data)
         self._step(boot_time())
+        if request.data:
+            self._drive.exchange.stop()
         return self._kept(response, self._state)
 
     def _on_reset_request(
