@@ -8,10 +8,11 @@ ends any hold. ``~/hold`` (rcl_interfaces/SetParametersAtomically) holds it for 
 a ``reason`` and an end, ``until`` (s since 1970), if they are given. ``~/reset``
 (std_srvs/Trigger), for a person at the pump, clears a latched fault and an unknown state;
 ``~/clear``, for the page, clears only a fault that needs nobody there (speed_not_followed). If the
-site file allows it, ``~/dose`` (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, the present
-time in s since 1970) delivers a volume once, or says why not. /pump/flow is published in every
-state: in lockstep once per tick, after command, levels and frost have arrived; live every tau. In
-between, the drive can be stopped by wall time. /pump/state says why the pump is at rest.
+site file allows it, ``~/dose`` (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and
+``asked_at``, the present time in s since 1970) delivers a volume once, or says why not. /pump/flow
+is published in every state: in lockstep once per tick, after command, levels and frost have
+arrived; live every tau. In between, the drive can be stopped by wall time. /pump/state says why the
+pump is at rest.
 """
 
 from __future__ import annotations
