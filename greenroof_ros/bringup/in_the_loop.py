@@ -47,7 +47,7 @@ def wait_for_drive(
         NodeFailed: the node ended or hangs, or the drive could not be run within 60 s.
         InterruptedRun: a signal came.
     """
-    progress.say(f"stops and faults of the drive are kept in {state_file}")
+    progress.say(f"holds and faults of the drive are kept in {state_file}")
     until = time.monotonic() + _DRIVE_LIMIT_S
     report: dict[str, Any] = {}
     while not report.get("active"):

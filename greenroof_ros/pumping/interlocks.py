@@ -3,8 +3,8 @@
 An interlock is active while there is a reason for it. The pump does not run while any interlock is
 active. There are three kinds:
 
-- *latched*: a fault of the pump, pipes or drive. It stays until somebody resets it, even across
-  restarts.
+- *latched*: a fault of the pump, pipes or drive, or a lost record of one. It stays until somebody
+  resets it, even across restarts.
 - *inhibit*: the site, its operator or a limit forbids pumping.
 - *enable*: a condition for running the pump at all is missing.
 
@@ -67,11 +67,11 @@ INTERLOCKS = {
         "least_delivery, level_tolerance, averaging_time, greatest_loss, level_offset",
     ),
     "fault_unknown": Interlock(LATCHED, _CONTROL, "state_file"),
+    "record_unknown": Interlock(LATCHED, _CONTROL, "state_file"),
     "hold": Interlock(
         INHIBIT, _CONTROL, by="itself at its end, greenroof release, ~/stop with false",
         on_page=True,
     ),
-    "record_unknown": Interlock(INHIBIT, _CONTROL, "state_file", by="~/reset"),
     "cistern_level_unknown": Interlock(INHIBIT, _LIMITS, _OF_LEVEL),
     "cistern_low": Interlock(INHIBIT, _LIMITS, "level_offset, suction_hysteresis"),
     "roof_level_unknown": Interlock(INHIBIT, _LIMITS, _OF_LEVEL),

@@ -448,8 +448,9 @@ def _parse(line: bytes, number: int) -> tuple[int, Record]:
         content = None
     if not isinstance(content, dict):
         raise ValueError("it must be a table of keys")
-    for name in sorted(content.keys() ^ _KINDS.keys()):
-        raise ValueError(f"another version wrote it: it has {'no ' * (name in _KINDS)}{name}")
+    if wrong := sorted(content.keys() ^ _KINDS.keys()):
+        has = "no" if wrong[0] in _KINDS else "an unknown key"
+        raise ValueError(f"it has {has} {wrong[0]}, as if another version had written it")
     for name, (kind, is_right) in _KINDS.items():
         if not is_right(content[name]):
             raise ValueError(f"{name} must be {kind}")

@@ -465,7 +465,7 @@ class PumpControl:
         if worst:
             self._ledger.fault(latched[worst], worst)
         record = self._ledger.record
-        reasons |= {"hold": self._ledger.held, "record_unknown": record.unknown}
+        reasons |= {"record_unknown": record.unknown, "hold": self._ledger.held}
         if record.fault:
             row = INTERLOCKS.get(record.fault_code)
             known = row is not None and row.kind == LATCHED

@@ -43,8 +43,8 @@ CAUSES: dict[str, dict[str, Any]] = {
     "delivery": {"command": 1.0, "arriving": 0.0, "leaving": 0.0},
     # Another code of the table, as in a record from another version of this package.
     "fault_unknown": {"record": {"fault": "it was so", "fault_code": "frost"}},
-    "hold": {"record": {"hold_owner": "the page", "hold_until": 4_000_000_000.0}},
     "record_unknown": {"record": {"unknown": "whether there was a hold or a fault is not known"}},
+    "hold": {"record": {"hold_owner": "the page", "hold_until": 4_000_000_000.0}},
     "cistern_level_unknown": {"change": {"cistern_level": math.nan}},
     "cistern_low": {"change": {"cistern_level": 0.1}},
     "roof_level_unknown": {"change": {"roof_level": math.inf}},
@@ -88,7 +88,7 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
     assert decision.why.startswith(decision.interlocks[code])
     rig.change, rig.stuck_speed, rig.arriving, rig.leaving = {}, None, 1.0, 1.0
     rig.ledger.record = replace(
-        rig.ledger.record, hold_owner="", unknown="", day_run=0.0, day_volume=0.0,
+        rig.ledger.record, hold_owner="", day_run=0.0, day_volume=0.0,
     )
     rig.run(10, 0.0)  # the pump comes to rest, which ends a run that was too long
     decision = rig.run(45, 0.5)

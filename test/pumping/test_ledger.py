@@ -230,9 +230,9 @@ def lines_of(**changes: Any) -> bytes:
 
 
 @pytest.mark.parametrize(("changes", "problem"), [
-    ({"starts": ...}, "another version wrote it: it has no starts"),
-    ({"sequence": ...}, "another version wrote it: it has no sequence"),
-    ({"pause": 0}, "another version wrote it: it has pause"),
+    ({"starts": ...}, "it has no starts, as if another version had written it"),
+    ({"sequence": ...}, "it has no sequence, as if another version had written it"),
+    ({"off_until": 0}, "it has an unknown key off_until, as if another version had written it"),
     ({"starts": None}, "starts must be a list of numbers"),
     ({"starts": [1.0, "2"]}, "starts must be a list of numbers"),
     ({"starts": {"1": 1}}, "starts must be a list of numbers"),
@@ -271,23 +271,22 @@ def test_what_is_no_record_is_an_unknown_state(text: str, tmp_path: Path, clock:
 
 
 @pytest.mark.parametrize("kept", [
-    {"operator_stop": "an operator stopped it"}, {"page_stop": True},
-    {"pause_until": 1_900_000_000.0}, {"fault": "burst pipe", "fault_code": "delivery"},
+    {"stopped": "by somebody"}, {"stopped": True}, {"off_until": 1_900_000_000.0},
+    {"fault": "burst pipe", "fault_code": "delivery"}, {},
 ])
-def test_a_file_of_version_1_0_keeps_the_pump_off(
+def test_a_file_of_an_older_version_keeps_the_pump_off(
     kept: dict[str, Any], tmp_path: Path, clock: Clock
 ) -> None:
-    """Its stop or pause is not forgotten: it is an unknown state, until a person resets it."""
-    new = dict.fromkeys(("hold_owner", "hold_reason", "hold_until"), ...)
-    old = {"operator_stop": "", "pause_until": 0.0, "page_stop": False, "page_clears_from": 0.0}
+    """A stop under another key is not forgotten: the state is unknown until a person resets it."""
+    without = dict.fromkeys(("hold_owner", "hold_reason", "hold_until"), ...)
     file = tmp_path / "pump.json"
-    file.write_bytes(lines_of(**new, **(old | kept)))
+    file.write_bytes(lines_of(**without, **kept))
     rig = Rig(file=file)
     decision = rig.run(30, 1.0)
     assert (decision.speed, list(decision.interlocks)) == (None, ["record_unknown"])
-    assert "another version wrote it: it has no hold_owner" in decision.why
+    assert "it has no hold_owner, as if another version had written it" in decision.why
     rig.ledger.close()
-    assert "another version wrote it" in read(file, clock).unknown
+    assert "as if another version had written it" in read(file, clock).unknown
 
 
 def a_link_to_nothing(file: Path) -> None:
@@ -356,15 +355,15 @@ def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
     file.write_bytes(content)
     rig = Rig(file=file)
     decision = rig.run(30, 1.0)
-    assert (decision.speed, decision.state) == (None, "held")
+    assert (decision.speed, decision.state) == (None, "fault")
     assert decision.why.startswith(f"{file} cannot be read (")
     assert ("it must be 8192 bytes long" in decision.why) == (len(content) != 8192)
     assert decision.why.endswith("check the pump, then reset it")
     assert rig.ledger.why_not_kept() == ""
     assert {path.name for path in tmp_path.iterdir()} == {"pump.json", "pump.json.lock"}
-    assert Rig(file=file).run(30, 1.0).state == "held"
+    assert Rig(file=file).run(30, 1.0).state == "fault"
     rig.ledger.hold("the operator")
-    assert rig.step(1.0).why == f"a hold by the operator; {decision.why}"
+    assert rig.step(1.0).why == f"{decision.why}; a hold by the operator"
     rig.ledger.release()
     assert rig.step(1.0).why == decision.why
     assert "cannot be read" in rig.control.reset()
