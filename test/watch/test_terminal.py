@@ -317,7 +317,7 @@ def test_it_is_drawn_again_when_the_terminal_changes_and_ends_on_q(
 ) -> None:
     """Keys without a meaning here do nothing."""
     with Terminal("-c", PROGRAM, **no_color) as terminal:
-        terminal.read_until("SetBool")
+        terminal.read_until("greenroof hold")
         assert "\x1b[?1049h" in terminal.text  # the alternate screen
         assert bool(re.search(r"\x1b\[[0-9;]*m", terminal.text)) == (not no_color)
         terminal.press(b"xrycy ")
@@ -369,7 +369,7 @@ def test_what_cannot_be_drawn_over_is_printed() -> None:
         assert lines[0].startswith("Live site")
         process.terminate()
         rest, errors = process.communicate(timeout=120)
-        terminal.read_until("SetBool")
+        terminal.read_until("greenroof hold")
         terminal.press(b"Q")
         assert terminal.ends() == 0
     assert "\x1b" not in rest + terminal.text
