@@ -150,7 +150,7 @@ def test_faults_beside_each_other() -> None:
 def test_the_table_is_whole() -> None:
     """Latched ones first, then inhibits; each has advice, and limits that exist."""
     with pytest.raises(KeyError):
-        evaluate({"operator_stops": "x"})
+        evaluate({"holds": "x"})
     rows = INTERLOCKS.values()
     kinds = [row.kind for row in rows]
     assert kinds == sorted(kinds, key=[LATCHED, INHIBIT, ENABLE].index)
