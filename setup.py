@@ -16,8 +16,9 @@ CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 # ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
 COMMANDS = (
     "bringup.__main__", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "pause",
-    "dose", "calibrate", "verify", "bridge", "study.__main__", "report.__main__", "watch.__main__",
+    "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "hold",
+    "release", "dose", "calibrate", "verify", "bridge", "study.__main__", "report.__main__",
+    "watch.__main__",
 )
 # Colcon calls one of these, and setup.cfg says where executables go. Pip calls neither, and would
 # put names such as `report` and `watch` on everybody's PATH.

@@ -256,7 +256,7 @@ def _stop(document: Mapping[str, Any], width: int) -> Iterator[Text]:
         yield Text(stop["warning"], _ALARM)
     for what, call in (("stop", stop["call"]), ("release", stop["release"])):
         if call:
-            # In full on one line: a stop command without its end would release the pump.
+            # In full on one line.
             yield Text(next((
                 text for text in (f"{what} the pump: {call}", f"{what}: {call}", call)
                 if len(text) <= width

@@ -85,8 +85,8 @@ def with_a_stop_of_the_page() -> Store:
     graph = run_of(1.0, "live")
     graph.allow_release = True
     graph.add_statuses(99.5, node(
-        "/pump", "pump", pump="held: somebody stopped it on the page", stop="stopped", stands=True,
-        stopped_by=["page"], fault="a slow start", page_may_not_clear="",
+        "/pump", "pump", pump="held: a hold by the page", hold={"said": "a hold by the page"},
+        stands=True, fault="a slow start", no_clear="",
     ))
     return graph
 
@@ -156,20 +156,6 @@ def test_what_must_be_seen_at_80_by_24(state: str, words: list[str]) -> None:
         assert " ".join(said.split()) in text, "\n".join(lines)
     for tile in ("Roof level", "Cistern level", "Pump ", "Rain ", "Controller"):
         assert any(line.startswith(tile) for line in lines), tile
-
-
-def test_how_the_pump_is_stopped_is_said_whole_or_not_at_all() -> None:
-    """The first part of that command releases the pump."""
-    name = "/the_pump_of_the_cistern_below_the_house"
-    graph = run_of(1.0, pump=name)
-    call = f'ros2 service call {name}/stop std_srvs/srv/SetBool "{{data: true}}"'
-    for width in (40, len(call) - 1, len(call), 120):
-        lines = drawn(graph, width, 24)
-        assert any(call in line for line in lines) == (len(call) <= width)
-        assert any("ros2 service" in line for line in lines) == (len(call) <= width)
-        if len(call) > width:
-            assert any(line.startswith("stop the pump: see the page") for line in lines)
-    assert "SetBool" not in " ".join(drawn(Store(), 120, 24))
 
 
 def test_all_of_it_by_turning_pages() -> None:
@@ -331,7 +317,7 @@ def test_it_is_drawn_again_when_the_terminal_changes_and_ends_on_q(
 ) -> None:
     """Keys without a meaning here do nothing."""
     with Terminal("-c", PROGRAM, **no_color) as terminal:
-        terminal.read_until("SetBool")
+        terminal.read_until("greenroof hold")
         assert "\x1b[?1049h" in terminal.text  # the alternate screen
         assert bool(re.search(r"\x1b\[[0-9;]*m", terminal.text)) == (not no_color)
         terminal.press(b"xrycy ")
@@ -347,7 +333,7 @@ def test_it_is_drawn_again_when_the_terminal_changes_and_ends_on_q(
 
 
 @pytest.mark.parametrize(("key", "question", "action"), [
-    (b"r", "Release the pump? The pump then starts by itself", "release"),
+    (b"r", "Release the pump? It stays off all the same: a slow start.", "release"),
     (b"c", "Clear the fault? The fault is cleared: a slow start.", "clear"),
 ])
 def test_a_key_asks_and_only_y_confirms_what_was_asked(
@@ -383,7 +369,7 @@ def test_what_cannot_be_drawn_over_is_printed() -> None:
         assert lines[0].startswith("Live site")
         process.terminate()
         rest, errors = process.communicate(timeout=120)
-        terminal.read_until("SetBool")
+        terminal.read_until("greenroof hold")
         terminal.press(b"Q")
         assert terminal.ends() == 0
     assert "\x1b" not in rest + terminal.text
