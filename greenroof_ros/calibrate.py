@@ -86,7 +86,7 @@ def make_parser() -> Parser:
     parser = Parser(prog="greenroof calibrate", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
         "measured", type=Path, nargs="?", metavar="MEASURED",
-        help="the record, CSV or a bag; not needed with --pump-data",
+        help="the record: CSV, a bag, or an .mcap file; not needed with --pump-data",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -198,7 +198,7 @@ def _calibrate(
     months: str | None = arguments.months
 
     def read(site: Site) -> Record:
-        if measured.is_dir():
+        if measured.is_dir() or measured.suffix == ".mcap":
             return read_bag_record(measured, site)
         return read_csv_record(measured, site, months)
 

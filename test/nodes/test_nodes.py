@@ -161,7 +161,9 @@ REFUSED = {
     "plant --ros-args -p speed": ("-p speed",),
     **{
         f"{node} --ros-args -p live:=true -p use_sim_time:=true": ("use_sim_time", "must be false")
-        for node in ("weather", "controller --controller mpc", "pump", "live_recorder", "sensor --of roof")
+        for node in (
+            "weather", "controller --controller mpc", "pump", "live_recorder", "sensor --of roof",
+        )
     },
     "weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
     "recorder --ros-args -p directory:=.": ("directory", "exists"),
