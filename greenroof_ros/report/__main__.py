@@ -50,7 +50,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH",
-        help="a study's directory, a run's, a bag (a directory with metadata.yaml), or an .mcap file",
+        help="a study, a run or a bag (their directories), or an .mcap file",
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
