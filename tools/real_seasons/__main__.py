@@ -4,9 +4,9 @@ ARCHIVES is a directory with the previous runs of three services and the gauge's
 to 12-31 at Budva. On a measured roof and on the paper's, both with mains, it runs on/off, and
 ``lookahead`` with a forecast of no rain, of each service, of the three as one ensemble, of a
 placebo, and a perfect one: as issued, with trust that is learned, and dressed. Each run is a file
-in DIR; the same command continues after an interruption. Draws trust over time, and writes
-``DIR/real_seasons.csv``: all numbers, with intervals. ``doc/results/`` has a copy of it, from which
-the documentation's tables and the README's figure are made.
+in DIR; the same command continues after an interruption. Writes ``DIR/real_seasons.csv``: all
+numbers, with intervals. ``doc/results/`` has a copy of it, from which the documentation's tables
+and the README's figure are made.
 
 - **dressed**: by the same record, without the days around each issue.
 - **by the other half**: the period's blocks of four weeks are divided by their rain into a wetter
@@ -56,7 +56,6 @@ from real_seasons.runs import (
 )
 from real_seasons.tables import Results, Row, rows
 from real_seasons.tables import write as write_rows
-from real_seasons.trust_figure import draw
 
 PERIODS = {"year": YEAR, "season": SEASON, "autumn": AUTUMN}
 
@@ -120,10 +119,8 @@ def main() -> None:
                     print(file, file=sys.stderr, flush=True)
                 results[case] = json.loads(file.read_text(encoding="utf-8"))
             made += rows(results, inputs, roof, period)
-            if "," not in roof:
-                draw(results, arguments.output / f"trust_{roof}_{name}.svg")
-                if Case(roof, SEASON, ONOFF_NAME) in results:
-                    made += least_possible(roof, results, inputs, arguments.output)
+            if "," not in roof and Case(roof, SEASON, ONOFF_NAME) in results:
+                made += least_possible(roof, results, inputs, arguments.output)
     write_rows(made, arguments.output / "real_seasons.csv")
 
 
