@@ -112,7 +112,6 @@ setup(
         "mqtt": ["paho-mqtt>=2.1,<3"],  # Eclipse's own client; 2 names the reasons of failures
         # Studies of many runs, and reports with figures; neither needs a ROS.
         "study": [
-            "pebble>=5,<6",  # parallel processes; one may die without the others
             "polars>=1.33,<3",  # trajectories as parquet; from 1.33 on it takes metadata
             "rosbags>=0.10,<1",  # reads any bag, of whatever storage
             "altair>=6,<7",  # figures: one description for page, PNG and SVG

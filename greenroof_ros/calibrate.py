@@ -36,7 +36,7 @@ from greenroof_ros.calibration.site_file import (
 )
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import naming, shared_directory
 from greenroof_ros.common.quality import Finding, Severity, accept
 from greenroof_ros.common.standard_error import progress_bar
 from greenroof_ros.formats.records import read_table
@@ -143,7 +143,8 @@ def main() -> int:
         text, page = _calibrate(arguments, site_file, site, sheet, findings)
         texts = {page_file: page, output: text}
     for file, text in texts.items():
-        file.write_text(text, encoding="utf-8")
+        with naming(file):
+            file.write_text(text, encoding="utf-8")
     written = ", ".join(map(str, reversed(texts)))
     Console().print(f"written: {written}", soft_wrap=True, highlight=False)
     return EXIT_DONE

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import naming, shared_directory
 from greenroof_ros.common.standard_error import progress_bar
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
@@ -143,7 +143,8 @@ def main() -> int:
             _csv_text(tallies) if file.suffix == ".csv"
             else render(forecasts, records, tallies, findings)
         )
-        file.write_text(text, encoding="utf-8")
+        with naming(file):
+            file.write_text(text, encoding="utf-8")
     console = Console()
     console.print(_table(
         f"{forecasts.name}: {forecasts.count} issues, against {weather.source}", tallies

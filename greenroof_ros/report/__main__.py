@@ -14,6 +14,7 @@ from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.files import naming
 from greenroof_ros.report.run import Assumptions
 
 if TYPE_CHECKING:
@@ -155,7 +156,8 @@ def main() -> int:
             (output / "figures").mkdir(parents=True, exist_ok=True)
         for figure in progress.track(made, description="drawing figures"):
             figure.save(output / "figures")
-    (output / _PAGE).write_text(page.render(report, made), encoding="utf-8")
+    with naming(output / _PAGE):
+        (output / _PAGE).write_text(page.render(report, made), encoding="utf-8")
     names = {figure.name for figure in made}
     for file in former:
         if file.parent.name == "figures" and file.stem not in names:

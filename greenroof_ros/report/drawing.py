@@ -12,6 +12,8 @@ from typing import Any
 import altair as alt
 import vl_convert
 
+from greenroof_ros.common.files import naming
+
 # Okabe and Ito's colours without yellow, which is too pale on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
 # For readers who cannot see colours. The numbers of dashes and colours have no common factor.
@@ -147,8 +149,12 @@ class Figure:
         # Added here, as altair would check every row. The PNG is made from the SVG, laid out once.
         specification.setdefault("datasets", {}).update(self.data)
         vectors = vl_convert.vegalite_to_svg(specification, _VEGA_LITE)
-        (directory / f"{self.name}.svg").write_text(vectors, encoding="utf-8")
-        (directory / f"{self.name}.png").write_bytes(vl_convert.svg_to_png(vectors, scale=2))
+        file = directory / f"{self.name}.svg"
+        with naming(file):
+            file.write_text(vectors, encoding="utf-8")
+        file = directory / f"{self.name}.png"
+        with naming(file):
+            file.write_bytes(vl_convert.svg_to_png(vectors, scale=2))
 
 
 def distinct(
