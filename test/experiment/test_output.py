@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +12,7 @@ from threading import Barrier
 
 import pytest
 
+from greenroof_ros.common.files import shared_directory
 from greenroof_ros.experiment.run_directory import make_run_directory
 
 
@@ -19,6 +21,7 @@ def run_in_shell(command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         command, shell=True, cwd=cwd, capture_output=True, text=True, timeout=60, check=False,
         env={"SIMULATE": f"{sys.executable} -m greenroof_ros.simulate --hours 0.01 --output run",
+             "VERIFY": f"{sys.executable} -m greenroof_ros.verify",
              "PYTHONPATH": ":".join(filter(None, sys.path)), "LC_ALL": "C.UTF-8"},
     )
 
@@ -52,6 +55,29 @@ def test_progress_that_cannot_be_shown(tmp_path: Path) -> None:
     done = run_in_shell("$SIMULATE 2>/dev/full", tmp_path)
     assert done.returncode == 0
     assert f"written to {tmp_path / 'run'}\n" in done.stdout
+
+
+def test_progress_in_a_pipe(tmp_path: Path) -> None:
+    """A line every ten seconds, and no bar: 36 s at three times real time take twelve."""
+    done = run_in_shell("$SIMULATE --speed 3", tmp_path)
+    (line,) = done.stderr.splitlines()
+    assert re.fullmatch(
+        r"00:00:3\d \(8\d %\): cistern .* m, roof .* m, command .*, 3x real time", line
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "file"),
+    [
+        ("$SIMULATE --hours 1 --controller onoff --trajectory ticks.csv", "ticks.csv"),
+        ("$VERIFY persistence --weather {weather} -o scores.html", "scores.html"),
+    ],
+)
+def test_file_that_has_no_room(tmp_path: Path, command: str, file: str) -> None:
+    """A limit on the size of files stands for a full disk: the message names the file."""
+    weather = shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
+    done = run_in_shell(f"ulimit -f 100; {command.format(weather=weather)}", tmp_path)
+    assert (done.returncode, done.stderr) == (1, f"error: {file}: File too large\n")
 
 
 def test_output_that_nobody_reads(tmp_path: Path) -> None:

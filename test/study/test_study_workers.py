@@ -314,7 +314,7 @@ def test_dask(dask: Dask, tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert errors.splitlines()[-1].startswith("interrupted by SIGINT: ")
+    assert errors.splitlines()[-1] == "interrupted"
     check_refusal("has no worker")
     dask.start_worker()
     process = begun(tmp_path, *on_cluster)
