@@ -18,7 +18,7 @@ from greenroof_ros.formats.records import (
     HOUR,
     PRECIPITATION,
     Records,
-    gaps,
+    bridged,
     join,
 )
 from greenroof_ros.model.site import Site
@@ -128,17 +128,6 @@ def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list
     if not files:
         raise ConfigurationError("must name at least one file", key=key)
     return files
-
-
-def bridged(series: Array, longest: int) -> Array:
-    """Return hourly values with gaps of at most ``longest`` hours bridged by a straight line."""
-    filled = series.copy()
-    for low, high in gaps(np.isnan(series)):
-        if high - low <= longest and low > 0 and high < len(series):
-            filled[low:high] = np.interp(
-                np.arange(low, high), [low - 1, high], series[[low - 1, high]]
-            )
-    return filled
 
 
 def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
