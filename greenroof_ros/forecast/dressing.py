@@ -58,11 +58,11 @@ from greenroof_ros.formats.records import (
     Archive,
     Issue,
     Table,
+    bridged,
     read_table,
 )
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.reading import bridged
-from greenroof_ros.weather.series import Weather, refuse_between_hours
+from greenroof_ros.weather.series import Weather, on_the_hours
 
 Array = NDArray[np.float64]
 
@@ -256,7 +256,7 @@ def learn(archive: Archive, weather: Weather, hours: int) -> Dressing:
     Raises:
         ConfigurationError: an issue is not whole hours from the record, or no issue can be used.
     """
-    refuse_between_hours(archive.issues, weather)
+    archive = replace(archive, issues=on_the_hours(archive.issues, weather))
     longest = min(hours, max(issue.hours for issue in archive.issues))
     edges = (0, *(end for end in _ENDS if end < longest), longest)
     record = bridged(weather.precipitation, _BRIDGED)

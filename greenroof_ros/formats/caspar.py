@@ -1,4 +1,4 @@
-"""Archives of CaSPAr, the Canadian Surface Prediction Archive: HRDPS, REPS and GEPS as NetCDF.
+"""Archives of CaSPAr, the Canadian Surface Prediction Archive, as NetCDF.
 
 A file is an issue, ``YYYYMMDDHH.nc``, or a member of an ensemble's issue, ``YYYYMMDDHH_EEE.nc``, in
 which 000 is the control run (CaSPAr wiki, "CaSPAr file naming convention and variables"). It is
@@ -22,18 +22,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.formats.records import PRECIPITATION, QUANTITIES, Archive, Issue, ensemble
+from greenroof_ros.formats.records import (
+    PRECIPITATION,
+    QUANTITIES,
+    Archive,
+    Issue,
+    ensemble,
+    mended,
+)
 from greenroof_ros.model.site import Site
 
 if TYPE_CHECKING:
     from netCDF4 import Dataset, Variable
 
-# Hours after the nominal time by which a run is complete. HRDPS 4.9 h; these ensembles have no
-# figures; GEFS has 6.1 h (wethr.net, Weather Model Update Schedule). All are rounded up to hours.
-_DELAYS_H = {"HRDPS": 5.0, "REPS": 7.0, "GEPS": 7.0, "GEPS_NA": 7.0}
+# Hours after the nominal time by which a run is complete, rounded up: HRDPS 4.9 h, GDPS 5.6 h
+# (wethr.net, Weather Model Update Schedule). RDPS has no figure there; HRDPS, which begins from it
+# and has its boundaries, is complete later. Nor have these ensembles; GEFS has 6.1 h.
+_DELAYS_H = {
+    "HRDPS": 5.0, "RDPS": 5.0, "GDPS": 6.0, "REPS": 7.0, "GEPS": 7.0, "GEPS_NA": 7.0,
+}
 
 _MAGIC = (b"\x89HDF\r\n\x1a\n", b"CDF\x01", b"CDF\x02", b"CDF\x05")
-_NAME = re.compile(r"([0-9]{10})(?:_([0-9]{3}))?")
+_NAME = re.compile(r"([0-9]{10})(?:_([0-9]{3}))?(?: ?\([0-9]+\))?")  # a browser adds " (1)"
 _VARIABLE = re.compile(rf"({'|'.join(_DELAYS_H)})_P_PR0?_SFC")
 # Largest distance from the site to the nearest point: the coarsest grid has half a degree.
 _FURTHEST_DEG = 0.5
@@ -73,7 +83,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
             raise ConfigurationError(
                 f"must be of {product}, as {files[0].name} is, not of {own}", file=issue.file
             )
-    issues = [ensemble(by_issue[issued]) for issued in sorted(by_issue)]
+    issues = [mended(ensemble(by_issue[issued])) for issued in sorted(by_issue)]
     return Archive(files[0], f"CaSPAr, {product}", issues, _DELAYS_H[product], issues)
 
 

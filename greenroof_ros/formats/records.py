@@ -93,6 +93,7 @@ class Records:
             it was not moved to the start, otherwise 0.
         filled: for each quantity, whether an hour was missing and filled, shape (hours,).
         left_out: what could not be used as it is, in sentences that name it.
+        empty: quantities of the files without any value.
     """
 
     files: tuple[Path, ...]
@@ -103,6 +104,7 @@ class Records:
     rain_late: int = 0
     filled: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
+    empty: tuple[str, ...] = ()
 
     @property
     def hours(self) -> int:

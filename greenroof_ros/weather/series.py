@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import NamedTuple, overload
 
@@ -279,19 +279,31 @@ def records_at(
     return weather.values[quantity][index]
 
 
-def refuse_between_hours(issues: Sequence[Issue], weather: Weather) -> None:
-    """Refuse issues that do not begin a whole number of hours from the records' first hour.
+def on_the_hours(issues: Sequence[Issue], weather: Weather) -> list[Issue]:
+    """Return issues whose hours begin with hours of the records.
 
-    Raises:
-        ConfigurationError: an issue does not.
+    The records of a place with an offset of half an hour begin between the hours of UTC. There an
+    issue begins with the next hour of the records, and each hour is the mean of the two hours of
+    the issue in which it lies, weighted by its share in each. An issue of one hour is left out.
     """
+    resampled = []
     for issue in issues:
-        if (issue.issued - weather.first) % HOUR:
-            raise ConfigurationError(
-                f"must be a whole number of hours from {to_minutes(weather.first)}, where "
-                f"{weather.source} begins",
-                file=issue.file, line=issue.line, key="issued", value=to_minutes(issue.issued),
+        late = (weather.first - issue.issued) % HOUR
+        if late and issue.hours > 1:
+            share = late / HOUR
+            rain, evapotranspiration, temperature = (
+                series if series is None
+                else (1 - share) * series[..., :-1] + share * series[..., 1:]
+                for series in (issue.rain, issue.evapotranspiration, issue.temperature)
             )
+            assert rain is not None
+            resampled.append(replace(
+                issue, issued=issue.issued + late, rain=rain,
+                evapotranspiration=evapotranspiration, temperature=temperature,
+            ))
+        elif not late:
+            resampled.append(issue)
+    return resampled
 
 
 def suspicious_rain(records: Records, hours: range) -> list[str]:
