@@ -28,6 +28,7 @@ from greenroof_ros.formats.records import (
     Archive,
     Issue,
     ensemble,
+    gaps,
     mended,
 )
 from greenroof_ros.model.site import Site
@@ -104,13 +105,17 @@ def _read(file: Path, latitude: float, longitude: float) -> tuple[Issue, int, st
             variable, product = _variable(dataset)
             row, column = _nearest(dataset, variable, latitude, longitude)
             sums = 1000 * _numbers(variable[:, row, column])
-            rain = _rain(variable.name, _leads(dataset["time"], issued), sums)
+            rain, missing = _rain(variable.name, _leads(dataset["time"], issued), sums)
     except ConfigurationError as error:
         raise ConfigurationError(error.wrong, file=file) from None
     # Errors of the library or numpy for absent or non-numeric data; a damaged file can be opened.
     except (OSError, RuntimeError, LookupError, TypeError, ValueError) as error:
         raise ConfigurationError(f"is not readable NetCDF: {error}", file=file) from error
-    return Issue(issued, file, None, rain[None, :]), int(match[2] or 0), product
+    notes = tuple(
+        f"{file.name}: the sum {lead} h after the issue is missing, and lies between its neighbours"
+        for lead in missing
+    )
+    return Issue(issued, file, None, rain[None, :], notes=notes), int(match[2] or 0), product
 
 
 def _variable(dataset: Dataset) -> tuple[Variable[Any], str]:
@@ -192,8 +197,12 @@ def _numbers(values: Any) -> NDArray[np.float64]:
     return np.where(np.isfinite(numbers), numbers, np.nan)
 
 
-def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rain(
+    name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], list[int]]:
     """Return the rain of each hour (mm/h) from its sums since the issue (mm).
+
+    A missing sum between two others is interpolated; the leads of such sums are returned, too.
 
     Args:
         name: of the variable.
@@ -203,6 +212,9 @@ def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDA
     """
     sums = np.concatenate(([0.0], sums[len(sums) - len(leads) + 1 :]))
     known = np.flatnonzero(~np.isnan(sums))[-1] + 1
+    single = [low for low, high in gaps(np.isnan(sums[:known])) if high - low == 1]
+    for at in single:
+        sums[at] = np.interp(leads[at], leads[[at - 1, at + 1]], sums[[at - 1, at + 1]])
     if known == 1 or np.isnan(sums[:known]).any():
         raise ConfigurationError(
             f"is missing {leads[np.argmax(np.isnan(sums))]} h after the issue", key=name
@@ -216,4 +228,4 @@ def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDA
             f"must be the sum since the issue; it gives {rain[wrong[0]]:.4g} mm/h before hour "
             f"{leads[wrong[0] + 1]}, outside {low:g} to {high:g}", key=name
         )
-    return np.repeat(np.maximum(rain, 0.0), steps)
+    return np.repeat(np.maximum(rain, 0.0), steps), leads[single].tolist()

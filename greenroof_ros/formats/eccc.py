@@ -41,9 +41,9 @@ _DOWNLOAD = (
     "download hourly data of the station with precipitation (climate.weather.gc.ca, Hourly data; "
     "climat.meteo.gc.ca, Données horaires)"
 )
-# The service's legend: M = missing, NA (ND in French) = not available. A value flagged M is not an
+# The service's legend: M = missing, NA (N/D in French) = not available. A value flagged M is not an
 # observation: it often repeats the last one before the gap.
-_MISSING_FLAGS = {"M", "NA", "ND"}
+_MISSING_FLAGS = {"M", "NA", "N/D"}
 # Largest difference between a place's mean solar time and its standard time (h).
 _MOST_FROM_SOLAR_TIME = 2.5
 

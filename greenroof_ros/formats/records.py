@@ -63,7 +63,7 @@ QUANTITIES: dict[str, Limits] = {
     HUMIDITY: ("%", 0.0, 100.0),
 }
 
-MISSING = {"", "nan", "na", "n/a", "#n/a", "nd", "m", "null", "none", "-", "--", "---", "missing"}
+MISSING = {"", "nan", "na", "n/a", "#n/a", "n/d", "m", "null", "none", "-", "--", "---", "missing"}
 """What stands for a missing value, in lower case."""
 # Digits of numbers that do, besides nines.
 _CODES = {"32767", "32768", "6999", "7777", "8888"}
@@ -350,7 +350,8 @@ def ensemble(numbered: Iterable[tuple[float, Issue]]) -> Issue:
     rain = np.full((len(issues), max(issue.hours for issue in issues)), np.nan)
     for row, issue in zip(rain, issues, strict=True):
         row[: issue.hours] = issue.rain[0]
-    return replace(first, rain=rain)
+    notes = tuple(note for issue in issues for note in issue.notes)
+    return replace(first, rain=rain, notes=notes)
 
 
 def mended(issue: Issue) -> Issue:
