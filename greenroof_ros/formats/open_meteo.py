@@ -147,8 +147,7 @@ def _read(
 
     Raises:
         ConfigurationError: the file is broken or of another place, a time is out of order, a unit
-            is unknown, or a value is not a plausible number; the message names line or key, and
-            value.
+            is unknown, or too few values are plausible; the message names line or key, and value.
     """
     table, parse = _table(file, site)
     columns: dict[str, NDArray[np.float64]] = {}

@@ -114,7 +114,7 @@ def read_forecasts(path: Path) -> list[Issue]:
     (only member 0's values are used). Each further line is the hour that starts at its ``time``, as
     forecast at ``issued`` (ISO 8601 with the offset from UTC). The hours of each issue and member
     are consecutive, and the first starts with the issue. All issues have the members 0, 1, 2 and so
-    on, and all members of an issue have the same hours.
+    on. What is missing is mended, see :func:`greenroof_ros.formats.records.mended`.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.

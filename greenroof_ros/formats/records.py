@@ -651,7 +651,8 @@ class Table:
         if len(wrong) > max(1.0, _MOST_WRONG * np.count_nonzero(known)) or (
             (wrong or codes) and not known.size
         ):
-            self.numbers(column, limits, unit, MISSING | {cells[row] for row in near}, hint)
+            first = (wrong or codes)[0]
+            self.numbers(column, limits, unit, {"", *cells[:first]} - {cells[first]}, hint)
         self._note(column, near, f"counts as the end of its range, {low:g} to {high:g} {own_unit}")
         self._note(column, codes + wrong, "is no plausible value, and counts as missing")
         return values

@@ -30,9 +30,13 @@ from greenroof_ros.weather.series import FILL, REFUSE, Weather
 Array = NDArray[np.float64]
 
 # The longest gap that is filled, by a straight line between the hours before and after it (h).
-# Temperature and wind follow the sun, so half a day must remain to show its course; dew point and
-# pressure follow the air mass, which changes within days. Rain is not filled here.
-LONGEST_GAP = {"temperature": 6, "wind speed": 6, "dew point": 24, "station pressure": 24}
+# Temperature, wind and evapotranspiration follow the sun, so half a day must remain to show its
+# course; dew point and pressure follow the air mass, which changes within days. Rain is not filled
+# here.
+LONGEST_GAP = {
+    "temperature": 6, "wind speed": 6, EVAPOTRANSPIRATION: 6, "dew point": 24,
+    "station pressure": 24,
+}
 
 # Offsets from a missing hour to the hours of the same time of day whose mean replaces it.
 _SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])

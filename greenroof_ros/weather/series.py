@@ -241,7 +241,8 @@ def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:
             "; or fill the gaps (--gaps fill; in a grid, gaps: fill): missing rain counts as none, "
             "other values are the mean at that time of day over the three days before and after"
         )
-    for quantity in (PRECIPITATION, TEMPERATURE):
+    own = () if weather.method == FAO56 else (EVAPOTRANSPIRATION,)
+    for quantity in (PRECIPITATION, TEMPERATURE, *own):
         if quantity in weather.values:
             _refuse_missing(weather, quantity, hours, f"; {way_out}")
     unknown = hours[np.isnan(weather.evapotranspiration[hours])]
@@ -285,6 +286,9 @@ def on_the_hours(issues: Sequence[Issue], weather: Weather) -> list[Issue]:
     The records of a place with an offset of half an hour begin between the hours of UTC. There an
     issue begins with the next hour of the records, and each hour is the mean of the two hours of
     the issue in which it lies, weighted by its share in each. An issue of one hour is left out.
+
+    Raises:
+        ConfigurationError: nothing is left.
     """
     resampled = []
     for issue in issues:
@@ -303,6 +307,13 @@ def on_the_hours(issues: Sequence[Issue], weather: Weather) -> list[Issue]:
             ))
         elif not late:
             resampled.append(issue)
+    if not resampled:
+        raise ConfigurationError(
+            f"must have more than an hour, or begin a whole number of hours from "
+            f"{to_minutes(weather.first)}, where {weather.source} begins",
+            file=issues[0].file, line=issues[0].line, key="issued",
+            value=to_minutes(issues[0].issued),
+        )
     return resampled
 
 

@@ -22,7 +22,7 @@ from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.formats.reading import read_archive, read_records
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.reading import read_weather
-from greenroof_ros.weather.series import Weather, on_the_hours
+from greenroof_ros.weather.series import Weather, WeatherSeries, on_the_hours
 
 TORONTO = read_site(CONFIG / "site.yaml")
 BUDVA = replace(PAPER_SITE, latitude=42.28, longitude=18.84, elevation=5.0)
@@ -117,6 +117,7 @@ def test_a_night_of_small_negatives(tmp_path: Path) -> None:
         ([900.0] * 72, r"precipitation\[0\] = '900.0': must be a number from 0 to 500 mm"),
         ([600.0] * 3 + [5.0] * 69, r"precipitation\[0\] = '600.0'"),
         (["?"] * 72, r"precipitation\[0\] = '\?': must be a number"),
+        (["NaN", -0.1, -999, *["?"] * 69], r"precipitation\[3\] = '\?': must be a number"),
         ([-999] * 72, r"precipitation\[0\] = '-999'"),
         ([None] * 72, "has no precipitation: every value is missing"),
     ],
@@ -452,8 +453,18 @@ def test_semicolons_decimal_commas_and_rows_left_out(tmp_path: Path) -> None:
     read = read_weather([file], TORONTO)
     assert read.precipitation == pytest.approx([0.5, 1, np.nan, np.nan, 0.5], nan_ok=True)
     assert read_weather([file], TORONTO, gaps="fill").precipitation.tolist() == [0.5, 1, 0, 0, 0.5]
+    assert read.evapotranspiration.tolist() == pytest.approx([3.25, 3, 8 / 3, 7 / 3, 2])
     file.write_text(file.read_text().replace("T04", "T01"))
     refusal(read_weather, [file], TORONTO, match="row with empty cells, or none")
+    text = "time,precipitation [mm/h],own evapotranspiration [mm/day]\n" + "".join(
+        f"2021-07-{day:02}T{hour:02}:00Z,0,{'' if (day, hour // 8) == (2, 1) else 2}\n"
+        for day in (1, 2, 3) for hour in range(24)
+    )
+    file.write_text(text)
+    long = read_weather([file], TORONTO)
+    site = replace(TORONTO, tau=600.0, M=1)
+    said = refusal(WeatherSeries, long, site, long.first, 300)
+    assert "evapotranspiration is missing at 2021-07-02T08:00+00:00 to" in said
 
 
 EASTERN = replace(TORONTO, time_zone="America/Toronto")
