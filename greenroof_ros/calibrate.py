@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import numpy as np
 from rich.console import Console
@@ -107,6 +109,11 @@ def make_parser() -> Parser:
         "year; the others are simulated only (default: all)",
     )
     parser.add_argument(
+        "--time-zone", metavar="ZONE",
+        help="zone of the clock with daylight saving time by which a CSV's times without an offset "
+        "were written, such as America/Toronto (default: standard time, utc_offset of the site)",
+    )
+    parser.add_argument(
         "--accept", nargs="+", default=[], choices=FINDINGS.refusals, metavar="CODE",
         help="fit data refused with these codes anyway, with a warning: "
         + ", ".join(FINDINGS.refusals),
@@ -180,6 +187,16 @@ def _read_sheet(file: Path, site: Site) -> PumpCurve:
     return sheet
 
 
+def _zone(name: str) -> ZoneInfo:
+    try:
+        return ZoneInfo(name)
+    except (OSError, ValueError, KeyError):
+        raise ConfigurationError(
+            "must be the IANA name of a time zone, such as America/Toronto", key="--time-zone",
+            value=name,
+        ) from None
+
+
 def _calibrate(
     arguments: argparse.Namespace, site_file: Path, site: Site, sheet: PumpCurve | None,
     findings: Sequence[Finding],
@@ -197,17 +214,20 @@ def _calibrate(
         from greenroof_ros.calibration.page import render
     measured: Path = arguments.measured
     months: str | None = arguments.months
+    zone = None if arguments.time_zone is None else _zone(arguments.time_zone)
 
     def read(site: Site) -> Record:
         if measured.is_dir() or measured.suffix == ".mcap":
             return read_bag_record(measured, site)
-        return read_csv_record(measured, site, months)
+        return read_csv_record(measured, site, months, zone)
 
     findings = [*findings]
     if months is not None:
         findings.append(FINDINGS.make("months", "counted", "months", months=months))
     site = measured_roof(site)
     record = read(site)
+    for note in record.notes:
+        print(f"note: {note}", file=sys.stderr)
     counts = in_months(record, months)
     pumps = fit_pumps(site, record.only(counts))
     site = pumps.site

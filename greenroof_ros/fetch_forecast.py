@@ -90,6 +90,8 @@ def main() -> int:
                 f"{fetcher.newest.hours} h, {len(fetcher.newest.rain)} members; {ATTRIBUTION}",
                 flush=True,
             )
+            for note in fetcher.newest.notes:
+                print(f"  {note}", flush=True)
         if arguments.every is None:
             return EXIT_FAILED if fetcher.problem else EXIT_DONE
         fetcher.wait(wait)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone
-from functools import partial
+from datetime import datetime, timedelta, timezone, tzinfo
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,7 +28,7 @@ from greenroof_ros.common.times import parse_time
 from greenroof_ros.formats.records import QUANTITIES, Limits, Table, Unit, gaps, read_table
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.evapotranspiration import hargreaves, over_the_day
+from greenroof_ros.weather.evapotranspiration import check_latitude, hargreaves, over_the_day
 
 TIME = "time"
 REFERENCE = "reference evapotranspiration"
@@ -56,6 +55,8 @@ _PER_OURS = {"m": 1.0, "cm": 100.0, "mm": 1000.0, "1": 1.0, "%": 100.0, "degC": 
 _RATE = re.compile(r"(?P<amount>mm|l|m3)(/(?P<count>[1-9]\d{0,3})?(?P<time>s|min|h|day))?")
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "day": 86400.0}
 _FEWEST_ROWS = 100
+# When clocks change in either hemisphere: months, and the day of the week.
+_CHANGES, _SUNDAY = {3, 4, 9, 10, 11}, 6
 # A row further than this from whole steps (share of a step) is off; at most this share of rows may
 # be: a clock that is set each week makes two in a thousand.
 _LOOSENESS, _MOST_OFF = 0.1, 0.01
@@ -83,7 +84,9 @@ class _Rows(NamedTuple):
         return series
 
 
-def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record:
+def read_csv_record(
+    file: Path, site: Site, months: str | None = None, zone: tzinfo | None = None
+) -> Record:
     """Read a measured record from CSV.
 
     The first column is ``time``: ISO 8601, at the site's ``utc_offset`` if a time has no offset.
@@ -105,16 +108,18 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
         site: its place and pumps.
         months: that count, such as ``4-10``. In other months evapotranspiration may have longer
             gaps, which are interpolated linearly.
+        zone: of times without an offset, with daylight saving; by default standard time.
 
     Raises:
         ConfigurationError: the file breaks a rule; the message names line, column and value.
     """
     table = read_table(file)
     columns = _columns(table)
-    clock = None if site.utc_offset is None else timezone(timedelta(hours=site.utc_offset))
+    if zone is None and site.utc_offset is not None:
+        _refuse_daylight_saving(table, site)
+        zone = timezone(timedelta(hours=site.utc_offset))
     times = table.times(
-        TIME, partial(parse_time, zone=clock), "2015-06-01T14:05",
-        ", or the site file must give utc_offset",
+        TIME, example="2015-06-01T14:05", hint=", or the site file must give utc_offset", zone=zone
     )
     if len(times) < _FEWEST_ROWS:
         raise ConfigurationError(
@@ -126,8 +131,8 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
     for quantity, (name, text) in columns.items():
         limits, unit, adds_up = _unit(table, name, quantity, text, site, step_s)
         units[quantity] = unit
-        numbers[quantity] = table.numbers(
-            name, limits, unit, ("",), "; is the unit of the column right?"
+        numbers[quantity] = table.usable(
+            name, limits, unit, hint="; is the unit of the column right?"
         )
         series[quantity] = rows.together(numbers[quantity], sums if adds_up else means)
     record = Record(
@@ -136,6 +141,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
         runoff=series.get("runoff"), level=series.get("level"),
         cistern=series.get("cistern level"), command=series.get("pump state"),
         reference_column=columns[REFERENCE][0] if REFERENCE in columns else "",
+        notes=tuple(table.notes),
     )
     if record.runoff is not None:
         per_ours = units["runoff"].per_ours
@@ -146,6 +152,31 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> Record
     else:
         reference = _from_temperatures(record, site, rows, numbers, counts)
     return replace(record, reference=reference)
+
+
+def _refuse_daylight_saving(table: Table, site: Site) -> None:
+    """Refuse times without an offset that jump as a clock with daylight saving time does.
+
+    Early on a Sunday such a clock shows an hour twice, or skips one. A logger that stood still just
+    then looks the same.
+    """
+    try:
+        times = [parse_time(text) for text in table.columns[TIME]]
+    except ValueError:
+        return  # refused with the other times
+    if len(times) < 2 or any(time.tzinfo for time in times):
+        return
+    spacing = np.diff(np.array(times, dtype="datetime64[s]")).astype(np.int64)
+    for row in np.flatnonzero(np.abs(spacing - np.median(spacing)) == HOUR_S) + 1:
+        time = times[row]
+        if (time.weekday(), time.month in _CHANGES, time.hour <= 4) == (_SUNDAY, True, True):
+            what = "skips an hour" if spacing[row - 1] > 0 else "shows an hour twice"
+            raise table.refuse(
+                f"is after {times[row - 1]}, as by a clock with daylight saving time, which {what} "
+                f"then: give its zone, --time-zone {site.time_zone or 'America/Toronto'}; if the "
+                "clock is on standard time and rows are missing, one such as Etc/GMT+5 for UTC-5",
+                TIME, int(row),
+            )
 
 
 def _columns(table: Table) -> dict[str, tuple[str, str]]:
@@ -338,6 +369,7 @@ def _from_temperatures(
             "evapotranspiration from temperatures needs latitude and longitude in the site file "
             "(see config/site.yaml)"
         )
+    check_latitude(site)
     if _COURSE in numbers and record.step_s > _LONGEST_STEP_S:
         raise ConfigurationError(
             f"its rows are {time_name(record.step_s)} apart, but show a day's extremes only if "

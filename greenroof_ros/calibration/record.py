@@ -42,6 +42,7 @@ class Record:
         cistern: level of the cistern at the beginning of the step (m); None if not measured.
         command: mean share of the pumps' maximum flow (1); None if unknown.
         reference_column: column of the evapotranspiration in the file; empty if it was computed.
+        notes: what could not be used as it is.
     """
 
     source: Path
@@ -56,6 +57,7 @@ class Record:
     cistern: Values | None = None
     command: Values | None = None
     reference_column: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def steps(self) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from datetime import datetime, timedelta, tzinfo
+from datetime import datetime, timedelta, timezone, tzinfo
 
 from greenroof_ros.common.errors import ConfigurationError
 
@@ -15,15 +15,40 @@ FIRST_YEAR, LAST_YEAR = 1971, 2037
 DEFAULT_START = "2021-07-07T02:00-05:00"
 _EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
 
+# A calendar date, a time of day and an offset of ISO 8601, all with or without separators. Python's
+# own parser accepts other forms in each version.
+_ISO = re.compile(
+    r"(\d{4})(-?)(\d\d)\2(\d\d)"
+    r"(?:[T ](\d\d)(?::?(\d\d)(?::?(\d\d)(?:[.,](\d+))?)?)?"
+    r" ?(?:(Z)|([+-])(\d\d)(?::?(\d\d)(?::?(\d\d))?)?)?)?",
+    re.ASCII | re.IGNORECASE,
+)
+
 
 def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
     """Read an ISO 8601 time, in a zone if it has no offset; a final ``Z`` stands for UTC.
 
+    Fractions of a second are cut to microseconds; 24:00 is the end of its day.
+
     Raises:
         ValueError: it is not a time from :data:`FIRST_YEAR` to :data:`LAST_YEAR`.
     """
-    time = datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", text.strip()))
-    return _within_years(time.replace(tzinfo=time.tzinfo or zone))
+    match = _ISO.fullmatch(text.strip())
+    if match is None:
+        raise ValueError
+    year, month, day = (int(match[group]) for group in (1, 3, 4))
+    hour, minute, second = (int(match[group] or 0) for group in (5, 6, 7))
+    micro = int((match[8] or "")[:6].ljust(6, "0"))
+    if hour == 24 and (minute, second, micro) != (0, 0, 0):
+        raise ValueError
+    if match[9]:
+        zone = timezone.utc
+    elif match[10]:
+        hours, minutes, seconds = (int(match[group] or 0) for group in (11, 12, 13))
+        offset = timedelta(hours=hours, minutes=minutes, seconds=seconds)
+        zone = timezone(offset if match[10] == "+" else -offset)
+    time = datetime(year, month, day, hour % 24, minute, second, micro, tzinfo=zone)
+    return _within_years(time + timedelta(days=hour // 24))
 
 
 def time_hint(text: str) -> str:

@@ -92,7 +92,7 @@ def build_unfinished(
         "tau_s": run.site.tau,
         "site": str(run.site_file),
         "weather": run.weather.source,
-        "weather_notes": list(run.weather.notes),
+        "weather_notes": [*run.weather.notes, *run.forecast.notes],
         "gaps": run.weather.gaps,
         "evapotranspiration_method": run.weather.method,
         "forecast": {

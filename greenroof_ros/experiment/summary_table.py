@@ -90,7 +90,7 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
             f"{summary['precipitation_in_frost_mm']:.1f} mm of snow or rain counted as rain",
         )
     for note in summary["weather_notes"]:
-        yield "weather", "moved", note
+        yield "weather", "note", note
     for quantity, hours in summary["filled"].items():
         yield "FILLED", quantity, ", ".join(hours)
     for rain in summary["suspicious"]:

@@ -22,6 +22,7 @@ from __future__ import annotations
 import bisect
 import math
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from datetime import datetime, timedelta
 from functools import lru_cache
 from typing import NamedTuple
@@ -47,7 +48,7 @@ from greenroof_ros.formats.records import (
     newest_issue,
 )
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.series import Weather, records_at, refuse_between_hours
+from greenroof_ros.weather.series import Weather, on_the_hours, records_at
 
 Array = NDArray[np.float64]
 
@@ -80,6 +81,8 @@ class ForecastModel(ABC):
 
     longest: int | None = None
     """length of the longest issue (h); None if forecasts have no end"""
+    notes: tuple[str, ...] = ()
+    """what of a file's forecasts could not be used as it is"""
 
     def __init__(self, weather: Weather) -> None:
         """Take the records; missing ones are refused only when a forecast needs them."""
@@ -174,14 +177,11 @@ class FileModel(ForecastModel):
             archive: of the forecasts.
             weather: the records of the run.
             all_members: whether to use all members of each issue, or only member 0.
-
-        Raises:
-            ConfigurationError: its issues are not whole hours from the records.
         """
         super().__init__(weather)
-        self._archive = archive
+        self.notes = archive.notes
+        self._archive = archive = replace(archive, issues=on_the_hours(archive.issues, weather))
         self.longest = max(issue.hours for issue in archive.issues)
-        refuse_between_hours(archive.issues, weather)
         self._late = weather.rain_late
         # The hour of the records at whose start each issue becomes known. If their rain is late,
         # forecasts must be as late: otherwise the controller would expect rain that in fact fell an

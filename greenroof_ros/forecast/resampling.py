@@ -125,9 +125,11 @@ class PerfectForecast:
     Attributes:
         repeats_from: the earliest time from which its values are assumed, not known.
         longest: length of its longest issue (h); None if it has no end.
+        notes: what of a file's forecasts could not be used as it is.
     """
 
     longest = None
+    notes: tuple[str, ...] = ()
 
     def __init__(self, series: WeatherSeries, look_ahead: int) -> None:
         """Take the run's weather and the look-ahead M (ticks)."""
@@ -169,6 +171,7 @@ class SteppedForecast:
     Attributes:
         repeats_from: see :class:`PerfectForecast`.
         longest: see there.
+        notes: see there.
     """
 
     def __init__(
@@ -198,6 +201,7 @@ class SteppedForecast:
         self._at = lru_cache(maxsize=1)(self._outlook)
         self.repeats_from = self._ask_for_all()
         self.longest = model.longest
+        self.notes = model.notes
 
     def precipitation(self, tick: int) -> Rain:
         """Return mean rain (m/s), shape (steps,); of all members (members, steps)."""

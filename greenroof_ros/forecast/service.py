@@ -28,9 +28,22 @@ from greenroof_ros.common.files import replace_text
 from greenroof_ros.common.times import to_people
 from greenroof_ros.formats.open_meteo import VARIABLES, read_records, read_run
 from greenroof_ros.formats.own_csv import write_forecasts
-from greenroof_ros.formats.records import HOUR, TEMPERATURE, Issue
+from greenroof_ros.formats.records import (
+    EVAPOTRANSPIRATION,
+    HOUR,
+    TEMPERATURE,
+    Issue,
+    bridged,
+    mended,
+)
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.evapotranspiration import fao56
+from greenroof_ros.weather.evapotranspiration import monthly
+from greenroof_ros.weather.reading import (
+    LONGEST_GAP,
+    evapotranspiration,
+    fill_long_gaps,
+    without_empty,
+)
 
 OPEN_METEO = "open-meteo"
 """Name of the service, given in place of a file of forecasts."""
@@ -161,7 +174,9 @@ class Service:
 def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
     """Return an answer as a forecast that was issued in an hour.
 
-    The forecast ends before the first hour that lacks a value.
+    Hours for which evapotranspiration cannot be computed have the mean at that time of day of the
+    days around them, otherwise the site's monthly mean. The forecast ends before the first hour
+    that lacks a value.
 
     Raises:
         ConfigurationError: the answer is not a forecast for that hour and site.
@@ -171,23 +186,25 @@ def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
     with tempfile.TemporaryDirectory() as directory:
         file = Path(directory) / "answer.json"
         file.write_bytes(answer)
-        issue, records = read_run(file, site, hour), read_records(file, site)
-        start = (hour - records.first) // HOUR
-        evapotranspiration = fao56(records, site)[start:]
-        temperature = records.values[TEMPERATURE][start:]
-    hours = min(issue.hours, len(temperature))
-    missing = np.isnan(evapotranspiration[:hours]) | np.isnan(temperature[:hours])
-    if missing.any():
-        hours = int(missing.argmax())
-    if not hours:
-        raise ConfigurationError(
-            f"has no evapotranspiration or temperature at {to_people(hour)}; in an ensemble they "
-            "come from the control run"
-        )
-    return replace(
-        issue, rain=issue.rain[:, :hours], evapotranspiration=evapotranspiration[:hours],
-        temperature=temperature[:hours],
-    )
+        issue = read_run(file, site, hour)
+        records = without_empty(read_records(file, site))
+    records = replace(records, values={
+        quantity: bridged(series, LONGEST_GAP.get(quantity, 0))
+        for quantity, series in records.values.items()
+    })
+    series, notes = evapotranspiration(records, site)
+    evaporated = fill_long_gaps({EVAPOTRANSPIRATION: series})[EVAPOTRANSPIRATION]
+    means = monthly(records, site)
+    if means is not None and np.isnan(evaporated).all():
+        evaporated = means
+        notes.append("evapotranspiration is the site's monthly means: no day of it is complete")
+    start = (hour - records.first) // HOUR
+    temperature = records.values.get(TEMPERATURE)
+    return mended(replace(
+        issue, evapotranspiration=evaporated[start:],
+        temperature=None if temperature is None else temperature[start:],
+        notes=tuple(dict.fromkeys([*issue.notes, *records.left_out, *notes])),
+    ))
 
 
 def _check_clock(date: str, now: datetime) -> None:
@@ -254,7 +271,8 @@ class Fetcher:
         """Fetch and write a forecast; return the time until the next attempt (s)."""
         try:
             issue = self._service.fetch(datetime.now(timezone.utc))
-            text = f"# {ATTRIBUTION}\n{write_forecasts([issue])}"
+            about = "".join(f"# {line}\n" for line in (ATTRIBUTION, *issue.notes))
+            text = f"{about}{write_forecasts([issue])}"
             replace_text(self._file, text)
             if self._archive is not None and not _says_the_same(self._kept, issue):
                 replace_text(self._archive / f"{issue.issued:%Y%m%d%H}.csv", text)

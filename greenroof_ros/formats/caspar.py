@@ -1,4 +1,4 @@
-"""Archives of CaSPAr, the Canadian Surface Prediction Archive: HRDPS, REPS and GEPS as NetCDF.
+"""Archives of CaSPAr, the Canadian Surface Prediction Archive, as NetCDF.
 
 A file is an issue, ``YYYYMMDDHH.nc``, or a member of an ensemble's issue, ``YYYYMMDDHH_EEE.nc``, in
 which 000 is the control run (CaSPAr wiki, "CaSPAr file naming convention and variables"). It is
@@ -22,18 +22,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.formats.records import PRECIPITATION, QUANTITIES, Archive, Issue, ensemble
+from greenroof_ros.formats.records import (
+    PRECIPITATION,
+    QUANTITIES,
+    Archive,
+    Issue,
+    ensemble,
+    gaps,
+    mended,
+)
 from greenroof_ros.model.site import Site
 
 if TYPE_CHECKING:
     from netCDF4 import Dataset, Variable
 
-# Hours after the nominal time by which a run is complete. HRDPS 4.9 h; these ensembles have no
-# figures; GEFS has 6.1 h (wethr.net, Weather Model Update Schedule). All are rounded up to hours.
-_DELAYS_H = {"HRDPS": 5.0, "REPS": 7.0, "GEPS": 7.0, "GEPS_NA": 7.0}
+# Hours after the nominal time by which a run is complete, rounded up: HRDPS 4.9 h, GDPS 5.6 h
+# (wethr.net, Weather Model Update Schedule). RDPS has no figure there; HRDPS, which begins from it
+# and has its boundaries, is complete later. Nor have these ensembles; GEFS has 6.1 h.
+_DELAYS_H = {
+    "HRDPS": 5.0, "RDPS": 5.0, "GDPS": 6.0, "REPS": 7.0, "GEPS": 7.0, "GEPS_NA": 7.0,
+}
 
 _MAGIC = (b"\x89HDF\r\n\x1a\n", b"CDF\x01", b"CDF\x02", b"CDF\x05")
-_NAME = re.compile(r"([0-9]{10})(?:_([0-9]{3}))?")
+_NAME = re.compile(r"([0-9]{10})(?:_([0-9]{3}))?(?: ?\([0-9]+\))?")  # a browser adds " (1)"
 _VARIABLE = re.compile(rf"({'|'.join(_DELAYS_H)})_P_PR0?_SFC")
 # Largest distance from the site to the nearest point: the coarsest grid has half a degree.
 _FURTHEST_DEG = 0.5
@@ -73,7 +84,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
             raise ConfigurationError(
                 f"must be of {product}, as {files[0].name} is, not of {own}", file=issue.file
             )
-    issues = [ensemble(by_issue[issued]) for issued in sorted(by_issue)]
+    issues = [mended(ensemble(by_issue[issued])) for issued in sorted(by_issue)]
     return Archive(files[0], f"CaSPAr, {product}", issues, _DELAYS_H[product], issues)
 
 
@@ -94,13 +105,17 @@ def _read(file: Path, latitude: float, longitude: float) -> tuple[Issue, int, st
             variable, product = _variable(dataset)
             row, column = _nearest(dataset, variable, latitude, longitude)
             sums = 1000 * _numbers(variable[:, row, column])
-            rain = _rain(variable.name, _leads(dataset["time"], issued), sums)
+            rain, missing = _rain(variable.name, _leads(dataset["time"], issued), sums)
     except ConfigurationError as error:
         raise ConfigurationError(error.wrong, file=file) from None
     # Errors of the library or numpy for absent or non-numeric data; a damaged file can be opened.
     except (OSError, RuntimeError, LookupError, TypeError, ValueError) as error:
         raise ConfigurationError(f"is not readable NetCDF: {error}", file=file) from error
-    return Issue(issued, file, None, rain[None, :]), int(match[2] or 0), product
+    notes = tuple(
+        f"{file.name}: the sum {lead} h after the issue is missing, and lies between its neighbours"
+        for lead in missing
+    )
+    return Issue(issued, file, None, rain[None, :], notes=notes), int(match[2] or 0), product
 
 
 def _variable(dataset: Dataset) -> tuple[Variable[Any], str]:
@@ -182,8 +197,12 @@ def _numbers(values: Any) -> NDArray[np.float64]:
     return np.where(np.isfinite(numbers), numbers, np.nan)
 
 
-def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rain(
+    name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], list[int]]:
     """Return the rain of each hour (mm/h) from its sums since the issue (mm).
+
+    A missing sum between two others is interpolated; the leads of such sums are returned, too.
 
     Args:
         name: of the variable.
@@ -193,6 +212,9 @@ def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDA
     """
     sums = np.concatenate(([0.0], sums[len(sums) - len(leads) + 1 :]))
     known = np.flatnonzero(~np.isnan(sums))[-1] + 1
+    single = [low for low, high in gaps(np.isnan(sums[:known])) if high - low == 1]
+    for at in single:
+        sums[at] = np.interp(leads[at], leads[[at - 1, at + 1]], sums[[at - 1, at + 1]])
     if known == 1 or np.isnan(sums[:known]).any():
         raise ConfigurationError(
             f"is missing {leads[np.argmax(np.isnan(sums))]} h after the issue", key=name
@@ -206,4 +228,4 @@ def _rain(name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]) -> NDA
             f"must be the sum since the issue; it gives {rain[wrong[0]]:.4g} mm/h before hour "
             f"{leads[wrong[0] + 1]}, outside {low:g} to {high:g}", key=name
         )
-    return np.repeat(np.maximum(rain, 0.0), steps)
+    return np.repeat(np.maximum(rain, 0.0), steps), leads[single].tolist()

@@ -2,34 +2,65 @@
 
 from __future__ import annotations
 
+import re
+import unicodedata
+from collections.abc import Container
 from datetime import timedelta, timezone
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_local_time
-from greenroof_ros.formats.records import QUANTITIES, Records, Table, read_table
+from greenroof_ros.formats.records import (
+    FOR_EVAPOTRANSPIRATION,
+    NEARLY,
+    PRECIPITATION,
+    QUANTITIES,
+    Records,
+    Table,
+    by_hour,
+    read_table,
+)
 from greenroof_ros.model.site import Site
 
-_TIME = "Date/Time (LST)"
-_LONGITUDE = "Longitude (x)"
-# The service's columns of value and flag for each of our quantities; the units are the same.
+# Names of columns, in English and French, without accents, case, spaces and points; in the English
+# files before 2021 the time has no zone.
+_TIME = ("date/time(lst)", "date/time", "date/heure(hnl)", "date/heure")
+_LONGITUDE = "longitude(x)"
+# The service's columns of each of our quantities; the units are the same. Flags are in the next.
 _COLUMNS = {
-    "precipitation": ("Precip. Amount (mm)", "Precip. Amount Flag"),
-    "temperature": ("Temp (°C)", "Temp Flag"),
-    "dew point": ("Dew Point Temp (°C)", "Dew Point Temp Flag"),
-    "wind speed": ("Wind Spd (km/h)", "Wind Spd Flag"),
-    "station pressure": ("Stn Press (kPa)", "Stn Press Flag"),
+    PRECIPITATION: ("precipamount(mm)", "hauteurdeprecip(mm)"),
+    "temperature": ("temp(°c)",),
+    "dew point": ("dewpointtemp(°c)", "pointderosee(°c)"),
+    "wind speed": ("windspd(km/h)", "vitduvent(km/h)"),
+    "station pressure": ("stnpress(kpa)", "pressionalastation(kpa)"),
 }
-# The service's legend: M = missing, NA = not available. A value flagged M is not an observation: it
-# often repeats the last one before the gap.
-_MISSING_FLAGS = {"M", "NA"}
+_FLAG = ("flag", "indicateur")
+# Columns of daily and monthly files.
+_LONGER = ("maxtemp(°c)", "tempmax(°c)", "meanmaxtemp(°c)", "moydestempmax(°c)")
+_DOWNLOAD = (
+    "download hourly data of the station with precipitation (climate.weather.gc.ca, Hourly data; "
+    "climat.meteo.gc.ca, Données horaires)"
+)
+# The service's legend: M = missing, NA (N/D in French) = not available. A value flagged M is not an
+# observation: it often repeats the last one before the gap.
+_MISSING_FLAGS = {"M", "NA", "N/D"}
 # Largest difference between a place's mean solar time and its standard time (h).
 _MOST_FROM_SOLAR_TIME = 2.5
 
 
 def recognises(_file: Path, head: bytes, /) -> bool:
-    """Return whether the first line has the service's column of local standard time."""
-    return _TIME.encode() in head.partition(b"\n")[0]
+    """Return whether the first line has the service's columns of place and time."""
+    cells = re.split("[,;\t]", head.decode("utf-8-sig", "replace").partition("\n")[0])
+    names = {_plain(cell.strip('" \r')) for cell in cells}
+    return not names.isdisjoint(_TIME) and (
+        _LONGITUDE in names or not names.isdisjoint((*_COLUMNS["temperature"], *_LONGER))
+    )
+
+
+def _plain(name: str) -> str:
+    """Return a column's name without accents, case, spaces and points."""
+    letters = unicodedata.normalize("NFD", name.replace("°", "deg")).casefold()
+    return re.sub(r"[ .\u0300-\u036f]", "", letters).replace("deg", "°")
 
 
 def read_records(file: Path, site: Site, /) -> Records:
@@ -44,43 +75,76 @@ def read_records(file: Path, site: Site, /) -> Records:
     before the first observation, as the service writes for hours without any, is all missing.
 
     Args:
-        file: as downloaded, with or without a byte order mark.
+        file: as downloaded, in English or French, with or without a byte order mark.
         site: gives the offset of local standard time, which is not in the file.
 
     Raises:
-        ConfigurationError: a column is missing, a line is broken or out of order, a value is not a
-            plausible number, or the site's offset is missing or does not fit the station.
+        ConfigurationError: the file is not hourly or lacks a column, a line is broken or out of
+            order, too few values are plausible, or the site's offset is missing or does not fit the
+            station.
     """
     if site.utc_offset is None:
         raise ConfigurationError(
-            f"is in local standard time ({_TIME}); the site file must give its offset from UTC, "
-            "as in 'utc_offset: -5.0'",
+            "is in local standard time; the site file must give its offset from UTC, as in "
+            "'utc_offset: -5.0'",
             file=file, line=1,
         )
-    observed = [name for pair in _COLUMNS.values() for name in pair]
-    table = read_table(file, observed)
-    table.require((_TIME, _LONGITUDE, *observed), "hourly bulk files")
-    _check_zone(table, site.utc_offset)
+    table = read_table(file, lambda name: _quantity(name) is not None)
+    names: dict[str, str] = {}
+    for name in table.header:
+        names.setdefault(_plain(name), name)
+    time = next(names[name] for name in _TIME if name in names)
+    columns = {
+        quantity: name for name in table.header if (quantity := _quantity(name)) is not None
+    }
+    _check_kind(table, names.keys(), columns.keys())
+    table.require((time, *columns.values()), "hourly bulk files")
+    if _LONGITUDE in names:
+        _check_zone(table, names[_LONGITUDE], site.utc_offset)
     zone = timezone(timedelta(hours=site.utc_offset))
-    first = table.first_hour(
-        _TIME, lambda text: parse_local_time(text, zone), "2021-07-01 0:00"
-    )
+    first, hours = table.hours(time, lambda text: parse_local_time(text, zone), "2021-07-01 0:00")
     values = {}
-    for quantity, (column, flags) in _COLUMNS.items():
-        table.columns[column] = [
-            "" if flag in _MISSING_FLAGS else text
-            for text, flag in zip(table.columns[column], table.columns[flags], strict=True)
-        ]
-        values[quantity] = table.numbers(column, QUANTITIES[quantity], missing=("",))
-    return Records((file,), first, values, rain_late=1)
+    for quantity, column in columns.items():
+        flags = "".join(table.header[table.header.index(column) + 1 :][:1])
+        if _plain(flags).endswith(_FLAG):
+            table.columns[column] = [
+                "" if flag in _MISSING_FLAGS else text
+                for text, flag in zip(table.columns[column], table.columns[flags], strict=True)
+            ]
+        values[quantity] = table.usable(
+            column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0)
+        )
+    return Records(
+        (file,), first, by_hour(values, hours), rain_late=1, left_out=tuple(table.notes)
+    )
 
 
-def _check_zone(table: Table, utc_offset: float) -> None:
+def _quantity(name: str) -> str | None:
+    """Return the quantity of a column; None if it is none of ours."""
+    plain = _plain(name)
+    return next((quantity for quantity, names in _COLUMNS.items() if plain in names), None)
+
+
+def _check_kind(table: Table, names: Container[str], quantities: Container[str]) -> None:
+    """Refuse a file that does not have each hour's rain, and say what it is."""
+    lacking = [name for name in (PRECIPITATION, *FOR_EVAPOTRANSPIRATION) if name not in quantities]
+    if any(name in names for name in _LONGER):
+        what = "holds days or months, not hours"
+    elif PRECIPITATION in lacking:
+        what = "holds hours without precipitation, which files from before 2021 do not have"
+    elif lacking:
+        what = f"has no column of {', '.join(lacking)}"
+    else:
+        return
+    raise table.refuse(f"is a file of Environment Canada that {what}: {_DOWNLOAD}")
+
+
+def _check_zone(table: Table, column: str, utc_offset: float) -> None:
     """Refuse a station whose solar time is not near the site's standard time."""
-    longitude = table.numbers(_LONGITUDE, ("degrees", -180.0, 180.0))[0]
+    longitude = table.numbers(column, ("degrees", -180.0, 180.0))[0]
     if abs(longitude / 15 - utc_offset) > _MOST_FROM_SOLAR_TIME:
         raise table.refuse(
             f"is not near the standard time of the site, utc_offset = {utc_offset:g} h, which "
             f"belongs to a longitude of about {15 * utc_offset:g}",
-            _LONGITUDE, 0,
+            column, 0,
         )

@@ -35,6 +35,7 @@ rain that fell until the download.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
@@ -55,7 +56,10 @@ from greenroof_ros.common.times import hours_since_1970, parse_local_time, parse
 from greenroof_ros.formats.records import (
     FOR_EVAPOTRANSPIRATION,
     HOUR,
+    HUMIDITY,
     ISSUE_HOURS,
+    MISSING,
+    NEARLY,
     PRECIPITATION,
     QUANTITIES,
     RADIATION,
@@ -65,14 +69,19 @@ from greenroof_ros.formats.records import (
     Records,
     Table,
     Unit,
+    by_hour,
     ensemble,
     join,
+    mended,
     numbered_lines,
     table_of,
+    with_dew_point,
 )
 from greenroof_ros.model.site import Site
 
 _OFFSET = "utc_offset_seconds"
+# The service's unit of a variable that the model does not have: all its values are missing.
+_NO_UNIT = "undefined"
 _SAVED_TIMES = ("time", "datetime", "date")
 _WHOSE = "Open-Meteo's hourly files"
 VARIABLES = {
@@ -81,6 +90,11 @@ VARIABLES = {
     RADIATION: "shortwave_radiation",
 }
 """The service's variable for each of our quantities."""
+_QUANTITIES = {variable: quantity for quantity, variable in VARIABLES.items()} | {
+    "relative_humidity_2m": HUMIDITY,
+    # Names before 2023.
+    "dewpoint_2m": "dew point", "windspeed_10m": "wind speed", "relativehumidity_2m": HUMIDITY,
+}
 _DEGREES = (Unit("°C"), Unit("°F", 1.8, 32.0))
 UNITS = {
     PRECIPITATION: (Unit("mm"), Unit("inch", 1 / 25.4)),
@@ -90,7 +104,8 @@ UNITS = {
         Unit("km/h"), Unit("m/s", 1 / 3.6), Unit("mp/h", 1 / 1.609344), Unit("kn", 1 / 1.852)
     ),
     "station pressure": (Unit("hPa", 10.0),),
-    RADIATION: (Unit("W/m²"),),
+    RADIATION: (Unit("W/m²"), Unit("W/m2")),
+    HUMIDITY: (Unit("%"),),
 }
 """Units of the service for each quantity; the first is its default."""
 # Largest distance of a file's place from the site, and the end of the range: a cell of the coarsest
@@ -98,7 +113,8 @@ UNITS = {
 _PLACE = {"latitude": (0.5, 90.0), "longitude": (0.5, 180.0), "elevation": (300.0, 9000.0)}
 _PREVIOUS = re.compile(r"precipitation_previous_day([1-7])")
 _MEMBER = re.compile(r"precipitation(?:_member(\d{2,3}))?")
-_RUN_IN_NAME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)T?(\d\d)(?:-?00)?$")
+# A browser adds " (1)" to the name of a second download.
+_RUN_IN_NAME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)T?(\d\d)(?:-?00)?(?: ?\(\d+\))?$")
 # The service's longest forecasts, of ensembles, reach 36 days (h).
 _LONGEST_RUN = 36 * 24
 _DAY_H = 24
@@ -107,7 +123,7 @@ _DAY_H = 24
 def recognises(_file: Path, head: bytes, /) -> bool:
     """Return whether a file is JSON, or its first line is the service's or a saved forecast's."""
     text = head.decode("utf-8", "replace").removeprefix("\ufeff").lstrip()
-    cells = [cell.strip() for cell in text.partition("\n")[0].split(",")]
+    cells = [cell.strip() for cell in re.split("[,;\t]", text.partition("\n")[0])]
     saved = cells[0] in _SAVED_TIMES and any(
         (cell.startswith(PRECIPITATION) and "[" not in cell) or "_previous_day" in cell
         for cell in cells
@@ -131,11 +147,10 @@ def _read(
 
     Raises:
         ConfigurationError: the file is broken or of another place, a time is out of order, a unit
-            is unknown, or a value is not a plausible number; the message names line or key, and
-            value.
+            is unknown, or too few values are plausible; the message names line or key, and value.
     """
     table, parse = _table(file, site)
-    units = {}
+    columns: dict[str, NDArray[np.float64]] = {}
     for cell in table.header[1:]:
         name, _, text = cell.partition(" ")
         try:
@@ -144,17 +159,24 @@ def _read(
             raise table.refuse(str(error), cell) from None
         if quantity is None:
             continue
-        known = {unit.name: unit for unit in UNITS[quantity]}
-        unit = known.get(text.strip("()") or next(iter(known)))
         table.require([cell], _WHOSE)
-        if unit is None or name in units:
+        known = {unit.name: unit for unit in UNITS[quantity]}
+        text = text.strip("()") or next(iter(known))
+        if text == _NO_UNIT and not any(map(_is_value, table.columns[cell])):
+            text = next(iter(known))
+        if text not in known or name in columns:
             raise table.refuse(f"must be in {' or '.join(known)}, and only one column", cell)
-        units[name] = (cell, quantity, unit)
-    first = table.first_hour(table.header[0], parse, "2024-06-01T12:00")
-    return table, Records((file,), first, {
-        name: table.numbers(cell, QUANTITIES[quantity], unit, ("", "NaN"))
-        for name, (cell, quantity, unit) in units.items()
-    })
+        columns[name] = table.usable(
+            cell, QUANTITIES[quantity], known[text], NEARLY.get(quantity, 0.0)
+        )
+    first, hours = table.hours(table.header[0], parse, "2024-06-01T12:00")
+    return table, Records(
+        (file,), first, by_hour(columns, hours), left_out=tuple(table.notes)
+    )
+
+
+def _is_value(text: str) -> bool:
+    return text.lower() not in MISSING
 
 
 def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
@@ -166,6 +188,7 @@ def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
         lines = numbered_lines(text)
         if lines and _OFFSET not in lines[0][1]:
             return table_of(file, lines), partial(parse_time, zone=timezone.utc)
+        lines = _hourly_section(lines)
         if len(lines) < 3:
             raise ConfigurationError(
                 "must have two lines about the place, then a header and records", file=file
@@ -176,6 +199,26 @@ def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
     zone = _check_place(place, site)
     table.require(["time"], _WHOSE)
     return table, partial(parse_local_time, zone=zone)
+
+
+def _hourly_section(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Return the lines about the place and the hours, without other sections.
+
+    The service writes a section each for ``current``, ``minutely_15``, ``hourly`` and ``daily``,
+    as chosen on its page.
+    """
+    begins = [
+        at for at, (_, line) in enumerate(lines) if re.match(r'"?time"?[,;\t]', line)
+    ] + [len(lines)]
+    sections = [lines[begin:end] for begin, end in itertools.pairwise(begins)]
+    if len(sections) < 2:
+        return lines
+    for section in sections:
+        with suppress(ValueError, IndexError):
+            times = [parse_time(re.split("[,;\t]", line)[0]) for _, line in section[1:3]]
+            if times[1] - times[0] == HOUR:
+                return lines[: begins[0]] + section
+    return lines[: begins[1]]
 
 
 def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
@@ -196,6 +239,9 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
     for key, value in (("hourly_units", units), ("hourly", hourly)):
         if not isinstance(value, dict):
             raise refuse("must be a mapping, as in hourly answers", key=key)
+    if "hourly" not in content:
+        held = ", ".join(key for key in ("current", "minutely_15", "daily") if key in content)
+        raise refuse(f"has no hourly values, only {held or 'others'}; download hourly variables")
     hourly = {"time": [], **hourly}
     for name, series in hourly.items():
         if not isinstance(series, list) or len(series) != len(hourly["time"]) or not series:
@@ -221,6 +267,11 @@ def _check_place(place: Table, site: Site) -> timezone:
     """
     place.require([_OFFSET, *_PLACE], _WHOSE)
     offset = place.numbers(_OFFSET, ("s", -43200.0, 50400.0))[0]  # UTC-12 to UTC+14
+    if offset % 3600:
+        raise place.refuse(
+            "must be whole hours: the service's data are for whole hours of UTC, and its local "
+            "times are not; download the data again in GMT (timezone=GMT)", _OFFSET, 0,
+        )
     for name, (most, end) in _PLACE.items():
         # The service writes an unknown elevation as NaN.
         missing = ["NaN"] if name == "elevation" else []
@@ -255,16 +306,18 @@ def read_records(file: Path, site: Site, /) -> Records:
     Raises:
         ConfigurationError: see :func:`_read`; or a column is missing.
     """
-    quantities = {variable: quantity for quantity, variable in VARIABLES.items()}
-    table, records = _read(file, site, quantities.get)
+    table, records = _read(file, site, _QUANTITIES.get)
+    values: dict[str, NDArray[np.float64]] = {}
+    for variable, series in records.values.items():
+        values.setdefault(_QUANTITIES[variable], series)
+    values = with_dew_point(values)
     for quantity in (PRECIPITATION, *FOR_EVAPOTRANSPIRATION):
-        if VARIABLES[quantity] not in records.values:
+        if quantity not in values:
             table.require([f"{VARIABLES[quantity]} ({UNITS[quantity][0].name})"], _WHOSE)
-    values = {quantities[variable]: series for variable, series in records.values.items()}
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One more hour: the hour before the first time has only rain and radiation, the last neither.
     nothing = np.array([math.nan])
-    return Records((file,), records.first - HOUR, {
+    return replace(records, first=records.first - HOUR, values={
         quantity: np.concatenate((series, nothing) if quantity in shifted else (nothing, series))
         for quantity, series in values.items()
     }, shifted=shifted)
@@ -302,7 +355,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
     ])
     return Archive(
         files[0], "Open-Meteo, previous runs", _known_of(whole), SERVICE_DELAY_H,
-        _daily(whole), _DAY_H,
+        _daily(whole), _DAY_H, whole.left_out,
     )
 
 
@@ -336,8 +389,7 @@ def read_run(file: Path, site: Site, issued: datetime) -> Issue:
         issued: start of the first hour; earlier hours of the file are left out.
 
     Raises:
-        ConfigurationError: see :func:`_read`; or there is no precipitation from then on, or an hour
-            of it is missing.
+        ConfigurationError: see :func:`_read`; or there is no precipitation from then on.
     """
     return _run(_forecast(file, site), issued)
 
@@ -363,16 +415,9 @@ def _run(hours: Records, run: datetime) -> Issue:
             f"has {issue.hours} hours; a run has at most {_LONGEST_RUN}. For a longer past "
             "use previous runs, precipitation_previous_day1 and so on"
         )
-    known = np.flatnonzero(~np.isnan(issue.rain).all(axis=0))
-    if not known.size:
-        raise refuse(f"has no precipitation after its run, {to_minutes(run)}")
-    rain = issue.rain[:, : known[-1] + 1]  # all is NaN beyond the model's horizon
-    missing = np.argwhere(np.isnan(rain))
-    if missing.size:
-        member, hour = missing[0].tolist()
-        time = to_minutes(run + (hour + 1) * HOUR)
-        raise refuse(f"member {member} is missing at {time}, within the run")
-    return replace(issue, rain=rain)
+    known = np.flatnonzero(~np.isnan(issue.rain).all(axis=0))  # NaN beyond the model's horizon
+    end = known[-1] + 1 if known.size else 1
+    return mended(replace(issue, rain=issue.rain[:, :end], notes=hours.left_out))
 
 
 def _named_run(file: Path) -> datetime:

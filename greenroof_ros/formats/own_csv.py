@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 from greenroof_ros.common.errors import did_you_mean
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
     HOUR,
+    NEARLY,
     PRECIPITATION,
     QUANTITIES,
     TEMPERATURE,
@@ -19,9 +22,12 @@ from greenroof_ros.formats.records import (
     Issue,
     Records,
     Table,
+    by_hour,
     check_alike,
     ensemble,
+    mended,
     read_table,
+    with_dew_point,
 )
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
@@ -42,26 +48,31 @@ def recognises(_file: Path, _head: bytes, /) -> bool:
 # --- weather ----------------------------------------------------------------------------------
 
 
-def read_records(file: Path, _site: Site, /) -> Records:
+def read_records(file: Path, site: Site, /) -> Records:
     """Read a weather file in this project's format; an empty cell is a missing value.
 
     Lines that start with ``#`` are comments. The first other line names the columns with their
     units: ``time``, ``precipitation [mm/h]``, and others of
     :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]`` begins
     with the name of its method. Each further line is the hour that starts at its ``time`` (ISO 8601
-    with the offset from UTC); the hours must be consecutive.
+    with the offset from UTC; without an offset it is a time of the clock in ``time_zone`` of the
+    site). An hour without a line is missing.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
     table = read_table(file)
     columns, method = _columns(table)
-    first = table.first_hour("time")
-    values = {
-        quantity: table.numbers(column, QUANTITIES[quantity], missing=("",))
+    first, hours = table.hours(
+        "time", zone=None if site.time_zone is None else ZoneInfo(site.time_zone),
+        hint="; if it is of a clock with daylight saving time, give the site file its time_zone, "
+        "such as America/Toronto",
+    )
+    values = with_dew_point(by_hour({
+        quantity: table.usable(column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0))
         for quantity, column in columns.items()
-    }
-    return Records((file,), first, values, method)
+    }, hours))
+    return Records((file,), first, values, method, left_out=tuple(table.notes))
 
 
 def _columns(table: Table) -> tuple[dict[str, str], str]:
@@ -103,7 +114,7 @@ def read_forecasts(path: Path) -> list[Issue]:
     (only member 0's values are used). Each further line is the hour that starts at its ``time``, as
     forecast at ``issued`` (ISO 8601 with the offset from UTC). The hours of each issue and member
     are consecutive, and the first starts with the issue. All issues have the members 0, 1, 2 and so
-    on, and all members of an issue have the same hours.
+    on. What is missing is mended, see :func:`greenroof_ros.formats.records.mended`.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
@@ -121,7 +132,7 @@ def read_forecasts(path: Path) -> list[Issue]:
     if "member" in table.header:
         members = table.numbers("member", ("(whole)", 0.0, MOST_MEMBERS - 1.0)).tolist()
     values = {
-        quantity: table.numbers(column, QUANTITIES[quantity])
+        quantity: table.usable(column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0))
         for quantity, column in _FORECAST.items() if column in table.header
     }
     rows_of: dict[datetime, dict[float, list[int]]] = {}  # rows by issue and member
@@ -137,19 +148,18 @@ def read_forecasts(path: Path) -> list[Issue]:
         table.check_due("time", row, time, due, "each forecast, from its issue on,")
         rows.append(row)
     issues = [
-        ensemble(
+        mended(ensemble(
             (member, Issue(
                 issue, path, table.lines[next(iter(numbered.values()))[0]],
                 values[PRECIPITATION][None, rows],
-                *(
-                    values[quantity][rows] if quantity in values else None
-                    for quantity in (EVAPOTRANSPIRATION, TEMPERATURE)
-                ),
+                values[EVAPOTRANSPIRATION][rows] if EVAPOTRANSPIRATION in values else None,
+                values[TEMPERATURE][rows] if TEMPERATURE in values else None,
             ))
             for member, rows in numbered.items()
-        )
+        ))
         for issue, numbered in rows_of.items()
     ]
+    issues[0] = replace(issues[0], notes=(*table.notes, *issues[0].notes))
     for earlier, later in itertools.pairwise(issues):
         check_alike(earlier, later)
     return issues

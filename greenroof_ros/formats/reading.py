@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats import caspar, eccc, open_meteo, own_csv
-from greenroof_ros.formats.records import Archive, Records, check_alike
+from greenroof_ros.formats.records import Archive, Issue, Records, check_alike
 from greenroof_ros.model.site import Site
 
 SUFFIXES = (".csv", ".json", ".nc")
@@ -69,12 +71,45 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
                 f"must have the format of {files[0].name}, like all files of an archive", file=file
             )
     archive: Archive = form.read_archive(files, site)
-    issues = sorted(archive.issues, key=lambda issue: issue.issued)
-    for earlier, later in itertools.pairwise(issues):
-        check_alike(earlier, later)
+    issues, notes = _alike(sorted(archive.issues, key=lambda issue: issue.issued))
     return replace(
-        archive, source=source, issues=issues, delay=archive.delay if delay is None else delay
+        archive, source=source, issues=issues,
+        verified=issues if archive.verified is archive.issues else archive.verified,
+        delay=archive.delay if delay is None else delay,
+        notes=tuple(dict.fromkeys([*archive.notes, *notes])),
     )
+
+
+def _alike(issues: Sequence[Issue]) -> tuple[list[Issue], list[str]]:
+    """Return issues that all have equally many members, and notes of what was left out.
+
+    An issue that was downloaded twice is kept once. Where members were left out of an issue, all
+    have as few, unless it would be less than half: then that issue is left out.
+
+    Raises:
+        ConfigurationError: an issue repeats one with other values, or has a different form.
+    """
+    alike = list(issues[:1])
+    notes = []
+    for issue in issues[1:]:
+        earlier = alike[-1]
+        if issue.issued == earlier.issued and np.array_equal(issue.rain, earlier.rain):
+            notes.append(f"{issue.file.name} is left out: it is the same as {earlier.file.name}")
+            continue
+        check_alike(earlier, issue)
+        alike.append(issue)
+    most = max(len(issue.rain) for issue in alike)
+    kept = [issue for issue in alike if 2 * len(issue.rain) >= most]
+    fewest = min(len(issue.rain) for issue in kept)
+    notes += [
+        f"{issue.file.name}: the issue of {to_minutes(issue.issued)} is left out: it has "
+        f"{len(issue.rain)} members, and others {most}"
+        for issue in alike if 2 * len(issue.rain) < most
+    ]
+    if fewest < most:
+        notes.append(f"all issues have {fewest} members, like the one with the fewest")
+    notes[:0] = [note for issue in kept for note in issue.notes]
+    return [replace(issue, rain=issue.rain[:fewest]) for issue in kept], notes
 
 
 def _format_of(file: Path, formats: Sequence[ModuleType]) -> ModuleType:

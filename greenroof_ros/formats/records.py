@@ -6,9 +6,9 @@ import csv
 import itertools
 import math
 import re
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, timezone, tzinfo
 from pathlib import Path
 from typing import TypeAlias
 
@@ -33,9 +33,22 @@ PRECIPITATION = "precipitation"
 EVAPOTRANSPIRATION = "evapotranspiration"
 RADIATION = "solar radiation"
 TEMPERATURE = "temperature"
+HUMIDITY = "relative humidity"
+DEW_POINT = "dew point"
 
 Limits: TypeAlias = tuple[str, float, float]
 """A unit, and the least and the largest plausible value in it."""
+
+NEARLY = {
+    PRECIPITATION: 0.5, EVAPOTRANSPIRATION: 2.5, "wind speed": 1.0, RADIATION: 15.0,
+    HUMIDITY: 5.0,
+}
+"""How far outside its range a value counts as the end of the range, in the unit of its quantity.
+
+Models round, and interpolate below 0: rain of -0.1 mm and radiation of -0.3 W/m2 are seen. A
+pyranometer has an offset of up to 15 W/m2 at night (ISO 9060, first class). Dew is negative
+evapotranspiration, of at most some 0.1 mm/h. A humidity sensor is off by up to 5 %.
+"""
 
 # Quantity: unit, least and largest plausible value. A value above the world record of an hour's
 # rain, or of a day's evapotranspiration, shows a wrong unit.
@@ -47,7 +60,19 @@ QUANTITIES: dict[str, Limits] = {
     "wind speed": ("km/h", 0.0, 500.0),
     "station pressure": ("kPa", 50.0, 110.0),
     RADIATION: ("W/m2", 0.0, 1500.0),
+    HUMIDITY: ("%", 0.0, 100.0),
 }
+
+MISSING = {"", "nan", "na", "n/a", "#n/a", "n/d", "m", "null", "none", "-", "--", "---", "missing"}
+"""What stands for a missing value, in lower case."""
+# Digits of numbers that do, besides nines.
+_CODES = {"32767", "32768", "6999", "7777", "8888"}
+_HUGE = 1e15  # fill values of NetCDF and GRIB are larger
+# Share of a column's values other than 0 that may be neither plausible nor a code: a wrong unit of
+# rain shows in the few wettest hours.
+_MOST_WRONG = 0.01
+_MOST_NAMED = 3
+_DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(\d+)$", re.ASCII)
 
 # What evapotranspiration is computed from, if it is not given.
 FOR_EVAPOTRANSPIRATION = ("temperature", "dew point", "wind speed", "station pressure")
@@ -67,6 +92,8 @@ class Records:
         rain_late: delay of the rain's time (h): 1 if the files give rain at the end of its hour and
             it was not moved to the start, otherwise 0.
         filled: for each quantity, whether an hour was missing and filled, shape (hours,).
+        left_out: what could not be used as it is, in sentences that name it.
+        empty: quantities of the files without any value.
     """
 
     files: tuple[Path, ...]
@@ -76,6 +103,8 @@ class Records:
     shifted: tuple[str, ...] = ()
     rain_late: int = 0
     filled: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    empty: tuple[str, ...] = ()
 
     @property
     def hours(self) -> int:
@@ -91,11 +120,49 @@ class Records:
     def notes(self) -> tuple[str, ...]:
         """What was done to the files' values, apart from filling gaps."""
         if not self.shifted:
-            return ()
+            return self.left_out
         return (
             f"{' and '.join(self.shifted)} in the files are for the hour before their time, and "
-            "were moved back an hour",
+            "were moved back an hour", *self.left_out,
         )
+
+
+def by_hour(
+    columns: Mapping[str, NDArray[np.float64]], hours: NDArray[np.intp]
+) -> dict[str, NDArray[np.float64]]:
+    """Return columns hour by hour, NaN in hours without a row.
+
+    Args:
+        columns: values by name, shape (rows,).
+        hours: of each row, from 0.
+    """
+    values = {name: np.full(hours[-1] + 1, np.nan) for name in columns}
+    for name, series in columns.items():
+        values[name][hours] = series
+    return values
+
+
+def with_dew_point(values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """Return values with the dew point in place of relative humidity, by FAO-56 Eqs. 11 and 14."""
+    rest = {name: series for name, series in values.items() if name != HUMIDITY}
+    if HUMIDITY in values and TEMPERATURE in values:
+        share, warmth = np.maximum(values[HUMIDITY], 1.0) / 100, values[TEMPERATURE]
+        vapour = np.log(share) + 17.27 * warmth / (warmth + 237.3)
+        dew_point = 237.3 * vapour / (17.27 - vapour)
+        given = values.get(DEW_POINT, dew_point)
+        rest[DEW_POINT] = np.where(np.isnan(given), dew_point, given)
+    return rest
+
+
+def bridged(series: NDArray[np.float64], longest: int) -> NDArray[np.float64]:
+    """Return hourly values with gaps of at most ``longest`` hours bridged by a straight line."""
+    filled = series.copy()
+    for low, high in gaps(np.isnan(series)):
+        if high - low <= longest and low > 0 and high < len(series):
+            filled[low:high] = np.interp(
+                np.arange(low, high), [low - 1, high], series[[low - 1, high]]
+            )
+    return filled
 
 
 def name_files(files: Sequence[Path]) -> str:
@@ -177,7 +244,8 @@ def join(parts: Sequence[Records]) -> Records:
                 )
             joined[known] = series[known]
     files = tuple(file for part in parts for file in part.files)
-    return replace(first, files=files, values=values)
+    left_out = tuple(note for part in parts for note in part.left_out)
+    return replace(first, files=files, values=values, left_out=left_out)
 
 
 def _check_alike(first: Records, part: Records) -> None:
@@ -202,6 +270,8 @@ def _check_alike(first: Records, part: Records) -> None:
         )
 
 
+# Longest gap of temperature and evapotranspiration in a forecast that is bridged (h).
+_LONGEST_BRIDGE = 6
 ISSUE_HOURS = 6
 """Interval at which services start runs of a global model (h): at 00, 06, 12 and 18 UTC."""
 SERVICE_DELAY_H = 6.0
@@ -220,6 +290,8 @@ class Issue:
         rain: mm/h, shape (members, hours).
         evapotranspiration: mm/day, shape (hours,); None if the file has none.
         temperature: of the air (degC), likewise.
+        given: number of members in the file, if some were left out; otherwise 0.
+        notes: what could not be used as it is.
     """
 
     issued: datetime
@@ -228,11 +300,18 @@ class Issue:
     rain: NDArray[np.float64]
     evapotranspiration: NDArray[np.float64] | None = None
     temperature: NDArray[np.float64] | None = None
+    given: int = 0
+    notes: tuple[str, ...] = ()
 
     @property
     def hours(self) -> int:
         """Number of hours."""
         return len(self.rain[0])
+
+    @property
+    def members(self) -> int:
+        """Number of members in the file."""
+        return self.given or len(self.rain)
 
     def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
         """Return evapotranspiration some hours ahead (mm/day); None if the file has none.
@@ -249,13 +328,14 @@ class Issue:
 def ensemble(numbered: Iterable[tuple[float, Issue]]) -> Issue:
     """Return one issue of all members, each given as its number and an issue of that member alone.
 
+    Members that end early are missing (NaN) from then on.
+
     Raises:
-        ConfigurationError: the numbers are not 0, 1, 2 and so on, there are too many, or their
-            lengths differ.
+        ConfigurationError: the numbers are not 0, 1, 2 and so on, or there are too many.
     """
     ordered = sorted(numbered, key=lambda member: member[0])
     numbers, issues = [number for number, _ in ordered], [issue for _, issue in ordered]
-    first, lengths, wrong = issues[0], [issue.hours for issue in issues], ""
+    first, wrong = issues[0], ""
     if numbers != list(range(len(numbers))):
         wrong = (
             f"has members {', '.join(f'{number:g}' for number in numbers)}; they must be 0, 1, 2 "
@@ -263,15 +343,79 @@ def ensemble(numbered: Iterable[tuple[float, Issue]]) -> Issue:
         )
     elif len(numbers) > MOST_MEMBERS:
         wrong = f"has {len(numbers)} members; at most {MOST_MEMBERS} are allowed"
-    elif min(lengths) != max(lengths):
-        wrong = "must have equally many hours of each member; " + ", ".join(
-            f"member {lengths.index(hours)} has {hours}" for hours in (min(lengths), max(lengths))
-        )
     if wrong:
         raise ConfigurationError(
             f"the issue of {to_minutes(first.issued)} {wrong}", file=first.file, line=first.line
         )
-    return replace(first, rain=np.concatenate([issue.rain for issue in issues]))
+    rain = np.full((len(issues), max(issue.hours for issue in issues)), np.nan)
+    for row, issue in zip(rain, issues, strict=True):
+        row[: issue.hours] = issue.rain[0]
+    notes = tuple(note for issue in issues for note in issue.notes)
+    return replace(first, rain=rain, notes=notes)
+
+
+def mended(issue: Issue) -> Issue:
+    """Return an issue without missing values, with notes of what was done.
+
+    A missing hour of rain has the mean of its neighbours, and temperature and evapotranspiration
+    are bridged likewise for up to six hours. A member that still has less than half the hours of
+    the longest is left out, and so is such a temperature. The issue ends where another member,
+    evapotranspiration or temperature does.
+
+    Raises:
+        ConfigurationError: nothing is left.
+    """
+    rain = np.array([bridged(series, 1) for series in issue.rain])
+    if issue.hours > 1:  # the first hour has one neighbour
+        rain[:, 0] = np.where(np.isnan(rain[:, 0]), rain[:, 1], rain[:, 0])
+    lengths = [_known_hours(series) for series in rain]
+    kept = [number for number, hours in enumerate(lengths) if hours and 2 * hours >= max(lengths)]
+    if not kept:
+        raise ConfigurationError(
+            f"has no precipitation after its run, {to_minutes(issue.issued)}", file=issue.file,
+            line=issue.line,
+        )
+    notes = [
+        f"member {number} is left out: it has {hours} hours, and others {max(lengths)}"
+        for number, hours in enumerate(lengths) if number not in kept
+    ]
+    hours = min(lengths[number] for number in kept)
+    evapotranspiration, temperature = (
+        series if series is None else bridged(series, _LONGEST_BRIDGE)
+        for series in (issue.evapotranspiration, issue.temperature)
+    )
+    if evapotranspiration is not None:
+        hours = min(hours, _known_hours(evapotranspiration))
+        if not hours:
+            raise ConfigurationError(
+                f"has no evapotranspiration at {to_minutes(issue.issued)}", file=issue.file,
+                line=issue.line,
+            )
+    if temperature is not None:
+        known = _known_hours(temperature)
+        if 2 * known < hours:
+            notes.append(f"temperature is left out: it has {known} hours, and others {hours}")
+            temperature = None
+        else:
+            hours = min(hours, known)
+    if hours < max(lengths):
+        notes.append(f"ends after {hours} of {max(lengths)} hours, from which something is missing")
+    count = int(np.isnan(issue.rain[kept, :hours]).sum())
+    if count:
+        notes.append(f"{count} missing hours of precipitation have the mean of their neighbours")
+    return replace(
+        issue, rain=rain[kept, :hours], given=issue.given or len(rain),
+        notes=(*issue.notes, *(
+            f"{issue.file.name}, issue of {to_minutes(issue.issued)}: {note}" for note in notes
+        )),
+        evapotranspiration=None if evapotranspiration is None else evapotranspiration[:hours],
+        temperature=None if temperature is None else temperature[:hours],
+    )
+
+
+def _known_hours(series: NDArray[np.float64]) -> int:
+    """Return the number of values before the first that is missing."""
+    return int(np.append(np.isnan(series), True).argmax())
 
 
 def check_alike(earlier: Issue, later: Issue) -> None:
@@ -283,10 +427,10 @@ def check_alike(earlier: Issue, later: Issue) -> None:
     wrong, when = "", to_minutes(later.issued)
     if earlier.issued == later.issued:
         wrong = f"has the issue of {when}, which {earlier.file.name} has already"
-    elif len(earlier.rain) != len(later.rain):
+    elif earlier.members != later.members:
         wrong = (
             f"the issue of {when} must have as many members as the one before it in "
-            f"{earlier.file.name}, {len(earlier.rain)}, not {len(later.rain)}"
+            f"{earlier.file.name}, {earlier.members}, not {later.members}"
         )
     elif (earlier.evapotranspiration is None) != (later.evapotranspiration is None):
         wrong = f"must have a column of evapotranspiration, or none, like {earlier.file.name}"
@@ -305,6 +449,7 @@ class Archive:
         delay: time after its nominal time from which an issue is known (h).
         verified: the issues to verify, mostly the same ones; their rain can be NaN.
         finest_lead: finest lead resolution at which it can be verified (h).
+        notes: what could not be used as it is.
     """
 
     source: Path
@@ -313,6 +458,7 @@ class Archive:
     delay: float
     verified: Sequence[Issue]
     finest_lead: int = 1
+    notes: tuple[str, ...] = ()
 
     @property
     def members(self) -> int:
@@ -367,6 +513,7 @@ class Table:
         line: line number of the header; None if there are no lines, as in JSON.
         lines: line number of each row; empty likewise.
         key: prefix of the columns in JSON, such as ``hourly.``
+        notes: what could not be used as it is; :meth:`usable` adds to them.
     """
 
     file: Path
@@ -375,6 +522,7 @@ class Table:
     line: int | None = None
     lines: Sequence[int] = ()
     key: str = ""
+    notes: list[str] = field(default_factory=list)
 
     def refuse(
         self, expected: str, column: str | None = None, row: int | None = None
@@ -456,9 +604,78 @@ class Table:
             values[row] = value
         return values
 
+    def usable(
+        self, column: str, limits: Limits, unit: Unit | None = None, nearly: float = 0.0,
+        hint: str = "",
+    ) -> NDArray[np.float64]:
+        """Return a column's values in our unit, shape (rows,); NaN for those that cannot be used.
+
+        A value just outside the range counts as its end. A code such as -999, a negative value of
+        what cannot be negative, and a few other values that are not plausible are left out. The
+        notes name them all.
+
+        Args:
+            column: its name.
+            limits: our unit, and the plausible range.
+            unit: of the column; ours by default.
+            nearly: how far outside the range is just outside.
+            hint: end of the message about wrong values.
+
+        Raises:
+            ConfigurationError: none, or too many of the values are plausible.
+        """
+        own_unit, low, high = limits
+        unit = unit or Unit(own_unit)
+        cells = self.columns[column]
+        values = np.full(len(cells), np.nan)
+        near: list[int] = []
+        codes: list[int] = []
+        wrong: list[int] = []
+        for row, text in enumerate(cells):
+            if text.lower() in MISSING:
+                continue
+            try:
+                number = float(text)
+            except ValueError:
+                wrong.append(row)
+                continue
+            value = (number - unit.zero) / unit.per_ours
+            if low <= value <= high:
+                values[row] = value
+            elif low - nearly <= value <= high + nearly:
+                values[row] = min(max(value, low), high)
+                near.append(row)
+            else:
+                (codes if _is_code(text, number) or value < low == 0 else wrong).append(row)
+        known = values[~np.isnan(values)]
+        if len(wrong) > max(1.0, _MOST_WRONG * np.count_nonzero(known)) or (
+            (wrong or codes) and not known.size
+        ):
+            first = (wrong or codes)[0]
+            self.numbers(column, limits, unit, {"", *cells[:first]} - {cells[first]}, hint)
+        self._note(column, near, f"counts as the end of its range, {low:g} to {high:g} {own_unit}")
+        self._note(column, codes + wrong, "is no plausible value, and counts as missing")
+        return values
+
+    def _note(self, column: str, rows: Sequence[int], what: str) -> None:
+        """Add a note about some cells of a column, with the first of them and their times."""
+        if not rows:
+            return
+        times = next(
+            (name for name in self.header if re.match(r"(date|time|issued)", name, re.I)),
+            self.header[0],
+        )
+        named = [
+            f"{self.columns[column][row]} at {self.columns[times][row]}"
+            for row in sorted(rows)[:_MOST_NAMED]
+        ]
+        if len(rows) > _MOST_NAMED:
+            named.append(f"{len(rows) - _MOST_NAMED} more")
+        self.notes.append(f"{self.file.name}: {column} of {' and '.join(named)} {what}")
+
     def times(
         self, column: str, parse: Callable[[str], datetime] = parse_time,
-        example: str = DEFAULT_START, hint: str = "",
+        example: str = DEFAULT_START, hint: str = "", zone: tzinfo | None = None,
     ) -> list[datetime]:
         """Return a column's times.
 
@@ -468,11 +685,14 @@ class Table:
                 from UTC.
             example: of a time, for messages.
             hint: end of the message about a missing offset.
+            zone: of times without an offset, with its daylight saving time. In the hour that a
+                clock shows twice, a time that is not later than the one before is the second.
 
         Raises:
-            ConfigurationError: a cell is not a time, or lacks its offset from UTC.
+            ConfigurationError: a cell is not a time, lacks its offset from UTC, or is in an hour
+                that the zone's clocks skip.
         """
-        times = []
+        times: list[datetime] = []
         for row, text in enumerate(self.columns[column]):
             try:
                 time = parse(text)
@@ -481,6 +701,8 @@ class Table:
                     f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}"
                     + time_hint(text), column, row,
                 ) from None
+            if time.tzinfo is None and zone is not None:
+                time = self._on_clock(column, row, time, zone, times[-1] if times else None)
             if time.utcoffset() is None:
                 raise self.refuse(
                     f"must say its offset from UTC, as in {DEFAULT_START}{hint}", column, row
@@ -488,19 +710,46 @@ class Table:
             times.append(time)
         return times
 
-    def first_hour(
-        self, column: str, parse: Callable[[str], datetime] = parse_time,
-        example: str = DEFAULT_START,
+    def _on_clock(
+        self, column: str, row: int, time: datetime, zone: tzinfo, before: datetime | None
     ) -> datetime:
-        """Return the first of a column's times; they must be consecutive hours.
+        """Return a time of a zone's clock with its offset from UTC."""
+        local = time.replace(tzinfo=zone)
+        if local.astimezone(timezone.utc).astimezone(zone).replace(tzinfo=None) != time:
+            raise self.refuse(
+                f"is a time that clocks in {zone} skip; does the record stay on standard time? "
+                "Then write the offset from UTC into each time", column, row,
+            )
+        if before is not None and local.astimezone(timezone.utc) <= before:
+            local = local.replace(fold=1)
+        offset = local.utcoffset()
+        assert offset is not None
+        return time.replace(tzinfo=timezone(offset))
+
+    def hours(
+        self, column: str, parse: Callable[[str], datetime] = parse_time,
+        example: str = DEFAULT_START, zone: tzinfo | None = None, hint: str = "",
+    ) -> tuple[datetime, NDArray[np.intp]]:
+        """Return the first of a column's times, and how many hours after it each row is.
+
+        An hour without a row is missing.
 
         Raises:
-            ConfigurationError: they are not consecutive; or see :meth:`times`.
+            ConfigurationError: a time is not a whole number of hours after the row before; or see
+                :meth:`times`.
         """
-        first, *later = self.times(column, parse, example)
-        for row, time in enumerate(later, start=1):
-            self.check_due(column, row, time, first + row * HOUR)
-        return first
+        times = self.times(column, parse, example, hint, zone)
+        hours = [0]
+        for row, time in enumerate(times[1:], start=1):
+            hour, rest = divmod(time - times[0], HOUR)
+            if rest or hour <= hours[-1]:
+                due = times[0].astimezone(time.tzinfo) + (hours[-1] + 1) * HOUR
+                raise self.refuse(
+                    f"must be {to_minutes(due)}, or whole hours later: each row is an hour; an "
+                    "hour without values is a row with empty cells, or none", column, row,
+                )
+            hours.append(hour)
+        return times[0], np.array(hours, dtype=np.intp)
 
     def check_due(
         self, column: str, row: int, time: datetime, due: datetime, series: str = "the records"
@@ -514,7 +763,13 @@ class Table:
             )
 
 
-def read_table(file: Path, observed: Container[str] = ()) -> Table:
+def _is_code(text: str, number: float) -> bool:
+    """Return whether a value outside its range is one that stands for a missing value."""
+    digits = text.lstrip("+-").replace(".", "").strip("0")
+    return not abs(number) < _HUGE or digits in _CODES or re.fullmatch("9{2,}", digits) is not None
+
+
+def read_table(file: Path, observed: Callable[[str], bool] = lambda _: False) -> Table:
     """Read a CSV file; see :func:`table_of`.
 
     Raises:
@@ -524,24 +779,28 @@ def read_table(file: Path, observed: Container[str] = ()) -> Table:
 
 
 def numbered_lines(text: str) -> list[tuple[int, str]]:
-    """Return the lines that are neither empty nor comments (``#``), with their numbers from 1."""
+    """Return the lines that are neither comments (``#``) nor without text, numbered from 1."""
     return [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
+        if line.strip(" ,;\t") and not line.lstrip().startswith("#")
     ]
 
 
 def table_of(
-    file: Path, lines: Sequence[tuple[int, str]], observed: Container[str] = ()
+    file: Path, lines: Sequence[tuple[int, str]],
+    observed: Callable[[str], bool] = lambda _: False,
 ) -> Table:
     """Return lines of CSV as a table; a quoted cell must end in its line.
+
+    Cells are separated by commas, semicolons or tabs, whichever the header has most of. A number
+    may have a decimal comma.
 
     Args:
         file: where the lines are from.
         lines: as :func:`numbered_lines` returns them, the header first.
-        observed: columns of values. A row that ends before the first of them is an hour that is
-            missing: its other cells are empty.
+        observed: whether a column is one of values. A row that ends before the first of them is an
+            hour that is missing: its other cells are empty.
 
     Raises:
         ConfigurationError: there is no header or no row, a row has more or fewer cells than the
@@ -551,18 +810,17 @@ def table_of(
         raise ConfigurationError("holds only comments; a header and records must follow", file=file)
     rows: list[list[str]] = []
     first = 0
+    separator = max(",;\t", key=lines[0][1].count)
     for line, text in lines:
-        if not rows and ";" in text and "," not in text:
-            raise ConfigurationError(
-                "columns must be separated by commas; this file has semicolons", file=file,
-                line=line,
-            )
         try:
-            cells = [cell.strip() for cell in next(csv.reader([text], strict=True))]
+            cells = [
+                _DECIMAL_COMMA.sub(r"\1.\2", cell.strip())
+                for cell in next(csv.reader([text], delimiter=separator, strict=True))
+            ]
         except csv.Error as error:
             raise ConfigurationError(f"is not valid CSV: {error}", file=file, line=line) from error
         if not rows:
-            first = next((index for index, name in enumerate(cells) if name in observed), 0)
+            first = next((index for index, name in enumerate(cells) if observed(name)), 0)
         elif len(cells) <= first:
             cells += [""] * (len(rows[0]) - len(cells))
         rows.append(cells)

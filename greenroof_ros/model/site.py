@@ -172,7 +172,7 @@ class Site:
         "start them more often", 1.0, 3600.0, unit="1/h", default=20.0,
     )
     latitude: float | None = entry(
-        "latitude, positive to the north", -66.0, 66.0, unit="degrees", default=None,
+        "latitude, positive to the north", -90.0, 90.0, unit="degrees", default=None,
     )
     longitude: float | None = entry(
         "longitude, positive to the east of Greenwich", -180.0, 180.0, unit="degrees", default=None,

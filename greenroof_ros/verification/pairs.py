@@ -18,7 +18,7 @@ from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR, ISSUE_HOURS, PRECIPITATION
 from greenroof_ros.model.site import Site
 from greenroof_ros.verification.scores import Tally
-from greenroof_ros.weather.series import Weather, refuse_between_hours
+from greenroof_ros.weather.series import Weather, on_the_hours
 
 Array = NDArray[np.float64]
 
@@ -69,20 +69,20 @@ def issued_forecasts(
         horizon: hours of each forecast that are compared; a model's forecasts are this long.
 
     Raises:
-        ConfigurationError: an archive is wrong, or its issues are not whole hours from the records.
+        ConfigurationError: an archive is wrong.
     """
     if choice.file is None:
         return _modelled(choice, weather, site, horizon)
     archive = read_archive(choice.file, site, choice.delay)
-    refuse_between_hours(archive.verified, weather)
+    verified = on_the_hours(archive.verified, weather)
     first = weather.rain_from
     end = first + len(weather.precipitation) * HOUR
     within = [
-        issue for issue in archive.verified
+        issue for issue in verified
         if issue.issued < end and issue.issued + issue.hours * HOUR > first
     ]
-    begins = min(issue.issued for issue in archive.verified)
-    ends = max(issue.issued + issue.hours * HOUR for issue in archive.verified)
+    begins = min(issue.issued for issue in verified)
+    ends = max(issue.issued + issue.hours * HOUR for issue in verified)
     return IssuedForecasts(
         f"{archive.source} ({archive.kind})", archive.members,
         min(horizon, max((issue.hours for issue in within), default=horizon)), archive.finest_lead,

@@ -30,6 +30,7 @@ from greenroof_ros.model.site import Site
 FAO56 = "fao56"
 _PLACE = ("latitude", "longitude", "elevation", "utc_offset")
 _MJ_PER_M2_AND_HOUR = 3600e-6  # per W/m2
+_FURTHEST_NORTH = 66.0  # degrees, and as far south
 _METRES_PER_SECOND = 1 / 3.6  # per km/h
 
 
@@ -100,11 +101,12 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
     """Evapotranspiration of the vegetation (mm/day) in each hour, shape (hours,).
 
     It is the site's crop coefficient times the reference evapotranspiration; NaN if records are
-    missing. Without measured solar radiation, the records must cover the whole day, 0 to 24 h of
-    local standard time.
+    missing. In hours without measured solar radiation, the records must cover the whole day, 0 to
+    24 h of local standard time.
 
     Raises:
-        ConfigurationError: the file lacks a quantity, or the site file its place on earth.
+        ConfigurationError: the file lacks a quantity, or the site file its place on earth, or the
+            site is beyond a polar circle.
     """
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
     if lacking:
@@ -117,19 +119,55 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
         raise ConfigurationError(
             f"{FAO56} needs {', '.join(lacking)} in the site file (see config/site.yaml)"
         )
+    check_latitude(site)
     values = {name: records.values[name] for name in FOR_EVAPOTRANSPIRATION}
-    measured = records.values.get(RADIATION)
-    if measured is not None:
-        values[RADIATION] = measured
-    else:
-        values["Tmin"], values["Tmax"] = _daily_extremes(records, site)
+    result = np.full(records.hours, np.nan)
+    if RADIATION in records.values:
+        result = _stretches(site, records, {**values, RADIATION: records.values[RADIATION]})
+    if np.isnan(result).any():
+        least, greatest = _daily_extremes(records, site)
+        computed = _stretches(site, records, {**values, "Tmin": least, "Tmax": greatest})
+        result = np.where(np.isnan(result), computed, result)
+    return result * 24 * site.crop_coefficient
+
+
+def _stretches(
+    site: Site, records: Records, values: dict[str, NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Return :func:`hourly` of each gap-free stretch; NaN in gaps.
+
+    Each by itself, because a night has the cloudiness of the evening before.
+    """
     unknown = np.isnan(sum(values.values()))  # a sum that includes a NaN is NaN
     result = np.full(records.hours, np.nan)
-    # Each gap-free stretch by itself, because a night has the cloudiness of the evening before.
     for low, high in gaps(~unknown):
         stretch = {name: series[low:high] for name, series in values.items()}
         result[low:high] = hourly(site, records.first + low * HOUR, stretch)
-    return result * 24 * site.crop_coefficient
+    return result
+
+
+def check_latitude(site: Site) -> None:
+    """Refuse a site beyond a polar circle, where the sun does not rise and set each day.
+
+    Raises:
+        ConfigurationError: it is there.
+    """
+    if abs(site.latitude or 0.0) > _FURTHEST_NORTH:
+        raise ConfigurationError(
+            f"must be from {-_FURTHEST_NORTH:g} to {_FURTHEST_NORTH:g} degrees to compute "
+            "evapotranspiration by FAO-56, which divides the day by sunrise and sunset; give "
+            "evapotranspiration in a column, or monthly_evapotranspiration in the site file",
+            key="latitude", value=site.latitude,
+        )
+
+
+def monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
+    """Return the site's means of evapotranspiration (mm/day) in each hour; None if unknown."""
+    if site.monthly_evapotranspiration is None:
+        return None
+    first = np.datetime64(records.first.replace(tzinfo=None), "h")
+    months = (first + np.arange(records.hours)).astype("datetime64[M]").astype(np.int64) % 12
+    return site.crop_coefficient * np.array(site.monthly_evapotranspiration)[months]
 
 
 def _daily_extremes(

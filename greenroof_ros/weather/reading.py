@@ -15,22 +15,28 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.formats.reading import read_records
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
+    FOR_EVAPOTRANSPIRATION,
     HOUR,
     PRECIPITATION,
+    RADIATION,
     Records,
-    gaps,
+    bridged,
     join,
 )
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.evapotranspiration import FAO56, fao56
+from greenroof_ros.weather.evapotranspiration import FAO56, check_latitude, fao56, monthly
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
 
 Array = NDArray[np.float64]
 
 # The longest gap that is filled, by a straight line between the hours before and after it (h).
-# Temperature and wind follow the sun, so half a day must remain to show its course; dew point and
-# pressure follow the air mass, which changes within days. Rain is not filled here.
-LONGEST_GAP = {"temperature": 6, "wind speed": 6, "dew point": 24, "station pressure": 24}
+# Temperature, wind and evapotranspiration follow the sun, so half a day must remain to show its
+# course; dew point and pressure follow the air mass, which changes within days. Rain is not filled
+# here.
+LONGEST_GAP = {
+    "temperature": 6, "wind speed": 6, EVAPOTRANSPIRATION: 6, "dew point": 24,
+    "station pressure": 24,
+}
 
 # Offsets from a missing hour to the hours of the same time of day whose mean replaces it.
 _SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])
@@ -63,9 +69,9 @@ def read_weather(
         ConfigurationError: a file is broken, two contradict each other, or they cannot give the
             method.
     """
-    measured = _whole_hours(join([read_records(file, site) for file in files]))
+    measured = without_empty(_whole_hours(join([read_records(file, site) for file in files])))
     values = {
-        quantity: _bridged(series, LONGEST_GAP.get(quantity, 0))
+        quantity: bridged(series, LONGEST_GAP.get(quantity, 0))
         for quantity, series in measured.values.items()
     }
     if gaps == FILL:
@@ -74,19 +80,81 @@ def read_weather(
         quantity: np.isnan(measured.values[quantity]) & ~np.isnan(series)
         for quantity, series in values.items()
     })
+    left_out = records.left_out
     if rain_only:
         values[EVAPOTRANSPIRATION], method = np.full(records.hours, np.nan), ""
     elif EVAPOTRANSPIRATION in values and method in (None, records.method):
         method = records.method
     elif method in (None, FAO56):
-        values[EVAPOTRANSPIRATION], method = fao56(records, site), FAO56
+        values[EVAPOTRANSPIRATION], notes = evapotranspiration(records, site)
+        method, left_out = FAO56, (*records.left_out, *notes)
     else:
         own = f", or {records.method} from its own column" if records.method else ""
         raise ConfigurationError(
             f"must be {FAO56}{own}: {records.source} has no other evapotranspiration",
             key="evapotranspiration", value=method,
         )
-    return Weather(**{**vars(records), "method": method}, gaps=gaps)
+    return Weather(**{**vars(records), "method": method, "left_out": left_out}, gaps=gaps)
+
+
+def without_empty(records: Records) -> Records:
+    """Return records without the quantities that have no value, and a note of each.
+
+    Raises:
+        ConfigurationError: precipitation is one.
+    """
+    empty = [name for name, series in records.values.items() if np.isnan(series).all()]
+    if PRECIPITATION in empty:
+        raise ConfigurationError(
+            "has no precipitation: every value is missing", file=records.source
+        )
+    return replace(
+        records,
+        values={name: series for name, series in records.values.items() if name not in empty},
+        method="" if EVAPOTRANSPIRATION in empty else records.method,
+        left_out=(*records.left_out, *(
+            f"{name} has no value in {records.source}" for name in empty
+        )),
+        empty=(*records.empty, *empty),
+    )
+
+
+def evapotranspiration(records: Records, site: Site) -> tuple[Array, list[str]]:
+    """Return evapotranspiration in each hour (mm/day), NaN if missing, and what it is from.
+
+    It is computed by :func:`.evapotranspiration.fao56`. Where a quantity that this needs has no
+    value at all, or a site is beyond a polar circle, the site's monthly means are used.
+
+    Raises:
+        ConfigurationError: the files have no column of such a quantity, or the site lacks its
+            place or monthly means.
+    """
+    lacking = [name for name in FOR_EVAPOTRANSPIRATION if name in records.empty]
+    means = monthly(records, site)
+    if lacking and means is None:
+        raise ConfigurationError(
+            f"has no value of {', '.join(lacking)}, from which {FAO56} is computed; give the site "
+            "file monthly_evapotranspiration, and its means are used", file=records.source,
+        )
+    if means is not None:
+        try:
+            if not lacking:
+                check_latitude(site)
+        except ConfigurationError:
+            lacking = ["sunrise each day"]
+        if lacking:
+            return means, [
+                "evapotranspiration is the site's monthly means, for want of "
+                + " and ".join(lacking)
+            ]
+    series = fao56(records, site)
+    computed = np.isnan(records.values.get(RADIATION, series)) & ~np.isnan(series)
+    if not computed.any():
+        return series, []
+    return series, [
+        f"solar radiation is missing in {np.count_nonzero(computed)} hours, for which it is "
+        "computed from the day's temperatures (FAO-56 Eq. 50)"
+    ]
 
 
 def _whole_hours(records: Records) -> Records:
@@ -128,17 +196,6 @@ def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list
     if not files:
         raise ConfigurationError("must name at least one file", key=key)
     return files
-
-
-def _bridged(series: Array, longest: int) -> Array:
-    """Return hourly values with gaps of at most ``longest`` hours bridged by a straight line."""
-    filled = series.copy()
-    for low, high in gaps(np.isnan(series)):
-        if high - low <= longest and low > 0 and high < len(series):
-            filled[low:high] = np.interp(
-                np.arange(low, high), [low - 1, high], series[[low - 1, high]]
-            )
-    return filled
 
 
 def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import NamedTuple, overload
 
@@ -241,7 +241,8 @@ def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:
             "; or fill the gaps (--gaps fill; in a grid, gaps: fill): missing rain counts as none, "
             "other values are the mean at that time of day over the three days before and after"
         )
-    for quantity in (PRECIPITATION, TEMPERATURE):
+    own = () if weather.method == FAO56 else (EVAPOTRANSPIRATION,)
+    for quantity in (PRECIPITATION, TEMPERATURE, *own):
         if quantity in weather.values:
             _refuse_missing(weather, quantity, hours, f"; {way_out}")
     unknown = hours[np.isnan(weather.evapotranspiration[hours])]
@@ -279,19 +280,41 @@ def records_at(
     return weather.values[quantity][index]
 
 
-def refuse_between_hours(issues: Sequence[Issue], weather: Weather) -> None:
-    """Refuse issues that do not begin a whole number of hours from the records' first hour.
+def on_the_hours(issues: Sequence[Issue], weather: Weather) -> list[Issue]:
+    """Return issues whose hours begin with hours of the records.
+
+    The records of a place with an offset of half an hour begin between the hours of UTC. There an
+    issue begins with the next hour of the records, and each hour is the mean of the two hours of
+    the issue in which it lies, weighted by its share in each. An issue of one hour is left out.
 
     Raises:
-        ConfigurationError: an issue does not.
+        ConfigurationError: nothing is left.
     """
+    resampled = []
     for issue in issues:
-        if (issue.issued - weather.first) % HOUR:
-            raise ConfigurationError(
-                f"must be a whole number of hours from {to_minutes(weather.first)}, where "
-                f"{weather.source} begins",
-                file=issue.file, line=issue.line, key="issued", value=to_minutes(issue.issued),
+        late = (weather.first - issue.issued) % HOUR
+        if late and issue.hours > 1:
+            share = late / HOUR
+            rain, evapotranspiration, temperature = (
+                series if series is None
+                else (1 - share) * series[..., :-1] + share * series[..., 1:]
+                for series in (issue.rain, issue.evapotranspiration, issue.temperature)
             )
+            assert rain is not None
+            resampled.append(replace(
+                issue, issued=issue.issued + late, rain=rain,
+                evapotranspiration=evapotranspiration, temperature=temperature,
+            ))
+        elif not late:
+            resampled.append(issue)
+    if not resampled:
+        raise ConfigurationError(
+            f"must have more than an hour, or begin a whole number of hours from "
+            f"{to_minutes(weather.first)}, where {weather.source} begins",
+            file=issues[0].file, line=issues[0].line, key="issued",
+            value=to_minutes(issues[0].issued),
+        )
+    return resampled
 
 
 def suspicious_rain(records: Records, hours: range) -> list[str]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
@@ -141,8 +142,10 @@ WRONG = {
     "too short": (
         "\n".join(TEXT.splitlines()[40:]), "", "has 39 rows; a record must have at least 100"),
     "rain in micrometres": (
-        "T00:30,0.1", "T00:30,159", "line 8: rain [mm] = '159': must be a number from 0 to "
-        "158.333 mm, or empty; is the unit of the column right?",
+        "T00:30,0.1,0.2,0.03,5,15\n2021-06-01T00:35,0.1",
+        "T00:30,159,0.2,0.03,5,15\n2021-06-01T00:35,159",
+        "line 8: rain [mm] = '159': must be a number from 0 to 158.333 mm, or empty; is "
+        "the unit of the column right?",
     ),
 }
 
@@ -326,3 +329,63 @@ def test_a_row_has_the_temperatures_of_its_own_day(file: Path) -> None:
     )
     assert of_course[whole] == pytest.approx(in_first[whole])
     assert of_course[:187].sum() < 0.5 * in_first[:187].sum()  # as cold as the 14th
+
+
+# --- what loggers really write --------------------------------------------------------------------
+
+LOGGED = "rain [mm],level [m],reference evapotranspiration [mm]"
+
+
+def on_a_clock(first: datetime, zone: ZoneInfo, minutes: int = 10, rows: int = 200) -> str:
+    """Return a record by a clock with daylight saving time."""
+    start = first.replace(tzinfo=zone).astimezone(timezone.utc)
+    times = [
+        (start + timedelta(minutes=minutes * row)).astimezone(zone).replace(tzinfo=None)
+        for row in range(rows)
+    ]
+    return text_of(LOGGED, "0.1,0.03,0.1", times)
+
+
+@pytest.mark.parametrize(
+    ("zone", "day", "what"),
+    [
+        ("America/Toronto", "2021-11-06", "shows an hour twice"),
+        ("America/Toronto", "2021-03-13", "skips an hour"),
+        ("Europe/Berlin", "2021-03-27", "skips an hour"),
+        ("Europe/London", "2021-10-30", "shows an hour twice"),
+        ("America/St_Johns", "2021-11-06", "shows an hour twice"),
+        ("Australia/Sydney", "2021-10-02", "skips an hour"),
+    ],
+)
+@pytest.mark.parametrize("minutes", [10, 60])
+def test_a_clock_with_daylight_saving(
+    file: Path, zone: str, day: str, what: str, minutes: int
+) -> None:
+    """It is recognised, and its zone can be given; then each step has a row."""
+    text = on_a_clock(datetime.fromisoformat(f"{day}T12:00"), ZoneInfo(zone), minutes)
+    assert what in (said := refusal(read, file, text)) and "give its zone, --time-zone" in said
+    record = read_csv_record(file, TWIN, zone=ZoneInfo(zone))
+    assert record.steps == 200 and not np.isnan(record.rain).any()
+    site = replace(TWIN, time_zone=zone)
+    assert f"--time-zone {zone}" in refusal(read, file, text, site)
+
+
+def test_a_logger_that_stood_still_is_no_such_clock(file: Path) -> None:
+    """On another day, for another time, or with offsets."""
+    for lost in (range(60, 66), range(90, 93)):
+        lines = on_a_clock(datetime(2021, 6, 5, 12), ZoneInfo("Etc/GMT-1")).splitlines()  # noqa: DTZ001
+        text = "\n".join(line for row, line in enumerate(lines) if row not in lost)
+        assert np.isnan(read(file, text).rain).sum() == len(lost)
+
+
+def test_semicolons_and_codes_for_missing_values(file: Path) -> None:
+    """With a note; -0.1 mm of rain counts as missing, as a gauge does not round below 0."""
+    cells = ["0.1,0.03,0.1"] * ROWS
+    cells[3], cells[5], cells[7] = "-999,0.03,0.1", "0.1,NAN,0.1", "0.1,-9999,0.1"
+    text = text_of(LOGGED, cells).replace(",", ";").replace(".", ",")
+    record = read(file, text)
+    assert np.flatnonzero(np.isnan(record.rain)).tolist() == [3]
+    assert np.flatnonzero(np.isnan(record.level)).tolist() == [5, 7]
+    assert [note.partition(" at ")[0] for note in record.notes] == [
+        "record.csv: rain [mm] of -999", "record.csv: level [m] of -9999",
+    ]

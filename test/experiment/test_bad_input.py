@@ -64,10 +64,6 @@ FORECASTS = [
         [MEMBERS, f"{H0},{H0},0,0", f"{H1},{H1},0,0", f"{H1},{H1},1,0"], 3,
         "as many members as the one before it in FILE.csv, 1, not 2",
     ),
-    (
-        [MEMBERS, f"{H0},{H0},0,0", f"{H0},{H1},0,0", f"{H0},{H0},1,0"], 2,
-        "member 1 has 1, member 0 has 2",
-    ),
 ]
 
 

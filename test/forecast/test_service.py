@@ -1,5 +1,6 @@
 """Forecasts from the internet: what a service answers, in each way in which this can go wrong."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -9,6 +10,8 @@ from dataclasses import replace
 from datetime import datetime, timezone
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from urllib.parse import urlencode
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -212,3 +215,49 @@ def test_the_command_and_the_simulator_of_a_service(tmp_path):
     ended = run_command(*asked, cwd=tmp_path, env=environment(0))
     assert ended.returncode == 1
     assert ended.stdout.startswith("no forecast: ")
+
+
+def _partly(server, change):
+    """Return the service's answer of now with some of its hourly values changed."""
+    with urlopen(f"{server.address}/v1/ensemble?" + urlencode({
+        "latitude": SITE.latitude, "longitude": SITE.longitude, "timezone": "GMT",
+        "hourly": ",".join(VARIABLES.values()), "forecast_days": 7,
+    })) as response:
+        content = json.load(response)
+    change(content["hourly"], content["hourly_units"])
+    return json.dumps(content).encode()
+
+
+def _nothing(*names):
+    def change(hourly, units):
+        for name in names:
+            hourly[name] = [None] * len(hourly["time"])
+            units[name] = "undefined"
+    return change
+
+
+def _one_value(hourly, _):
+    for name in VARIABLES.values():
+        hourly[name][60] = None
+    hourly["precipitation"][70] = -0.1
+    hourly["shortwave_radiation"][71] = -13159.9
+
+
+@pytest.mark.parametrize(("change", "note"), [
+    (_nothing("shortwave_radiation"), "solar radiation has no value"),
+    (_nothing("dew_point_2m"), "monthly means, for want of dew point"),
+    (_nothing("temperature_2m"), "temperature has no value"),
+    (_nothing("shortwave_radiation", "dew_point_2m"), "monthly means"),
+    (_nothing("precipitation_member02"), "member 2 is left out"),
+    (_one_value, "-13159.9 at "),
+])
+def test_what_an_answer_lacks_is_noted_and_the_rest_is_used(server, change, note):
+    server.fault = "none"
+    body = _partly(server, change)
+    with _answering(lambda _: (200, {}, body)) as service:
+        issue = service.fetch(_now())
+    assert issue.hours > 5 * 24
+    assert not np.isnan(issue.rain).any() and not np.isnan(issue.evapotranspiration).any()
+    assert 0.5 < issue.evapotranspiration.mean() < 8
+    assert (issue.temperature is None) == (note == "temperature has no value")
+    assert any(note in text for text in issue.notes)

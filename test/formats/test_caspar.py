@@ -91,6 +91,36 @@ def test_members_and_steps_of_three_and_six_hours(tmp_path: Path) -> None:
             assert rain.tolist() == pytest.approx(expected, abs=1e-5)
 
 
+@pytest.mark.parametrize(("product", "delay"), [("RDPS", 5.0), ("GDPS", 6.0)])
+def test_longest_archives(tmp_path: Path, product: str, delay: float) -> None:
+    """RDPS is hourly, GDPS every three hours; a browser may have numbered a file."""
+    hours = [0, 3, 6] if product == "GDPS" else [0, 1, 2]
+    file = tmp_path / "2021070800 (1).nc"
+    write(tmp_path / "2021070800.nc", [np.nan, 0.003, 0.006], hours, product).rename(file)
+    archive = read_archive(file, TORONTO)
+    assert (archive.kind, archive.delay) == (f"CaSPAr, {product}", delay)
+    assert archive.issues[0].rain[0] == pytest.approx(6 * [1.0] if hours[1] == 3 else [3.0, 3.0])
+
+
+def test_a_missing_sum(tmp_path: Path) -> None:
+    """It lies between its neighbours, and the others are kept."""
+    archive = read_archive(write(tmp_path / "2021070800.nc", [0, 0.001, np.nan, 0.005]), TORONTO)
+    assert archive.issues[0].rain[0] == pytest.approx([1.0, 2.0, 2.0], abs=1e-4)
+    assert archive.notes == (
+        "2021070800.nc: the sum 2 h after the issue is missing, and lies between its neighbours",
+    )
+
+
+def test_a_member_that_ends_early(tmp_path: Path) -> None:
+    """All end with it; a member with hardly any hour is left out."""
+    for number, count in enumerate((6, 5, 2)):
+        sums = [np.nan, *(0.001 * hour for hour in range(1, count))]
+        write(tmp_path / f"2021070800_{number:03}.nc", sums, range(count), "REPS")
+    archive = read_archive(tmp_path, TORONTO)
+    assert archive.issues[0].rain == pytest.approx(np.ones((2, 4)), abs=1e-4)
+    assert "member 2 is left out: it has 1 hours, and others 5" in archive.notes[0]
+
+
 def test_longitudes_to_the_east_and_axes_of_their_own(tmp_path: Path) -> None:
     """A grid by latitude and longitude; 280.6 degrees east is 79.4 west."""
     def regular(dataset: netCDF4.Dataset) -> None:
@@ -136,8 +166,8 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ),
     (
         {"product": "CaLDAS"},
-        f"must have one variable of precipitation, such as {RAIN}, of one of HRDPS, REPS, GEPS, "
-        "GEPS_NA; it has time, rlat, lat, rlon, lon, CaLDAS_P_PR_SFC",
+        f"must have one variable of precipitation, such as {RAIN}, of one of HRDPS, RDPS, GDPS, "
+        "REPS, GEPS, GEPS_NA; it has time, rlat, lat, rlon, lon, CaLDAS_P_PR_SFC",
     ),
     (
         {"edit": lambda dataset: dataset["lon"].delncattr("standard_name")},
@@ -150,7 +180,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"sums": [0.0, 0.003, 0.001]}, f"{OF_SUMS}-2 mm/h before hour 2, outside 0 to 500"),
     ({"sums": [0.0, 1.0, 3.0]}, f"{OF_SUMS}1000 mm/h before hour 1, outside"),  # mm, not m
     (
-        {"edit": lambda dataset: dataset[RAIN].__setitem__((2, *NEAREST), np.inf)},
+        {"edit": lambda dataset: dataset[RAIN].__setitem__((slice(2, 4), *NEAREST), np.inf)},
         f"{RAIN}: is missing 2 h after the issue",
     ),
     (

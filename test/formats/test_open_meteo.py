@@ -334,12 +334,12 @@ WRONG = {
     ),
     "daily.json": ('{"hourly": null}', ": hourly: must be a mapping, as in hourly answers"),
     "huge.json": (  # too large for a float, both as an integer and as a decimal
-        run_of(precipitation=[0.0, 0.0, 10**400, 0.0, 0.0, 0.0]),
-        f": hourly.precipitation[2] = '1{'0' * 400}': must be a number from 0 to 500 mm, or empty",
+        run_of(precipitation=[10**400] * 6),
+        f": hourly.precipitation[0] = '1{'0' * 400}': must be a number from 0 to 500 mm, or empty",
     ),
     "hole_2024060112.json": (
-        run_of(precipitation=[0.0, 0.0, None, 1.0, 1.0, 1.0]),
-        ": member 0 is missing at 2024-06-01T14:00+00:00, within the run",
+        run_of(precipitation=[0.0, None, None, 1.0, 1.0, 1.0]),
+        ": has no precipitation after its run, 2024-06-01T12:00",
     ),
     "models.json": (
         run_of(precipitation_gem_global=[0.0] * 6),
@@ -385,7 +385,7 @@ def test_wrong_directories(tmp_path: Path) -> None:
     for name, text, wrong in (
         ("README.md", "# Forecasts", r"README.md: must end in .csv, .json or .nc, like "),
         (
-            "b_2024060112.json", run_of(1),
+            "b_2024060112.json", run_of(1, precipitation=[1.0] * 6),
             r"has the issue of 2024-06-01T12:00.00:00, which a_2024060112.json has already",
         ),
         (

@@ -74,7 +74,7 @@ def test_columns_have_any_order(tmp_path: Path) -> None:
     ("header", "reason"),
     [
         ("date" + HEADER[4:], "'date': the first column must be 'time'"),
-        (HEADER + ",humidity [%]", "'humidity [%]': is not a known column; choose from prec"),
+        (HEADER + ",snow [cm]", "'snow [cm]': is not a known column; choose from precipitatio"),
         (HEADER + ",temperature", "'temperature': a column must be named like"),
         (HEADER.replace("mm/h]", "mm]"), "'precipitation [mm]': the unit of precipitation must be"),
         (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': there is a"),
