@@ -22,6 +22,7 @@ class Adversary:
     """Hourly forecasts of one kind; the forecast replaces the first hour by the observed one."""
 
     longest = None  # they have no end
+    notes = ()
 
     def __init__(self, kind: str, weather: Weather) -> None:
         self._kind = kind
