@@ -442,7 +442,7 @@ def files_messages(file: Path) -> set[tuple[str, int]]:
 @pytest.mark.parametrize("metadata", [True, False])
 @pytest.mark.parametrize("what", ["a chunk", "a file", "half a file", "all but the name"])
 def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, what: str, metadata: bool) -> None:
-    """An older one, too. The loss is told by topic, whether or not metadata.yaml is there."""
+    """An older one, too. It says what was lost by topic, whether or not metadata.yaml is there."""
     sent = split_bag(tmp_path / "bag")
     file = tmp_path / "bag" / "bag_1.mcap"
     had = files_messages(file)
