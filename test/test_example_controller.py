@@ -30,11 +30,6 @@ def run(directory: Path, module: str, *options: str) -> str:
     return result.stdout
 
 
-def test_it_is_short() -> None:
-    """It has at most 60 lines, including its documentation."""
-    assert len((CHECKOUT / "examples" / "proportional.py").read_text().splitlines()) <= 60
-
-
 def test_simulate_and_graph_agree(domain: int, tmp_path: Path) -> None:
     """Both use its parameter file, and their results are equal in every bit."""
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")

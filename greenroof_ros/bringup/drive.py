@@ -247,7 +247,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
 
 
 def bring_up(
-    arguments: argparse.Namespace, site_file: Path, start: Callable[[Signals], int]
+    arguments: argparse.Namespace, site_file: Path, start: Callable[[Signals], int],
+    stopped: int = EXIT_INTERRUPTED,
 ) -> int:
     """Start a graph, with its web page if ``--watch`` was given; return the exit code.
 
@@ -255,13 +256,14 @@ def bring_up(
         arguments: the command line.
         site_file: the site file, for the page.
         start: runs the graph and returns the exit code.
+        stopped: the exit code if a signal comes before any node was started.
     """
     try:
         with watcher(arguments.namespace, site_file) if arguments.watch else nullcontext():
             return start(Signals())
     except InterruptedRun as error:  # before any node was started
         print(error, file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return stopped
 
 
 def refuse(*rules: tuple[bool, str, object, str]) -> None:

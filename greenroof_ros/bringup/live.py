@@ -64,8 +64,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     """Start the nodes of a live site and keep them running until a signal comes.
 
     Returns:
-        The exit code: 0 if the site was asked to stop, the pump is at rest, and there was no
-        incident.
+        The exit code: 0 if the site was asked to stop and the pump is at rest.
 
     Raises:
         ConfigurationError: a graph runs already, ROS 2 is missing, a parameter file is wrong, or
@@ -141,7 +140,7 @@ def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
         record.wait()
         say(f"{error}: the pump and the nodes are stopped")
         say(with_incidents("done", record.log.count))
-        return EXIT_FAILED if record.log.count else EXIT_DONE
+        return EXIT_DONE
     reason, last_lines, code = str(error), "", EXIT_FAILED
     if isinstance(error, NodeFailed):
         reason, last_lines, code = error.reason, error.last_lines, error.code
@@ -443,7 +442,7 @@ def main() -> int:
     """Start the site, and keep it running until it is stopped."""
     arguments = make_parser().parse_args()
     site = LiveSite(arguments)
-    return bring_up(arguments, site.site_file, partial(run_live, site, arguments))
+    return bring_up(arguments, site.site_file, partial(run_live, site, arguments), EXIT_DONE)
 
 
 if __name__ == "__main__":

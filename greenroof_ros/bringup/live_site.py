@@ -183,9 +183,8 @@ def make_parser() -> Parser:
         epilog="examples:\n"
         "  greenroof live --sensors sensors.yaml --forecast forecast.csv \\\n"
         "    --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
-        "exit codes: 0 asked to stop, 1 a node failed, the pump may run on, or there were "
-        "incidents: a drive or a sensor was lost for a while, 2 bad usage or configuration, 3 a "
-        "graph is already running, 130 interrupted",
+        "exit codes: 0 asked to stop, 1 a node failed, or the pump may run on, 2 bad usage or "
+        "configuration, 3 a graph is already running, 130 interrupted before anything was started",
     )
     group = parser.add_argument_group("the site")
     add_controller_arguments(parser, group)

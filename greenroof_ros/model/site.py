@@ -6,7 +6,7 @@ import io
 import math
 from collections.abc import Container, Iterator, Mapping
 from dataclasses import asdict, dataclass
-from datetime import timezone
+from datetime import datetime, timedelta, timezone, tzinfo
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -16,6 +16,7 @@ from greenroof_ros.common.errors import ConfigurationError, did_you_mean, span, 
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, entry, keys, parameters_of
+from greenroof_ros.common.times import LAST_YEAR
 from greenroof_ros.model.quiet_hours import QuietHours
 
 if TYPE_CHECKING:
@@ -207,8 +208,8 @@ class Site:
         '["22:00-06:00", "12:00-13:30"]; without them it may run at any time', default=None,
     )
     time_zone: str | None = entry(
-        "IANA name of the time zone of quiet_hours, such as America/Toronto; it includes "
-        "daylight saving", default=None,
+        "IANA name of the time zone of quiet_hours and of the page, such as America/Toronto; it "
+        "includes daylight saving; its standard time is utc_offset", default=None,
     )
     greatest_dose: float | None = entry(
         "largest volume of a dose, which a person asks for; without it no dose is given", 0.001,
@@ -216,11 +217,16 @@ class Site:
     )
 
     @cached_property
+    def zone(self) -> tzinfo:
+        """Its clock: ``time_zone``, which may have daylight saving, or ``utc_offset``, or UTC."""
+        if self.time_zone is not None:
+            return ZoneInfo(self.time_zone)
+        return timezone(timedelta(hours=self.utc_offset or 0.0))
+
+    @cached_property
     def quiet(self) -> QuietHours | None:
         """Its quiet hours; None if the pump may run at any time."""
-        if not self.quiet_hours or self.time_zone is None:
-            return None
-        return QuietHours(self.quiet_hours, ZoneInfo(self.time_zone))
+        return QuietHours(self.quiet_hours, self.zone) if self.quiet_hours else None
 
     @cached_property
     def effective_catchment(self) -> float:
@@ -538,6 +544,28 @@ def _of_clock(name: str, value: Any) -> tuple[str, ...] | str:
     return tuple(value)
 
 
+def _standard_offsets(zone: str) -> list[float]:
+    """Return a time zone's offsets from UTC (h) without daylight saving, since 2010.
+
+    Where winter time is the exception by law, as in Ireland, its offset is one, too.
+    """
+    days = (
+        datetime(year, month, day, tzinfo=ZoneInfo(zone))
+        for year in range(2010, LAST_YEAR + 1) for month in range(1, 13) for day in (1, 15)
+    )
+    offsets = [((day.utcoffset() or timedelta()) / timedelta(hours=1), day.dst()) for day in days]
+    return sorted({min(offsets)[0], *(offset for offset, saved in offsets if not saved)})
+
+
+def _other_zone(zone: str, utc_offset: float, offsets: list[float]) -> str:
+    """Return why a time zone is refused whose standard offset is another."""
+    found = " or ".join(f"{offset:+g} h" for offset in offsets)
+    expected = f"must be the zone of utc_offset, {utc_offset:+g} h; its standard time is {found}"
+    if zone.startswith("Etc/GMT"):
+        expected += "; in names that begin with Etc/ the sign is reversed: Etc/GMT+5 is UTC-05:00"
+    return expected
+
+
 def _contradictions(site: Site, entries: Container[str]) -> Iterator[tuple[str, str]]:
     """Yield each parameter that contradicts others, and what would be right.
 
@@ -557,6 +585,10 @@ def _contradictions(site: Site, entries: Container[str]) -> Iterator[tuple[str, 
         missing = [name for name in (*names, *further) if name not in entries]
         if present and missing:
             yield present[0], f"needs {', '.join(missing)} as well"
+    if site.time_zone is not None and site.utc_offset is not None:
+        offsets = _standard_offsets(site.time_zone)
+        if site.utc_offset not in offsets:
+            yield _ZONE, _other_zone(site.time_zone, site.utc_offset, offsets)
     lowest, name, suction = site.lowest_outlet, "z_o", site.suction_level
     if site.low_outlet_level is not None:
         name = "low_outlet_level"

@@ -100,7 +100,7 @@ def load_bag(
         own: whether the run is known to be this package's: its plant then refused implausible
             values, which acted as 0. In other bags they are left out, or are an error.
         external_pump: whether a pump driver gave the plant the flow.
-        repair: how a damaged bag can be repaired, for the message.
+        repair: how a damaged bag can be repaired, for the message; empty if it cannot.
 
     Raises:
         ConfigurationError: the bag is damaged, foreign, or has implausible values.
@@ -183,7 +183,8 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     except Exception as error:  # the readers let any error of storages and codecs pass
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ConfigurationError(
-            f"cannot be read as a bag: {reason} If its recorder was killed, {repair}", file=bag
+            f"cannot be read as a bag: {reason}" + (repair and f" If it is damaged, {repair}"),
+            file=bag,
         ) from error
     silent = [topic for topic in _NEEDED if topic not in times]
     if silent:

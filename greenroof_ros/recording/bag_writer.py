@@ -351,7 +351,8 @@ class BagWriter(BagFile):
 
 def start_writer(stream: BinaryIO) -> Writer:
     """Return an mcap writer for a file of a bag, after writing the file's head."""
-    writer = Writer(stream, compression=CompressionType.ZSTD)
+    # The checksum of the data includes what chunks' own checksums leave out, such as indices.
+    writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=True)
     writer.start(profile="ros2", library="greenroof_ros")
     return writer
 

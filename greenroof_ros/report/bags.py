@@ -25,7 +25,7 @@ from greenroof_ros.model.plant import mains_flow
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
 from greenroof_ros.recording.bag_reader import Recorded, load_bag
-from greenroof_ros.recording.bag_writer import recovered_bag
+from greenroof_ros.recording.bag_writer import METADATA, recovered_bag
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.report.run import Note, Row, Run, labels, meaning_of_initial, read_about
 from greenroof_ros.weather.reading import read_weather
@@ -45,14 +45,30 @@ def _bag_in(path: Path) -> Path:
     return path / "bag" if (path / "bag").is_dir() else path
 
 
+def _closed_and_repair(path: Path, bag: Path) -> tuple[list[Path], str]:
+    """Return a run's closed bags, the one to read first, and what repairs it, for a message.
+
+    What ``recover`` made counts until something is recorded after it. A single file is a bag.
+    """
+    if path.is_file():
+        return [path], f"greenroof recover {path.parent} makes a whole bag of what is left"
+    new = recovered_bag(bag)
+    closed = [place for place in (new, bag) if (place / METADATA).is_file()]
+    if any(bag.glob("*.db3")):
+        return closed, f"ros2 bag reindex {bag} writes its metadata.yaml again"
+    if new not in closed:
+        return closed, f"greenroof recover {path} makes a whole one of what is left"
+    recorded = max((file.stat().st_mtime for file in bag.glob("*")), default=0.0)
+    if (new / METADATA).stat().st_mtime < recorded:
+        return closed[::-1], f"remove {new}, and greenroof recover {path} makes a new one"
+    return closed, ""
+
+
 def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
     """Return the run in a run directory or bag; a row with its error if it left no bag."""
     bag, run = _bag_in(path), run_directory(path)
-    closed = [path] if path.is_file() else [
-        place for place in (bag, recovered_bag(bag)) if (place / "metadata.yaml").is_file()
-    ]
+    closed, repair = _closed_and_repair(path, bag)
     bag = next(iter(closed), bag)
-    repair = f"greenroof recover {path} makes a whole one"
     own_site, notes = site_file_of(run), list[Note]()
     if site_file is not None:
         site, site_name = read_site(site_file), str(site_file)
@@ -64,6 +80,8 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
         notes.append(
             Note("no site file came with the bag: the site is the paper's, config/site.yaml")
         )
+    if bag == recovered_bag(_bag_in(path)):
+        notes.append(Note(f"{bag.name} is what greenroof recover found whole in {name}"))
     about = read_about(run, site)
     if not closed:
         if any(bag.glob("*.mcap")) or any(bag.glob("*.db3")):

@@ -62,7 +62,7 @@ def document(store: Store, wall: float) -> dict[str, Any]:
 
 
 def _document(store: Store) -> dict[str, Any]:
-    now, alarms = store.now, store.alarms
+    alarms = store.alarms
     known, incidents = store.graph.anybody or not store.ended, store.incidents()
     recorded = [
         incident.row(": ".join(filter(None, (trouble.role, trouble.part))), recorded=True)
@@ -104,11 +104,7 @@ def _document(store: Store) -> dict[str, Any]:
         "heading": _heading(store),
         "mode": store.mode,
         "namespace": store.namespace,
-        "time": {
-            "now": now, "utc_offset": store.utc_offset,
-            "text": words.UNKNOWN if now is None
-            else words.date_and_time(now, store.utc_offset, zone=True),
-        },
+        "time": store.clock(),
         "notes": _notes(store, known, bool(incidents), len(rows) - len(listed)),
         "tiles": shown,
         "advice": alarms.advice() if own else _advice(store, shown, waits),
@@ -337,7 +333,7 @@ def _account(store: Store) -> dict[str, Any]:
         del labels["mains"]
     since, sentence = "", "not known yet"
     if account.since is not None:
-        since = f"since {words.date_and_time(account.since / 1e9, store.utc_offset)}"
+        since = f"since {words.date_and_time(account.since / 1e9, store.site.zone)}"
         if not account.measured:
             for key in ("drained", "overflow"):
                 labels[key] += ", computed from the level"

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -569,18 +569,25 @@ class Store:
         times = [newest.time_ns for newest in self.newest.values()]
         return max(times) / 1e9 if times else None
 
-    @property
-    def utc_offset(self) -> float:
-        """Offset from UTC of the times that are shown (h): the site's, or 0 if it has none."""
-        return 0.0 if self.site.utc_offset is None else self.site.utc_offset
+    def clock(self) -> dict[str, Any]:
+        """Return the time in words, and the clock for the page's charts.
+
+        The clock is a list of times (s since 1970), each with the offset from UTC (h) from then
+        on. It covers the longest chart.
+        """
+        now, zone = self.now, self.site.zone
+        if now is None or words.moment(now, zone) is None:
+            return {"now": now, "text": words.UNKNOWN, "clock": []}
+        text = f"{words.date_and_time(now, zone)} {words.clock_name(now, zone)}"
+        return {"now": now, "text": text, "clock": words.offsets(zone, int(now // 86400))}
 
     def time_of_day(self, at: float) -> str:
         """Write a time of the graph (s since 1970)."""
-        return words.time_of_day(at, self.utc_offset, at if self.now is None else self.now)
+        return words.time_of_day(at, self.site.zone, at if self.now is None else self.now)
 
     def hour(self, at: float) -> str:
         """Write a time to come (s since 1970)."""
-        return words.hour_and_minute(at, self.utc_offset, self.now or at)
+        return words.hour_and_minute(at, self.site.zone, self.now or at)
 
     def _is_of_system(self, at: float) -> bool:
         """Return whether a time (s since 1970) is by the system's clock since the watcher began."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from datetime import datetime, timedelta, timezone
-from functools import cache
+from datetime import datetime, timedelta, tzinfo
+from functools import cache, lru_cache
+from zoneinfo import ZoneInfo
 
 from greenroof_ros.common.interface import Display, read_topics
 
@@ -12,6 +13,7 @@ NOT_PLAUSIBLE = "not a plausible value"
 UNKNOWN = "unknown"
 SPACE = "\N{NO-BREAK SPACE}"
 """Between a number and its unit: no line ends there."""
+_HOUR = timedelta(hours=1)
 
 
 def number(value: float, decimals: int) -> str:
@@ -86,32 +88,59 @@ def horizon(seconds: float) -> str:
     return length_of_time(seconds)
 
 
-def moment(seconds: float, utc_offset: float) -> datetime | None:
-    """Return a time since 1970 (s) at an offset from UTC (h); None if it is in no calendar."""
+def moment(seconds: float, zone: tzinfo) -> datetime | None:
+    """Return a time since 1970 (s) in a zone; None if it is in no calendar."""
     try:
-        return datetime.fromtimestamp(seconds, timezone(timedelta(hours=utc_offset)))
+        return datetime.fromtimestamp(seconds, zone)
     except (ValueError, OverflowError, OSError):
         return None
 
 
-def date_and_time(seconds: float, utc_offset: float, *, zone: bool = False) -> str:
-    """Write a time since 1970 (s): ``2021-07-20 05:00:00``; on request with ``UTC-04:00``."""
-    at = moment(seconds, utc_offset)
-    return UNKNOWN if at is None else at.strftime("%Y-%m-%d %H:%M:%S" + " %Z" * zone)
+def date_and_time(seconds: float, zone: tzinfo) -> str:
+    """Write a time since 1970 (s): ``2021-07-20 05:00:00``."""
+    at = moment(seconds, zone)
+    return UNKNOWN if at is None else at.strftime("%Y-%m-%d %H:%M:%S")
 
 
-def time_of_day(seconds: float, utc_offset: float, now: float) -> str:
+def clock_name(seconds: float, zone: tzinfo) -> str:
+    """Write which clock shows a time (s since 1970): ``EDT, America/Toronto`` or ``UTC-05:00``."""
+    at = moment(seconds, zone)
+    name = "" if at is None else at.strftime("%Z")
+    if not isinstance(zone, ZoneInfo) or zone.key == name:
+        return name
+    offset = "" if at is None else at.isoformat()[-6:]  # some zones have a number for a name
+    return f"{name if name.isalpha() else f'UTC{offset}'}, {zone.key}"
+
+
+@lru_cache(maxsize=8)
+def offsets(zone: tzinfo, day: int) -> list[tuple[int, float]]:
+    """Return when (s since 1970) a clock's offset from UTC (h) changes, from its first on.
+
+    Args:
+        zone: of the clock.
+        day: number of days since 1970. The changes are of eight days before it and two after it.
+    """
+    changes: list[tuple[int, float]] = []
+    for at in range((day - 8) * 86400, (day + 3) * 86400, 900):
+        time = moment(at, zone)
+        offset = None if time is None else time.utcoffset()
+        if offset is not None and (not changes or changes[-1][1] != offset / _HOUR):
+            changes.append((at, offset / _HOUR))
+    return changes
+
+
+def time_of_day(seconds: float, zone: tzinfo, now: float) -> str:
     """Write a time since 1970 (s): ``05:00:00``, with its date if that is not today."""
-    at, today = moment(seconds, utc_offset), moment(now, utc_offset)
+    at, today = moment(seconds, zone), moment(now, zone)
     if at is None:
         return UNKNOWN
     same = today is not None and at.date() == today.date()
     return at.strftime("%H:%M:%S" if same else "%Y-%m-%d %H:%M:%S")
 
 
-def hour_and_minute(seconds: float, utc_offset: float, now: float) -> str:
+def hour_and_minute(seconds: float, zone: tzinfo, now: float) -> str:
     """Write a time to come (s since 1970): ``06:20``, ``tomorrow 06:20``, later with its date."""
-    at, today = moment(seconds, utc_offset), moment(now, utc_offset)
+    at, today = moment(seconds, zone), moment(now, zone)
     if at is None or today is None:
         return UNKNOWN
     days = (at.date() - today.date()).days

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,70 +21,10 @@ PAGES = [
     CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md",
     *sorted(path for path in DOC.rglob("*.md") if "_build" not in path.parts),
 ]
-# The largest number of words on a page of each kind, by the caption in the table of contents.
-WORDS = {"How-to guides": 700, "Explanation": 1800}
 
 
 def name(path: Path) -> str:
     return str(path.relative_to(CHECKOUT))
-
-
-def listed(page: Path, caption: str = "") -> Iterator[Path]:
-    """Yield the pages of a page's table of contents, under a caption if given, and of theirs."""
-    for tree in re.findall(r"^```{toctree}\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE):
-        if caption in tree:
-            for entry in re.findall(r"^\w.*", tree, re.MULTILINE):
-                below = page.parent / f"{entry}.md"
-                yield from (below, *listed(below))
-
-
-@pytest.mark.parametrize(("page", "lines"), [("README.md", 90), ("CONTRIBUTING.md", 60)])
-def test_first_pages_are_short(page: str, lines: int) -> None:
-    assert len((CHECKOUT / page).read_text().splitlines()) <= lines
-
-
-@pytest.mark.parametrize("kind", WORDS)
-def test_a_page_has_few_words(kind: str) -> None:
-    """A generated table is for looking up, and does not count."""
-    words = {
-        page: len(generate._BLOCK.sub("", page.read_text()).split())
-        for page in listed(DOC / "overview.md", kind)
-    }
-    assert len(words) >= 10
-    assert {name(page): number for page, number in words.items() if number > WORDS[kind]} == {}
-
-
-def test_documentation_has_few_words() -> None:
-    """README and ``doc/``, without the reference, which is generated or holds tables."""
-    read = [
-        page for page in PAGES
-        if page.parent.name not in ("reference", "modules") and page.name != "CONTRIBUTING.md"
-    ]
-    assert sum(len(page.read_text().split()) for page in read) <= 30_000
-
-
-def test_phrases_that_nobody_says_are_refused(tmp_path: Path) -> None:
-    """``make lint`` names each, also at a line's end or in capitals, but not parts of words."""
-    phrases = (
-        "held against", "of which", "That of", "those of", "is told", "So long",  # codespell:ignore
-        "but for", "astray", "owed", "Anew",  # codespell:ignore
-    )
-    (tmp_path / "page.md").write_text("\n".join(f"- It is {each}" for each in phrases))
-    (tmp_path / "fine.md").write_text("a share that often shows; followed renewal of whichever\n")
-    done = subprocess.run(
-        [sys.executable, "-m", "codespell_lib", str(tmp_path)], cwd=CHECKOUT, text=True,
-        capture_output=True,
-    )
-    named = re.findall(r"(\w+)\.md:\d+: (.+) ==>", done.stdout)
-    assert named == [("page", each) for each in phrases], done.stderr
-
-
-def test_phrases_that_nobody_says_are_not_split_between_lines() -> None:
-    """``make lint`` reads line by line. Comments, docstrings and messages in code count, too."""
-    phrases = re.findall("^(.* .*)->", (CHECKOUT / "phrases.txt").read_text(), re.MULTILINE)
-    split = "|".join(phrase.replace(" ", r'[ "]*\n[\s"#]*') for phrase in phrases)
-    for path in [*PAGES, *(CHECKOUT / "greenroof_ros").rglob("*.py")]:
-        assert not re.findall(rf"\b({split})\b", path.read_text(), re.IGNORECASE), path
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ def test_of_a_site(tmp_path: Path) -> None:
     site = read_site(file)
     assert site.quiet is not None
     assert site.quiet.quiet_at(ns("2026-07-15T02:00"))
-    assert read_site(written(tmp_path, "quiet_hours: []", "time_zone: UTC")).quiet is None
+    assert read_site(written(tmp_path, "quiet_hours: []", "time_zone: EST")).quiet is None
     assert read_site(CONFIG / "site.yaml").quiet is None
 
 
@@ -117,16 +117,34 @@ def test_of_a_site(tmp_path: Path) -> None:
         ("time_zone", "America/Tornto", "must be the IANA name of a time zone"),
         ("time_zone", "America", "must be the IANA name of a time zone"),
         ("time_zone", "../secret", "must be the IANA name of a time zone"),
+        ("time_zone", "Asia/Tokyo", "must be the zone of utc_offset, -5 h; its standard time is"),
+        ("time_zone", "Etc/GMT-5", "+5 h; in names that begin with Etc/ the sign is reversed"),
+        ("time_zone", "America/Halifax", "its standard time is -4 h"),  # -05:00 never, -04:00 now
+        ("time_zone", "UTC", "must be the zone of utc_offset, -5 h; its standard time is +0 h"),
         ("greatest_dose", "0", "must be from 0.001 to 1000000"),
     ],
 )
 def test_wrong_ones_are_refused_with_line_and_value(
     tmp_path: Path, key: str, value: str, expected: str
 ) -> None:
-    right = {"quiet_hours": '["22:00-06:00"]', "time_zone": "UTC"} | {key: value}
+    right = {"quiet_hours": '["22:00-06:00"]', "time_zone": "EST"} | {key: value}
     file = written(tmp_path, *(f"{name}: {value}" for name, value in right.items()))
     with pytest.raises(ConfigurationError) as refused:
         read_site(file)
     line = 2 + list(right).index(key)
     assert str(refused.value).startswith(f"{file}, line {line}: {key} = ")
     assert expected in str(refused.value)
+
+
+@pytest.mark.parametrize(("zone", "utc_offset"), [
+    ("America/Toronto", -5), ("Etc/GMT+5", -5), ("EST", -5), ("Australia/Sydney", 10),
+    ("Asia/Kolkata", 5.5), ("Asia/Kathmandu", 5.75), ("America/St_Johns", -3.5),
+    # By law winter time is the exception in Ireland, as Ramadan's is in Morocco.
+    ("Europe/Dublin", 0), ("Africa/Casablanca", 1), ("Australia/Lord_Howe", 10.5),
+])
+def test_a_zone_of_the_sites_standard_time(tmp_path: Path, zone: str, utc_offset: float) -> None:
+    site = read_site(written(tmp_path, f"time_zone: {zone}", f"utc_offset: {utc_offset}"))
+    assert site.zone == ZoneInfo(zone)
+    wrong = written(tmp_path, f"time_zone: {zone}", f"utc_offset: {utc_offset + 1.25}")
+    with pytest.raises(ConfigurationError, match="its standard time is"):
+        read_site(wrong)

@@ -237,11 +237,11 @@ def test_a_site_that_extends_another(tmp_path: Path) -> None:
             assert read_site(written) == replace(site, **values), form
     (tmp_path / "roof.yaml").write_text(
         "extends: my site.yaml\nquiet_hours:\n# by night\n- 22:00-06:00\n# and at noon\n"
-        "- 12:00-13:00\ntime_zone: Europe/Berlin\n"
+        "- 12:00-13:00\ntime_zone: Europe/Berlin\nutc_offset: 1\n"
     )
     child.write_text('extends: ../roof.yaml\nquiet_hours: ["20:00-21:00"]\n')
     written.write_text(edited(child, {"z_o": 2.5}))
-    night = replace(base, time_zone="Europe/Berlin", quiet_hours=("20:00-21:00",))
+    night = replace(base, time_zone="Europe/Berlin", utc_offset=1.0, quiet_hours=("20:00-21:00",))
     assert read_site(written) == replace(night, z_o=2.5)
     # A site of this package needs no copy beside the file.
     child.write_text("extends: site_neubrandenburg.yaml\na1: 50.0\n")

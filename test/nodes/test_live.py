@@ -228,7 +228,8 @@ def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> Non
     now, file = datetime.now(UTC), site.cwd / "quiet.yaml"
     begin, end = (now + timedelta(hours=hours) for hours in (-1, 2))
     file.write_text(
-        f"extends: site.yaml\ntime_zone: UTC\nquiet_hours: ['{begin:%H:%M}-{end:%H:%M}']\n"
+        "extends: site.yaml\ntime_zone: UTC\nutc_offset: 0\n"
+        f"quiet_hours: ['{begin:%H:%M}-{end:%H:%M}']\n"
     )
     # Without a forecast on/off commands.
     part, *words = ("inputs", OK) if forecasts else ("forecast", WARN, "on/off commands since")

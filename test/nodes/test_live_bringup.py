@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import socket
 import threading
@@ -97,7 +98,7 @@ def test_a_site_is_kept_up_and_systemd_told(
         "--sensors", "external", "--pump", "external", "--max-command", "0.4",
         "--forecast", "forecast.csv", "--bag-limit", "50", "--node-parameters", "nodes.yaml",
     )
-    with live(domain, tmp_path, *options, code=1) as process:
+    with live(domain, tmp_path, *options) as process:
         site.until(lambda: systemd.times("EXTEND_TIMEOUT_USEC=30000000"), 60, "the start")
         for missing in ("  mpc: inputs: /cistern/level has not come", "  weather: forecast: "):
             site.until(lambda missing=missing: missing in process.stderr(), 60, missing)
@@ -284,7 +285,7 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
     hardware.begin()
     run = tmp_path / "run"
     with disk_that_hangs(run) as hang, full_pipe() as (_, full):
-        with live(domain, tmp_path, *options, code=1, stderr=full) as process:
+        with live(domain, tmp_path, *options, stderr=full) as process:
             hardware.until_it_pumps()
             nodes = process.nodes()
             hung = time.time()
@@ -324,7 +325,7 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
         with (disk / "other").open("wb", buffering=0) as stream, suppress(OSError):
             while True:
                 stream.write(bytes(4096))
-        with live(domain, tmp_path, *NOBODY, code=1) as process:
+        with live(domain, tmp_path, *NOBODY) as process:
             alarm = "incident 1: recorder: nothing is recorded: "
             process.until_said(alarm, 60)
             process.until_said("/roof/level has not come", 50)
@@ -398,6 +399,16 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
     assert (summary["status"], summary["incidents"]) == ("done", [])
     assert summary["forecast"] is None
     assert "forecast:" not in process.stderr()
+
+
+def test_a_site_that_is_stopped_while_it_starts_ends_with_0(domain: int, tmp_path: Path) -> None:
+    """Before any node is there, and while sensors are missing and it waits for them."""
+    for early in (True, False):
+        with live(domain, tmp_path, *NOBODY) as process:
+            wait_for((tmp_path / "run").exists, 60, "the directory")
+            if not early:
+                process.until_said("missing:", 60)
+        shutil.rmtree(tmp_path / "run")
 
 
 def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:

@@ -352,7 +352,9 @@ def command(rig: PumpRig, name: str, *options: str) -> tuple[int, str]:
 
 def test_quiet_hours_are_of_the_sites_time(rig: PumpRig) -> None:
     """In simulated time: from 12:01 to 12:02, ticks 60 to 119 of the test's clock."""
-    rig.start(site_file=site_with(rig, 'quiet_hours: ["12:01-12:02"]', "time_zone: UTC"))
+    rig.start(site_file=site_with(
+        rig, 'quiet_hours: ["12:01-12:02"]', "time_zone: UTC", "utc_offset: 0"
+    ))
     rig.run()
     flows: list[float] = []
     while len(rig.flows) < 130:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import struct
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +17,7 @@ from commands import run_command
 from disks import no_file_beyond
 from graphs import environment
 from mcap.reader import make_reader
+from mcap.records import ChunkIndex
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -49,6 +51,12 @@ def clock(time_ns: int) -> bytes:
     return struct.pack("<III", 256, time_ns // 10**9, time_ns % 10**9)
 
 
+def utc(tick: int) -> str:
+    """Return the time of one of the first 3600 ticks, as messages write it."""
+    seconds = f":{tick % 60:02}" if tick % 60 else ""
+    return f"2021-07-07 07:{tick // 60:02}{seconds}+00:00"
+
+
 def write_bag(
     directory: Path, ticks: int, size: int = 8
 ) -> list[tuple[str, int, int, bytes]]:
@@ -80,7 +88,7 @@ def test_a_whole_bag_comes_out_as_it_is(tmp_path: Path) -> None:
     """The format's own library finds what was written; recovery gives identical files."""
     written = write_bag(tmp_path / "bag", 200)
     assert messages_of(tmp_path / "bag" / "bag_0.mcap") == written
-    assert restore(tmp_path / "bag", tmp_path / "new" / "bag") == "200 ticks"
+    assert restore(tmp_path / "bag", tmp_path / "new" / "bag") == ("200 ticks", [])
     for name in ("bag_0.mcap", "metadata.yaml"):
         again = (tmp_path / "new" / "bag" / name).read_bytes()
         assert again == (tmp_path / "bag" / name).read_bytes()
@@ -93,12 +101,13 @@ def test_a_bag_that_was_cut_keeps_its_whole_ticks(tmp_path: Path, size: int) -> 
     file = tmp_path / "bag" / "bag_0.mcap"
     os.truncate(file, file.stat().st_size * 2 // 3)
     (tmp_path / "bag" / "metadata.yaml").unlink()
-    message = restore(tmp_path / "bag", tmp_path / "new")
+    amount, [loss] = restore(tmp_path / "bag", tmp_path / "new")
     restored = messages_of(tmp_path / "new" / "new_0.mcap")
     ticks, remainder = divmod(len(restored), len(TOPICS) + 1)
     assert 5 < ticks < 200 and remainder == 0
     assert restored == written[: len(restored)] and len(restored) < len(written)
-    assert message == f"{ticks} ticks"
+    assert amount == f"{ticks} ticks"
+    assert f"after {utc(ticks - 1)}" in loss and "bytes cannot be read" in loss
     assert count_ticks(tmp_path / "bag") is None and count_ticks(tmp_path / "new") == ticks
 
 
@@ -116,11 +125,150 @@ def test_hostile_files_do_no_harm(tmp_path: Path) -> None:
             content[at : at + 8] = random.choice((b"x", bytes(8), b"\xff" * 8, b"\0" * 7 + b"\x7f"))
         (tmp_path / "hostile" / "hostile_0.mcap").write_bytes(content)
         try:
-            amounts.add(restore(tmp_path / "hostile", tmp_path / str(number)))
+            amounts.add(restore(tmp_path / "hostile", tmp_path / str(number)).amount)
         except ConfigurationError:
             amounts.add("nothing")
             assert not (tmp_path / str(number)).exists()
     assert {"nothing", "16 ticks", "32 ticks", "48 ticks", "64 ticks"} <= amounts
+
+
+def damaged(bag: Path, at: int, content: bytes, file: str = "bag_0.mcap") -> None:
+    """Overwrite a part of a bag's file, from an offset on; from its end if that is negative."""
+    with (bag / file).open("r+b") as stream:
+        stream.seek(at, os.SEEK_END if at < 0 else os.SEEK_SET)
+        stream.write(content)
+
+
+def flipped(bag: Path, at: int, bit: int) -> None:
+    byte = (bag / "bag_0.mcap").read_bytes()[at]
+    damaged(bag, at, bytes([byte ^ 1 << bit]))
+
+
+def chunks(bag: Path) -> list[ChunkIndex]:
+    """Return where a bag's chunks are, by the format's own library."""
+    with (bag / "bag_0.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    return summary.chunk_indexes
+
+
+def lost_ticks(tmp_path: Path, written: list[tuple[str, int, int, bytes]]) -> list[int]:
+    """Recover a bag as a user would; return the lost ticks, which it must name.
+
+    Whatever was damaged: what comes out was written, in whole ticks.
+    """
+    done = run_command("recover", "bag", "--output", "new", cwd=tmp_path, env=environment(0))
+    restored = messages_of(tmp_path / "new" / "new_0.mcap")
+    there = {tick for *_, tick, _ in restored}
+    assert restored == [message for message in written if message[2] in there]
+    assert done.stdout.startswith(f"{len(there)} ticks recovered to new")
+    ticks = sorted({message[2] for message in written} - there)
+    assert done.returncode == bool(ticks), done.stderr
+    if ticks:
+        assert f"lost: bag_0.mcap: {len(ticks)} of 361 ticks are lost" in done.stderr
+    else:
+        assert done.stderr == ""
+    return ticks
+
+
+FIRST, SECOND = list(range(16)), list(range(16, 32))
+# What is damaged, given its chunks, and which ticks are lost: a chunk has 16.
+DAMAGE: dict[str, tuple[Callable[[Path, list[ChunkIndex]], object], list[int]]] = {
+    "a bit in the middle of a chunk's data": (
+        lambda bag, parts: flipped(
+            bag, parts[1].chunk_start_offset + parts[1].chunk_length // 2, 3
+        ), SECOND,
+    ),
+    "the first chunk, which defines the topics": (
+        lambda bag, parts: damaged(bag, parts[0].chunk_start_offset + 200, bytes(100)), FIRST,
+    ),
+    "the length of a chunk": (
+        lambda bag, parts: flipped(bag, parts[1].chunk_start_offset + 3, 0), [],
+    ),
+    "the greatest length": (
+        lambda bag, parts: damaged(bag, parts[1].chunk_start_offset + 1, b"\xff" * 8), [],
+    ),
+    "the length of a chunk's data": (
+        lambda bag, parts: flipped(bag, parts[1].chunk_start_offset + 49, 5), SECOND,
+    ),
+    "a chunk's times": (
+        lambda bag, parts: damaged(bag, parts[1].chunk_start_offset + 9, bytes(16)), [],
+    ),
+    "a chunk's kind": (lambda bag, parts: flipped(bag, parts[1].chunk_start_offset, 6), SECOND),
+    "an index behind a chunk, which seems to include the next chunks": (
+        lambda bag, parts: damaged(
+            bag, parts[1].chunk_start_offset + parts[1].chunk_length + 2, b"\x20"
+        ), [],
+    ),
+    "a block of 4 KiB, over the third and fourth chunk": (
+        lambda bag, parts: damaged(bag, parts[2].chunk_start_offset + 50, bytes(4096)),
+        list(range(32, 64)),
+    ),
+    "the summary": (lambda bag, parts: damaged(bag, -600, bytes(300)), []),
+    "the footer": (lambda bag, parts: damaged(bag, -30, bytes(20)), []),
+    "the magic at both ends": (
+        lambda bag, parts: (damaged(bag, 0, b"X"), damaged(bag, -1, b"X")), [],
+    ),
+    "the end, which is missing": (
+        lambda bag, parts: os.truncate(
+            bag / "bag_0.mcap", parts[-2].chunk_start_offset + parts[-2].chunk_length // 2
+        ), list(range(336, 361)),
+    ),
+    "the metadata": (
+        lambda bag, parts: damaged(bag, 30, b"\xff{[", "metadata.yaml"), [],
+    ),
+}
+
+
+@pytest.mark.parametrize("what", DAMAGE)
+def test_what_is_whole_is_recovered_whatever_is_damaged(tmp_path: Path, what: str) -> None:
+    written = write_bag(tmp_path / "bag", 361)
+    damage, lost = DAMAGE[what]
+    damage(tmp_path / "bag", chunks(tmp_path / "bag"))
+    assert lost_ticks(tmp_path, written) == lost
+
+
+def test_no_damage_comes_back(tmp_path: Path) -> None:
+    """Also where messages are whole, as in an index: a reader that uses it reads the new bag."""
+    written = write_bag(tmp_path / "bag", 361)
+    part = chunks(tmp_path / "bag")[1]
+    damaged(tmp_path / "bag", part.chunk_start_offset + part.chunk_length + 15 + 8, b"\xff")
+    assert restore(tmp_path / "bag", tmp_path / "new") == ("361 ticks", [])
+    assert written == messages_of(tmp_path / "new" / "new_0.mcap")
+    with AnyReader([tmp_path / "new"]) as reader:
+        assert sorted(
+            (connection.topic, stamp, data) for connection, stamp, data in reader.messages()
+        ) == sorted((topic, stamp, data) for topic, stamp, _, data in written)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_flipped_bit_costs_a_chunk_at_most(tmp_path: Path, seed: int) -> None:
+    """Wherever it is: nothing wrong comes out, and the loss is counted exactly."""
+    written, random = write_bag(tmp_path / "whole", 361), Random(seed)
+    content, amounts = (tmp_path / "whole" / "whole_0.mcap").read_bytes(), set()
+    for number in range(60):
+        bag, new = tmp_path / f"bag{number}", tmp_path / f"new{number}"
+        bag.mkdir()
+        at = random.randrange(len(content))
+        (bag / "bag_0.mcap").write_bytes(
+            content[:at] + bytes([content[at] ^ 1 << random.randrange(8)]) + content[at + 1 :]
+        )
+        amount, losses = restore(bag, new)
+        restored = messages_of(new / f"new{number}_0.mcap")
+        there = {tick for *_, tick, _ in restored}
+        assert restored == [message for message in written if message[2] in there]
+        lost = 361 - len(there)
+        amounts.add(lost)
+        assert amount == f"{len(there)} ticks"
+        if lost:
+            first, last = min(set(range(361)) - there) - 1, max(set(range(361)) - there) + 1
+            where = (
+                f"before {utc(last)}" if first < 0 else f"after {utc(first)}" if last > 360
+                else f"between {utc(first)} and {utc(last)}"
+            )
+            assert losses[0].startswith(f"bag_0.mcap: {lost} of 361 ticks are lost, {where}; ")
+        assert bool(losses) == bool(lost)
+    assert amounts <= {0, 16, 9} and {0, 16} <= amounts
 
 
 def test_a_bag_of_anybodys_that_was_cut(tmp_path: Path) -> None:
@@ -132,7 +280,7 @@ def test_a_bag_of_anybodys_that_was_cut(tmp_path: Path) -> None:
         channel = writer.register_channel("/scan", "json", writer.register_schema("scan", "", b""))
         for time_ns in range(10):
             writer.add_message(channel, time_ns, b"{}", time_ns)
-    assert restore(tmp_path / "scan", tmp_path / "new") == "10 messages"
+    assert restore(tmp_path / "scan", tmp_path / "new") == ("10 messages", [])
     assert messages_of(tmp_path / "new" / "new_0.mcap") == [
         ("/scan", time_ns, 0, b"{}") for time_ns in range(10)
     ]
@@ -157,7 +305,7 @@ def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) 
     with no_file_beyond(room), pytest.raises(OSError, match="File too large"):
         write()
     assert writer.safe > 0
-    assert restore(tmp_path / "bag", tmp_path / "new") == f"{writer.safe} ticks"
+    assert restore(tmp_path / "bag", tmp_path / "new") == (f"{writer.safe} ticks", [])
 
 
 def test_parameters_are_columns_of_their_own() -> None:
@@ -273,6 +421,60 @@ def test_a_kill_costs_what_came_since_the_last_flush(tmp_path: Path) -> None:
     assert read(tmp_path / "bag") == [
         *closed, ("/site1/roof/level", LATE_NS + 4000 * 10**9, 1.0)
     ]
+
+
+def split_bag(directory: Path) -> list[tuple[str, int, float]]:
+    """Write a live site's bag of some files; return its messages."""
+    sent = [(TOPICS[tick % 3], LATE_NS + tick * 10**9, tick * 1.1) for tick in range(1500)]
+    bag = live_bag(directory, file_bytes=20_000)
+    for tick, (topic, stamp, value) in enumerate(sent):
+        bag.write(topic, stamp, number(value), float(tick))
+        bag.look(float(tick))
+    bag.close()
+    assert len(list(directory.glob("*.mcap"))) > 3
+    return sent
+
+
+def files_messages(file: Path) -> set[tuple[str, int]]:
+    return {(topic, stamp) for topic, stamp, *_ in messages_of(file)}
+
+
+@pytest.mark.parametrize("metadata", [True, False])
+@pytest.mark.parametrize("what", ["a chunk", "a file", "half a file", "all but the name"])
+def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, what: str, metadata: bool) -> None:
+    """An older one, too. It says what was lost by topic, whether or not metadata.yaml is there."""
+    sent = split_bag(tmp_path / "bag")
+    file = tmp_path / "bag" / "bag_1.mcap"
+    had = files_messages(file)
+    if what == "a chunk":
+        damaged(tmp_path / "bag", file.stat().st_size // 2, bytes(50), file.name)
+    elif what == "a file":
+        file.unlink()
+    else:
+        os.truncate(file, file.stat().st_size // 2 if what == "half a file" else 0)
+    if not metadata:
+        (tmp_path / "bag" / "metadata.yaml").unlink()
+    done = run_command("recover", "bag", cwd=tmp_path, env=environment(0))
+    restored = read(tmp_path / "bag-recovered")
+    there = {(topic, stamp) for topic, stamp, _ in restored}
+    assert restored == [message for message in sent if message[:2] in there]
+    lost = {message[:2] for message in sent} - there
+    assert lost and lost <= had
+    assert done.returncode == (what != "all but the name" or metadata), done.stderr
+    if what == "a chunk":
+        by_topic = ", ".join(
+            f"{topic} {sum(name == topic for name, _ in lost)}" for topic in sorted(TOPICS[:3])
+        )
+        assert f"lost: bag_1.mcap: {len(lost)} of {len(had)} messages are lost ({by_topic}), " \
+            "between 2026-11-21 23:" in done.stderr
+    elif what == "a file":
+        text = f"with its {len(had)} messages between" if metadata else "with all its messages"
+        assert f"lost: bag_1.mcap is missing, {text}" in done.stderr
+    elif what == "half a file":
+        amount = f"{len(lost)} of {len(had)} messages are lost" if metadata else "lost"
+        assert "lost: bag_1.mcap: " in done.stderr and amount in done.stderr
+    elif metadata:
+        assert f"lost: bag_1.mcap is empty; it had {len(had)} messages" in done.stderr
 
 
 @pytest.mark.parametrize("room", [6000, 9000, 12_000])

@@ -5,10 +5,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 import re
 import shutil
+import struct
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -34,14 +37,18 @@ from inputs import (
     write_bag,
     write_study,
 )
+from mcap.reader import make_reader
 from paper import paper_run
 from places import CHECKOUT, CONFIG
 from refusals import refusal
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
+from greenroof_ros.recording.bag_writer import BagWriter
 from greenroof_ros.recording.trajectory import Trajectory, read_parquet
+from greenroof_ros.recover import recover
 from greenroof_ros.report.__main__ import _show
 from greenroof_ros.report.sources import find_runs
 from greenroof_ros.report.tables import incident_tables
@@ -571,3 +578,55 @@ def test_incidents_of_a_live_site(tmp_path: Path) -> None:
         "300", "pump: drive", "2026-11-20 21:25:12-05:00", "2026-11-20 21:25:20-05:00", "7.8",
         "no connection to the drive",
     ]]
+
+
+# --- damaged bags --------------------------------------------------------------------------------
+
+
+def damaged_run(directory: Path, *damage: str) -> Path:
+    """Write a run of 145 ticks with this package's writer, and damage its bag."""
+    messages = messages_of(simulate("onoff", "1", "low-low", "0.04").trajectory)
+    topics = read_topics()
+    writer = BagWriter(directory / "bag", [topics[name] for name in ("/clock", *messages)])
+    for tick, stamp in enumerate(messages["/roof/level"][0]):
+        time_ns = START_NS + int(stamp)
+        writer.write_tick(time_ns, [
+            struct.pack("<III", 256, time_ns // 10**9, 0),
+            *(struct.pack("<Id", 256, values[tick]) for _, values in messages.values()),
+        ])
+    writer.close()
+    if "data" in damage:
+        with (directory / "bag" / "bag_0.mcap").open("r+b") as stream:
+            summary = make_reader(stream).get_summary()
+            assert summary is not None
+            part = summary.chunk_indexes[2]
+            stream.seek(part.chunk_start_offset + part.chunk_length // 2)
+            stream.write(bytes(100))
+    if "metadata" in damage:
+        (directory / "bag" / "metadata.yaml").write_bytes(b"\xff{[")
+    return directory
+
+
+@pytest.mark.parametrize("damage", [("data",), ("metadata",), ("data", "metadata")])
+def test_what_recover_makes_of_a_damaged_bag_is_reported(
+    tmp_path: Path, damage: tuple[str, ...]
+) -> None:
+    """The report advises to recover it once, then reads the new bag, until the old one grows."""
+    run = damaged_run(tmp_path / "run", *damage)
+    refusal(report_of, run, match=f"run/bag: cannot be read as a bag.*greenroof recover {run}")
+    _, restored = recover(run)
+    assert bool(restored.losses) == ("data" in damage)
+    trajectory, _ = loaded(run)
+    assert len(trajectory.time) == 145 - 16 * ("data" in damage)
+    assert "Bag-recovered is what greenroof recover found whole in run" in page_of(report_of(run))
+    later = time.time() + 60
+    os.utime(run / "bag" / "bag_0.mcap", (later, later))
+    refusal(report_of, run, match=f"remove .*bag-recovered, and greenroof recover {run} makes a n")
+
+
+def test_a_new_bag_that_is_damaged_too_is_not_repaired_again(tmp_path: Path) -> None:
+    run = damaged_run(tmp_path / "run", "data")
+    recover(run)
+    (run / "bag-recovered" / "bag-recovered_0.mcap").write_bytes(b"")
+    said = refusal(report_of, run, match="bag-recovered: cannot be read as a bag")
+    assert "greenroof recover" not in str(said)

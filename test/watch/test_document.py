@@ -9,7 +9,9 @@ import time
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime, timedelta, timezone
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
@@ -26,6 +28,7 @@ from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.wire import Status
 
 SITE = replace(PAPER_SITE, utc_offset=-5.0)  # START is 00:00 there
+TORONTO, STANDARD = ZoneInfo("America/Toronto"), timezone(timedelta(hours=-5))
 MINUTE = START + 60 * SECOND
 QUIET = {
     "/roof/level": 0.0457, "/cistern/level": 2.5, "/pump/command": 0.0, "/pump/flow": 0.0,
@@ -431,7 +434,7 @@ def test_a_watcher_that_knows_nothing() -> None:
     document = shown(Store("/site1"), 5.0)
     assert document["namespace"] == "/site1"
     assert document["time"] == {
-        "now": None, "utc_offset": -5.0, "text": "unknown",  # of the paper's site
+        "now": None, "text": "unknown", "clock": [],
     }
     assert document["tiles"].pop("summary")["sentence"] == "no run or site is found."
     assert {tile["state"] for tile in document["tiles"].values()} == {"unknown"}
@@ -1013,6 +1016,41 @@ def test_a_run_that_has_just_begun_has_many_rows() -> None:
         assert times == (ends if name in LEVELS else begins), name
 
 
+# --- the site's clock ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("zone", "utc_offset", "text"), [
+    (None, -5.0, "2021-07-20 00:01:00 UTC-05:00"),
+    (None, None, "2021-07-20 05:01:00 UTC"),
+    ("UTC", 0.0, "2021-07-20 05:01:00 UTC"),
+    ("America/Toronto", -5.0, "2021-07-20 01:01:00 EDT, America/Toronto"),
+    ("Australia/Adelaide", 9.5, "2021-07-20 14:31:00 ACST, Australia/Adelaide"),  # winter there
+    ("America/Sao_Paulo", -3.0, "2021-07-20 02:01:00 UTC-03:00, America/Sao_Paulo"),
+])
+def test_times_are_by_the_sites_clock(
+    zone: str | None, utc_offset: float | None, text: str
+) -> None:
+    """By its time zone with daylight saving, as quiet hours are, and the clock has a name."""
+    graph = watched()
+    graph.set_site(replace(SITE, time_zone=zone, utc_offset=utc_offset))
+    forecast(graph, MINUTE, np.full(12, 1e-7))
+    document = shown(graph)
+    assert document["time"]["text"] == text
+    graph.add_statuses(100.0, node("/pump", "pump", ("drive", ERROR, "lost", "drive_lost")))
+    (alarm,) = [row for row in shown(graph, 101.0)["alarms"] if row["over"] is None]
+    assert alarm["since_text"] == text[11:19]
+
+
+def test_the_charts_know_when_the_clock_changes() -> None:
+    """In Toronto from -04:00 to -05:00 at 06:00 UTC on 7 November 2021."""
+    change = datetime(2021, 11, 7, 6, tzinfo=timezone.utc).timestamp()
+    for day in (-2, 0, 7):
+        changes = words.offsets(TORONTO, int(change // 86400) + day)
+        assert changes[1:] == [(change, -5.0)] and changes[0][1] == -4.0
+    assert [offset for _, offset in words.offsets(TORONTO, int(change // 86400) + 20)] == [-5.0]
+    assert [offset for _, offset in words.offsets(ZoneInfo("Asia/Kolkata"), 18000)] == [5.5]
+
+
 # --- words --------------------------------------------------------------------------------------
 
 
@@ -1024,9 +1062,10 @@ def test_a_run_that_has_just_begun_has_many_rows() -> None:
     (words.length_of_time(89), "89 s"),
     (words.length_of_time(45_000), "12.5 h"),
     (words.length_of_time(259_200), "3 days"),
-    (words.time_of_day(1_626_757_199, -5, 1_626_757_300), "2021-07-19 23:59:59"),
-    (words.hour_and_minute(1_626_757_200, -5, 1_626_757_100), "tomorrow 00:00"),
-    (words.date_and_time(1e30, 0), "unknown"),
+    (words.time_of_day(1_626_757_199, STANDARD, 1_626_757_300), "2021-07-19 23:59:59"),
+    (words.time_of_day(1_626_757_199, TORONTO, 1_626_757_300), "00:59:59"),
+    (words.hour_and_minute(1_626_757_200, STANDARD, 1_626_757_100), "tomorrow 00:00"),
+    (words.date_and_time(1e30, STANDARD), "unknown"),
     (words.number(1e15, 1), "unknown"),
 ])
 def test_as_an_operator_reads_it(text: str, expected: str) -> None:

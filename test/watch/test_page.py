@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from datetime import datetime, timezone
 from itertools import combinations, pairwise
 from typing import Any
 
@@ -521,7 +522,7 @@ def test_pointer_and_keyboard_read_values(ended_run: tuple[Store, Any]) -> None:
     tip = until_shown(page, ".tip", "measured").inner_text()
     at, number = re.search(r"(\d{4}-\S+ \S+)[\s\S]*?([\d.]+)[^\n]* mm", tip).groups()
     moment = np.datetime64(at.replace(" ", "T")).astype("datetime64[s]").astype(int)
-    offset = document_of(watched)["time"]["utc_offset"]
+    ((_, offset),) = document_of(watched)["time"]["clock"]
     rows = np.array(read_series(watched, 12)["lines"]["roof"])
     level = np.interp(moment - offset * 3600, rows[:, 0], rows[:, 3])
     assert float(number) == pytest.approx(1000 * level, abs=0.06)
@@ -532,6 +533,48 @@ def test_pointer_and_keyboard_read_values(ended_run: tuple[Store, Any]) -> None:
     assert "measured" in until_shown(page, ".tip").inner_text()
     assert "measured" in page.locator("#announced").text_content()
     frame.press("Escape")
+
+
+# The writing of a time (s since 1970) by the charts: on the axis and at the pointer.
+WRITTEN = """(at) => {
+    const { plot } = charts.views.get("rain");
+    const [axis] = plot.axes;
+    return axis.values(plot, [at * 1000])[0];
+}"""
+
+
+@pytest.mark.parametrize("zone", ["Asia/Kathmandu", "America/Toronto"])
+def test_every_time_is_by_the_sites_clock(open_page: Open, zone: str) -> None:
+    """Heading, axis, pointer and answers, whatever the browser's zone: it is UTC here.
+
+    Toronto's clocks went back an hour at 06:00 UTC on 7 November 2021, in the middle of the charts.
+    """
+    change = int(datetime(2021, 11, 7, 6, tzinfo=timezone.utc).timestamp())
+    site = replace(SITE, time_zone=zone, utc_offset={"Asia/Kathmandu": 5.75}.get(zone, -5.0))
+    watched = store("ended")
+    seconds = np.arange(change - 7200, change + 7200, 10)
+    for topic in ("/roof/level", "/cistern/level", "/weather/precipitation"):
+        watched.add(topic, seconds * SECOND, np.full(len(seconds), 1e-6))
+    page = open_page(watched, pump())
+    watched.set_site(site)
+    until_shown(page, "#time", {
+        "Asia/Kathmandu": "2021-11-07 13:44:50 UTC+05:45, Asia/Kathmandu",
+        "America/Toronto": "2021-11-07 02:59:50 EST, America/Toronto",
+    }[zone])
+    until_drawn(page)
+    assert [page.evaluate(WRITTEN, change + at) for at in (-3600, -1800, 0, 5400)] == {
+        "Asia/Kathmandu": ["10:45", "11:15", "11:45", "13:15"],
+        "America/Toronto": ["01:00", "01:30", "01:00", "02:30"],
+    }[zone]
+    frame = page.locator(".frame").first
+    frame.scroll_into_view_if_needed()
+    frame.hover(position={"x": 700, "y": 60})
+    tip = until_shown(page, ".tip", "measured").inner_text()
+    assert tip.startswith("2021-11-07 1" if zone == "Asia/Kathmandu" else "2021-11-07 0")
+    until_shown(page, "#stop-button", "Keep the pump off").click()
+    page.locator("#ask-yes").click()
+    answer = until_shown(page, "#answer.failed", "was not asked").inner_text()
+    assert re.match("13:(44:5|45:)" if zone == "Asia/Kathmandu" else "0(2:59:5|3:00:)", answer)
 
 
 def test_zoom_pause_and_how_far_back(open_page: Open) -> None:
@@ -557,7 +600,7 @@ def test_zoom_pause_and_how_far_back(open_page: Open) -> None:
     later(watched, 0.05)
     until_shown(page, ".tile[data-key=roof] .value", "50.0 mm")  # tiles go on
     newest = "charts.rows.roof.at(-1).v"
-    came = "charts.waiting?.series.lines.roof.at(-1)[3]"
+    came = "charts.waiting?.lines.roof.at(-1)[3]"
     wait_for(lambda: page.evaluate(came) == 0.05, 60, "a series that waits")
     assert page.evaluate(newest) < 50
     page.locator("#pause").click()

@@ -23,6 +23,7 @@ from faults.rig import left
 from faults.watcher import Watcher
 from graphs import Process, bag_file, environment, summary_of
 
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.recording.bag_reader import count_ticks
 from greenroof_ros.recording.bag_writer import recovered_bag
 
@@ -152,7 +153,7 @@ def _restore(outcome: Outcome, run: Path, *options: str) -> bool:
         [sys.executable, "-m", "greenroof_ros.recover", str(run), *options], capture_output=True,
         text=True, env=environment(0), timeout=60,
     )
-    if done.returncode != 0:
+    if done.returncode not in (EXIT_DONE, EXIT_FAILED):  # a kill can cut the last chunk
         outcome.fail(f"the bag could not be restored: {done.stderr[-300:]}")
     return done.returncode == 0
 

@@ -1,5 +1,5 @@
-// The charts: levels, pump, rain over one time axis, drawn by uPlot. They use the site's local time as if
-// it were UTC, since the browser may be in another time zone.
+// The charts: levels, pump, rain over one time axis, drawn by uPlot. Times are written by the site's clock,
+// since the browser may be in another time zone.
 
 const { uPlot } = window;
 
@@ -50,15 +50,23 @@ const MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const faint = (name) => `color-mix(in srgb, ${colour(name)} 30%, transparent)`;
 const two = (number) => String(number).padStart(2, "0");
+// The site's clock: times (s since 1970) from which on it has an offset from UTC (h).
+let offsets = [];
+export const setClock = (clock) => { offsets = clock; };
+// A time (ms since 1970) as a date whose UTC is the site's time.
+const local = (ms) => {
+  const [, offset] = offsets.findLast(([from]) => from * 1000 <= ms) ?? offsets[0] ?? [0, 0];
+  return new Date(ms + offset * HOUR);
+};
 const clock = (at, seconds) => `${two(at.getUTCHours())}:${two(at.getUTCMinutes())}${seconds ? `:${two(at.getUTCSeconds())}` : ""}`;
-const atText = (ms) => {
-  const at = new Date(ms);
+export const atText = (ms) => {
+  const at = local(ms);
   return `${at.getUTCFullYear()}-${two(at.getUTCMonth() + 1)}-${two(at.getUTCDate())} ${clock(at, true)}`;
 };
 // A time on the axis: the day at midnight, else the time.
 const tickText = (ms) => {
-  const at = new Date(ms);
-  if (ms % (24 * HOUR) === 0) return `${DAYS[at.getUTCDay()]} ${two(at.getUTCDate())} ${MONTHS[at.getUTCMonth()]}`;
+  const at = local(ms);
+  if (at % (24 * HOUR) === 0) return `${DAYS[at.getUTCDay()]} ${two(at.getUTCDate())} ${MONTHS[at.getUTCMonth()]}`;
   return clock(at, at.getUTCSeconds() > 0);
 };
 
@@ -119,7 +127,7 @@ export class Charts {
 
   get time() { return this.series && this.ms(this.series.now); }
 
-  ms(seconds) { return (seconds + this.offset * 3600) * 1000; }
+  ms(seconds) { return seconds * 1000; }
 
   units(name) {
     const { unit, factor, decimals, label } = this.series.display[name];
@@ -127,14 +135,14 @@ export class Charts {
   }
 
   // A new series: drawn at once, or kept while a reader has paused.
-  take(series, offset) {
-    this.waiting = { series, offset };
+  take(series) {
+    this.waiting = series;
     if (!this.paused) this.drawWaiting();
   }
 
   drawWaiting() {
-    if (!this.waiting || this.waiting.series.now === null) return;
-    ({ series: this.series, offset: this.offset } = this.waiting);
+    if (!this.waiting || this.waiting.now === null) return;
+    this.series = this.waiting;
     this.waiting = null;
     this.read();
     if (this.views.size) this.draw();
@@ -200,7 +208,7 @@ export class Charts {
     return {
       width: frame.clientWidth, height: chart.height, ms: 1, legend: { show: false }, series,
       padding: [TOP, chart.right ? 0 : AXIS, 0, 0],
-      tzDate: (at) => uPlot.tzDate(new Date(at), "Etc/UTC"),
+      tzDate: (at) => uPlot.tzDate(local(at), "Etc/UTC"),
       scales: { x: { range: range("x") }, left: { range: range("left") }, right: { range: range("right") } },
       axes: [
         {

@@ -1,7 +1,7 @@
 // The page: takes the document and the series from the server and shows them. Every text is set as
 // text, never as HTML, since some texts come from other devices.
 
-import { Charts, element } from "/charts.js";
+import { Charts, atText, element, setClock } from "/charts.js";
 
 const SILENT = 12_000; // ms: the server sends something every 5 s
 const LONGEST_WAIT = 8_000; // ms, between two attempts to connect
@@ -203,10 +203,13 @@ const showTitle = ({ level, word }) => {
 };
 
 let shown = null;
+let shownAt = 0; // by the browser's clock (ms), which may be wrong
 let announced = { text: "", at: 0 };
 
 const show = (document_) => {
   shown = document_;
+  shownAt = Date.now();
+  setClock(document_.time.clock);
   const { summary } = document_.tiles;
   setText(byId("namespace"), document_.namespace ? ` ${document_.namespace}` : "");
   setText(byId("heading"), document_.heading);
@@ -281,10 +284,11 @@ const showStop = (stop) => {
 
 const answer = (text, failed) => {
   const place = byId("answer");
-  const at = new Date().toLocaleTimeString("en-GB");
+  const now = shown?.time.now ?? null;
+  const at = now === null ? "" : `${atText(now * 1000 + Date.now() - shownAt).slice(-8)}: `;
   place.hidden = false;
   place.classList.toggle("failed", failed);
-  setText(place, `${at}: ${text}`);
+  setText(place, `${at}${text}`);
 };
 
 const headers = () => {
@@ -394,7 +398,7 @@ for (const button of document.querySelectorAll("[data-hours]")) {
 
 const takeSeries = (series) => {
   try {
-    charts.take(series, shown?.time.utc_offset ?? 0);
+    charts.take(series);
     document.documentElement.dataset.drawn = "yes";
   } catch (error) {
     setText(byId("charts-note"), `The charts cannot be drawn: ${error.message}`);
