@@ -12,12 +12,14 @@ import re
 import signal
 import time
 from array import array
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
-from itertools import pairwise
+from itertools import cycle, pairwise
 from statistics import median
 from typing import Any
 
 import pytest
+from modbus_wire import Wire
 from places import CONFIG
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
@@ -32,6 +34,7 @@ from ros_rig import (
     TAU,
     USUAL_EVAPOTRANSPIRATION,
     WARN,
+    Observer,
     Site,
     newest,
     policies,
@@ -41,6 +44,7 @@ from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiA
 from test_diagnostics import check
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives.sensor_file import QUANTITIES
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
 from greenroof_ros.nodes import weather
@@ -386,6 +390,42 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
         assert after and set(after) == {0.0}
         site.values["/roof/level"] = dry
         site.until(lambda: newest(commands) > 0, LATE, "a command")
+
+
+# By section of the sensor file: what it reads again and again, and what is published.
+AT_ZERO: dict[str, tuple[str, list[int], list[float]]] = {
+    "roof": ("scale: 0.001\n  low: -0.05\n  high: 0.5", [-1, 3, -50, 7], [0.0, 0.003, 0.0, 0.007]),
+    "cistern": ("scale: 0.001\n  low: -0.1\n  high: 9.0", [-2, -90, 40], [0.0, 0.0, 0.04]),
+    "flow_meter": ("scale: 1.0e-6\n  low: -0.001\n  high: 0.02", [-4, 0, 900], [0.0, 0.0, 9e-4]),
+    "rain_gauge": ("scale: 1.0e-8\n  low: -1.0e-6\n  high: 1.0e-4", [-30, 70], [0.0, 7e-7]),
+    "thermometer": ("scale: 0.1\n  low: -40.0\n  high: 60.0", [-35, 20], [-3.5, 2.0]),
+}
+
+
+@pytest.mark.parametrize("section", AT_ZERO)
+def test_the_noise_of_a_sensor_at_zero_counts_as_zero(observer: Observer, section: str) -> None:
+    """Nothing holds less than no water, so the topic begins at 0; a frost is below 0."""
+    _, read, published = AT_ZERO[section]
+    remaining = cycle(read)
+
+    def answer(request: bytes) -> list[tuple[float, bytes]]:
+        raw = next(remaining).to_bytes(2, "big", signed=True)
+        return [(0.0, request[:4] + bytes([0, 5, request[6], 4, 2]) + raw)]
+
+    values = observer.hear(QUANTITIES[section].topic_name)
+    with closing(Wire(answer)) as wire:
+        sensor = (
+            f"\n  address: {wire.at}\n  device_id: 1\n  kind: input\n  type: int16\n  median: 1\n"
+            "  period: 0.2\n  register: "
+        )
+        file = observer.cwd / "sensors.yaml"
+        file.write_text("".join(
+            f"{name}:{sensor}{number}\n  {AT_ZERO[name][0]}\n"
+            for number, name in enumerate({"cistern": 0, "roof": 0, section: 0})
+        ))
+        observer.start(f"sensor --of {section}", sensors_file=file)
+        observer.until(lambda: len(values) > len(read), LATE, "values")
+    assert {float(f"{value:.6g}") for value in values} == set(published)
 
 
 def test_live_weather(site: Site) -> None:
