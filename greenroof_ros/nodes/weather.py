@@ -272,7 +272,12 @@ class WeatherNode(LinkedNode):
         temperature = math.nan if outlook is None else outlook.temperature
         if self._thermometer.good:
             temperature = self._thermometer.value
-        self.publish(_FROST, self._frost(temperature))
+        instead = "" if forecast is None else (
+            ", and no forecast" if outlook is None
+            else ", and the forecast has no column of temperature"
+        )
+        why = f"no reading of a thermometer{instead}"
+        self.publish(_FROST, self._frost(temperature, why))
         evapotranspiration: float | None
         if outlook is not None:
             front = self._front_of(outlook.issued)
@@ -334,7 +339,7 @@ class WeatherNode(LinkedNode):
         problem = forecast.file.problem
         unreadable = "forecast_unreadable" if problem else ""
         try:
-            outlook = forecast.at(now, rain)
+            outlook, short = forecast.at(now, rain), forecast.shortage(now)
         except NoForecastError as error:
             why = "; ".join(filter(None, [str(error), problem]))
             self.reports.numbers.pop("forecast", None)
@@ -345,11 +350,16 @@ class WeatherNode(LinkedNode):
         self.reports.numbers["forecast"] = {"issued_ago_s": age}
         issued = f"the newest forecast was issued at {to_people(outlook.issued)}"
         trouble = problem and f"{issued}; the previously read forecast stays in use: {problem}"
-        self.say("forecast", trouble, issued, unreadable, WARN)
+        self.say("forecast", trouble or short, issued, unreadable or "forecast_short", WARN)
         return outlook
 
-    def _frost(self, temperature: float) -> float:
-        """Return 1 in frost, else 0; if unknown, report that and return NaN, or 0 if allowed."""
+    def _frost(self, temperature: float, why: str) -> float:
+        """Return 1 in frost, else 0; if unknown, report that and return NaN, or 0 if allowed.
+
+        Args:
+            temperature: degC; NaN if unknown.
+            why: it would be unknown.
+        """
         if not math.isnan(temperature):
             self.diagnose("frost", OK, "the temperature is known")
             return float(temperature <= 0)
@@ -357,7 +367,7 @@ class WeatherNode(LinkedNode):
         if math.isnan(self._unknown_frost):
             level, pumps = ERROR, "are kept off"
         self.diagnose(
-            "frost", level, "the temperature is unknown, so there may be frost: the pumps "
+            "frost", level, f"the temperature is unknown, so there may be frost ({why}): the pumps "
             f"{pumps} (unknown_frost_may_pump)", "temperature_unknown",
         )
         return self._unknown_frost

@@ -483,6 +483,28 @@ def test_live_weather(site: Site) -> None:
         expect(1e-6, 0.0, ("forecast", OK))
 
 
+@pytest.mark.parametrize("horizon", [120.0, 13.0])
+def test_a_short_forecast_keeps_no_pump_off(site: Site, horizon: float) -> None:
+    """What is short is said first, and the controller commands by what is there."""
+    file = site.cwd / "forecast.csv"
+    write_forecast(file, timedelta(minutes=1), 0.0, 12.0)
+    commands, frost = site.be_dry(), site.listen("/weather/frost")
+    for name in (*FORECASTS, "/weather/frost"):
+        del site.values[name]
+    weather_node = site.live("weather", forecast=file, horizon=horizon, recovery_time=0.3)
+    with weather_node, site.live(
+        "controller --controller lookahead", horizon=horizon, recovery_time=0.3
+    ):
+        site.until(
+            site.says("/weather: forecast", WARN, "the forecast issued at ",
+                      f"before the {horizon:g} h look-ahead does", "a horizon of at most "),
+            LATE, "what is short",
+        )
+        site.until(lambda: newest(frost) == 0.0, LATE, "the temperature")
+        site.until(lambda: newest(commands) > 0.0, LATE, "a command")
+        site.until(site.says("/lookahead: forecast", OK), LATE, "a forecast for the controller")
+
+
 def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> None:
     """The forecast comes from a service, and is kept; the reason for a missing one is reported.
 
