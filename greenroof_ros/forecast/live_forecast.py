@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,8 @@ class ForecastFile:
     """A file of forecasts, read again when it is replaced; an invalid file is ignored.
 
     Attributes:
-        issues: of the newest file that could be read; empty before the first.
+        issues: of the newest file that could be read, from the newest at that time on; empty before
+            the first.
         problem: what is wrong with the present file; empty if nothing is.
         count: how many files were read.
     """
@@ -53,7 +54,7 @@ class ForecastFile:
             if seen == self._seen:
                 return False
             self._seen = seen
-            issues = read_forecasts(self._path)
+            issues = read_forecasts(self._path, datetime.now(timezone.utc))
             if issues[0].evapotranspiration is None:
                 raise ConfigurationError(
                     f"must have a column '{EVAPOTRANSPIRATION} [mm/day]': a live site has no other "

@@ -61,6 +61,8 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, WeatherSeries
 
+# How long the start waits for the first forecast (s); most files take less.
+_FIRST_READ_S = 1.0
 _FROST = "/weather/frost"
 _RAIN, _EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspiration"
 _RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST = (
@@ -210,7 +212,7 @@ class WeatherNode(LinkedNode):
         self._site = site
         if self.live:
             self._unknown_frost = 0.0 if values["unknown_frost_may_pump"] else math.nan
-            # A file of many members takes seconds to read.
+            # A file of many members, or on a slow disk, takes seconds to read.
             self._reader, self._files_read = DiskThread(), 0
             self._live_forecast: LiveForecast | None = None
             if values["forecast"] and (file := _forecast(values).file) is not None:
@@ -218,7 +220,8 @@ class WeatherNode(LinkedNode):
                     ForecastFile(file), site, values["horizon"], values["issue_limit"],
                     values["all_members"],
                 )
-                self._live_forecast.file.look()
+                self._reader.do(self._live_forecast.file.look)
+                self._reader.wait(_FIRST_READ_S)
                 self._fetcher = self._fetch(values, file) if values["fetch"] else None
             self._gauges: set[str] = set()  # that have been good
             self._rain_gauge, self._thermometer = (
@@ -341,7 +344,8 @@ class WeatherNode(LinkedNode):
         try:
             outlook, short = forecast.at(now, rain), forecast.shortage(now)
         except NoForecastError as error:
-            why = "; ".join(filter(None, [str(error), problem]))
+            reading = "the file is still being read" if self._reader.late else ""
+            why = "; ".join(filter(None, [str(error), problem, reading]))
             self.reports.numbers.pop("forecast", None)
             self.diagnose("forecast", ERROR, why, "forecast_missing", unreadable)
             return None

@@ -483,6 +483,26 @@ def test_live_weather(site: Site) -> None:
         expect(1e-6, 0.0, ("forecast", OK))
 
 
+def test_a_node_keeps_answering_while_it_reads_a_large_file(site: Site) -> None:
+    """73 MB, an archive of 300 hourly issues of 30 members and 120 h; bringup waits 5 s for it."""
+    file, frost = site.cwd / "forecast.csv", site.listen("/weather/frost")
+    now = datetime.now(UTC).replace(minute=0, second=0, microsecond=0)
+    with file.open("w") as stream:
+        stream.write(FORECAST_HEADER.replace("time,", "time,member,") + "\n")
+        for number in range(300):
+            issued = now - timedelta(hours=299 - number)
+            times = [(issued + timedelta(hours=hour)).isoformat() for hour in range(120)]
+            for member in range(30):
+                stream.writelines(f"{times[0]},{time},{member},0.5,2.0,12.0\n" for time in times)
+    with site.live("weather", forecast=file, horizon=118.0, all_members="true"):
+        site.until(site.says("/weather: forecast", OK), LATE, "the forecast")
+        for _ in range(3):
+            os.utime(file)  # as if it were replaced
+            site.during(3)
+    times = [at for at, _ in frost]
+    assert max(after - before for before, after in pairwise(times)) < 3.0
+
+
 @pytest.mark.parametrize("horizon", [120.0, 13.0])
 def test_a_short_forecast_keeps_no_pump_off(site: Site, horizon: float) -> None:
     """What is short is said first, and the controller commands by what is there."""
