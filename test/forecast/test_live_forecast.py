@@ -119,7 +119,7 @@ def test_a_short_forecast_is_used_as_far_as_it_reaches(file: Path, name: str) ->
 
 
 def test_a_forecast_that_is_long_enough_lacks_nothing(file: Path) -> None:
-    """To the second: 122 hours of which two have passed."""
+    """To the second: two of 122 hours have passed."""
     write(file, SIX, [0.0] * 122)
     assert live(file, 120.0).shortage(SIX + timedelta(hours=2)) == ""
 

@@ -218,7 +218,7 @@ FROZEN: dict[str, tuple[float, Rate, Rate, dict[str, Any], tuple[float, float]]]
         4, nothing, lambda _: 10.0, {"site": replace(COLLECTING, runoff_coefficient=0.9)},
         (5 / 9 + 10 / (9 * 243 / 25), 5 / 9 + 10 / 8),
     ),
-    # 5 mm/day of the roof are 13.76 mm/day of the cistern, of which 5 mm/day may be drift: 10 mm in
+    # 5 mm/day of the roof are 13.76 mm/day of the cistern; 5 mm/day may be drift: 10 mm in
     # 27.4 h. It must be found before the pump runs dry.
     "a cistern that is emptied slowly": (
         48, every(4147.0, 10.0, PULSE), nothing, {}, (240 / 8.76, math.inf),
