@@ -242,9 +242,11 @@ def make_parser() -> Parser:
 def _forecast(arguments: argparse.Namespace) -> Path | str | None:
     """Return the forecast file, or ``open-meteo`` if forecasts are fetched; None for neither.
 
+    The file may be written later: the weather node reports what is missing.
+
     Raises:
-        ConfigurationError: there is no such file, it is no CSV file, or a fetch option is given
-            without a fetch.
+        ConfigurationError: it is not the name of a CSV file, or a fetch option is given without a
+            fetch.
     """
     for option in ("fetch_model", "fetch_url", "fetch_every"):
         value = getattr(arguments, option)
@@ -254,9 +256,9 @@ def _forecast(arguments: argparse.Namespace) -> Path | str | None:
         ))
     if arguments.forecast in (None, OPEN_METEO):
         return arguments.forecast
-    file = _readable(arguments.forecast, "--forecast")
+    file = Path(arguments.forecast).resolve()
     refuse((
-        file.suffix.lower() != ".csv", "--forecast", arguments.forecast,
+        file.suffix.lower() != ".csv" or file.is_dir(), "--forecast", arguments.forecast,
         "must be a FILE.csv, which is read again whenever it is replaced; only simulated runs read "
         "other kinds of file",
     ))

@@ -29,6 +29,8 @@ TANKS = ("cistern", "roof")
 _LONGEST_FILTER_S = 30.0
 # A flow shown for 12 s (follow_time) while the pump is at rest is a fault.
 _LONGEST_AFTERFLOW_S = 10.0
+# A level further below 0 (m) is no noise: a tank would be taken for empty.
+_LEVEL_NOISE = 0.1
 _MODBUS_PORT = 502
 _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 _PATH = re.compile(r"([^.\[\]]+|\[\d+\])(\.[^.\[\]]+|\[\d+\])*")
@@ -68,7 +70,10 @@ class Sensor:
     """What all sensors have. The value is the median of readings, each scale x raw + offset."""
 
     scale: float = entry("value = scale x raw + offset, in the quantity's unit", -1e3, 1e3)
-    low: float = entry("lowest accepted value, in the quantity's unit", -100, 100)
+    low: float = entry(
+        "lowest accepted value, in the quantity's unit; below 0 for the noise of a sensor at 0, "
+        "which counts as 0 (not for a temperature)", -100, 100,
+    )
     high: float = entry("highest accepted value, likewise", -100, 100)
     offset: float = entry("value at raw 0, likewise", -1e3, 1e3, default=0.0)
     median: int = entry(
@@ -259,6 +264,11 @@ def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
         yield "scale", "must not be 0"
     if sensor.low >= sensor.high:
         yield "high", f"must be above low, {sensor.low:g} {topic.unit}"
+    if section in TANKS and sensor.low < topic.low - _LEVEL_NOISE:
+        yield "low", (
+            f"must be at least {topic.low - _LEVEL_NOISE:g} {topic.unit}: a level further below "
+            f"{topic.low:g} is no noise of a sensor"
+        )
     if sensor.high > topic.high:
         yield "high", f"must be at most {topic.high:g} {topic.unit}: higher values are not accepted"
     if sensor.median % 2 == 0:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import bisect
 import math
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
+
+import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_people
@@ -25,7 +27,8 @@ class ForecastFile:
     """A file of forecasts, read again when it is replaced; an invalid file is ignored.
 
     Attributes:
-        issues: of the newest file that could be read; empty before the first.
+        issues: of the newest file that could be read, from the newest at that time on; empty before
+            the first.
         problem: what is wrong with the present file; empty if nothing is.
         count: how many files were read.
     """
@@ -51,7 +54,7 @@ class ForecastFile:
             if seen == self._seen:
                 return False
             self._seen = seen
-            issues = read_forecasts(self._path)
+            issues = read_forecasts(self._path, datetime.now(timezone.utc))
             if issues[0].evapotranspiration is None:
                 raise ConfigurationError(
                     f"must have a column '{EVAPOTRANSPIRATION} [mm/day]': a live site has no other "
@@ -97,35 +100,56 @@ class LiveForecast:
     def at(self, now: datetime, observed_rain: float | None = None) -> Outlook:
         """Return the outlook at a time.
 
+        After the end of the issue there is no rain, and evapotranspiration repeats its last day, as
+        in a simulation.
+
         Args:
             now: the time.
             observed_rain: rain of the present hour from a gauge (m/s); None if there is none.
 
         Raises:
-            NoForecastError: no issue is new enough and covers the look-ahead.
+            NoForecastError: no issue is new enough and covers the present hour.
         """
         issue = self._newest(now)
-        assert issue.evapotranspiration is not None  # a file without it is refused
-        end = issue.issued + issue.hours * HOUR
-        if now + timedelta(seconds=float(self._ends[-1])) > end:
-            raise NoForecastError(
-                f"the newest forecast, issued at {to_people(issue.issued)}, ends at "
-                f"{to_people(end)}, before the {self._ends[-1] / _HOUR_S:.3g} h look-ahead does; "
-                f"a horizon of at most {(end - now) // HOUR} h would work now"
-            )
         present = (now - issue.issued) // HOUR
+        since = (now - issue.issued).total_seconds() % _HOUR_S
+        ahead = np.arange(present, present + math.ceil((since + self._ends[-1]) / _HOUR_S))
+        rain = np.zeros((len(issue.rain), len(ahead)))
+        there = issue.rain[:, present : present + len(ahead)]
+        rain[:, : there.shape[1]] = there
+        evapotranspiration = issue.evapotranspiration_at(ahead)
+        assert evapotranspiration is not None  # a file without it is refused
         known = Known(
-            issue.issued, issue.rain[:, present:], issue.evapotranspiration[present:], self._area,
-            self._ends, observed_rain,
+            issue.issued, rain, evapotranspiration, self._area, self._ends, observed_rain,
             math.nan if issue.temperature is None else float(issue.temperature[present]),
         )
-        return known.at((now - issue.issued).total_seconds() % _HOUR_S, self._all_members)
+        return known.at(since, self._all_members)
+
+    def shortage(self, now: datetime) -> str:
+        """Return what the newest issue lacks of the look-ahead, and the remedy; empty if nothing.
+
+        Raises:
+            NoForecastError: there is no forecast.
+        """
+        issue = self._newest(now)
+        end, due = issue.issued + issue.hours * HOUR, timedelta(seconds=float(self._ends[-1]))
+        if now + due <= end:
+            return ""
+        needed = math.ceil((due + self._limit) / HOUR)
+        # As far as an issue reaches until it is too old.
+        always = issue.hours - math.ceil(self._limit / HOUR)
+        shorter = f", or a horizon of at most {always} h" if always >= 1 and due >= HOUR else ""
+        return (
+            f"the forecast issued at {to_people(issue.issued)} ends at {to_people(end)}, before "
+            f"the {due / HOUR:.3g} h look-ahead does; the hours after it count as dry. An issue "
+            f"must have {needed} h to last until it is too old, not {issue.hours} h{shorter}"
+        )
 
     def _newest(self, now: datetime) -> Issue:
         """Return the newest issue at a time.
 
         Raises:
-            NoForecastError: the newest issue is too old, or there is none.
+            NoForecastError: the newest issue is too old or has ended, or there is none.
         """
         issues = self.file.issues
         if not issues:
@@ -140,5 +164,11 @@ class LiveForecast:
             raise NoForecastError(
                 f"the newest forecast, issued at {to_people(issue.issued)}, is older than "
                 f"{self._limit / HOUR:g} h"
+            )
+        end = issue.issued + issue.hours * HOUR
+        if now >= end:
+            raise NoForecastError(
+                f"the newest forecast, issued at {to_people(issue.issued)}, ended at "
+                f"{to_people(end)}, after {issue.hours} h"
             )
         return issue

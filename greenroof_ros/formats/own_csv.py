@@ -9,8 +9,9 @@ from datetime import datetime
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.common.errors import did_you_mean
-from greenroof_ros.common.times import to_minutes
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean
+from greenroof_ros.common.files import read_text
+from greenroof_ros.common.times import parse_time, to_minutes
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
     HOUR,
@@ -26,7 +27,9 @@ from greenroof_ros.formats.records import (
     check_alike,
     ensemble,
     mended,
+    numbered_lines,
     read_table,
+    table_of,
     with_dew_point,
 )
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
@@ -37,6 +40,8 @@ _FORECAST = {
     quantity: f"{quantity} [{QUANTITIES[quantity][0]}]"
     for quantity in (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE)
 }
+# Of a live site's file only the last bytes are read, enough for 100 members of 36 days.
+_MOST_BYTES, _CHUNK = 16_000_000, 1_000_000
 _OPTIONAL = {"member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
 
 
@@ -105,7 +110,7 @@ def read_archive(files: Sequence[Path], _site: Site, /) -> Archive:
     return Archive(files[0], "own format", issues, 0.0, issues)
 
 
-def read_forecasts(path: Path) -> list[Issue]:
+def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
     """Read a file of forecasts, one issue after the other.
 
     Lines that start with ``#`` are comments. The first other line is the header: ``issued``,
@@ -116,10 +121,15 @@ def read_forecasts(path: Path) -> list[Issue]:
     are consecutive, and the first starts with the issue. All issues have the members 0, 1, 2 and so
     on. What is missing is mended, see :func:`greenroof_ros.formats.records.mended`.
 
+    Args:
+        path: of the file.
+        now: if given, only the newest issue at this time and later ones are read, and no more than
+            the last 16 MB of the file: a live site needs no others.
+
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    table = read_table(path)
+    table = read_table(path) if now is None else table_of(path, _newest(path, now))
     columns = ["issued", "time", "member", *_FORECAST.values()]
     optional = [column for column in columns if column in _OPTIONAL]
     table.require_header(
@@ -163,6 +173,59 @@ def read_forecasts(path: Path) -> list[Issue]:
     for earlier, later in itertools.pairwise(issues):
         check_alike(earlier, later)
     return issues
+
+
+def _newest(path: Path, now: datetime) -> list[tuple[int, str]]:
+    """Return the header, and the numbered lines of the newest issue at a time and of later ones.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or its last issue is too long.
+    """
+    if not path.is_file() or path.stat().st_size <= _MOST_BYTES:
+        lines = numbered_lines(read_text(path))
+    else:
+        lines = _last_lines(path)
+    first, before = 1, ""
+    for at, (_, line) in enumerate(lines[1:], start=1):
+        issued = line.partition(",")[0]
+        if issued == before:
+            continue
+        before = issued
+        try:
+            if parse_time(issued.strip(' "')) > now:
+                break
+        except (TypeError, ValueError):
+            break  # the table's error names the line
+        first = at
+    return lines[:1] + lines[first:]
+
+
+def _last_lines(path: Path) -> list[tuple[int, str]]:
+    """Return the header of a large file, and the numbered lines of the last whole issues."""
+    tail = path.stat().st_size - _MOST_BYTES
+    with path.open("rb") as stream:
+        number = 1
+        while (header := stream.readline(_CHUNK)).lstrip().startswith(b"#") or header == b"\n":
+            number += 1
+        top = number, header.decode("utf-8-sig", "replace").strip()
+        while stream.tell() < tail and (
+            chunk := stream.read(min(_CHUNK, tail - stream.tell()))
+        ):
+            number += chunk.count(b"\n")
+        text = stream.read(_MOST_BYTES).decode("utf-8", "replace")
+    rows = [
+        (number + 2 + row, line) for row, line in enumerate(text.splitlines()[1:])
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    cut = rows[0][1].partition(",")[0] if rows else ""
+    whole = [row for row in rows if row[1].partition(",")[0] != cut]
+    if not whole:
+        raise ConfigurationError(
+            f"has an issue of more than {_MOST_BYTES / 1e6:g} MB at its end; only the last "
+            f"{_MOST_BYTES / 1e6:g} MB of a live site's file are read: write a new file for each "
+            "issue, with fewer members or hours", file=path,
+        )
+    return [top, *whole]
 
 
 def write_forecasts(issues: Sequence[Issue]) -> str:

@@ -24,8 +24,9 @@ from greenroof_ros.pumping.input_rules import (
     InputRules,
     LevelRule,
     Verdict,
+    Wetting,
     cistern_reach,
-    expected_rise,
+    expected_movement,
     roof_reach,
 )
 
@@ -104,6 +105,7 @@ class Levels:
             LevelRule(reach, values[_FROZEN_MOVEMENT.name], values[_JUMP_TOLERANCE.name])
             for reach in (cistern_reach(site), roof_reach(site))
         ]
+        self._wetting = Wetting()
         self.cistern = subscribe("/cistern/level", level=self._rules[0])
         self.roof = subscribe("/roof/level", level=self._rules[1])
 
@@ -115,9 +117,13 @@ class Levels:
 
     def expect(self, flow: float, rain: float = 0.0) -> None:
         """Expect the levels to move as pump flow (m3/s) and rain (m/s) move them in a tick."""
-        rises = expected_rise(self._site, flow, rain, self.cistern.value, self.roof.value)
-        for rule, rise in zip(self._rules, rises, strict=True):
-            rule.expect(rise * self._site.tau)
+        tau = self._site.tau
+        movements = expected_movement(
+            self._site, flow, rain, self._wetting.beyond(rain, tau), self.cistern.value,
+            self.roof.value,
+        )
+        for rule, movement in zip(self._rules, movements, strict=True):
+            rule.expect(movement, tau)
 
 
 class Live:

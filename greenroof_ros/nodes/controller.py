@@ -253,13 +253,14 @@ class ControllerNode(LinkedNode):
 
         The flow is the pump's, or follows from the command if none was ever heard. If it is not
         good now, it counts as 0: the pump may be at rest, and a still level is then not frozen.
+        Snow reaches no tank before it melts, so what falls in frost does not count.
         """
         site, flow = self._site, self._flow.value if self._flow.good else 0.0
         if not self._flow.heard:
             cistern, roof = self._cistern.value, self._roof.value
             volumes = site.cistern_volume(cistern), site.roof_volume(roof)
             flow = pump_flow(site, *volumes, min(command, 1.0))
-        self._levels.expect(flow, self._measured_rain())
+        self._levels.expect(flow, 0.0 if self._frost.value else self._measured_rain())
 
     def _measured_rain(self) -> float:
         """Return the gauge's rain (m/s); 0 without a good reading."""

@@ -68,6 +68,7 @@ class SensorNode(LinkedNode):
                 "is missing: it describes the sensor", file=file, key=section
             )
         self._topic, unit = quantity.topic_name, quantity.topic.unit
+        self._lowest = quantity.topic.low
         # A missing level stops the pump; other missing quantities may not.
         self._part, self._level = ("sensor", ERROR) if section in TANKS else ("gauge", WARN)
         self.open_outputs(self._topic)
@@ -95,9 +96,11 @@ class SensorNode(LinkedNode):
         ):
             self._published = reading.read_at
             self._value = reading.value
-            self.reports.numbers[self._part] = {"value": reading.value}
             if reading.value is not None:
-                self.publish(self._topic, reading.value)
+                # An empty tank or a pump at rest reads slightly below 0: noise, or a shifted zero.
+                self._value = max(reading.value, self._lowest)
+                self.publish(self._topic, self._value)
+            self.reports.numbers[self._part] = {"value": self._value}
             self.say(
                 self._part, reading.problem, "the sensor is read", reading.code, self._level
             )

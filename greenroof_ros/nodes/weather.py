@@ -61,6 +61,8 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, WeatherSeries
 
+# How long the start waits for the first forecast (s); most files take less.
+_FIRST_READ_S = 1.0
 _FROST = "/weather/frost"
 _RAIN, _EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspiration"
 _RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST = (
@@ -210,7 +212,7 @@ class WeatherNode(LinkedNode):
         self._site = site
         if self.live:
             self._unknown_frost = 0.0 if values["unknown_frost_may_pump"] else math.nan
-            # A file of many members takes seconds to read.
+            # A file of many members, or on a slow disk, takes seconds to read.
             self._reader, self._files_read = DiskThread(), 0
             self._live_forecast: LiveForecast | None = None
             if values["forecast"] and (file := _forecast(values).file) is not None:
@@ -218,7 +220,8 @@ class WeatherNode(LinkedNode):
                     ForecastFile(file), site, values["horizon"], values["issue_limit"],
                     values["all_members"],
                 )
-                self._live_forecast.file.look()
+                self._reader.do(self._live_forecast.file.look)
+                self._reader.wait(_FIRST_READ_S)
                 self._fetcher = self._fetch(values, file) if values["fetch"] else None
             self._gauges: set[str] = set()  # that have been good
             self._rain_gauge, self._thermometer = (
@@ -272,7 +275,12 @@ class WeatherNode(LinkedNode):
         temperature = math.nan if outlook is None else outlook.temperature
         if self._thermometer.good:
             temperature = self._thermometer.value
-        self.publish(_FROST, self._frost(temperature))
+        instead = "" if forecast is None else (
+            ", and no forecast" if outlook is None
+            else ", and the forecast has no column of temperature"
+        )
+        why = f"no reading of a thermometer{instead}"
+        self.publish(_FROST, self._frost(temperature, why))
         evapotranspiration: float | None
         if outlook is not None:
             front = self._front_of(outlook.issued)
@@ -334,9 +342,10 @@ class WeatherNode(LinkedNode):
         problem = forecast.file.problem
         unreadable = "forecast_unreadable" if problem else ""
         try:
-            outlook = forecast.at(now, rain)
+            outlook, short = forecast.at(now, rain), forecast.shortage(now)
         except NoForecastError as error:
-            why = "; ".join(filter(None, [str(error), problem]))
+            reading = "the file is still being read" if self._reader.late else ""
+            why = "; ".join(filter(None, [str(error), problem, reading]))
             self.reports.numbers.pop("forecast", None)
             self.diagnose("forecast", ERROR, why, "forecast_missing", unreadable)
             return None
@@ -345,11 +354,16 @@ class WeatherNode(LinkedNode):
         self.reports.numbers["forecast"] = {"issued_ago_s": age}
         issued = f"the newest forecast was issued at {to_people(outlook.issued)}"
         trouble = problem and f"{issued}; the previously read forecast stays in use: {problem}"
-        self.say("forecast", trouble, issued, unreadable, WARN)
+        self.say("forecast", trouble or short, issued, unreadable or "forecast_short", WARN)
         return outlook
 
-    def _frost(self, temperature: float) -> float:
-        """Return 1 in frost, else 0; if unknown, report that and return NaN, or 0 if allowed."""
+    def _frost(self, temperature: float, why: str) -> float:
+        """Return 1 in frost, else 0; if unknown, report that and return NaN, or 0 if allowed.
+
+        Args:
+            temperature: degC; NaN if unknown.
+            why: it would be unknown.
+        """
         if not math.isnan(temperature):
             self.diagnose("frost", OK, "the temperature is known")
             return float(temperature <= 0)
@@ -357,7 +371,7 @@ class WeatherNode(LinkedNode):
         if math.isnan(self._unknown_frost):
             level, pumps = ERROR, "are kept off"
         self.diagnose(
-            "frost", level, "the temperature is unknown, so there may be frost: the pumps "
+            "frost", level, f"the temperature is unknown, so there may be frost ({why}): the pumps "
             f"{pumps} (unknown_frost_may_pump)", "temperature_unknown",
         )
         return self._unknown_frost

@@ -29,6 +29,12 @@ _SPIKE = 4.0
 # Above the world records of hourly rain and of daily evapotranspiration (m/s).
 _MOST_RAIN = QUANTITIES[PRECIPITATION][2] / 1000 / 3600
 _MOST_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION][2] / 1000 / 86400
+# Greatest evapotranspiration of an hour (m/s), as greatest_loss of the delivery check; and the
+# slowest movement of a cistern that counts, beyond drift and unmeasured inflow: 5 mm/day.
+_LOSS, _DRIFT = 1e-3 / 3600, 5e-3 / 86400
+# Rain that a roof holds back before it runs off (m): depressions of a flat roof (2.5 mm, SWMM
+# Reference Manual I, Table 3-5), and a first-flush diverter (2 mm).
+_WETTING = 5e-3
 
 _WAITING, _RECOVERING = "input_waiting", "input_recovering"
 
@@ -93,30 +99,71 @@ def roof_reach(site: Site) -> Reach:
     return Reach(lambda level: _MARGIN * (_MOST_RAIN + pump), fall, site.highest_roof_level)
 
 
-def expected_rise(
-    site: Site, flow: float, rain: float, cistern_level: float, roof_level: float
-) -> tuple[float, float]:
-    """Return how fast the levels of cistern and roof must rise (m/s), negative if they must fall.
+class Movement(NamedTuple):
+    """What surely moves a level: bounds of its rise.
 
-    No change is expected of a tank that spills, since what enters it leaves it: the cistern at its
+    Attributes:
+        least: slowest rise (m/s).
+        most: fastest rise (m/s), negative if the level must fall.
+    """
+
+    least: float
+    most: float
+
+
+class Wetting:
+    """Rain that wets surfaces and fills hollows, or evaporates, instead of running off."""
+
+    def __init__(self) -> None:
+        """Begin with dry surfaces."""
+        self._held = 0.0  # m
+
+    def beyond(self, rain: float, passed: float) -> float:
+        """Return the rain beyond what the surfaces may hold back (m/s).
+
+        Args:
+            rain: m/s.
+            passed: for how long (s).
+        """
+        held = max(0.0, self._held + (rain - _LOSS) * passed)
+        self._held = min(held, _WETTING)
+        return (held - self._held) / passed
+
+
+def expected_movement(
+    site: Site, flow: float, rain: float, running_off: float, cistern_level: float,
+    roof_level: float,
+) -> tuple[Movement, Movement]:
+    """Return how the levels of cistern and roof must move.
+
+    A rise is reduced by all that may be lost: evapotranspiration from the roof, what a low outlet
+    takes, mains that are shut, and rain that surfaces hold back. A fall is reduced by all rain on
+    the catchment, and by the mains. Both are reduced by the drift of a sensor, so that small
+    amounts do not add up over days.
+
+    Nothing is expected of a tank that spills, since what enters it leaves it: the cistern at its
     outlet, the roof at the depth of its soil, a measured roof when its soil retains no more water.
-    Inflow to the cistern above its low outlet may leave by that outlet. A further fall through the
-    low outlet is not expected, since a narrow outlet clogs.
+    A fall through the low outlet is not expected, since a narrow outlet clogs.
 
     Args:
         site: the site.
         flow: from the cistern to the roof (m3/s).
         rain: m/s.
+        running_off: rain beyond what surfaces may hold back (m/s).
         cistern_level: m.
         roof_level: m.
     """
     volume = site.cistern_volume(cistern_level)
-    water = rain * site.effective_catchment + mains_flow(site, volume) - flow
-    if water > 0:
-        water = max(0.0, water - _MARGIN * low_outlet_flow(site, volume))
-    cistern = water / site.a1 if cistern_level < site.z_o else 0.0
-    roof = rain + flow / site.a2 if roof_level < site.z_soil else 0.0
-    return cistern, roof * soil_of(site).kept_share(site.roof_volume(roof_level))
+    least = most = -flow / site.a1
+    least += (
+        running_off * site.effective_catchment - _MARGIN * low_outlet_flow(site, volume)
+    ) / site.a1
+    most += (rain * site.a_in + mains_flow(site, volume)) / site.a1
+    if cistern_level >= site.z_o:
+        least = most = 0.0
+    roof = running_off + flow / site.a2 if roof_level < site.z_soil else 0.0
+    roof *= soil_of(site).kept_share(site.roof_volume(roof_level))
+    return Movement(least - _DRIFT, most + _DRIFT), Movement(roof - _LOSS, math.inf)
 
 
 class LevelRule:
@@ -154,13 +201,17 @@ class LevelRule:
         self._old_low = self._old_high = math.nan
         self._old_displacement = 0.0
         self._at = 0.0
-        self._expected = 0.0
+        # How far it must have risen above its minimum since it last changed, and fallen below its
+        # maximum (m).
+        self._risen = self._fallen = 0.0
         self._frozen = False
 
-    def expect(self, rise: float) -> None:
-        """Note how far the level must have risen since the last call (m; negative: fallen)."""
-        self._expected += rise
-        self._frozen = self._frozen or abs(self._expected) > self._frozen_movement
+    def expect(self, movement: Movement, passed: float) -> None:
+        """Note how the level must have moved in a time (s)."""
+        self._risen = max(0.0, self._risen + movement.least * passed)
+        self._fallen = max(0.0, self._fallen - movement.most * passed)
+        moved = max(self._risen, self._fallen)
+        self._frozen = self._frozen or moved > self._frozen_movement
 
     def came(self, now: float, value: float) -> Verdict:
         """Take a value (m), and judge whether water can have reached it."""
@@ -170,7 +221,7 @@ class LevelRule:
                 f"{self._reach.highest:g} m: is its unit wrong?",
             )
         if value != self._value:
-            self._expected = 0.0
+            self._risen = self._fallen = 0.0
             self._frozen = False
         before, self._value = self._value, value
         half = self._tolerance / 2

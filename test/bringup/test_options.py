@@ -104,7 +104,7 @@ WRONG = {
     f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
         "say whether there is frost; give it if a node of your own publishes /gauge/temperature",
-    f"{WEATHERED} --forecast no.csv": "--forecast = 'no.csv': must be an existing file",
+    f"{WEATHERED} --forecast no.nc": "--forecast = 'no.nc': must be a FILE.csv, which is",
     f"{WEATHERED} --forecast {CHECKOUT}/package.xml": "package.xml': must be a FILE.csv, which is",
     f"{WEATHERED} --weather external --forecast forecast.csv":
         "--forecast = 'forecast.csv': is for the weather node",

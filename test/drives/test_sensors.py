@@ -146,6 +146,7 @@ def test_the_shipped_file_is_read() -> None:
         (["tcp://127.0.0.1:5030", "127.0.0.1"], 11, "cistern.address = '127.0.0.1': must be tcp"),
         (["  median: 5", "  median: 4"], 21, "cistern.median = 4: must be odd"),
         (["  median: 5", "  median: 99"], 21, "cistern.median = 99: delays the value by 49 s"),
+        (["low: 0.0 ", "low: -0.2 "], 18, "cistern.low = -0.2: must be at least -0.1 m: a level"),
         (["high: 6.0 ", "high: -6.0 "], 19, "cistern.high = -6.0: must be above low, 0 m"),
         (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot give 0 to 6 m"),
         (["5031", "5030"], 27, "roof.register = 0: is also the cistern's: both sensors would be"),

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
+import time
+import tracemalloc
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -12,6 +15,7 @@ import pytest
 from paper import PAPER_SITE
 
 from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
+from greenroof_ros.forecast.resampling import look_ahead_ends
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.records import Issue
 
@@ -21,7 +25,7 @@ SIX = datetime(2026, 7, 1, 6, tzinfo=UTC)
 def write(path: Path, issued: datetime, rain: list[float], **left_out: None) -> None:
     """Write a file with an issue of some hours, and rename it into place as one must."""
     hours = np.arange(len(rain))
-    issue = Issue(issued, path, None, np.array([rain]), 2.0 + hours, 15.0 - hours)
+    issue = Issue(issued, path, None, np.array([rain]), 2.0 + hours % 24, 15.0 - hours % 24)
     draft = path.with_suffix(".new")
     draft.write_text(write_forecasts([replace(issue, **left_out)]))
     draft.replace(path)
@@ -64,17 +68,71 @@ def test_the_present_hour_and_the_look_ahead(file: Path) -> None:
     ("later", "horizon", "words"),
     [
         (timedelta(hours=2, seconds=1), 0.0, "older than 2 h"),
-        (timedelta(hours=1, minutes=1), 3.0, "look-ahead does; a horizon of at most 2 h"),
+        (timedelta(hours=5), 3.0, r"issued at .*, ended at 2026-07-01 10:00\S*, after 4 h"),
         (-timedelta(seconds=1), 0.0, "in the future"),
     ],
 )
 def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -> None:
-    """Too old, too short, from the future; a moment before, each is a forecast."""
+    """Too old, at its end, from the future; before that, each is a forecast."""
     write(file, SIX, [0.0] * 4)
-    forecast = live(file, horizon)
+    forecast = live(file, horizon, limit=7200.0 if later < timedelta(hours=4) else 86400.0)
     with pytest.raises(NoForecastError, match=words):
         forecast.at(SIX + later)
     forecast.at(SIX + (timedelta(0) if later < timedelta(0) else timedelta(hours=1)))
+
+
+# The hours of an issue, its age (h), a horizon (h), and what is said about it.
+SHORT = {
+    "a day for five": (
+        24, 0.5, 120.0, r"ends at 2026-07-02 06:00\S*, before the 120 h look-ahead does; the hours "
+        r"after it count as dry\. .* must have 122 h .* not 24 h, or a horizon of at most 22 h$",
+    ),
+    "long enough until it is an hour old": (
+        49, 1.5, 48.0, "must have 50 h .* not 49 h, or a horizon of at most 47 h$",
+    ),
+    "less than the time for which it is used": (2, 1.0, 6.0, "must have 8 h .* not 2 h$"),
+    "the next ticks at its very end": (1, 0.999, 0.0, "0.00278 h look-ahead .* not 1 h$"),
+}
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_a_short_forecast_is_used_as_far_as_it_reaches(file: Path, name: str) -> None:
+    """After its end it is dry, and evapotranspiration repeats: its last day, or its last hour.
+
+    Rain is 1 mm/h, so the depth over the look-ahead is the number of hours left. The temperature of
+    the present hour is known.
+    """
+    hours, age, horizon, words = SHORT[name]
+    write(file, SIX, [1.0] * hours)
+    forecasts, now = live(file, horizon), SIX + timedelta(hours=age)
+    assert re.search(words, forecasts.shortage(now)), forecasts.shortage(now)
+    outlook = forecasts.at(now)
+    steps = np.diff(look_ahead_ends(PAPER_SITE, horizon))
+    assert len(outlook.rain) == len(outlook.evapotranspiration) == len(steps)
+    depth = 1000 * float((np.array(outlook.rain) * steps).sum())
+    assert depth == pytest.approx(hours - age, rel=1e-9)
+    last = 1 + hours if hours < 24 else None  # mm/day: written as 2, 3, 4, ...
+    if last is not None:
+        expected = last / 1000 / 86400 * PAPER_SITE.a2
+        assert outlook.evapotranspiration[-1] == pytest.approx(expected)
+    assert outlook.temperature == 15.0 - int(age)
+
+
+def test_a_forecast_that_is_long_enough_lacks_nothing(file: Path) -> None:
+    """To the second: two of 122 hours have passed."""
+    write(file, SIX, [0.0] * 122)
+    assert live(file, 120.0).shortage(SIX + timedelta(hours=2)) == ""
+
+
+def test_all_members_of_a_short_ensemble_are_dry_after_its_end(file: Path) -> None:
+    """1 and 3 mm in each of two hours."""
+    issue = Issue(SIX, file, None, np.array([[1.0] * 2, [3.0] * 2]), np.ones(2), np.ones(2))
+    file.write_text(write_forecasts([issue]))
+    forecasts = LiveForecast(ForecastFile(file), PAPER_SITE, 24.0, 7200.0, all_members=True)
+    forecasts.file.look()
+    rain = np.asarray(forecasts.at(SIX).rain)
+    depths = 1000 * (rain * np.diff(look_ahead_ends(PAPER_SITE, 24.0))).sum(axis=1)
+    assert depths == pytest.approx([2.0, 6.0])
 
 
 def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
@@ -102,6 +160,65 @@ def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
     write(file, SIX, [0.0])
     assert forecasts.look()
     assert (forecasts.problem, forecasts.issues[0].issued) == ("", SIX)
+
+
+def archive(path: Path, issues: int, first: datetime, member_hours: str = "120 30") -> None:
+    """Write an archive of hourly issues, each of some hours and members; rain is 0.5 mm/h."""
+    hours, members = map(int, member_hours.split())
+    columns = "precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"
+    with path.open("w") as stream:
+        stream.write(f"# hourly\nissued,time,member,{columns}\n")
+        for number in range(issues):
+            times = [(first + timedelta(hours=number + hour)).isoformat() for hour in range(hours)]
+            for member in range(members):
+                stream.writelines(f"{times[0]},{time},{member},0.5,2.0,12.0\n" for time in times)
+
+
+def test_a_large_archive_costs_no_more_than_its_newest_issue(file: Path) -> None:
+    """73 MB, of 300 issues: only the last is read, in a fraction of a second and 150 MB.
+
+    A mistake in it is still found at its line: 2 + 299 x 3600 lines come before it.
+    """
+    now = datetime.now(UTC).replace(minute=0, second=0, microsecond=0)
+    archive(file, 300, now - timedelta(hours=299))
+    assert file.stat().st_size > 70e6
+    forecasts = ForecastFile(file)
+    tracemalloc.start()
+    began = time.thread_time()
+    assert forecasts.look(), forecasts.problem
+    took, (_, most) = time.thread_time() - began, tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    (issue,) = forecasts.issues
+    assert (issue.issued, issue.rain.shape) == (now, (30, 120))
+    assert most < 150e6 and took < 10
+    with file.open("a") as stream:
+        stream.write(f"{now.isoformat()},{now.isoformat()},0,wet,2.0,12.0\n")
+    assert not forecasts.look()
+    assert f"{file}, line {2 + 300 * 3600 + 1}" in forecasts.problem, forecasts.problem
+
+
+def test_later_issues_are_kept_and_earlier_ones_are_not_read(file: Path) -> None:
+    """A file may hold what is issued later; what is past may even be broken."""
+    now = datetime.now(UTC).replace(minute=0, second=0, microsecond=0)
+    archive(file, 5, now - timedelta(hours=2), "3 1")
+    file.write_text(file.read_text().replace("0.5", "wet", 1))
+    forecasts = ForecastFile(file)
+    assert forecasts.look(), forecasts.problem
+    assert [issue.issued for issue in forecasts.issues] == [
+        now + timedelta(hours=hour) for hour in range(3)
+    ]
+
+
+@pytest.mark.parametrize("text", ["one issue", "one line"])
+def test_a_file_without_a_whole_issue_in_its_last_16_mb(file: Path, text: str) -> None:
+    """The limit is named, whatever the file is."""
+    if text == "one line":
+        file.write_text(f"issued,time,precipitation [mm/h]\n{'x' * 20_000_000}")
+    else:
+        archive(file, 1, datetime.now(UTC), "240 1200")
+    forecasts = ForecastFile(file)
+    assert not forecasts.look()
+    assert "only the last 16 MB of a live site's file are read" in forecasts.problem
 
 
 def test_columns_that_may_be_left_out(file: Path) -> None:

@@ -12,12 +12,14 @@ import re
 import signal
 import time
 from array import array
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
-from itertools import pairwise
+from itertools import cycle, pairwise
 from statistics import median
 from typing import Any
 
 import pytest
+from modbus_wire import Wire
 from places import CONFIG
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
@@ -32,6 +34,7 @@ from ros_rig import (
     TAU,
     USUAL_EVAPOTRANSPIRATION,
     WARN,
+    Observer,
     Site,
     newest,
     policies,
@@ -41,6 +44,7 @@ from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiA
 from test_diagnostics import check
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives.sensor_file import QUANTITIES
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
 from greenroof_ros.nodes import weather
@@ -389,6 +393,42 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
         site.until(lambda: newest(commands) > 0, LATE, "a command")
 
 
+# By section of the sensor file: what it reads again and again, and what is published.
+AT_ZERO: dict[str, tuple[str, list[int], list[float]]] = {
+    "roof": ("scale: 0.001\n  low: -0.05\n  high: 0.5", [-1, 3, -50, 7], [0.0, 0.003, 0.0, 0.007]),
+    "cistern": ("scale: 0.001\n  low: -0.1\n  high: 9.0", [-2, -90, 40], [0.0, 0.0, 0.04]),
+    "flow_meter": ("scale: 1.0e-6\n  low: -0.001\n  high: 0.02", [-4, 0, 900], [0.0, 0.0, 9e-4]),
+    "rain_gauge": ("scale: 1.0e-8\n  low: -1.0e-6\n  high: 1.0e-4", [-30, 70], [0.0, 7e-7]),
+    "thermometer": ("scale: 0.1\n  low: -40.0\n  high: 60.0", [-35, 20], [-3.5, 2.0]),
+}
+
+
+@pytest.mark.parametrize("section", AT_ZERO)
+def test_the_noise_of_a_sensor_at_zero_counts_as_zero(observer: Observer, section: str) -> None:
+    """Nothing holds less than no water, so the topic begins at 0; a frost is below 0."""
+    _, read, published = AT_ZERO[section]
+    remaining = cycle(read)
+
+    def answer(request: bytes) -> list[tuple[float, bytes]]:
+        raw = next(remaining).to_bytes(2, "big", signed=True)
+        return [(0.0, request[:4] + bytes([0, 5, request[6], 4, 2]) + raw)]
+
+    values = observer.hear(QUANTITIES[section].topic_name)
+    with closing(Wire(answer)) as wire:
+        sensor = (
+            f"\n  address: {wire.at}\n  device_id: 1\n  kind: input\n  type: int16\n  median: 1\n"
+            "  period: 0.2\n  register: "
+        )
+        file = observer.cwd / "sensors.yaml"
+        file.write_text("".join(
+            f"{name}:{sensor}{number}\n  {AT_ZERO[name][0]}\n"
+            for number, name in enumerate({"cistern": 0, "roof": 0, section: 0})
+        ))
+        observer.start(f"sensor --of {section}", sensors_file=file)
+        observer.until(lambda: len(values) > len(read), LATE, "values")
+    assert {float(f"{value:.6g}") for value in values} == set(published)
+
+
 def test_live_weather(site: Site) -> None:
     """A file that is replaced and broken, gauges that come and go, an issue that is too old."""
     file = site.cwd / "forecast.csv"
@@ -442,6 +482,48 @@ def test_live_weather(site: Site) -> None:
         assert newest(evapotranspiration) in USUAL_EVAPOTRANSPIRATION
         write_forecast(file, timedelta(0), 3.6, 15.0)
         expect(1e-6, 0.0, ("forecast", OK))
+
+
+def test_a_node_keeps_answering_while_it_reads_a_large_file(site: Site) -> None:
+    """73 MB, an archive of 300 hourly issues of 30 members and 120 h; bringup waits 5 s for it."""
+    file, frost = site.cwd / "forecast.csv", site.listen("/weather/frost")
+    now = datetime.now(UTC).replace(minute=0, second=0, microsecond=0)
+    with file.open("w") as stream:
+        stream.write(FORECAST_HEADER.replace("time,", "time,member,") + "\n")
+        for number in range(300):
+            issued = now - timedelta(hours=299 - number)
+            times = [(issued + timedelta(hours=hour)).isoformat() for hour in range(120)]
+            for member in range(30):
+                stream.writelines(f"{times[0]},{time},{member},0.5,2.0,12.0\n" for time in times)
+    with site.live("weather", forecast=file, horizon=118.0, all_members="true"):
+        site.until(site.says("/weather: forecast", OK), LATE, "the forecast")
+        for _ in range(3):
+            os.utime(file)  # as if it were replaced
+            site.during(3)
+    times = [at for at, _ in frost]
+    assert max(after - before for before, after in pairwise(times)) < 3.0
+
+
+@pytest.mark.parametrize("horizon", [120.0, 13.0])
+def test_a_short_forecast_keeps_no_pump_off(site: Site, horizon: float) -> None:
+    """What is short is said first, and the controller commands by what is there."""
+    file = site.cwd / "forecast.csv"
+    write_forecast(file, timedelta(minutes=1), 0.0, 12.0)
+    commands, frost = site.be_dry(), site.listen("/weather/frost")
+    for name in (*FORECASTS, "/weather/frost"):
+        del site.values[name]
+    weather_node = site.live("weather", forecast=file, horizon=horizon, recovery_time=0.3)
+    with weather_node, site.live(
+        "controller --controller lookahead", horizon=horizon, recovery_time=0.3
+    ):
+        site.until(
+            site.says("/weather: forecast", WARN, "the forecast issued at ",
+                      f"before the {horizon:g} h look-ahead does", "a horizon of at most "),
+            LATE, "what is short",
+        )
+        site.until(lambda: newest(frost) == 0.0, LATE, "the temperature")
+        site.until(lambda: newest(commands) > 0.0, LATE, "a command")
+        site.until(site.says("/lookahead: forecast", OK), LATE, "a forecast for the controller")
 
 
 def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> None:

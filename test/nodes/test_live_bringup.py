@@ -20,7 +20,7 @@ from graphs import Process, alive, free_ports, summary_of, wait_for
 from places import CONFIG, guarding
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from ros_rig import FORECASTS, USUAL_EVAPOTRANSPIRATION, Site, newest, write_forecast
+from ros_rig import FORECASTS, OK, USUAL_EVAPOTRANSPIRATION, Site, newest, write_forecast
 from rosbags.highlevel import AnyReader
 from simulators import Simulator
 
@@ -384,7 +384,7 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
     )
     with live(domain, tmp_path, *options) as process:
         site.values = dict(LEVELS)
-        frost = "  weather: frost: the temperature is unknown, so there may be frost"
+        frost = "  weather: frost: the temperature is unknown, so there may be frost (no"
         site.until(lambda: frost in process.stderr(), 60, "what is missing")
         assert "publish /gauge/temperature" in process.stderr()
         site.until(lambda: len(commands) > 4, 60, "commands")
@@ -409,6 +409,28 @@ def test_a_site_that_is_stopped_while_it_starts_ends_with_0(domain: int, tmp_pat
             if not early:
                 process.until_said("missing:", 60)
         shutil.rmtree(tmp_path / "run")
+
+
+@pytest.mark.parametrize("place", ["forecast.csv", "from_service/forecast.csv"])
+def test_a_forecast_file_that_is_missing_at_the_start(
+    domain: int, tmp_path: Path, site: Site, place: str
+) -> None:
+    """The site starts, says which file is missing, and waters by the level; the file ends that."""
+    commands, file = site.listen("/pump/command"), tmp_path / place
+    (tmp_path / "nodes.yaml").write_text(QUICK)
+    options = (
+        "--sensors", "external", "--pump", "external", "--controller", "mpc",
+        "--thermometer", "external", "--forecast", place, "--node-parameters", "nodes.yaml",
+    )
+    with live(domain, tmp_path, *options) as process:
+        site.values = {**LEVELS, "/gauge/temperature": 8.0}
+        missing = f"weather: forecast: there is no forecast; {file}: cannot be read: No such file"
+        site.until(lambda: f"  {missing}" in process.stderr(), 60, "what is missing")
+        site.until(lambda: newest(commands) == 1.0, 60, "a command of on/off")
+        site.until(lambda: "incident 1: weather: " in process.stderr(), 60, "the incident")
+        file.parent.mkdir(exist_ok=True)
+        write_forecast(file, timedelta(minutes=1), 0.0, 12.0)
+        site.until(site.says("/weather: forecast", OK), 60, "the forecast")
 
 
 def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:

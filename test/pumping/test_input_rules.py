@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any, TypeAlias
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from paper import PAPER_SITE
 
+from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.input_rules import (
     InputRules,
     LevelRule,
+    Movement,
     Reach,
     Verdict,
+    Wetting,
     cistern_reach,
-    expected_rise,
+    expected_movement,
     roof_reach,
 )
 
@@ -112,16 +117,121 @@ def test_frozen() -> None:
     level = level_rule(frozen=0.01)
     rules = InputRules(0.0, limit=5.0, recovery=0.0, level=level)
     for second in range(5):
-        level.expect(0.004)
-        level.expect(-0.004)
         assert rules.came(float(second), 1.5).good
-        level.expect(-0.002)
+        level.expect(Movement(0.0, 0.0), 1.0)
+        level.expect(Movement(-0.003, -0.002), 1.0)
     assert rules.came(5.0, 1.5).good  # 1 cm is not more than 1 cm
-    level.expect(-0.0001)
+    level.expect(Movement(-0.0002, -0.0001), 1.0)
     verdict = rules.came(6.0, 1.5)
     assert rule(verdict) == "frozen" and "frozen_movement" in verdict.why
     assert rule(rules.came(7.0, 1.5)) == "frozen"  # the pump now stands, and so does the level
     assert rules.came(8.0, 1.4999).good
+
+
+HOUR_S, DAY_S = 3600.0, 86400.0
+MM_PER_HOUR = 1e-3 / HOUR_S
+Rate: TypeAlias = Callable[[float], float]
+
+
+def frozen_after(
+    hours: float, flow: Rate, rain: Rate, site: Site = PAPER_SITE, cistern: float = 2.0,
+    roof: float = 0.03,
+) -> list[float | None]:
+    """Return after how many hours each unchanged level is frozen; None if it never is.
+
+    Args:
+        hours: how long.
+        flow: m3/s, by time (s).
+        rain: mm/h, likewise.
+        site: the site.
+        cistern: its level (m).
+        roof: likewise.
+    """
+    levels, wetting, step = [level_rule(), level_rule()], Wetting(), 10.0
+    found: list[float | None] = [None, None]
+    for level, value in zip(levels, (cistern, roof), strict=True):
+        level.came(0.0, value)
+    for number in range(round(hours * HOUR_S / step)):
+        now = number * step
+        fallen = rain(now) * MM_PER_HOUR
+        movements = expected_movement(
+            site, flow(now), fallen, wetting.beyond(fallen, step), cistern, roof
+        )
+        for tank, (level, movement) in enumerate(zip(levels, movements, strict=True)):
+            level.expect(movement, step)
+            if found[tank] is None and not level.stands().good:
+                found[tank] = (now + step) / HOUR_S
+    return found
+
+
+def nothing(_: float) -> float:
+    return 0.0
+
+
+def every(period: float, lasting: float, value: float) -> Rate:
+    """Return a function of time that has a value for a time (s) in every period (s)."""
+    return lambda now: value if now % period < lasting else 0.0
+
+
+COLLECTING = replace(PAPER_SITE, a_in=270.0)
+# 0.24 mm on the roof in one pulse of 10 s; 5 mm/day are a pulse every 4147 s.
+PULSE = 0.24e-3 * PAPER_SITE.a2 / 10.0
+# What is well though a level does not change: how long (h), flow, rain, and further arguments.
+WELL: dict[str, tuple[float, Rate, Rate, dict[str, Any]]] = {
+    "drizzle that evaporates from an empty roof": (240, nothing, lambda _: 0.2, {"roof": 0.0}),
+    "a shower each day that evaporates": (720, nothing, every(DAY_S, HOUR_S, 3.0), {"roof": 0.0}),
+    "rain that wets the catchment": (48, nothing, every(9e9, HOUR_S, 0.93), {"site": COLLECTING}),
+    "4 mm of a shower on a dry catchment with a first-flush diverter": (
+        48, nothing, every(9e9, HOUR_S, 4.0), {"site": COLLECTING},
+    ),
+    "a shower of 4 mm every second day": (
+        720, nothing, every(2 * DAY_S, HOUR_S, 4.0), {"site": COLLECTING},
+    ),
+    "the pump replaces evapotranspiration in pulses": (
+        720, every(4147.0, 10.0, PULSE), nothing,
+        {"site": replace(PAPER_SITE, mains_level=2.5, mains_flow=1e-3)},
+    ),
+    "the mains are shut": (
+        240, nothing, nothing, {"site": replace(PAPER_SITE, mains_level=2.5, mains_flow=1e-3)},
+    ),
+    "the mains refill what the pump takes": (
+        240, lambda _: 5e-4, nothing,
+        {"site": replace(PAPER_SITE, mains_level=2.5, mains_flow=1e-3), "roof": 0.5},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WELL)
+def test_an_unchanged_level_that_is_not_frozen(name: str) -> None:
+    """What may evaporate, wet surfaces or be replaced moves no level surely."""
+    hours, flow, rain, further = WELL[name]
+    assert frozen_after(hours, flow, rain, **further) == [None, None]
+
+
+# A frozen sensor: the same, and after how many hours cistern and roof are found.
+FROZEN: dict[str, tuple[float, Rate, Rate, dict[str, Any], tuple[float, float]]] = {
+    # 0.005 m3/s: more than 10 mm on 25 m2 after 50 s, on 68.8 m2 after 138 s; a step is 10 s.
+    "a pump": (1, lambda _: 0.005, nothing, {}, (60 / 3600, 140 / 3600)),
+    # 5 mm wet the surfaces, at 9 mm/h net; then 10 mm of the roof at 9 mm/h, and of the cistern
+    # 10 mm/h on 243 m2 over 25 m2 (0.9 of 270 m2 run off), for 10 mm: 6.2 minutes.
+    "a storm": (
+        4, nothing, lambda _: 10.0, {"site": replace(COLLECTING, runoff_coefficient=0.9)},
+        (5 / 9 + 10 / (9 * 243 / 25), 5 / 9 + 10 / 8),
+    ),
+    # 5 mm/day of the roof are 13.76 mm/day of the cistern; 5 mm/day may be drift: 10 mm in
+    # 27.4 h. It must be found before the pump runs dry.
+    "a cistern that is emptied slowly": (
+        48, every(4147.0, 10.0, PULSE), nothing, {}, (240 / 8.76, math.inf),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_a_frozen_level_is_found(name: str) -> None:
+    """After the time in which the movement that must have happened exceeds 1 cm."""
+    hours, flow, rain, further, due = FROZEN[name]
+    for found, expected in zip(frozen_after(hours, flow, rain, **further), due, strict=True):
+        assert (math.inf if found is None else found) == pytest.approx(expected, rel=0.05)
 
 
 def test_jump() -> None:
@@ -190,14 +300,33 @@ def test_speeds_of_the_paper_s_site() -> None:
     assert roof.fall(0.1) == pytest.approx(1.5 * (0.5787e-6 + 0.09396e-6), rel=1e-3)
 
 
-def test_expected_rise() -> None:
+# 1 mm/h, and 5 mm/day.
+LOSS, DRIFT = 1e-3 / 3600, 5e-3 / 86400
+
+
+def test_expected_movement() -> None:
     """0.005 m3/s is 0.2 mm/s of the cistern and 0.0727 mm/s of the roof; rain adds to both."""
-    cistern, roof = expected_rise(PAPER_SITE, 0.005, 0.0, 2.0, 0.03)
-    assert (cistern, roof) == (pytest.approx(-0.2e-3), pytest.approx(0.0726744e-3))
-    cistern, roof = expected_rise(PAPER_SITE, 0.0, 1e-5, 2.0, 0.03)
-    assert (cistern, roof) == (pytest.approx(1e-5 * 0.2922467 / 25), pytest.approx(1e-5))
+    cistern, roof = expected_movement(PAPER_SITE, 0.005, 0.0, 0.0, 2.0, 0.03)
+    assert cistern == pytest.approx((-0.2e-3 - DRIFT, -0.2e-3 + DRIFT))
+    assert roof == (pytest.approx(0.0726744e-3 - LOSS), math.inf)
+    # Half of the rain still wets surfaces; all of the 0.29225 m2 catchment may run off.
+    cistern, roof = expected_movement(PAPER_SITE, 0.0, 1e-5, 5e-6, 2.0, 0.03)
+    assert cistern.least == pytest.approx(5e-6 * PAPER_SITE.effective_catchment / 25 - DRIFT)
+    assert cistern.most == pytest.approx(1e-5 * PAPER_SITE.a_in / 25 + DRIFT)
+    assert roof.least == pytest.approx(5e-6 - LOSS)
     # Water that spills moves no level: the cistern at its outlet (3 m), the roof at 0.5 m of soil.
-    assert expected_rise(PAPER_SITE, 0.005, 1e-5, 3.0, 0.5) == (0.0, 0.0)
+    cistern, roof = expected_movement(PAPER_SITE, 0.005, 1e-5, 1e-5, 3.0, 0.5)
+    assert (cistern, roof.least) == ((-DRIFT, DRIFT), -LOSS)
+
+
+def test_wetting() -> None:
+    """7 mm in an hour: 1 mm may evaporate, 5 mm wet the surfaces. After a night 4 mm wet them."""
+    wetting = Wetting()
+    for rain, hours, ran_off in (
+        (7.0, 1.0, 1.0), (7.0, 1.0, 6.0), (0.0, 4.0, 0.0), (6.0, 1.0, 1.0),
+    ):
+        beyond = wetting.beyond(rain * MM_PER_HOUR, hours * HOUR_S)
+        assert beyond * hours == pytest.approx(ran_off * MM_PER_HOUR), (rain, hours)
 
 
 def test_a_measured_roof_rises_by_what_it_keeps() -> None:
@@ -209,19 +338,20 @@ def test_a_measured_roof_rises_by_what_it_keeps() -> None:
         PAPER_SITE, z_soil=0.1, z_cap=68.8 * 0.06,
         field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5,
     )
-    _, roof = expected_rise(site, 0.005, 1e-5, 2.0, 0.04)
-    assert roof == pytest.approx(0.75 * (0.0726744e-3 + 1e-5), rel=1e-5)
-    assert expected_rise(site, 0.005, 1e-5, 2.0, 0.06)[1] == 0.0
+    _, roof = expected_movement(site, 0.005, 1e-5, 1e-5, 2.0, 0.04)
+    assert roof.least == pytest.approx(0.75 * (0.0726744e-3 + 1e-5) - LOSS, rel=1e-5)
+    assert expected_movement(site, 0.005, 1e-5, 1e-5, 2.0, 0.06)[1].least == -LOSS
     fall = roof_reach(site).fall
     assert fall(0.05) == pytest.approx(1.5 * 0.5787e-6, rel=1e-3)
     assert fall(0.07) == pytest.approx(1.5 * (0.5787e-6 + 0.01), rel=1e-3)
 
 
-def test_mains_raise_the_cistern() -> None:
-    """0.001 m3/s over 25 m2 is 0.04 mm/s, only below the valve's level."""
+def test_mains_may_raise_the_cistern() -> None:
+    """0.001 m3/s over 25 m2 is 0.04 mm/s, only below the valve's level; they can be shut."""
     site = replace(PAPER_SITE, mains_level=1.5, mains_flow=0.001)
-    assert expected_rise(site, 0.0, 0.0, 1.4, 0.03)[0] == pytest.approx(0.04e-3, rel=1e-12)
-    assert expected_rise(site, 0.0, 0.0, 1.5, 0.03)[0] == 0.0
+    for level, most in ((1.4, 0.04e-3), (1.5, 0.0)):
+        cistern, _ = expected_movement(site, 0.0, 0.0, 0.0, level, 0.03)
+        assert cistern == pytest.approx((-DRIFT, most + DRIFT))
     without = cistern_reach(PAPER_SITE).rise(1.4)
     assert cistern_reach(site).rise(1.4) - without == pytest.approx(1.5 * 0.04e-3, rel=1e-9)
 
@@ -230,19 +360,21 @@ def test_a_low_outlet_lets_the_cistern_fall_and_stand() -> None:
     """At 1 m of head it takes 0.61 pi 0.025^2 sqrt(2 9.81) = 0.00530529 m3/s.
 
     4e-4 m/s on 50 m2, 0.8 arriving, are 0.016 m3/s: possibly only 0.00804 stays, because the
-    outlet can take 1.5 times as much. The outlet alone must lower nothing: it can be clogged.
+    outlet can take 1.5 times as much. All of it may arrive, 0.02 m3/s, and the outlet alone must
+    lower nothing: it can be clogged.
     """
     site = replace(
         PAPER_SITE, a_in=50.0, runoff_coefficient=0.8,
         low_outlet_level=1.0, low_outlet_radius=0.025,
     )
     outflow = 0.61 * math.pi * 0.025**2 * math.sqrt(2 * 9.81)
-    for flow, rain, level, rise in (
-        (0.0, 4e-4, 1.0, 0.016 / 25), (0.0, 4e-4, 2.0, (0.016 - 1.5 * outflow) / 25),
-        (0.0, 1e-4, 2.0, 0.0), (0.005, 0.0, 2.0, -0.2e-3),
+    for flow, rain, level, least, most in (
+        (0.0, 4e-4, 1.0, 0.016, 0.02), (0.0, 4e-4, 2.0, 0.016 - 1.5 * outflow, 0.02),
+        (0.005, 0.0, 2.0, -0.005 - 1.5 * outflow, -0.005),
     ):
-        computed = expected_rise(site, flow, rain, level, 0.03)[0]
-        assert computed == pytest.approx(rise, rel=1e-12), (flow, rain, level)
+        computed = expected_movement(site, flow, rain, rain, level, 0.03)[0]
+        due = (least / 25 - DRIFT, most / 25 + DRIFT)
+        assert computed == pytest.approx(due, rel=1e-12), (flow, rain, level)
     without = cistern_reach(PAPER_SITE).fall(2.0)
     assert cistern_reach(site).fall(2.0) - without == pytest.approx(1.5 * outflow / 25, rel=1e-9)
     # A cloudburst runs off completely: 500 mm/h on 50 m2.
