@@ -64,7 +64,7 @@ def make_parser() -> Parser:
         "A site with sensors, at which nothing is simulated, is 'greenroof live', or "
         "'python -m greenroof_ros.bringup --plant external'.",
         epilog="examples:\n"
-        "  greenroof run --controller lookahead --initial high-low\n"
+        "  greenroof run --controller lookahead --initial high-low --horizon 12\n"
         "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24\n"
         "  greenroof run --namespace site1 --site site1.yaml\n"
         "  greenroof run --speed 60 --no-record\n"

@@ -11,7 +11,9 @@ from greenroof_ros.formats.records import QUANTITIES, Records, Table, read_table
 from greenroof_ros.model.site import Site
 
 _TIME = "Date/Time (LST)"
-_LONGITUDE = "Longitude (x)"
+_LATITUDE, _LONGITUDE = "Latitude (y)", "Longitude (x)"
+# Height of the wind at its stations, as WMO has it (m).
+_WIND_HEIGHT_M = 10.0
 # The service's columns of value and flag for each of our quantities; the units are the same.
 _COLUMNS = {
     "precipitation": ("Precip. Amount (mm)", "Precip. Amount Flag"),
@@ -72,7 +74,20 @@ def read_records(file: Path, site: Site, /) -> Records:
             for text, flag in zip(table.columns[column], table.columns[flags], strict=True)
         ]
         values[quantity] = table.numbers(column, QUANTITIES[quantity], missing=("",))
-    return Records((file,), first, values, rain_late=1)
+    return Records(
+        (file,), first, values, rain_late=1, places=_place(table), wind_height=_WIND_HEIGHT_M
+    )
+
+
+def _place(table: Table) -> dict[Path, tuple[float, float]]:
+    """Return the station's place, by file; empty if a column is missing."""
+    if not {_LATITUDE, _LONGITUDE} <= table.columns.keys():
+        return {}
+    latitude, longitude = (
+        float(table.numbers(column, ("degrees", -end, end), missing=("",))[0])
+        for column, end in ((_LATITUDE, 90.0), (_LONGITUDE, 180.0))
+    )
+    return {table.file: (latitude, longitude)}
 
 
 def _check_zone(table: Table, utc_offset: float) -> None:

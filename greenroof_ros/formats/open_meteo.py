@@ -93,6 +93,8 @@ UNITS = {
     RADIATION: (Unit("W/m²"),),
 }
 """Units of the service for each quantity; the first is its default."""
+# Height of the wind that is requested and read, wind_speed_10m (m).
+_WIND_HEIGHT_M = 10.0
 # Largest distance of a file's place from the site, and the end of the range: a cell of the coarsest
 # model is half a degree wide; air is 2 degC colder 300 m further up.
 _PLACE = {"latitude": (0.5, 90.0), "longitude": (0.5, 180.0), "elevation": (300.0, 9000.0)}
@@ -134,7 +136,7 @@ def _read(
             is unknown, or a value is not a plausible number; the message names line or key, and
             value.
     """
-    table, parse = _table(file, site)
+    table, parse, places = _table(file, site)
     units = {}
     for cell in table.header[1:]:
         name, _, text = cell.partition(" ")
@@ -154,18 +156,20 @@ def _read(
     return table, Records((file,), first, {
         name: table.numbers(cell, QUANTITIES[quantity], unit, ("", "NaN"))
         for name, (cell, quantity, unit) in units.items()
-    })
+    }, places=places, wind_height=_WIND_HEIGHT_M)
 
 
-def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
-    """Return the hours of a file, and the parser of their times."""
+def _table(
+    file: Path, site: Site
+) -> tuple[Table, Callable[[str], datetime], dict[Path, tuple[float, float]]]:
+    """Return the hours of a file, the parser of their times, and the place, if it has one."""
     text = read_text(file)
     if text.lstrip().startswith(("{", "[")):
         place, table = _json_tables(file, text)
     else:
         lines = numbered_lines(text)
         if lines and _OFFSET not in lines[0][1]:
-            return table_of(file, lines), partial(parse_time, zone=timezone.utc)
+            return table_of(file, lines), partial(parse_time, zone=timezone.utc), {}
         if len(lines) < 3:
             raise ConfigurationError(
                 "must have two lines about the place, then a header and records", file=file
@@ -175,7 +179,8 @@ def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
         raise place.refuse("must be for one place; download places separately", "location_id", 0)
     zone = _check_place(place, site)
     table.require(["time"], _WHOSE)
-    return table, partial(parse_local_time, zone=zone)
+    latitude, longitude = (float(place.columns[name][0]) for name in ("latitude", "longitude"))
+    return table, partial(parse_local_time, zone=zone), {file: (latitude, longitude)}
 
 
 def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
@@ -264,7 +269,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One more hour: the hour before the first time has only rain and radiation, the last neither.
     nothing = np.array([math.nan])
-    return Records((file,), records.first - HOUR, {
+    return replace(records, first=records.first - HOUR, values={
         quantity: np.concatenate((series, nothing) if quantity in shifted else (nothing, series))
         for quantity, series in values.items()
     }, shifted=shifted)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from greenroof_ros.common.errors import did_you_mean
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
@@ -31,6 +32,10 @@ _FORECAST = {
     quantity: f"{quantity} [{QUANTITIES[quantity][0]}]"
     for quantity in (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE)
 }
+_COMMENT = re.compile(r"\s*(#|$)")
+# The place of a weather file, in a comment at its head.
+_PLACE = re.compile(r"\b(latitude|longitude)\s*[:=]\s*([-+]?\d+(?:\.\d*)?)", re.IGNORECASE)
+_ENDS = {"latitude": 90.0, "longitude": 180.0}
 _OPTIONAL = {"member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
 
 
@@ -48,7 +53,8 @@ def read_records(file: Path, _site: Site, /) -> Records:
     Lines that start with ``#`` are comments. The first other line names the columns with their
     units: ``time``, ``precipitation [mm/h]``, and others of
     :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]`` begins
-    with the name of its method. Each further line is the hour that starts at its ``time`` (ISO 8601
+    with the name of its method. Comments at the head may give the place, as in ``latitude: 43.63,
+    longitude: -79.40``. Each further line is the hour that starts at its ``time`` (ISO 8601
     with the offset from UTC); the hours must be consecutive.
 
     Raises:
@@ -61,7 +67,22 @@ def read_records(file: Path, _site: Site, /) -> Records:
         quantity: table.numbers(column, QUANTITIES[quantity], missing=("",))
         for quantity, column in columns.items()
     }
-    return Records((file,), first, values, method)
+    return Records((file,), first, values, method, places=_place(file))
+
+
+def _place(file: Path) -> dict[Path, tuple[float, float]]:
+    """Return the place in the comments at the head of a file; empty if they give none."""
+    found = {}
+    with file.open(encoding="utf-8-sig") as stream:
+        for number, line in enumerate(itertools.takewhile(_COMMENT.match, stream), 1):
+            for key, text in _PLACE.findall(line.lower()):
+                if abs(float(text)) > _ENDS[key]:
+                    raise ConfigurationError(
+                        f"must be from {-_ENDS[key]:g} to {_ENDS[key]:g} degrees",
+                        file=file, line=number, key=key, value=text,
+                    )
+                found[key] = float(text)
+    return {file: (found["latitude"], found["longitude"])} if len(found) == 2 else {}
 
 
 def _columns(table: Table) -> tuple[dict[str, str], str]:

@@ -67,6 +67,8 @@ class Records:
         rain_late: delay of the rain's time (h): 1 if the files give rain at the end of its hour and
             it was not moved to the start, otherwise 0.
         filled: for each quantity, whether an hour was missing and filled, shape (hours,).
+        places: latitude and longitude (degrees) of each file that gives them, by file.
+        wind_height: height at which the wind was measured (m); None if the site file says.
     """
 
     files: tuple[Path, ...]
@@ -76,6 +78,8 @@ class Records:
     shifted: tuple[str, ...] = ()
     rain_late: int = 0
     filled: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    places: dict[Path, tuple[float, float]] = field(default_factory=dict)
+    wind_height: float | None = None
 
     @property
     def hours(self) -> int:
@@ -177,7 +181,8 @@ def join(parts: Sequence[Records]) -> Records:
                 )
             joined[known] = series[known]
     files = tuple(file for part in parts for file in part.files)
-    return replace(first, files=files, values=values)
+    places = {file: place for part in parts for file, place in part.places.items()}
+    return replace(first, files=files, values=values, places=places)
 
 
 def _check_alike(first: Records, part: Records) -> None:

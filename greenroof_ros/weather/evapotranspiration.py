@@ -8,6 +8,7 @@ Hargreaves' equation needs only a day's least and greatest temperature.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -101,7 +102,7 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
 
     It is the site's crop coefficient times the reference evapotranspiration; NaN if records are
     missing. Without measured solar radiation, the records must cover the whole day, 0 to 24 h of
-    local standard time.
+    local standard time. Wind is at the height of the records, or at the site's if they have none.
 
     Raises:
         ConfigurationError: the file lacks a quantity, or the site file its place on earth.
@@ -117,6 +118,8 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
         raise ConfigurationError(
             f"{FAO56} needs {', '.join(lacking)} in the site file (see config/site.yaml)"
         )
+    if records.wind_height is not None:
+        site = replace(site, wind_height=records.wind_height)
     values = {name: records.values[name] for name in FOR_EVAPOTRANSPIRATION}
     measured = records.values.get(RADIATION)
     if measured is not None:
