@@ -74,9 +74,8 @@ def make_parser() -> Parser:
         "running, 130 interrupted",
     )
     add_run_arguments(parser)
-    add_output_arguments(parser)
+    add_output_arguments(parser, None, "max; with --drive 1")
     add_graph_arguments(parser, "internal")
-    parser.set_defaults(speed=None)
     return parser
 
 
