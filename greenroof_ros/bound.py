@@ -17,7 +17,8 @@ from greenroof_ros.experiment.clairvoyant import _BLOCK_S, Bound, NoBoundError, 
 from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
 from greenroof_ros.experiment.plan import CarriedOut, recursion_plan
 from greenroof_ros.experiment.run import Run, count_ticks
-from greenroof_ros.experiment.summary_table import grid
+from greenroof_ros.experiment.summary import setting
+from greenroof_ros.experiment.summary_table import grid, print_notes, setting_rows
 
 _LARGEST_COMMAND = 100.0
 
@@ -52,11 +53,7 @@ def _result(
         "block_s": bound.block * run.site.tau,
         "solver": bound.solver,
         "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2},
-        "start": run.start.isoformat(),
-        "steps": run.steps,
-        "tau_s": run.site.tau,
-        "site": str(run.site_file),
-        "weather": run.weather.source,
+        **setting(run),
         "evapotranspiration_method": run.weather.method,
     }
 
@@ -65,6 +62,7 @@ def _table(result: dict[str, Any]) -> Table:
     """Return the table for the terminal."""
     initial, gap = result["initial"], result["gap"]
     rows = (
+        *setting_rows(result),
         (
             "from",
             f"{initial['cistern_m3']:.3f} / {initial['roof_m3']:.3f}",
@@ -147,7 +145,9 @@ def main() -> int:
     if arguments.json:
         print(json.dumps(result, indent=2, allow_nan=False))
     else:
-        Console().print(_table(result))
+        console = Console()
+        print_notes(console, result)
+        console.print(_table(result))
     return EXIT_DONE
 
 

@@ -15,7 +15,13 @@ from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.calibration.bag_record import read_bag_record
-from greenroof_ros.calibration.checks import FINDINGS, check_fit, check_record, level_sensor
+from greenroof_ros.calibration.checks import (
+    FINDINGS,
+    check_fit,
+    check_record,
+    level_sensor,
+    outages_found,
+)
 from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.fit import Fit, fit, measured_roof, reachable_target
 from greenroof_ros.calibration.pumps import fit_pumps
@@ -228,6 +234,7 @@ def _calibrate(
     record = read(site)
     for note in record.notes:
         print(f"note: {note}", file=sys.stderr)
+    findings += outages_found(record)
     counts = in_months(record, months)
     pumps = fit_pumps(site, record.only(counts))
     site = pumps.site

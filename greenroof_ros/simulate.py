@@ -49,7 +49,7 @@ def make_parser() -> Parser:
         description="Run cistern, roof, pumps and controller over real weather in one process, "
         "without ROS. The numbers equal the node graph's (bringup), bit for bit.",
         epilog="examples:\n"
-        "  greenroof simulate --controller lookahead --trajectory run.csv\n"
+        "  greenroof simulate --controller lookahead --horizon 12 --trajectory run.csv\n"
         "  greenroof simulate --start 2021-07-08T05:00 --hours 6\n"
         "  greenroof simulate --controller lookahead --horizon 24 \\\n"
         "      --forecast errors --forecast-skill real --forecast-seed 3\n"

@@ -17,6 +17,7 @@ from greenroof_ros.bringup.drive import (
 from greenroof_ros.common.command_line import Parser, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.controllers.registry import FOR_A_SITE
 from greenroof_ros.drives.drive import PlacedDrive
 from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.drives.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
@@ -187,7 +188,7 @@ def make_parser() -> Parser:
         "configuration, 3 a graph is already running, 130 interrupted before anything was started",
     )
     group = parser.add_argument_group("the site")
-    add_controller_arguments(parser, group)
+    add_controller_arguments(parser, group, default=FOR_A_SITE)
     group.add_argument(
         "--site", type=Path, metavar="FILE",
         help="site file (default: the paper's, config/site.yaml)",

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros import EXIT_INTERRUPTED
 from greenroof_ros.bringup.drive import (
     EXTERNAL,
     add_graph_arguments,
@@ -25,7 +26,6 @@ from greenroof_ros.bringup.in_the_loop import drive_parameters, wait_for_drive
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
-    EXIT_INTERRUPTED,
     Parser,
     command,
 )
@@ -64,7 +64,7 @@ def make_parser() -> Parser:
         "A site with sensors, at which nothing is simulated, is 'greenroof live', or "
         "'python -m greenroof_ros.bringup --plant external'.",
         epilog="examples:\n"
-        "  greenroof run --controller lookahead --initial high-low\n"
+        "  greenroof run --controller lookahead --initial high-low --horizon 12\n"
         "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24\n"
         "  greenroof run --namespace site1 --site site1.yaml\n"
         "  greenroof run --speed 60 --no-record\n"
@@ -74,9 +74,8 @@ def make_parser() -> Parser:
         "running, 130 interrupted",
     )
     add_run_arguments(parser)
-    add_output_arguments(parser)
+    add_output_arguments(parser, None, "max; with --drive 1")
     add_graph_arguments(parser, "internal")
-    parser.set_defaults(speed=None)
     return parser
 
 

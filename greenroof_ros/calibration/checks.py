@@ -21,6 +21,7 @@ from greenroof_ros.calibration.record import (
     Values,
     greatest_rise,
     lately,
+    outages,
     storms,
     time_name,
 )
@@ -105,6 +106,22 @@ def _stuck(record: Record) -> Iterator[Finding]:
                     hours=same * record.step_s / HOUR_S, since=record.time(low), fell=float(fell),
                 )
                 break
+
+
+def outages_found(record: Record) -> Iterator[Finding]:
+    """Tell which steps do not count after outages of rain gauge and pump meter."""
+    found = outages(record)
+    for column, values in (("rain", record.rain), ("pumped", record.pumped)):
+        own = [outage for outage in found if np.isnan(values[outage.first:outage.end]).any()]
+        if own:
+            steps = {step for outage in own for step in range(outage.first, outage.forgotten)}
+            longest = max(own, key=lambda outage: outage.end - outage.first)
+            yield FINDINGS.make(
+                "outage", "unknown", column, since=record.time(longest.first),
+                hours=(longest.end - longest.first) * record.step_s / HOUR_S,
+                days=len(steps) * record.step_s / DAY_S,
+                others=f", and in {len(own) - 1} more outages" if len(own) > 1 else "",
+            )
 
 
 # --- clocks ---------------------------------------------------------------------------------------

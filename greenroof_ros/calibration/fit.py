@@ -52,6 +52,8 @@ HARDLY = 0.5
 """If half an interval exceeds this share of the value or range, the data hardly constrain it."""
 _END = 0.005
 _CONFIDENCE = 0.95
+# A group with more than this share of the information about a parameter says it alone.
+_ALONE = 0.99
 FILLED = "filled"
 # Share of the available water on the roof at first, if nothing is known about it.
 _HALF_FILLED = 0.5
@@ -217,8 +219,8 @@ def fit(
     Parameters that the record does not identify stay as the site has them: the drainage time if
     steps are longer than an hour, and any parameter with a column of the Jacobian, over its range,
     that is small or a sum of others (QR with column pivoting; Golub and Van Loan, Matrix
-    Computations, 5.5.7). Intervals are by :func:`half_intervals`, with weeks as groups. They are
-    widened by how far a parameter follows the held ones anywhere in the ranges of those.
+    Computations, 5.5.7). Intervals are by :func:`grouped_intervals`, with weeks as groups. They
+    are widened by how far a parameter follows the held ones anywhere in the ranges of those.
 
     Args:
         site: start of the search, and values of the parameters that are held.
@@ -300,7 +302,7 @@ def fit(
     rows = jacobian() * robust[:, None] ** -0.75
     half = np.full(len(every), np.nan)
     half[free] = np.hypot(
-        half_intervals(moves(rows[:, free], solution.fun * robust**0.25, weeks)),
+        grouped_intervals(rows[:, free], solution.fun * robust**0.25, weeks),
         _moved_by_held(rows[:, free], rows[:, ~free], at[~free]),
     )
     parameters = list(map(_judged, every, at.tolist(), half.tolist(), why))
@@ -447,6 +449,43 @@ def freedom(jacobian: Values, groups: NDArray[np.int64]) -> Values:
     return np.asarray(
         np.einsum("pgg->p", covariance) ** 2 / np.einsum("pgh,pgh->p", covariance, covariance)
     )
+
+
+def grouped_intervals(
+    jacobian: Values, residuals: Values, groups: NDArray[np.int64]
+) -> Values:
+    """Return half of each parameter's 95 % interval; few groups may say most about it.
+
+    By :func:`half_intervals` with the degrees of :func:`freedom`. If one group alone says nearly
+    everything about a parameter, nothing shows how it would vary, and its half is infinite.
+
+    Args:
+        jacobian: at the fit, shape (n, parameters).
+        residuals: there, shape (n,).
+        groups: number of each residual's group, shape (n,).
+    """
+    numbers = np.unique(groups)
+    without = np.array([_information(jacobian[groups != group]) for group in numbers])
+    alone = without.min(axis=0) < (1 - _ALONE) * _information(jacobian)
+    half = np.full(len(alone), np.inf)
+    if len(numbers) > 1 and not alone.all():
+        degrees = np.where(alone, 1.0, freedom(jacobian, groups))
+        half = np.where(alone, np.inf, half_intervals(moves(jacobian, residuals, groups), degrees))
+    return half
+
+
+def _information(jacobian: Values) -> Values:
+    """Return the information about each parameter: its column's squares, less what others explain.
+
+    Args:
+        jacobian: shape (n, parameters).
+    """
+    left = []
+    for place, column in enumerate(jacobian.T):
+        others = np.delete(jacobian, place, axis=1)
+        rest = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
+        left.append(float(rest @ rest))
+    return np.array(left)
 
 
 def half_intervals(moved: Values, freedom: Values | None = None) -> Values:

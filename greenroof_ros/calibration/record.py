@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.formats.records import gaps
 
 Values = NDArray[np.float64]
 Steps = NDArray[np.bool_]
@@ -21,6 +22,10 @@ HOUR_S, DAY_S = 3600, 86400
 # The least time between two storms, and how long a roof responds after rain (s). The halves of a
 # record are also split after that long without water.
 _APART_S, _AFTER_S = 6 * HOUR_S, DAY_S
+# An unknown storm is forgotten after this long (s) and this much reference evapotranspiration (mm).
+_FORGOTTEN_S, _FORGOTTEN_MM = 7 * DAY_S, 20.0
+# Runoff (mm) and rise of the level (m) that show water: more than a tip, and than noise.
+_RAN_MM, _ROSE_M = 0.1, 0.003
 
 
 @dataclass(frozen=True)
@@ -185,14 +190,62 @@ def storms(record: Record) -> list[Storm]:
     ]
 
 
+class Outage(NamedTuple):
+    """A time in which water could come unrecorded, and the time until the roof has forgotten it."""
+
+    first: int
+    end: int
+    """one after its last step"""
+    forgotten: int
+    """one after the last step that does not count"""
+
+
+def outages(record: Record) -> list[Outage]:
+    """Return the outages of rain gauge and pump meter after which the roof is unknown.
+
+    A storm may have come in them. Its water is gone after about a week, and not before 20 mm could
+    evaporate. Outages of at most an hour count only if more water than before runs off by an hour
+    later, or the level has risen.
+    """
+    lost = gaps(np.isnan(record.rain) | np.isnan(record.pumped))
+    evaporated = np.concatenate(([0.0], np.cumsum(record.reference)))
+    week = math.ceil(_FORGOTTEN_S / record.step_s)
+    found = []
+    for first, end in lost:
+        if (end - first) * record.step_s <= HOUR_S and not _watered(record, first, end):
+            continue
+        dried = int(np.searchsorted(evaporated, evaporated[end] + _FORGOTTEN_MM))
+        found.append(Outage(first, end, min(max(end + week, dried), record.steps)))
+    return found
+
+
+def _watered(record: Record, first: int, end: int) -> bool:
+    """Return whether runoff or level show that water came in an outage, by an hour after it."""
+    hour = math.ceil(HOUR_S / record.step_s)
+    before, after = slice(max(0, first - hour), first), slice(end, end + hour)
+    if record.runoff is not None:
+        ran = np.nansum(record.runoff[first : end + hour])
+        if ran - np.nansum(record.runoff[max(0, 2 * first - end - hour) : first]) > _RAN_MM:
+            return True
+    if record.level is None:
+        return False
+    was, since = (
+        series[~np.isnan(series)] for series in (record.level[before], record.level[after])
+    )
+    return bool(len(was) and len(since) and np.median(since) - np.median(was) > _ROSE_M)
+
+
 def comparable(record: Record) -> Steps:
     """Return the steps in which a simulation is compared: known steps outside of broken storms.
 
     A storm is broken if rain, pumped water or runoff is missing in it. Unrecorded water affects the
     roof for the whole storm. And meters fail when runoff is largest; their values before and after
-    the gap can then be incomplete, for an unknown time.
+    the gap can then be incomplete, for an unknown time. Nor do steps count until a roof has
+    forgotten what came in an outage (:func:`outages`).
     """
     steps = record.known
+    for outage in outages(record):
+        steps[outage.first:outage.forgotten] = False
     missing = np.isnan(record.rain) | np.isnan(record.pumped)
     if record.runoff is not None:
         missing |= np.isnan(record.runoff)

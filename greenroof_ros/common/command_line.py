@@ -10,6 +10,7 @@ import itertools
 import math
 import os
 import re
+import signal
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
@@ -17,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
+from greenroof_ros import EXIT_INTERRUPTED, end_interrupted
 from greenroof_ros.common.errors import (
     ConfigurationError,
     OccupiedError,
@@ -31,7 +33,6 @@ EXIT_DONE = 0
 EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_OCCUPIED = 3
-EXIT_INTERRUPTED = 130
 
 
 def exit_code(error: Exception) -> int:
@@ -113,6 +114,14 @@ def flush_output(elsewhere: str = "") -> None:
         raise OutputError(raw.error, elsewhere)
 
 
+class _Interrupted(KeyboardInterrupt):
+    """Ctrl-C; after a KeyboardInterrupt itself Python may end by the signal, whatever its code."""
+
+
+def _interrupt(*_: Any) -> NoReturn:
+    raise _Interrupted
+
+
 def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
     """Turn a function into a command, which exits with the code that the function returns.
 
@@ -126,8 +135,11 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
     def wrapper() -> NoReturn:
         end_with_parent()
         _set_up_streams()
+        importing = signal.getsignal(signal.SIGINT) is end_interrupted
         try:
             try:
+                if importing:
+                    signal.signal(signal.SIGINT, _interrupt)
                 code: str | int | None = main()
             except SystemExit as end:  # by argparse: after --help, or on wrong usage
                 code = end.code
@@ -147,6 +159,9 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             code = EXIT_INTERRUPTED
+        finally:
+            if importing:  # not in the end of the interpreter, which Ctrl-C would kill
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
         sys.exit(code)
 
     return wrapper

@@ -33,6 +33,8 @@ BUILT_IN = {
 _REPLACED_BY_LOOKAHEAD = ("planning_mpc", "scenario_mpc")
 # The controller that runs unless a user chooses another.
 DEFAULT = "mpc"
+FOR_A_SITE = "lookahead"
+"""the default of a live site, which the paper's controller does not fit"""
 # Parameters that rclpy declares in every node.
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
 # A controller's node is named after it. These nodes run beside it.

@@ -80,7 +80,7 @@ def add_run_arguments(
 
 def add_controller_arguments(
     parser: Parser, group: argparse._ArgumentGroup,
-    arguments: Sequence[str] | None = None,
+    arguments: Sequence[str] | None = None, default: str = DEFAULT,
 ) -> None:
     """Add the options for the controller's name and for the parameters of that controller.
 
@@ -88,19 +88,20 @@ def add_controller_arguments(
         parser: of the command.
         group: for the controller's name; its parameters get a group of their own.
         arguments: the command line that is searched for its name; ``sys.argv`` if None.
+        default: the controller if none is named.
 
     Raises:
         ConfigurationError: there is no such controller.
     """
     group.add_argument(
-        "--controller", default=DEFAULT, metavar="NAME",
+        "--controller", default=default, metavar="NAME",
         help=f"{', '.join(controller_names())}, or package.module:Class of your own "
         "(default: %(default)s)",
     )
     # Its parameters are options, so its name is needed before the rest is parsed.
     name = Parser(add_help=False, exit_on_error=False)
-    name.add_argument("--controller", nargs="?", default=DEFAULT)
-    controller = find_controller(name.parse_known_args(arguments)[0].controller or DEFAULT)
+    name.add_argument("--controller", nargs="?", default=default)
+    controller = find_controller(name.parse_known_args(arguments)[0].controller or default)
     options = ", ".join(_option(parameter) for parameter in controller.parameters)
     parser.hint = f"the parameters of {controller.name} are {options}"
     of_controller = parser.add_argument_group(
@@ -219,8 +220,16 @@ def _skill(text: str) -> str:
 _skill.__name__ = f"skill: {', '.join(SKILLS)}, or a FILE.yaml"
 
 
-def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
-    """Add the options that decide where a run goes and how fast; return their group."""
+def add_output_arguments(
+    parser: Parser, speed: float | None = 0.0, otherwise: str = "max"
+) -> argparse._ArgumentGroup:
+    """Add the options that decide where a run goes and how fast; return their group.
+
+    Args:
+        parser: of the command.
+        speed: if the option is not given; 0 is as fast as possible, None leaves it to the command.
+        otherwise: what that is, for people.
+    """
     group = parser.add_argument_group("output and pace")
     group.add_argument(
         "--output", type=Path, metavar="DIR",
@@ -230,8 +239,8 @@ def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
         "--no-record", action="store_true", help="no bag (simulate never writes one)"
     )
     group.add_argument(
-        "--speed", type=within(1e-9, 1e9, word="max"), default=0.0, metavar="{max|FACTOR}",
-        help="simulated time per wall time; 1 is real time (default: max)",
+        "--speed", type=within(1e-9, 1e9, word="max"), default=speed, metavar="{max|FACTOR}",
+        help=f"simulated time per wall time; 1 is real time (default: {otherwise})",
     )
     group.add_argument(
         "--json", action="store_true", help="print the summary as JSON instead of a table"

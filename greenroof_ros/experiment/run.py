@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.times import epoch_ns, read_start
+from greenroof_ros.common.times import epoch_ns, read_start, to_minutes
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
+from greenroof_ros.formats.records import HOUR
+from greenroof_ros.model.place import kilometres, place_text
 from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
+
+# From this distance on, a weather file is not of the site (km): rain and wind differ within a city.
+_FAR_KM = 50.0
 
 
 @dataclass(frozen=True)
@@ -59,9 +65,59 @@ class Run:
         """Return the time of a tick (ns since 1970), as on the graph's clock."""
         return epoch_ns(self.start) + tick * round(self.site.tau * 1e9)
 
+    @property
+    def look_ahead_s(self) -> float:
+        """How far the controller looks ahead (s)."""
+        horizon = self.parameters.get("horizon") or 0.0
+        return horizon * 3600 if horizon else self.site.M * self.site.tau
+
+    def notes(self) -> list[str]:
+        """Return what a reader must know before the results, in sentences."""
+        return [*self._short(), *_far(self.weather, self.site)]
+
+    def _short(self) -> Iterator[str]:
+        """Yield a sentence if the run is shorter than the look-ahead: it may wait for later rain.
+
+        The rain is that of the records from the run's end to the end of the last look-ahead.
+        """
+        length = self.steps * self.site.tau
+        if length >= self.look_ahead_s:
+            return
+        end = self.start + timedelta(seconds=length)
+        until = end + timedelta(seconds=self.look_ahead_s)
+        begins = [self.weather.first + hour * HOUR for hour in range(self.weather.hours)]
+        # Depth of each hour's rain within the time after the run.
+        depths = {
+            max(begin, end): depth * (min(begin + HOUR, until) - max(begin, end)) / HOUR
+            for begin, depth in zip(begins, self.weather.precipitation.tolist(), strict=True)
+            if depth > 0 and begin + HOUR > end and begin < until
+        }
+        rain = f"{sum(depths.values()):.1f} mm of rain from {to_minutes(min(depths))} on" if (
+            depths
+        ) else "no rain"
+        known = f", which end at {to_minutes(self.weather.end)}" if self.weather.end < until else ""
+        yield (
+            f"the run of {length / 3600:.3g} h is shorter than the look-ahead of "
+            f"{self.look_ahead_s / 3600:.3g} h, so the controller also plans for what comes after "
+            f"its end, {to_minutes(end)}: {rain} in the records{known}"
+        )
+
     def make_controller(self) -> Controller:
         """Make the run's controller."""
         return self.controller.make(self.site, self.parameters)
+
+
+def _far(weather: Weather, site: Site) -> Iterator[str]:
+    """Yield a sentence for each weather file whose place is far from the site's."""
+    if site.latitude is None or site.longitude is None:
+        return
+    for file, place in weather.places.items():
+        away = kilometres(place, (site.latitude, site.longitude))
+        if away > _FAR_KM:
+            yield (
+                f"{file} is from {place_text(*place)}, {away:.0f} km from the site at "
+                f"{place_text(site.latitude, site.longitude)}: is it the right weather (--weather)?"
+            )
 
 
 def count_ticks(site: Site, length: float | None, key: str, unit_s: float = 3600.0) -> int:

@@ -87,11 +87,7 @@ def build_unfinished(
         "controller_reference": run.controller.reference,
         "parameters": finite(run.parameters),
         "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2, **layer},
-        "start": run.start.isoformat(),
-        "steps": run.steps,
-        "tau_s": run.site.tau,
-        "site": str(run.site_file),
-        "weather": run.weather.source,
+        **setting(run),
         "weather_notes": [*run.weather.notes, *run.forecast.notes],
         "gaps": run.weather.gaps,
         "evapotranspiration_method": run.weather.method,
@@ -110,6 +106,23 @@ def build_unfinished(
         "parameter_changes": parameter_changes or [],
         "incidents": incidents or [],
         "versions": versions(),
+    }
+
+
+def setting(run: Run) -> dict[str, Any]:
+    """Return where and when a run takes place, and what a reader must know before its results."""
+    weather = run.weather
+    return {
+        "start": run.start.isoformat(),
+        "steps": run.steps,
+        "tau_s": run.site.tau,
+        "site": str(run.site_file),
+        "place": [run.site.latitude, run.site.longitude],
+        "weather": weather.source,
+        "weather_places": [list(place) for place in dict.fromkeys(weather.places.values())],
+        "weather_from": weather.first.isoformat(),
+        "weather_until": weather.end.isoformat(),
+        "notes": run.notes(),
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
+from datetime import datetime, timedelta
 from itertools import repeat
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,15 @@ from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.common.command_line import flush_output
-from greenroof_ros.common.times import hours_minutes
+from greenroof_ros.common.times import hours_minutes, to_minutes
 from greenroof_ros.experiment.incidents import Incident, with_incidents
 from greenroof_ros.experiment.summary import SUMMARY
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.model.place import place_text
 from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
+
+_PERIOD = ("from", "until")
 
 
 def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
@@ -57,6 +61,7 @@ def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
 def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Yield what is shown at the end of a run: a word, a number and its description."""
     parameters = {key: value for key, value in summary["parameters"].items() if value is not None}
+    yield from setting_rows(summary)
     yield "controller", summary["controller"], _listed(parameters)
     yield "from", *_initial(summary["initial"])
     yield (
@@ -118,6 +123,25 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     yield "wall time", f"{summary['wall_s']:.1f} s", factor
 
 
+def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield site and weather of a run, with their places, the records' period and the run's."""
+    start = datetime.fromisoformat(summary["start"])
+    end = start + timedelta(seconds=summary["steps"] * summary["tau_s"])
+    places = [place_text(*place) for place in summary["weather_places"]]
+    records = [to_minutes(datetime.fromisoformat(summary[f"weather_{at}"])) for at in _PERIOD]
+    yield "site", Path(summary["site"]).name, place_text(*summary["place"])
+    yield "weather", Path(summary["weather"]).name, (
+        f"{' and '.join(places) or place_text(None, None)}; records from {records[0]} to "
+        f"{records[1]}, the run from {to_minutes(start)} to {to_minutes(end)}"
+    )
+
+
+def print_notes(console: Console, summary: Mapping[str, Any]) -> None:
+    """Print what a reader must know before the results."""
+    for note in summary["notes"]:
+        console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
+
+
 def _listed(values: Mapping[str, Any]) -> str:
     """Return names and values in one line."""
     return ", ".join(
@@ -155,6 +179,7 @@ def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
         print(json.dumps(summary, indent=2, allow_nan=False))
     else:
         console = Console()
+        print_notes(console, summary)
         console.print(grid("Result", rows(summary)))
         done = with_incidents(summary["status"], len(summary["incidents"]))
         console.print(f"{done}; written to {directory}", soft_wrap=True, highlight=False)

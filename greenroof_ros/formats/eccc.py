@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Container
+from collections.abc import Container, Mapping
 from datetime import timedelta, timezone
 from pathlib import Path
 
@@ -25,7 +25,9 @@ from greenroof_ros.model.site import Site
 # Names of columns, in English and French, without accents, case, spaces and points; in the English
 # files before 2021 the time has no zone.
 _TIME = ("date/time(lst)", "date/time", "date/heure(hnl)", "date/heure")
-_LONGITUDE = "longitude(x)"
+_LATITUDE, _LONGITUDE = "latitude(y)", "longitude(x)"
+# Height of the wind at its stations, as WMO has it (m).
+_WIND_HEIGHT_M = 10.0
 # The service's columns of each of our quantities; the units are the same. Flags are in the next.
 _COLUMNS = {
     PRECIPITATION: ("precipamount(mm)", "hauteurdeprecip(mm)"),
@@ -115,8 +117,25 @@ def read_records(file: Path, site: Site, /) -> Records:
             column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0)
         )
     return Records(
-        (file,), first, by_hour(values, hours), rain_late=1, left_out=tuple(table.notes)
+        (file,), first, by_hour(values, hours), rain_late=1, left_out=tuple(table.notes),
+        places=_place(table, names), wind_height=_WIND_HEIGHT_M,
     )
+
+
+def _place(table: Table, names: Mapping[str, str]) -> dict[Path, tuple[float, float]]:
+    """Return the station's place, by file; empty if a column is missing.
+
+    Args:
+        table: the file.
+        names: its columns, by their plain names.
+    """
+    if _LATITUDE not in names or _LONGITUDE not in names:
+        return {}
+    latitude, longitude = (
+        float(table.numbers(names[column], ("degrees", -end, end), missing=("",))[0])
+        for column, end in ((_LATITUDE, 90.0), (_LONGITUDE, 180.0))
+    )
+    return {table.file: (latitude, longitude)}
 
 
 def _quantity(name: str) -> str | None:

@@ -108,6 +108,8 @@ UNITS = {
     HUMIDITY: (Unit("%"),),
 }
 """Units of the service for each quantity; the first is its default."""
+# Height of the wind that is requested and read, wind_speed_10m (m).
+_WIND_HEIGHT_M = 10.0
 # Largest distance of a file's place from the site, and the end of the range: a cell of the coarsest
 # model is half a degree wide; air is 2 degC colder 300 m further up.
 _PLACE = {"latitude": (0.5, 90.0), "longitude": (0.5, 180.0), "elevation": (300.0, 9000.0)}
@@ -149,7 +151,7 @@ def _read(
         ConfigurationError: the file is broken or of another place, a time is out of order, a unit
             is unknown, or too few values are plausible; the message names line or key, and value.
     """
-    table, parse = _table(file, site)
+    table, parse, places = _table(file, site)
     columns: dict[str, NDArray[np.float64]] = {}
     for cell in table.header[1:]:
         name, _, text = cell.partition(" ")
@@ -171,7 +173,8 @@ def _read(
         )
     first, hours = table.hours(table.header[0], parse, "2024-06-01T12:00")
     return table, Records(
-        (file,), first, by_hour(columns, hours), left_out=tuple(table.notes)
+        (file,), first, by_hour(columns, hours), left_out=tuple(table.notes), places=places,
+        wind_height=_WIND_HEIGHT_M,
     )
 
 
@@ -179,15 +182,17 @@ def _is_value(text: str) -> bool:
     return text.lower() not in MISSING
 
 
-def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
-    """Return the hours of a file, and the parser of their times."""
+def _table(
+    file: Path, site: Site
+) -> tuple[Table, Callable[[str], datetime], dict[Path, tuple[float, float]]]:
+    """Return the hours of a file, the parser of their times, and the place, if it has one."""
     text = read_text(file)
     if text.lstrip().startswith(("{", "[")):
         place, table = _json_tables(file, text)
     else:
         lines = numbered_lines(text)
         if lines and _OFFSET not in lines[0][1]:
-            return table_of(file, lines), partial(parse_time, zone=timezone.utc)
+            return table_of(file, lines), partial(parse_time, zone=timezone.utc), {}
         lines = _hourly_section(lines)
         if len(lines) < 3:
             raise ConfigurationError(
@@ -198,7 +203,8 @@ def _table(file: Path, site: Site) -> tuple[Table, Callable[[str], datetime]]:
         raise place.refuse("must be for one place; download places separately", "location_id", 0)
     zone = _check_place(place, site)
     table.require(["time"], _WHOSE)
-    return table, partial(parse_local_time, zone=zone)
+    latitude, longitude = (float(place.columns[name][0]) for name in ("latitude", "longitude"))
+    return table, partial(parse_local_time, zone=zone), {file: (latitude, longitude)}
 
 
 def _hourly_section(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:

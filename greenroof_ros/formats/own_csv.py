@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -42,6 +43,10 @@ _FORECAST = {
 }
 # Of a live site's file only the last bytes are read, enough for 100 members of 36 days.
 _MOST_BYTES, _CHUNK = 16_000_000, 1_000_000
+_COMMENT = re.compile(r"\s*(#|$)")
+# The place of a weather file, in a comment at its head.
+_PLACE = re.compile(r"\b(latitude|longitude)\s*[:=]\s*([-+]?\d+(?:\.\d*)?)", re.IGNORECASE)
+_ENDS = {"latitude": 90.0, "longitude": 180.0}
 _OPTIONAL = {"member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
 
 
@@ -59,7 +64,8 @@ def read_records(file: Path, site: Site, /) -> Records:
     Lines that start with ``#`` are comments. The first other line names the columns with their
     units: ``time``, ``precipitation [mm/h]``, and others of
     :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]`` begins
-    with the name of its method. Each further line is the hour that starts at its ``time`` (ISO 8601
+    with the name of its method. Comments at the head may give the place, as in ``latitude: 43.63,
+    longitude: -79.40``. Each further line is the hour that starts at its ``time`` (ISO 8601
     with the offset from UTC; without an offset it is a time of the clock in ``time_zone`` of the
     site). An hour without a line is missing.
 
@@ -77,7 +83,24 @@ def read_records(file: Path, site: Site, /) -> Records:
         quantity: table.usable(column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0))
         for quantity, column in columns.items()
     }, hours))
-    return Records((file,), first, values, method, left_out=tuple(table.notes))
+    return Records(
+        (file,), first, values, method, left_out=tuple(table.notes), places=_place(file)
+    )
+
+
+def _place(file: Path) -> dict[Path, tuple[float, float]]:
+    """Return the place in the comments at the head of a file; empty if they give none."""
+    found = {}
+    with file.open(encoding="utf-8-sig") as stream:
+        for number, line in enumerate(itertools.takewhile(_COMMENT.match, stream), 1):
+            for key, text in _PLACE.findall(line.lower()):
+                if abs(float(text)) > _ENDS[key]:
+                    raise ConfigurationError(
+                        f"must be from {-_ENDS[key]:g} to {_ENDS[key]:g} degrees",
+                        file=file, line=number, key=key, value=text,
+                    )
+                found[key] = float(text)
+    return {file: (found["latitude"], found["longitude"])} if len(found) == 2 else {}
 
 
 def _columns(table: Table) -> tuple[dict[str, str], str]:

@@ -94,6 +94,8 @@ class Records:
         filled: for each quantity, whether an hour was missing and filled, shape (hours,).
         left_out: what could not be used as it is, in sentences that name it.
         empty: quantities of the files without any value.
+        places: latitude and longitude (degrees) of each file that gives them, by file.
+        wind_height: height at which the wind was measured (m); None if the site file says.
     """
 
     files: tuple[Path, ...]
@@ -105,6 +107,8 @@ class Records:
     filled: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     empty: tuple[str, ...] = ()
+    places: dict[Path, tuple[float, float]] = field(default_factory=dict)
+    wind_height: float | None = None
 
     @property
     def hours(self) -> int:
@@ -245,7 +249,8 @@ def join(parts: Sequence[Records]) -> Records:
             joined[known] = series[known]
     files = tuple(file for part in parts for file in part.files)
     left_out = tuple(note for part in parts for note in part.left_out)
-    return replace(first, files=files, values=values, left_out=left_out)
+    places = {file: place for part in parts for file, place in part.places.items()}
+    return replace(first, files=files, values=values, left_out=left_out, places=places)
 
 
 def _check_alike(first: Records, part: Records) -> None:

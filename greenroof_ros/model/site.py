@@ -192,7 +192,8 @@ class Site:
         "inland, 0.19 near a large body of water", 0.1, 0.25, unit="degC^-0.5", default=0.16,
     )
     wind_height: float = entry(
-        "height above the ground at which the wind was measured", 0.5, 100.0, unit="m",
+        "height above the ground at which the wind was measured, for records in this project's "
+        "format; others are at 10 m", 0.5, 100.0, unit="m",
         default=10.0,
     )
     crop_coefficient: float = entry(

@@ -37,7 +37,9 @@ def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
         "precipitation_in_frost_mm": summary.get("precipitation_in_frost_mm"),
         "filled_hours": summary.get("filled_hours"),
         "filled": "; ".join(f"{name}: {', '.join(hours)}" for name, hours in filled.items()),
-        "weather_notes": "; ".join(summary.get("weather_notes") or ()),
+        "weather_notes": "; ".join(
+            (*(summary.get("notes") or ()), *(summary.get("weather_notes") or ()))
+        ),
         "suspicious": "; ".join(summary.get("suspicious") or ()),
         "forecast_repeats_from": summary.get("forecast_repeats_last_record_from"),
     }

@@ -8,6 +8,7 @@ Hargreaves' equation needs only a day's least and greatest temperature.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -102,7 +103,8 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
 
     It is the site's crop coefficient times the reference evapotranspiration; NaN if records are
     missing. In hours without measured solar radiation, the records must cover the whole day, 0 to
-    24 h of local standard time.
+    24 h of local standard time. Wind is at the height of the records, or at the site's if they have
+    none.
 
     Raises:
         ConfigurationError: the file lacks a quantity, or the site file its place on earth, or the
@@ -120,6 +122,8 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
             f"{FAO56} needs {', '.join(lacking)} in the site file (see config/site.yaml)"
         )
     check_latitude(site)
+    if records.wind_height is not None:
+        site = replace(site, wind_height=records.wind_height)
     values = {name: records.values[name] for name in FOR_EVAPOTRANSPIRATION}
     result = np.full(records.hours, np.nan)
     if RADIATION in records.values:

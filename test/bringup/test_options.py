@@ -295,3 +295,15 @@ def test_a_mistake_is_said_with_its_traceback(capfd: pytest.CaptureFixture[str])
     first, second, *_, last = capfd.readouterr().err.splitlines()
     assert (first, last) == ("error: ValueError: a mistake", "ValueError: a mistake")
     assert second.startswith("Traceback")
+
+
+def test_a_live_site_has_a_controller_that_fits_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The paper's is the default of simulations only; the help says so, with its own parameters."""
+    monkeypatch.setattr(sys, "argv", ["live", *NOBODY])
+    parser = live_site_parser()
+    assert LiveSite(parser.parse_args()).controller.name == "lookahead"
+    text = " ".join(parser.format_help().split())
+    assert "(default: lookahead)" in text and "parameters of lookahead:" in text
+    monkeypatch.setattr(sys, "argv", ["run"])
+    text = " ".join(make_parser().format_help().split())
+    assert "(default: mpc)" in text and "(default: max; with --drive 1)" in text

@@ -16,6 +16,7 @@ from greenroof_ros.calibration.fit import (
     Parameter,
     fit,
     freedom,
+    grouped_intervals,
     half_intervals,
     moves,
     ranges,
@@ -164,3 +165,37 @@ def test_a_mean_has_the_interval_of_students_t() -> None:
     assert half_intervals(alone).tolist() == [np.inf]
     assert freedom(np.ones((count, 1)), groups) == pytest.approx([count - 1])
     assert freedom(np.array([[10.0], *[[1.0]] * 5]), groups)[0] < 0.5 * (count - 1)
+
+
+@pytest.mark.parametrize("informative", [2, 3, 4, 6, 26])
+def test_intervals_hold_the_truth_however_few_weeks_have_storms(informative: int) -> None:
+    """In 19 of 20 seeded records of 26 weeks; the residuals of other weeks say hardly anything.
+
+    With 25 degrees of freedom it would be less than 18 with three storms.
+    """
+    random = np.random.default_rng(informative)
+    groups = np.repeat(np.arange(26), 4)
+    size = np.where(groups < informative, 1.0, 0.02)
+    held, too_narrow, trials = 0, 0, 600
+    for _ in range(trials):
+        jacobian = size[:, None] * random.normal(size=(len(groups), 2))
+        noise = random.normal(size=len(groups))
+        moved = np.linalg.lstsq(jacobian, noise, rcond=None)[0]  # the truth is 0
+        residuals = jacobian @ moved - noise
+        held += int(abs(moved[0]) <= grouped_intervals(jacobian, residuals, groups)[0])
+        own = half_intervals(moves(jacobian, residuals, groups))
+        too_narrow += int(abs(moved[0]) <= own[0])
+    assert held / trials > 0.93  # three standard errors below 0.95 are 0.923
+    assert held >= too_narrow
+    if informative == 3:
+        assert too_narrow / trials < 0.92
+
+
+def test_a_parameter_that_one_week_alone_tells_has_no_interval() -> None:
+    """Without that week nothing is left; the others have theirs."""
+    jacobian = np.array([[1.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.5, 1.0]])
+    groups = np.array([0, 1, 2, 3, 0])
+    half = grouped_intervals(jacobian, np.array([0.1, -0.1, 0.2, -0.2, 0.0]), groups)
+    assert half[0] == np.inf and 0 < half[1] < np.inf
+    assert grouped_intervals(jacobian[:1], np.zeros(1), groups[:1]).tolist() == [np.inf, np.inf]
+

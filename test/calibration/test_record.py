@@ -6,15 +6,18 @@ from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
+import pytest
 from refusals import refusal
 from twins import a_record
 
 from greenroof_ros.calibration.record import (
+    Outage,
     Record,
     Storm,
     comparable,
     halve,
     in_months,
+    outages,
     storms,
 )
 
@@ -81,3 +84,47 @@ def test_steps_of_months() -> None:
     for text in ("4", "0-3", "4-13", "april-october"):
         refusal(in_months, year, text, match=f"^--months = '{text}': must be the first and")
     refusal(in_months, of_rain(20, {}), "6-10", match=r"^roof.csv: has no row in the months 6-10")
+
+
+def lost(record: Record, name: str, first: int, end: int) -> Record:
+    """Return a record in which a quantity is missing in some steps."""
+    series = getattr(record, name).copy()
+    series[first:end] = np.nan
+    return replace(record, **{name: series})
+
+
+@pytest.mark.parametrize("name", ["rain", "pumped"])
+def test_nothing_counts_after_an_outage_until_the_roof_has_forgotten(name: str) -> None:
+    """A week at 3 mm a day is 21 mm; at 1 mm a day it takes twenty days."""
+    for daily, days in ((3.0, 7), (1.0, 20)):
+        record = replace(of_rain(40, {100: 5.0}), reference=np.full(40 * DAY, daily / DAY))
+        record = lost(record, name, 3 * DAY, 5 * DAY)
+        (outage,) = outages(record)
+        assert outage[:2] == (3 * DAY, 5 * DAY)
+        assert outage.forgotten == pytest.approx((5 + days) * DAY, abs=2)
+        counted = np.flatnonzero(comparable(record))
+        assert not np.isin(np.arange(3 * DAY, outage.forgotten), counted).any()
+        assert counted.max() == 40 * DAY - 1 and 2 * DAY in counted
+
+
+def test_a_short_outage_counts_unless_water_is_seen() -> None:
+    record = of_rain(40, {100: 5.0})
+    short = lost(record, "rain", 3 * DAY, 3 * DAY + 6)
+    assert outages(short) == []
+    ran = np.zeros(40 * DAY)
+    ran[3 * DAY + 4 : 3 * DAY + 9] = 0.2
+    assert len(outages(replace(short, runoff=ran))) == 1
+    level = np.full(40 * DAY, 0.02)
+    level[3 * DAY + 3 :] += 0.008
+    assert len(outages(replace(short, runoff=None, level=level))) == 1
+    assert outages(replace(short, runoff=None, level=np.full(40 * DAY, 0.02))) == []
+    # Runoff that goes on after earlier rain is none of the outage's.
+    assert outages(replace(short, runoff=np.full(40 * DAY, 0.01))) == []
+
+
+def test_an_outage_at_the_end_or_of_daily_sums() -> None:
+    record = lost(of_rain(20, {100: 5.0}), "rain", 19 * DAY, 20 * DAY)
+    assert outages(record) == [Outage(19 * DAY, 20 * DAY, 20 * DAY)]
+    days = a_record(np.array([0, 2.0, *[0.0] * 18]), step_s=86400.0)
+    days = lost(replace(days, reference=np.full(20, 4.0)), "rain", 4, 5)
+    assert outages(days) == [Outage(4, 5, 12)]

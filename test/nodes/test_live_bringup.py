@@ -27,7 +27,9 @@ from simulators import Simulator
 from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.pumping.ledger import Ledger
 
-NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
+NOBODY = (
+    "--controller", "mpc", "--sensors", "external", "--pump", "external", "--weather", "external",
+)
 QUICK = "/**:\n  ros__parameters:\n    recovery_time: 1.0\n"
 # Of a low roof and a full cistern.
 LEVELS = {"/cistern/level": 2.4, "/roof/level": 0.03, "/pump/flow": 0.0}

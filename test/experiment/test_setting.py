@@ -1,0 +1,201 @@
+"""What a result says before its figures: site, weather and period, and what misleads about it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from commands import run_command
+from paper import paper_run
+from places import CHECKOUT, CONFIG
+
+from greenroof_ros import simulate
+from greenroof_ros.bringup import simulated
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.options import run_from_arguments
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.place import kilometres, place_text
+
+BERLIN = (52.52, 13.41)
+HEADER = "time,precipitation [mm/h],published evapotranspiration [mm/day]\n"
+
+
+def berlin(directory: Path) -> Path:
+    """Write a site in Berlin, with the offset that the paper's weather has."""
+    site = directory / "berlin.yaml"
+    site.write_text(
+        f"extends: {CONFIG / 'site.yaml'}\nlatitude: {BERLIN[0]}\nlongitude: {BERLIN[1]}\n"
+    )
+    return site
+
+
+def table(*lines: str) -> list[list[str]]:
+    """Return the rows of a printed table, those that go on in the next line as one."""
+    rows: list[list[str]] = []
+    for line in lines:
+        if line.startswith("│"):
+            cells = [cell.strip() for cell in line.strip("│").split("│")]
+            if cells[0]:
+                rows.append(cells)
+            else:
+                rows[-1] = [" ".join(pair).strip() for pair in zip(rows[-1], cells, strict=True)]
+    return rows
+
+
+# Depths of rain: lines of the weather file, added by hand.
+@pytest.mark.parametrize(("options", "length", "ahead", "rain", "first"), [
+    # 1.2 + 6.3 + 2.5 + 3.5 + 7.6 + 0.5 + 0.2 + 1.0 + 0.5 on the 8th, 0.2 * 2 + 0.5 * 2 + 1.0 after
+    (("--controller", "lookahead"), "12", "120", "25.7", "2021-07-08T08:00-05:00"),
+    # from 09:30: half of 6.3, 2.5 + 3.5 + 7.6, and half of 0.5 until 13:30
+    (("--controller", "lookahead", "--start", "2021-07-08T07:30", "--hours", "2",
+      "--horizon", "4"), "2", "4", "17.0", "2021-07-08T09:30-05:00"),
+    (("--controller", "anticipating_onoff", "--horizon", "24"), "12", "24", "21.6",
+     "2021-07-08T08:00-05:00"),
+    (("--controller", "mpc", "--hours", "0.0025", "--start", "2021-07-08T09:00"),
+     "0.0025", "0.00278", "0.0", "2021-07-08T09:00-05:00"),
+])
+def test_a_run_shorter_than_the_look_ahead_says_so(
+    options: tuple[str, ...], length: str, ahead: str, rain: str, first: str
+) -> None:
+    (note,) = paper_run(*options).notes()
+    assert note.startswith(
+        f"the run of {length} h is shorter than the look-ahead of {ahead} h"
+    ), note
+    assert f": {rain} mm of rain from {first} on in the records" in note
+
+
+def test_no_such_note_where_it_is_long_enough() -> None:
+    assert paper_run("--controller", "lookahead", "--horizon", "12").notes() == []
+    assert paper_run("--controller", "mpc").notes() == []
+
+
+def test_no_rain_after_the_run() -> None:
+    (note,) = paper_run(
+        "--controller", "lookahead", "--start", "2021-07-09T13:00", "--hours", "2"
+    ).notes()
+    assert note.endswith(
+        "its end, 2021-07-09T15:00-05:00: no rain in the records, which end at "
+        "2021-07-10T00:00-05:00"
+    )
+
+
+@pytest.mark.parametrize("command", ["simulate", "bound"])
+def test_the_first_rows_name_site_weather_and_period(command: str, tmp_path: Path) -> None:
+    """And a site in Berlin does not run Toronto's weather without a word."""
+    done = run_command(command, "--hours", "0.5", "--site", str(berlin(tmp_path)),
+                       cwd=tmp_path, env=dict(os.environ))
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    # 6480 km: an independent calculator of great circles gives 6475 to 6485, by its ellipsoid.
+    away = re.match(r"note: \S*toronto_2021-07.csv is from 43.63 N, 79.40 W, (\d+) km from the "
+                    r"site at 52.52 N, 13.41 E", lines[0])
+    assert away is not None, lines[0]
+    assert float(away[1]) == pytest.approx(6480, rel=0.005)
+    site, weather, third = table(*lines)[:3]
+    assert site == ["site", "berlin.yaml", "52.52 N, 13.41 E"]
+    assert weather[:2] == ["weather", "toronto_2021-07.csv"]
+    assert weather[2] == (
+        "43.63 N, 79.40 W; records from 2021-07-07T00:00-05:00 to 2021-07-10T00:00-05:00, the run "
+        "from 2021-07-07T02:00-05:00 to 2021-07-07T02:30-05:00"
+    )
+    assert third[0] == {"simulate": "controller", "bound": "from"}[command]
+
+
+def test_json_has_the_same(tmp_path: Path) -> None:
+    done = run_command(
+        "simulate", "--hours", "0.01", "--site", str(berlin(tmp_path)), "--json",
+        cwd=tmp_path, env=dict(os.environ),
+    )
+    summary = json.loads(done.stdout)
+    assert summary["place"] == [*BERLIN] and summary["weather_places"] == [[43.63, -79.4]]
+    assert summary["weather_until"] == "2021-07-10T00:00:00-05:00" and len(summary["notes"]) == 1
+
+
+@pytest.mark.parametrize(("comment", "away"), [
+    ("# latitude: 44.23, longitude: -76.50\n", 242.0),  # Kingston
+    ("# Station X\n# Longitude = -79.87\n# Latitude = 43.26\n", None),  # Hamilton, 56 km
+    ("# latitude: 43.68\n# longitude: -79.63\n", 0.0),  # the airport, 19 km
+    ("# Toronto\n", 0.0),  # no place
+    ("# latitude: 43.68\n", 0.0),
+])
+def test_the_place_of_a_weather_file_is_in_its_comments(
+    comment: str, away: float | None, tmp_path: Path
+) -> None:
+    file = tmp_path / "w.csv"
+    rows = "".join(f"2021-07-07T{hour:02}:00-05:00,0,1\n" for hour in range(24))
+    file.write_text(comment + HEADER + rows)
+    notes = paper_run("--weather", str(file), "--hours", "1").notes()
+    assert len(notes) == (away != 0.0)
+    if away:
+        (found,) = re.findall(r"(\d+) km from the site", notes[0])
+        assert float(found) == pytest.approx(away, rel=0.01)
+
+
+def test_a_wrong_place_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "w.csv"
+    file.write_text(f"#\n# latitude: 436, longitude: 7\n{HEADER}2021-07-07T00:00-05:00,0,1\n")
+    with pytest.raises(ConfigurationError, match=r"w.csv, line 2: latitude.*-90 to 90 degrees"):
+        paper_run("--weather", str(file))
+
+
+def test_a_station_of_environment_canada_has_its_place() -> None:
+    run = paper_run(
+        "--weather", str(CHECKOUT / "test/data/en_climate_hourly_07-2021.csv"),
+        "--start", "2021-07-07T02:00", "--hours", "1",
+    )
+    ((latitude, longitude),) = run.weather.places.values()
+    assert (latitude, longitude) == (43.63, -79.4) and run.notes() == []
+    there = replace(run, site=replace(run.site, latitude=45.5, longitude=-73.6))  # Montreal
+    (note,) = there.notes()
+    assert re.search(r", 50\d km from the site", note)
+
+
+@pytest.mark.parametrize(("here", "there", "distance"), [
+    ((0.0, 0.0), (0.0, 180.0), 20015.0),  # half the circumference
+    ((0.0, 179.5), (0.0, -179.5), 111.2),  # a degree across the date line
+    ((89.0, 0.0), (89.0, 180.0), 222.4),  # two degrees across the pole
+])
+def test_distances(
+    here: tuple[float, float], there: tuple[float, float], distance: float
+) -> None:
+    assert kilometres(here, there) == pytest.approx(distance, rel=1e-3)
+    assert place_text(-33.87, 151.21) == "33.87 S, 151.21 E"
+
+
+def examples() -> list[str]:
+    """Return the runs among the examples of README and help that need no other file or machine."""
+    texts = [simulate.make_parser().epilog, simulated.make_parser().epilog]
+    texts.append((CHECKOUT / "README.md").read_text())
+    whole = "\n".join(map(str, texts)).replace("\\\n", " ")
+    found = re.findall(r"greenroof ((?:run|simulate) [^#\n]*)", whole)
+    return [line for line in found if not re.search(
+        r"--(weather|site|drive|drive-at) ", line
+    )]
+
+
+def pumped(run: Run) -> float:
+    metrics = Metrics()
+    for _ in closed_loop(run, run.make_controller(), metrics):
+        pass
+    return metrics.results()["pumped_m3"]
+
+
+@pytest.mark.parametrize("line", examples())
+def test_the_pump_runs_in_the_examples(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = shlex.split(line)
+    parser = {"run": simulated, "simulate": simulate}
+    monkeypatch.setattr(sys, "argv", [f"greenroof {words[0]}", *words[1:]])
+    arguments = parser[words[0]].make_parser().parse_args(words[1:])
+    assert pumped(run_from_arguments(arguments)) > 0.1
+
+
+def test_there_are_examples() -> None:
+    assert len(examples()) >= 5
