@@ -60,6 +60,14 @@ def _tile(
     }
 
 
+def unknown(label: str) -> Tile:
+    """Return a tile that cannot be made."""
+    return {
+        "label": label, "value": words.UNKNOWN, "number": None, "state": "unknown",
+        "sentence": "cannot be shown", "stale": True, "why": "", "alarm": False, "idle": False,
+    }
+
+
 def band_of(site: Site) -> list[float]:
     """Return the levels between which the roof is near its target (m)."""
     return [site.z_veg * (1 - NEAR_TARGET), site.z_veg * (1 + NEAR_TARGET)]

@@ -1037,3 +1037,54 @@ def test_a_run_that_has_just_begun_has_many_rows() -> None:
 def test_as_an_operator_reads_it(text: str, expected: str) -> None:
     """Dates have plain spaces, quantities spaces at which no line ends (U+00A0)."""
     assert text == (expected if ":" in expected else expected.replace(" ", "\u00a0"))
+
+
+# --- a part that cannot be made ---------------------------------------------------------------
+
+
+def _fail(*_: Any, **__: Any) -> Any:
+    raise ZeroDivisionError("a bug")
+
+
+@pytest.mark.parametrize("place", [
+    "tiles.rain", "tiles.roof", "tiles.cistern", "tiles.pump", "tiles.controller", "tiles.waiting",
+    "tiles.too_wet", "words.date_and_time", "words.length_of_time", "account.Account.totals",
+    "alarms.Alarms.rows", "alarms.Alarms.counts", "alarms.Alarms.events", "alarms.Alarms.look",
+    "store.Store.incidents",
+])
+def test_whatever_cannot_be_shown_the_pump_can_be_stopped(
+    place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    graph = watched("live")
+    pump_says(graph, 100.0, "running", stands=False)
+    monkeypatch.setattr(f"greenroof_ros.watch.{place}", _fail)
+    document = shown(graph)
+    assert document["stop"]["possible"]
+    assert document["stop"]["node"] == "/pump"
+    assert document["tiles"].keys() == {
+        "roof", "cistern", "pump", "rain", "controller", "summary",
+    }
+    broken = [tile for tile in document["tiles"].values() if tile["sentence"] == "cannot be shown"]
+    assert len(broken) <= 1
+    assert any("cannot be shown (ZeroDivisionError: a bug)" in note for note in document["notes"])
+    assert document["tiles"]["summary"]["level"] != "ok"
+
+
+def test_a_stop_is_offered_even_if_its_own_state_cannot_be_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    graph = watched("live")
+    pump_says(graph, 100.0, "running", stands=False)
+    monkeypatch.setattr("greenroof_ros.watch.registry.Registry.two_pumps", _fail)
+    stop = shown(graph)["stop"]
+    assert (stop["possible"], stop["label"], stop["dose_here"]) == (True, "Stop the pump", False)
+
+
+def test_a_number_that_json_does_not_have_costs_one_tile(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = watched()
+    monkeypatch.setattr(
+        "greenroof_ros.watch.tiles.rain", lambda _: {"label": "Rain", "number": math.nan}
+    )
+    document = shown(graph)
+    assert document["tiles"]["rain"]["value"] == "unknown"
+    assert document["tiles"]["roof"]["number"] == 0.0457

@@ -101,6 +101,12 @@ const fillTile = (tile, data) => {
   if (gauge) fillGauge(gauge, data);
 };
 
+const showTile = (key, data) => {
+  const tile = byId("tiles").querySelector(`[data-key=${key}]`) ?? makeTile(key);
+  if (!tile.isConnected) byId("tiles").append(tile);
+  fillTile(tile, data);
+};
+
 const fillGauge = (gauge, data) => {
   const known = Number.isFinite(data.low) && Number.isFinite(data.high) && data.high > data.low;
   gauge.hidden = !known;
@@ -205,36 +211,64 @@ const showTitle = ({ level, word }) => {
 let shown = null;
 let announced = { text: "", at: 0 };
 
-const show = (document_) => {
-  shown = document_;
+const showSummary = (document_) => {
   const { summary } = document_.tiles;
-  setText(byId("namespace"), document_.namespace ? ` ${document_.namespace}` : "");
-  setText(byId("heading"), document_.heading);
-  setText(byId("time"), document_.time.text);
   byId("summary").dataset.level = summary.level;
   byId("summary-shape").setAttribute("href", `#shape-${summary.level}`);
   setText(byId("summary-word"), summary.word);
   setText(byId("summary-sentence"), summary.sentence);
   setText(byId("advice"), document_.advice);
   showTitle(summary);
-  keep(byId("notes"), document_.notes, (note) => note, () => element("li"), setText);
-  keep(byId("tiles"), TILES.filter((key) => document_.tiles[key]), (key) => key, makeTile,
-    (tile, key) => fillTile(tile, document_.tiles[key]));
-  keep(byId("alarms"), document_.alarms, (alarm) => JSON.stringify([alarm.id, alarm.since]), makeAlarm, fillAlarm);
-  byId("no-alarms").hidden = document_.alarms.length > 0;
-  setText(byId("no-alarms"), document_.alarms_known ? "None." : "Not recorded.");
-  keep(byId("events"), document_.events, (event) => JSON.stringify([event.at, event.what]), (event) => {
+  announce(`${summary.word} ${summary.sentence}`);
+};
+
+const showEvents = (events) => {
+  keep(byId("events"), events, (event) => JSON.stringify([event.at, event.what]), (event) => {
     const row = element("li");
     row.append(element("time", "", event.at_text), element("span", "", event.what));
     return row;
   }, () => {});
-  byId("no-events").hidden = document_.events.length > 0;
-  const { account } = document_;
+  byId("no-events").hidden = events.length > 0;
+};
+
+const showAccount = (account) => {
   setText(byId("account-since"), account.since_text);
   setText(byId("account-sentence"), account.sentence);
   keep(byId("account"), account.rows, (entry) => entry.key, makeAccount, fillAccount);
-  showStop(document_.stop);
-  announce(`${summary.word} ${summary.sentence}`);
+};
+
+const showHead = (document_) => {
+  setText(byId("namespace"), document_.namespace ? ` ${document_.namespace}` : "");
+  setText(byId("heading"), document_.heading);
+  setText(byId("time"), document_.time.text);
+};
+
+const showAlarms = (document_) => {
+  keep(byId("alarms"), document_.alarms, (alarm) => JSON.stringify([alarm.id, alarm.since]), makeAlarm, fillAlarm);
+  byId("no-alarms").hidden = document_.alarms.length > 0;
+  setText(byId("no-alarms"), document_.alarms_known ? "None." : "Not recorded.");
+};
+
+// The stop first; a part that cannot be shown hides no other part.
+const show = (document_) => {
+  shown = document_;
+  const failed = [];
+  for (const [name, part] of [
+    ["the stop", () => showStop(document_.stop)],
+    ["the summary", () => showSummary(document_)],
+    ["the heading", () => showHead(document_)],
+    ...TILES.map((key) => [`the tile of the ${key}`, () => showTile(key, document_.tiles[key])]),
+    ["the alarms", () => showAlarms(document_)],
+    ["the events", () => showEvents(document_.events)],
+    ["the account", () => showAccount(document_.account)],
+  ]) {
+    try {
+      part();
+    } catch (error) {
+      failed.push(`This browser cannot show ${name} (${error.message}).`);
+    }
+  }
+  keep(byId("notes"), [...failed, ...(document_.notes ?? [])], (note) => note, () => element("li"), setText);
 };
 
 // For a screen reader: the summary when it changes, but not more often than it can be read.
@@ -277,6 +311,12 @@ const showStop = (stop) => {
     byId("ask").close();
     answer("Nothing was done: the situation has changed meanwhile.", true);
   }
+};
+
+// A stop needs no document: before the first one comes, and if none can be made.
+const LOCK_OUT = byId("release-lock").textContent;
+const showBareStop = () => {
+  byId("stop").hidden = false;
 };
 
 const answer = (text, failed) => {
@@ -354,7 +394,7 @@ for (const [name, { title, yes, then }] of Object.entries(ACTIONS)) {
     askedBody = name === "dose" ? { volume } : {};
     setText(byId("ask-title"), name === "dose" ? `${title.slice(0, -1)} of ${volume} m³?` : title);
     setText(byId("ask-yes"), yes);
-    setText(byId("ask-sentence"), shown.stop[then]);
+    setText(byId("ask-sentence"), shown?.stop[then] ?? `Holds the pump off until somebody releases it. ${LOCK_OUT}`);
     byId("ask").showModal();
   });
 }
@@ -394,6 +434,7 @@ for (const button of document.querySelectorAll("[data-hours]")) {
 
 const takeSeries = (series) => {
   try {
+    if (series.problem) throw new Error(series.problem);
     charts.take(series, shown?.time.utc_offset ?? 0);
     document.documentElement.dataset.drawn = "yes";
   } catch (error) {
@@ -481,6 +522,7 @@ const stream = {
   },
 
   ended(reason) {
+    if (!shown) showBareStop();
     document.title = "Not connected: Green roof";
     this.lost(reason instanceof Refused ? ` The server says: ${reason.message}.` : "");
     this.timer = setTimeout(() => this.open(), this.wait);
