@@ -12,6 +12,7 @@ from typing import Any
 
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.model.metrics import NEAR_TARGET
+from greenroof_ros.model.plant import pumps_run
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
 from greenroof_ros.watch.outlook import ALIKE_M, Amount, Plan
@@ -206,14 +207,14 @@ def _state(store: Store, said: str | None) -> tuple[str, str]:
         state, _, why = said.partition(": ")
         return (state, why) if state in PUMP_STATES else ("unknown", said)
     pumped, command = store.newest.get(_FLOW), store.newest.get(_COMMAND)
-    share = None if command is None else command.value
+    share, site = None if command is None else command.value, store.site
     why = _why_off(store, share)
     if pumped is None or pumped.value is None:
         if share is None:
             return "unknown", "neither flow nor command is known"
         return ("off", why) if share == 0 or why else ("running", "")
     rests = "it rested between two runs" if store.ended else "it rests between two runs"
-    return ("running", "") if pumped.value > 0 else ("off", why or rests)
+    return ("running", "") if pumps_run(site, pumped.value) else ("off", why or rests)
 
 
 def _why_off(store: Store, share: float | None) -> str:

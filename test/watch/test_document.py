@@ -1088,3 +1088,13 @@ def test_a_number_that_json_does_not_have_costs_one_tile(monkeypatch: pytest.Mon
     document = shown(graph)
     assert document["tiles"]["rain"]["value"] == "unknown"
     assert document["tiles"]["roof"]["number"] == 0.0457
+
+
+@pytest.mark.parametrize(("flow", "state"), [
+    (2.5e-323, "off"), (1e-6, "off"), (8.42e-5, "off"), (8.43e-5, "running"),
+])
+def test_a_flow_below_1_percent_of_the_pumps_flow_is_no_running_pump(
+    flow: float, state: str
+) -> None:
+    """The paper's pumps deliver 0.00842205 m3/s from a cistern that is full to its outlet."""
+    assert tile_of(watched(pump_flow=flow), "pump")["state"] == state
