@@ -371,6 +371,8 @@ class WeatherNode(LinkedNode):
         bad, well = "", f"{gauge.name} is good"
         if part not in self._gauges and not gauge.publishers.count:
             well = f"nobody publishes {gauge.name}"
+        elif part not in self._gauges and gauge.verdict.code == "input_recovering":
+            well = gauge.problem  # it has just come for the first time
         elif not gauge.good:
             bad = f"{gauge.problem}; {instead}"
         self.say(part, bad, well, "gauge_bad", WARN, gauge.verdict.code)

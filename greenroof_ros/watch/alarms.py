@@ -152,6 +152,8 @@ class Alarms:
     Attributes:
         registry: what each node says.
         shown: whether that is shown; otherwise it makes no alarms and no events.
+        starting: whether the site starts.
+        missing: what it then still waits for, each by the name of its status.
     """
 
     def __init__(self, namespace: str = "") -> None:
@@ -168,6 +170,7 @@ class Alarms:
     def start_over(self) -> None:
         """Forget all alarms and events, but not the nodes."""
         self._alarms: dict[str, Alarm] = {}
+        self.starting, self.missing = False, dict[str, Trouble]()
         self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
 
     def hear(self, wall: float, now: float, statuses: Sequence[Status], **more: Any) -> None:
@@ -179,6 +182,13 @@ class Alarms:
     def look(self, wall: float, now: float) -> None:
         """Update the alarms: called with each message, and about twice a second."""
         troubles = self.registry.troubles(wall) if self.shown else {}
+        self.starting = self.shown and self.registry.starting(wall)
+        # While a site starts, what has not come yet is no alarm and no event: it is only listed.
+        self.missing = {
+            name: trouble for name, trouble in troubles.items()
+            if self.starting and trouble.is_missing and name not in self._present()
+        }
+        troubles = {name: what for name, what in troubles.items() if name not in self.missing}
         for name, trouble in troubles.items():
             alarm = self._alarms.get(name)
             if alarm is None or (alarm.over is not None and wall - alarm.over_wall > _AGAIN_S):

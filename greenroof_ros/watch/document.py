@@ -91,7 +91,7 @@ def _document(store: Store, wall: float) -> dict[str, Any]:
     own = len(present) > lasting
     summary = parts.make("The summary", lambda: {
         "word": "Nothing is heard yet:" if store.mode == "none"
-        else _word(serious, warnings, following, over, known),
+        else _word(serious, warnings, following, over, known) + _starts(store),
         "sentence": _sentence(store, shown, waits),
         "level": "error" if serious or stop["warning"]
         else "warn" if warnings or store.mode == "none"
@@ -178,6 +178,9 @@ def _heading(store: Store) -> str:
 
 def _notes(store: Store, known: bool, incidents: bool, hidden: int) -> list[str]:
     notes = [*store.notes]
+    if missing := store.alarms.missing:
+        listed = "; ".join(f"{name}: {trouble.what}" for name, trouble in missing.items())
+        notes.insert(0, words.plain(f"The site is starting. Not there yet: {listed}.", 1000))
     if not known:
         notes.append(
             "A recording tells when a drive, a sensor or a node was lost; other alarms are not "
@@ -208,6 +211,10 @@ def _word(alarms: int, warnings: int, following: int, over: int, known: bool) ->
     none = "No alarms" if known else "Alarms are not known"
     more = f" ({following} more caused by these)" if following else ""
     return f"{', '.join(counts) or none}{more}."
+
+
+def _starts(store: Store) -> str:
+    return " The site is starting." if store.alarms.missing else ""
 
 
 def _level(shown: dict[str, Tile], *, over: bool, known: bool) -> str:
@@ -257,6 +264,8 @@ def _pump_clause(pump: Tile, verb: str) -> str:
 
 def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
     """Return what to do if there is no alarm; if something is not as wanted, what happens next."""
+    if store.alarms.missing:
+        return "Nothing to do: the site is starting. What is still missing is listed below."
     roof, pump = shown["roof"]["state"], shown["pump"]
     runs = pump["state"] in ("starting", "running")
     if store.mode == "none":

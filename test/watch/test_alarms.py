@@ -537,3 +537,56 @@ def test_a_watcher_that_stood_still_takes_nobody_for_silent() -> None:
     assert alarms.rows() == []
     alarms.look(8.5, 8.5)
     assert {row["id"] for row in alarms.rows()} == {"/pump", "/mpc"}
+
+
+# --- the start of a site ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("part", "level", "what", "code"), [
+    ("inputs", ERROR, "/weather/frost was refused: nan; it must be from 0 to 1", "input_refused"),
+    ("inputs", ERROR, "/roof/level received; used after 10 s of good values", "input_recovering"),
+    ("frost", ERROR, "/weather/frost has not come yet", "input_waiting"),
+    ("levels", ERROR, "/roof/level has not come yet", "input_silent"),
+    ("thermometer", WARN, "/gauge/temperature received", "gauge_bad"),
+    ("pump", WARN, "held: no frost is known", "frost_unknown"),
+    ("supervisor", WARN, "bringup: roof_sensor is starting", "no_permit"),
+    ("drive", ERROR, "the drive is being called", "drive_lost"),
+    ("sensor", ERROR, "no value yet", "sensor_lost"),
+])
+def test_what_is_missing_while_a_site_starts_is_no_alarm(
+    part: str, level: int, what: str, code: str
+) -> None:
+    """It comes, and nothing is left of it; if it does not come within a minute, it is an alarm."""
+    alarms = heard(*[(at, pump((part, level, what, code), up_s=at)) for at in (1.0, 5.0, 59.0)])
+    assert (alarms.rows(), alarms.events(), alarms.counts()) == ([], [], (0, 0, 0))
+    assert [trouble.what for trouble in alarms.missing.values()] == [what]
+    came, late = alarms, heard((1.0, pump((part, level, what, code), up_s=1.0)))
+    came.hear(59.5, 59.5, pump((part, OK, "good"), up_s=59.5))
+    assert (came.rows(), came.events(), came.missing) == ([], [], {})
+    late.hear(60.5, 60.5, pump((part, level, what, code), up_s=60.5))
+    assert [row["what"] for row in late.rows()] == [what]
+    assert not late.missing
+
+
+@pytest.mark.parametrize(("part", "code"), [
+    ("drive", "drive_fault"), ("pump", "hold"), ("pump", "delivery"), ("sensor", "sensor_lost"),
+    ("drive", "drive_lost"),
+])
+def test_what_is_lost_or_wrong_while_a_site_starts_is_an_alarm(part: str, code: str) -> None:
+    """A sensor or drive that was there; and whatever needs a person."""
+    alarms = heard(
+        (1.0, pump((part, OK, "good"), up_s=1.0)),
+        (2.0, pump((part, ERROR, "is wrong", code), up_s=2.0)),
+    )
+    assert present(alarms) == [f"/pump: {part}"]
+
+
+@pytest.mark.parametrize("others", [
+    mpc(up_s=5000.0),  # the others go on: a node was started again
+    mpc(),  # of a version that does not say
+])
+def test_a_node_that_is_started_again_is_no_start_of_the_site(others: list[Status]) -> None:
+    alarms = heard((0.0, [
+        *others, *pump(("levels", ERROR, "not come yet", "input_waiting"), up_s=1.0),
+    ]))
+    assert present(alarms) == ["/pump: levels"]

@@ -244,8 +244,15 @@ const showHead = (document_) => {
 };
 
 const showAlarms = (document_) => {
-  keep(byId("alarms"), document_.alarms, (alarm) => JSON.stringify([alarm.id, alarm.since]), makeAlarm, fillAlarm);
-  byId("no-alarms").hidden = document_.alarms.length > 0;
+  // What a recording tells stays in sight; alarms of this watch that are over are one line.
+  const past = document_.alarms.filter((alarm) => alarm.over !== null && !alarm.recorded);
+  const listed = document_.alarms.filter((alarm) => !past.includes(alarm));
+  const keyOf = (alarm) => JSON.stringify([alarm.id, alarm.since]);
+  keep(byId("alarms"), listed, keyOf, makeAlarm, fillAlarm);
+  keep(byId("past-alarms"), past, keyOf, makeAlarm, fillAlarm);
+  byId("past").hidden = past.length === 0;
+  setText(byId("past-word"), past.length === 1 ? "1 alarm is over" : `${past.length} alarms are over`);
+  byId("no-alarms").hidden = listed.length > 0;
   setText(byId("no-alarms"), document_.alarms_known ? "None." : "Not recorded.");
 };
 
