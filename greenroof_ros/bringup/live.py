@@ -140,7 +140,7 @@ def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
         record.write(summary.DONE, str(error))
         record.wait()
         say(f"{error}: the pump and the nodes are stopped")
-        say(with_incidents("done", record.log.count))
+        say(with_incidents("done", record.log.count) + record.log.numbers)
         return EXIT_FAILED if record.log.count else EXIT_DONE
     reason, last_lines, code = str(error), "", EXIT_FAILED
     if isinstance(error, NodeFailed):

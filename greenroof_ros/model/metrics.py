@@ -378,7 +378,8 @@ METRICS = (
     ),
     Metric(
         "pump_hours", "h", "pump running", f"with a flow above {_RUNS}",
-        _ticks_where(lambda site, samples: pumps_run(site, samples.pump)), form=".3f", finish=_hours,
+        _ticks_where(lambda site, samples: pumps_run(site, samples.pump)), form=".3f",
+        finish=_hours,
     ),
     Metric(
         "hydraulic_energy_kwh", "kWh", "hydraulic energy",

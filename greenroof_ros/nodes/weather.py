@@ -338,7 +338,8 @@ class WeatherNode(LinkedNode):
         except NoForecastError as error:
             why = "; ".join(filter(None, [str(error), problem]))
             self.reports.numbers.pop("forecast", None)
-            self.diagnose("forecast", ERROR, why, "forecast_missing", unreadable)
+            code = "forecast_missing" if self._fetcher is None else "forecast_service_silent"
+            self.diagnose("forecast", ERROR, why, code, unreadable)
             return None
         assert outlook.issued is not None  # a file's forecasts have issues
         age = (now - outlook.issued).total_seconds()
@@ -358,9 +359,15 @@ class WeatherNode(LinkedNode):
             level, pumps = ERROR, "are kept off"
         self.diagnose(
             "frost", level, "the temperature is unknown, so there may be frost: the pumps "
-            f"{pumps} (unknown_frost_may_pump)", "temperature_unknown",
+            f"{pumps} (unknown_frost_may_pump)", self._no_temperature(),
         )
         return self._unknown_frost
+
+    def _no_temperature(self) -> str:
+        """Return the code for an unknown temperature, by what the site has."""
+        if self._thermometer.heard:
+            return "thermometer_lost"
+        return "temperature_unknown" if self._fetcher is None else "temperature_not_fetched"
 
     def _say_gauge(self, part: str, gauge: Input, instead: str) -> None:
         """Report the state of a gauge, if it was ever heard; a site may do without."""

@@ -25,7 +25,7 @@ from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.registry import ERROR, STALE, WARN, Registry, Trouble
 from greenroof_ros.watch.wire import Status
-from greenroof_ros.watch.words import plain
+from greenroof_ros.watch.words import plain, sentence
 
 # An alarm that comes back within this time (s) is the same one to an operator.
 _AGAIN_S = 10.0
@@ -37,6 +37,8 @@ _SEVERITY = {ERROR: 0, STALE: 1, WARN: 2}
 OTHER = "There is no advice for this; read the log of the node that reports it."
 FOREIGN = "Reported by another device or program, not by the green roof: see its instructions."
 
+# A command of ROS says nothing to whoever stands at the pump.
+_RESET = "the page of the site says how"
 # With such a code the pump's state needs somebody at the pump, whatever caused it.
 _NEEDS_A_HAND = {
     *(code for code, interlock in INTERLOCKS.items() if interlock.kind == LATCHED),
@@ -50,6 +52,7 @@ _PARTS_OF_REASON = {
         ("no_command", "command_unknown", "command_refused", "two_controllers"), ("command",)
     ),
     "no_permit": ("supervisor",),
+    "two_pumps": ("flow",),
     **dict.fromkeys(
         ("not_active", "drive_lost", "drive_local", "second_master", "start_failed",
          "drive_not_ready", "drive_speed_unknown", "drive_timeout", "drive_guards_later", "no_run"),
@@ -70,7 +73,8 @@ _TAKES_IN = {
 }
 _ABSENT = {
     "input_waiting", "input_silent", "input_refused", "no_command", "no_forecast",
-    "temperature_unknown", "gauge_bad", "values_refused", "not_heard",
+    "temperature_unknown", "thermometer_lost", "temperature_not_fetched", "gauge_bad",
+    "forecast_missing", "forecast_service_silent", "values_refused", "not_heard",
 }
 
 
@@ -85,7 +89,7 @@ def advise(code: str, role: str, node: str) -> tuple[str, bool]:
     if not role:
         return FOREIGN, False
     known = read_conditions().get(code)
-    return (OTHER, False) if known is None else (known.advise(node, role), True)
+    return (OTHER, False) if known is None else (known.advise(node, role, reset=_RESET), True)
 
 
 @dataclass
@@ -390,7 +394,7 @@ def _alarm_of(incident: Incident, start: float, tau: float) -> Alarm:
     code = "started_again" if whole and ended else incident.code
     return Alarm(
         Trouble(
-            ERROR, plain(incident.cause), code, incident.node,
+            ERROR, sentence(incident.cause), code, incident.node,
             "" if whole else incident.part,
         ),
         at(incident.began_tick, incident.began),

@@ -289,7 +289,8 @@ def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
     if runs:
         return "Nothing to do: the pump waters the roof."
     if pump["idle"]:
-        return f"Nothing to do now: the controller {shown['controller']['sentence']}."
+        why = tiles.why_not_yet(store) or f"the controller {shown['controller']['sentence']}"
+        return f"Nothing to do now: {why}."
     why = f": {pump['why']}" if pump["why"] else ""
     return f"The roof is not watered, since the pump is {pump['state']}{why}."
 

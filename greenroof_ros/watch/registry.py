@@ -19,7 +19,7 @@ from typing import Any
 from greenroof_ros.graph.supervision import ENDED, FINISHED, PUMP, RECORDER, STARTING, STATES
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.wire import Status
-from greenroof_ros.watch.words import plain
+from greenroof_ros.watch.words import plain, sentence
 
 OK, WARN, ERROR, STALE = range(4)
 # After this silence (s) a node counts as not heard, as in bringup; it reports four times a second.
@@ -46,7 +46,7 @@ _MISSING = {
     "temperature_unknown", "gauge_bad", "frost_unknown", "cistern_level_unknown",
     "roof_level_unknown", "no_permit", "not_active", "drive_awaited", "drive_guards_later",
     "drive_not_ready", "drive_speed_unknown", "delivery_blind", "no_run", "waits",
-    "values_refused",
+    "values_refused", "forecast_service_silent", "temperature_not_fetched",
 }
 _NOT_THERE_YET = {"drive_lost", "sensor_lost", "broker_lost"}
 # A name that ROS allows for a node; the name becomes part of commands that are advised.
@@ -168,10 +168,14 @@ class Node:
         """Return whether it is heard, or was less than 10 s ago."""
         return not self.over and wall - self.heard < _GONE_S
 
+    def code_of(self, part: str) -> str:
+        """Return the code that a part reports; empty for none."""
+        return self.parts[part].code if part in self.parts else ""
+
     def text(self, key: str) -> str:
         """Return a text that it reports; empty if it does not."""
         value = self.values.get(key)
-        return plain(value) if isinstance(value, str) else ""
+        return sentence(value) if isinstance(value, str) else ""
 
 
 class Registry:
@@ -253,7 +257,7 @@ class Registry:
             # An unknown level is an error.
             known[key] = _Part(
                 status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
-                plain(status.message) or "says nothing",
+                sentence(status.message) or "says nothing",
                 plain(status.values.get("code", ""), _NAME), wall, first, good,
             )
 
@@ -337,7 +341,7 @@ class Registry:
                 what, old, new = (change.get(key) for key in ("parameter", "before", "value"))
                 self._say(f"{name}: {what} was changed from {old} to {new}")
         for warning in _new(before, values, "warnings", ""):
-            self._say(f"{name} warns: {warning}")
+            self._say(f"{name} warns: {sentence(str(warning))}")
         counts = _counts(before)
         grown = [topic for topic, n in _counts(values).items() if n > counts.get(topic, 0)]
         if grown:

@@ -10,15 +10,17 @@ import time
 from typing import Any
 
 from greenroof_ros.common.interface import command_for
+from greenroof_ros.watch import words
 from greenroof_ros.watch.registry import Node
 from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.words import sentence
 
 LOCK_OUT = (
     "Anyone working on the pump must lock it out at the pump itself; this page does not."
 )
 _THEN = (
     "The pump then starts by itself when the controller asks for it and nothing else keeps it off, "
-    "but not before its least time off has passed (least_off). "
+    "but not before its shortest time off has passed. "
 )
 
 
@@ -55,16 +57,19 @@ def stop_of(store: Store) -> dict[str, Any]:
         "call": "" if node is None or stopped else command_for(node.name, "hold"),
         "release": "" if node is None or not hold else command_for(node.name, "release"),
         "hold": None if node is None or gone else hold and f"{hold[0].upper()}{hold[1:]}.",
-        **_allowed(None if gone or not store.allow_release else node, stands),
+        "clear_call": f"ros2 service call {node.name}/reset std_srvs/srv/Trigger"
+        if node is not None and node.text("fault") else "",
+        **_allowed(None if gone or not store.allow_release else node, stands, store.site.a2),
     }
 
 
-def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
+def _allowed(node: Node | None, stands: bool, area: float = 0.0) -> dict[str, Any]:
     """Return what may be done here besides a stop, and what happens then.
 
     Args:
         node: the pump node, if it is heard and releasing is allowed; otherwise None.
         stands: whether the pump stands.
+        area: of the roof (m2).
     """
     greatest = None if node is None else node.values.get("greatest_dose")
     hold = "" if node is None else node.hold
@@ -73,6 +78,8 @@ def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
         for key in ("fault", "unknown", "no_clear", "no_dose")
     )
     doses = isinstance(greatest, (int, float))
+    dose = {} if node is None else node.values.get("dose") or {}
+    least = 0.0 if node is None else float(node.values.get("least_dose") or 0.0)
     return {
         "release_here": bool(hold) and stands,
         "release_then": _then(fault, unknown) + LOCK_OUT,
@@ -80,6 +87,9 @@ def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
         "clear_then": f"The fault is cleared: {fault}. " + _then(hold, unknown) + LOCK_OUT,
         "no_clear": refusal if fault else "",
         "greatest_dose": greatest if doses else None,
+        "least_dose": least if doses else None,
+        "dose_limits": _limits(least, float(greatest or 0.0), area) if doses else "",
+        "dose": sentence(str(dose.get("said", ""))) if isinstance(dose, dict) else "",
         "dose_here": doses and not no_dose,
         "asked_at": time.time() if doses and not no_dose else None,
         "dose_then": "The pump then delivers this volume once, whatever the controller asks for, "
@@ -87,6 +97,13 @@ def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
         + LOCK_OUT,
         "no_dose": no_dose if doses else "",
     }
+
+
+def _limits(least: float, most: float, area: float) -> str:
+    """Return between which volumes (m3) a dose must be, and how much that is on the roof (m2)."""
+    volumes = f"from {least:.3f} to {most:g} m³" if least else f"at most {most:g} m³"
+    depths = [words.rain(volume / area) for volume in (least, most) if volume and area]
+    return volumes + (f", which is {' to '.join(depths)} of water on the roof" if depths else "")
 
 
 def _then(*others: str) -> str:
@@ -100,5 +117,6 @@ def bare_stop() -> dict[str, Any]:
     return {
         "possible": True, "stopped": False, "node": None, "label": "Stop the pump",
         "sentence": "Holds the pump off until somebody releases it. " + LOCK_OUT,
-        "warning": "", "call": "", "release": "", "hold": None, **_allowed(None, stands=False),
+        "warning": "", "call": "", "release": "", "hold": None, "clear_call": "",
+        **_allowed(None, stands=False),
     }

@@ -287,6 +287,8 @@ const announce = (text) => {
 
 // Stopping the pump
 
+let answered = ""; // the action whose answer is shown
+let told = "-"; // what was last told of a dose
 let stopBefore = { held: false, warning: "" };
 
 const showStop = (stop) => {
@@ -298,11 +300,21 @@ const showStop = (stop) => {
   setText(byId("hold"), stop.hold ?? "");
   byId("release-by-hand").hidden = stop.release_here;
   byId("release-button").hidden = !stop.release_here;
-  byId("clear").hidden = !stop.clear_here && !stop.no_clear;
+  byId("clear").hidden = !stop.clear_here && !stop.clear_call;
+  setText(byId("clear-call"), stop.clear_call);
+  byId("clear-by-hand").hidden = stop.clear_here || !stop.clear_call;
   setText(byId("no-clear"), stop.no_clear && `The fault is not cleared here: ${stop.no_clear}.`);
   byId("clear-button").hidden = !stop.clear_here;
   byId("dose").hidden = stop.greatest_dose === null;
   byId("dose-volume").max = stop.greatest_dose ?? 0;
+  byId("dose-volume").min = stop.least_dose ?? 0;
+  setText(byId("dose-limits"), stop.dose_limits);
+  byId("dose-limits").hidden = !stop.dose_here;
+  // The answer to a request follows the dose until it is delivered.
+  if (answered === "dose" && stop.dose && !stop.dose.startsWith(told)) {
+    told = stop.dose;
+    answer(`${stop.dose[0].toUpperCase()}${stop.dose.slice(1)}.`, false);
+  }
   setText(byId("no-dose"), stop.no_dose && `No dose now: ${stop.no_dose}.`);
   byId("dose-label").hidden = byId("dose-button").hidden = !stop.dose_here;
   setText(byId("stop-warning"), stop.warning);
@@ -361,12 +373,14 @@ const ACTIONS = {
 const act = async (name, body) => {
   const button = byId(`${name}-button`);
   button.disabled = true;
+  answered = "";
   answer("Asking the pump node ...", false);
   // A browser has six connections to a server, and each open page holds one: release this page's.
   stream.close();
   try {
     const { ok, sentence } = await post(`/${name}`, body);
     answer(sentence, !ok);
+    [answered, told] = [ok ? name : "", "-"];
   } catch (error) {
     const how = name === "stop" ? " Try again, or stop it at the pump itself." : "";
     answer(`It is not known whether ${ACTIONS[name].doubt}: ${error.message}.${how}`, true);
@@ -393,8 +407,8 @@ let askedBody = {};
 for (const [name, { title, yes, then }] of Object.entries(ACTIONS)) {
   byId(`${name}-button`).addEventListener("click", () => {
     const volume = byId("dose-volume").valueAsNumber;
-    if (name === "dose" && !(volume > 0 && volume <= shown.stop.greatest_dose)) {
-      answer(`A dose must be above 0 and at most ${shown.stop.greatest_dose} m³.`, true);
+    if (name === "dose" && !(volume > 0 && volume >= shown.stop.least_dose && volume <= shown.stop.greatest_dose)) {
+      answer(`A dose must be ${shown.stop.dose_limits}.`, true);
       return;
     }
     asked = name;
