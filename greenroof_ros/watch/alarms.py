@@ -277,10 +277,21 @@ class Alarms:
         return len(serious), len(present) - len(causes) - len(serious), len(causes)
 
     def advice(self) -> Any:
-        """Return what to do now: about the cause of the first alarm that is not acknowledged."""
+        """Return what to do now: about the cause of the first alarm that is not acknowledged.
+
+        If it is only a hold, somebody wanted that: what to do about a second trouble is added.
+        """
         present = {row["id"]: row for row in self.rows() if row["over"] is None}
         rows = sorted(present.values(), key=lambda row: row["acknowledged"])
-        return present.get(rows[0]["follows"], rows[0])["do"] if rows else "Nothing to do."
+        if not rows:
+            return "Nothing to do."
+        first = present.get(rows[0]["follows"], rows[0])
+        second = next((
+            row["do"] for row in rows
+            if row is not first and row["level"] != "warn" and not row["follows"]
+        ), "")
+        more = f" Besides: {second}" if first["code"] == "hold" and second else ""
+        return f"{first['do']}{more}"
 
 
 # --- causes ---------------------------------------------------------------------------------------

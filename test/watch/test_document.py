@@ -275,7 +275,9 @@ def test_what_the_controller_fills_to_and_how_far_it_trusts(trust: float, rest: 
     forecast(graph, MINUTE, np.full((1, 32), 1e-7))
     said = tile_of(graph, "controller")["sentence"].partition("; ")[0]
     assert said == "fills to 41.0 mm now, and to 44.0 mm after 02:01 if no rain has come"
-    hear(graph, 61, 62, {"/roof/level": 0.0435, "/controller/fill_to": math.nan, "/controller/trust": 1.0})
+    hear(graph, 61, 62, {
+        "/roof/level": 0.0435, "/controller/fill_to": math.nan, "/controller/trust": 1.0,
+    })
     said = tile_of(graph, "controller")["sentence"].partition("; ")[0]
     assert said == "fills to 44.0 mm after 02:01 if no rain comes"
     graph.add_plan(MINUTE + 2 * SECOND, np.array(later)[:, :3])  # from an older bag
