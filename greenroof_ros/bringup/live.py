@@ -139,7 +139,7 @@ def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
         record.write(summary.DONE, str(error))
         record.wait()
         say(f"{error}: the pump and the nodes are stopped")
-        say(with_incidents("done", record.log.count))
+        say(with_incidents("done", record.log.count) + record.log.numbers)
         return EXIT_DONE
     reason, last_lines, code = str(error), "", EXIT_FAILED
     if isinstance(error, NodeFailed):
@@ -174,8 +174,11 @@ class _Start:
 
     @property
     def late(self) -> bool:
-        """Whether something that has not come yet is only late, not lost."""
-        return not self._over and time.monotonic() < self._late_until
+        """Whether something that has not come yet is only late, not lost.
+
+        Also when nothing is missing that the pump needs: a gauge may report once a minute.
+        """
+        return time.monotonic() < self._late_until
 
     def look(self, reports: Mapping[str, Mapping[str, Any]], inhibit: str) -> None:
         """Print what is missing if that has changed, and the end of the start.

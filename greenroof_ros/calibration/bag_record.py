@@ -9,6 +9,7 @@ import numpy as np
 
 from greenroof_ros.calibration.record import Record, Values
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.model.plant import pumps_run
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
 from greenroof_ros.report.bags import run_directory
@@ -74,7 +75,7 @@ def read_bag_record(bag: Path, site: Site) -> Record:
             "it", file=bag, key="/weather/evapotranspiration",
         )
     beyond = summed((seen.command > 1).astype(np.float64)) > 0
-    command = summed(np.where(seen.pump_flow > 0, seen.command, 0.0)) / _STEP_S
+    command = summed(np.where(pumps_run(site, seen.pump_flow), seen.command, 0.0)) / _STEP_S
     return Record(
         source=bag, start=seen.start, step_s=_STEP_S,
         rain=summed(seen.precipitation) * 1000,

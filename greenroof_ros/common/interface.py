@@ -230,16 +230,17 @@ class Condition:
     advice: str
     by_role: Mapping[str, str] = field(default_factory=dict)
 
-    def advise(self, node: str, role: str = "") -> str:
+    def advise(self, node: str, role: str = "", reset: str = "") -> str:
         """Return what to do.
 
         Args:
             node: fully qualified name of the node, for the services that the advice names.
             role: role of that node in the interface.
+            reset: how to clear a fault, in words; empty for the command.
         """
         return self.by_role.get(role, self.advice).format(
             node=node,
-            reset=f"ros2 service call {node}/reset std_srvs/srv/Trigger",
+            reset=reset or f"ros2 service call {node}/reset std_srvs/srv/Trigger",
             release=command_for(node, "release"),
         )
 

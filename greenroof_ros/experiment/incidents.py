@@ -45,7 +45,7 @@ class Rule(NamedTuple):
 # By part, or by a code of its diagnosis, which has priority. A sensor's value counts for some
 # seconds, so that one bad answer changes nothing; inputs count again some time after a loss.
 _RULES = {
-    **dict.fromkeys(("drive", "pump", "state file", "suspend"), Rule()),
+    **dict.fromkeys(("drive", "pump", "flow", "state file", "suspend"), Rule()),
     **dict.fromkeys(("recording", "disk"), Rule(stops_pump=False)),
     "sensor": Rule(lasts_s=3.0),
     **dict.fromkeys(
@@ -182,6 +182,14 @@ class IncidentLog:
         self._good: set[tuple[str, str]] = set()
         # Not lost for long enough yet: when first seen (steady clock, s), and the incident.
         self._pending: dict[tuple[str, str], tuple[float, Incident]] = {}
+
+    @property
+    def numbers(self) -> str:
+        """The numbers of the incidents of this start, if there were others before it."""
+        if not self._before or not self.count:
+            return ""
+        first, last = self._before + 1, self._before + self.count
+        return f" since this start (number {first}" + (f" to {last})" if last > first else ")")
 
     @property
     def lasting(self) -> bool:

@@ -163,7 +163,7 @@ class LiveForecast:
         if now - issue.issued > self._limit:
             raise NoForecastError(
                 f"the newest forecast, issued at {to_people(issue.issued)}, is older than "
-                f"{self._limit / HOUR:g} h"
+                f"{_length(self._limit)}"
             )
         end = issue.issued + issue.hours * HOUR
         if now >= end:
@@ -172,3 +172,13 @@ class LiveForecast:
                 f"{to_people(end)}, after {issue.hours} h"
             )
         return issue
+
+
+def _length(limit: timedelta) -> str:
+    """Write a time limit: ``40 s``, ``27 min``, ``2 h``."""
+    seconds = limit.total_seconds()
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / _HOUR_S:.1f}".removesuffix(".0") + " h"

@@ -83,6 +83,7 @@ class Reports:
         self._role = role
         self._machine = socket.gethostname()
         self._process = f"{self._machine} {os.getpid()}"  # changes at a restart
+        self._began = time.monotonic()
         self.supervisor = SupervisorSocket()
         topic = read_topics()["/diagnostics"]
         profile = qos_profile(topic.qos)
@@ -110,7 +111,10 @@ class Reports:
             code = "peers_awaited"
         self._own = diagnosis = _dated(self._own, level, self.state, code)
         of_code = {key: text for key, text in diagnosis.for_programs().items() if text}
-        values = {"role": self._role, "process": self._process, **of_code, **values}
+        values = {
+            "role": self._role, "process": self._process,
+            "up_s": round(time.monotonic() - self._began, 1), **of_code, **values,
+        }
         name = self._node.get_fully_qualified_name()
         status = DiagnosticStatus(
             level=level, name=name, message=self.state, hardware_id=self._machine,

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.plant import Flows, head_loss, mains_flow
+from greenroof_ros.model.plant import RUNNING_SHARE, Flows, head_loss, mains_flow, pumps_run
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
@@ -29,6 +29,7 @@ _HOUR_S = 3600.0
 _WEEK_S = 7 * 24 * _HOUR_S
 _WATER_DENSITY = 1000.0  # kg/m3
 _JOULES_PER_KWH = 3.6e6
+_RUNS = f"{RUNNING_SHARE:.0%} of the maximum flow"
 # A roof drains water that came within this many hours; as many hours without rain end an event.
 _DRAINS_H = 6
 # Sums of rain are rounded: 20 mm must not count as more than 20 mm.
@@ -62,7 +63,7 @@ class Samples:
         time: start of each sample, since the run's start (s).
         mains: from the mains into the cistern (m3/s); 0 if there is no valve.
         limited: 1 if a tank held less than was demanded, else 0; None if unknown.
-        pumping_before: whether there was a pump flow in the sample before the first.
+        pumping_before: whether the pumps ran in the sample before the first.
         earlier_starts: times of pump starts in the hour before the first sample (s, negative).
     """
 
@@ -204,7 +205,7 @@ class Metric:
 
 
 def _pump_starts(site: Site, samples: Samples) -> Values:
-    pumping = samples.pump > 0
+    pumping = pumps_run(site, samples.pump)
     return np.asarray(pumping & ~np.append(samples.pumping_before, pumping[:-1]), dtype=float)
 
 
@@ -363,7 +364,7 @@ METRICS = (
         lambda site, samples: samples.limited, _count, "d", most=0,
     ),
     Metric(
-        "pump_starts", "1", "pump starts", "how often the flow rose from 0",
+        "pump_starts", "1", "pump starts", f"how often the flow rose above {_RUNS}",
         _pump_starts, _count, "d",
     ),
     Metric(
@@ -376,8 +377,9 @@ METRICS = (
         _excess_starts, _count, "d", most=0,
     ),
     Metric(
-        "pump_hours", "h", "pump running", "with a flow",
-        _ticks_where(lambda site, samples: samples.pump > 0), form=".3f", finish=_hours,
+        "pump_hours", "h", "pump running", f"with a flow above {_RUNS}",
+        _ticks_where(lambda site, samples: pumps_run(site, samples.pump)), form=".3f",
+        finish=_hours,
     ),
     Metric(
         "hydraulic_energy_kwh", "kWh", "hydraulic energy",
@@ -505,7 +507,7 @@ class Metrics:
         self._totals = _add(self._totals, self._site, samples)
         self._weeks = self._weekly(samples)
         self._done += len(samples.roof)
-        self._pumping = bool(samples.pump[-1] > 0)
+        self._pumping = bool(pumps_run(self._site, samples.pump[-1]))
         starts = _start_times(self._site, samples) - float(samples.duration.sum())
         self._starts = starts[starts > -_HOUR_S]
         self._ticks = bytearray()

@@ -20,6 +20,9 @@ Values = NDArray[np.float64]
 # Makes a named tuple from a tuple in half the time of its own class.
 _new = tuple.__new__
 
+RUNNING_SHARE = 0.01
+"""The pumps run above this share of their maximum flow."""
+
 
 def outlet_flow(site: Site, x1: float) -> float:
     """q_out (m3/s): what leaves a cistern holding x1 (m3) for the sewer, Eq. (2).
@@ -54,6 +57,15 @@ def maximum_pump_flow(site: Site, x1: float) -> float:
     """
     head = x1 / site.a1 + site.c_hat - site.d
     return site.b * math.sqrt(head) if head > 0 else 0.0
+
+
+def pumps_run(site: Site, flow: Any) -> Any:
+    """Whether the pumps run at a flow (m3/s, of any shape): above 1 % of their maximum flow.
+
+    The maximum is that from a cistern full up to its outlet. A smaller flow is the end of a lag,
+    which never quite reaches 0, or the noise of a meter.
+    """
+    return flow > RUNNING_SHARE * maximum_pump_flow(site, site.a1 * site.z_o)
 
 
 def pump_flow(site: Site, x1: float, x2: float, command: float) -> float:

@@ -674,6 +674,7 @@ class PumpNode(Lifecycle, LinkedNode):
                 "until": record.hold_until, "said": held,
             } if held else None,
             "greatest_dose": self._site.greatest_dose,
+            "least_dose": self._control.least_dose,
             "no_dose": self._control.no_dose,
             "dose": None if dose is None else {**asdict(dose), "said": dose.said},
         }
@@ -683,7 +684,8 @@ class PumpNode(Lifecycle, LinkedNode):
         decision, diagnose = self._decision, self.reports.diagnose
         self.reports.numbers |= self._numbers()
         code = next(iter(decision.interlocks), "")
-        level = ERROR if decision.state == "fault" else WARN if code else OK
+        wrong = code not in ("", "quiet_hours")  # these are as intended
+        level = ERROR if decision.state == "fault" else WARN if wrong else OK
         diagnose("pump", level, self._state, code, self._cause(code))
         limited = decision.warning
         diagnose(
@@ -692,7 +694,8 @@ class PumpNode(Lifecycle, LinkedNode):
         )
         if self._site.greatest_dose is not None:
             self._diagnose_dose()
-        diagnose("flow", OK, f"source: {decision.source}", "", "")
+        rival = self._own_flow.publishers.sentence(time.monotonic()) if self.live else ""
+        self.say("flow", rival, f"source: {decision.source}", "two_pumps")
         self._diagnose_command()
         bad = [level for level in (self._cistern, self._roof) if not level.good]
         self.say(

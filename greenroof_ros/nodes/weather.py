@@ -347,7 +347,8 @@ class WeatherNode(LinkedNode):
             reading = "the file is still being read" if self._reader.late else ""
             why = "; ".join(filter(None, [str(error), problem, reading]))
             self.reports.numbers.pop("forecast", None)
-            self.diagnose("forecast", ERROR, why, "forecast_missing", unreadable)
+            code = "forecast_missing" if self._fetcher is None else "forecast_service_silent"
+            self.diagnose("forecast", ERROR, why, code, unreadable)
             return None
         assert outlook.issued is not None  # a file's forecasts have issues
         age = (now - outlook.issued).total_seconds()
@@ -372,9 +373,15 @@ class WeatherNode(LinkedNode):
             level, pumps = ERROR, "are kept off"
         self.diagnose(
             "frost", level, f"the temperature is unknown, so there may be frost ({why}): the pumps "
-            f"{pumps} (unknown_frost_may_pump)", "temperature_unknown",
+            f"{pumps} (unknown_frost_may_pump)", self._no_temperature(),
         )
         return self._unknown_frost
+
+    def _no_temperature(self) -> str:
+        """Return the code for an unknown temperature, by what the site has."""
+        if self._thermometer.heard:
+            return "thermometer_lost"
+        return "temperature_unknown" if self._fetcher is None else "temperature_not_fetched"
 
     def _say_gauge(self, part: str, gauge: Input, instead: str) -> None:
         """Report the state of a gauge, if it was ever heard; a site may do without."""
@@ -385,6 +392,8 @@ class WeatherNode(LinkedNode):
         bad, well = "", f"{gauge.name} is good"
         if part not in self._gauges and not gauge.publishers.count:
             well = f"nobody publishes {gauge.name}"
+        elif part not in self._gauges and gauge.verdict.code == "input_recovering":
+            well = gauge.problem  # it has just come for the first time
         elif not gauge.good:
             bad = f"{gauge.problem}; {instead}"
         self.say(part, bad, well, "gauge_bad", WARN, gauge.verdict.code)

@@ -149,6 +149,11 @@ class PumpControl:
         """Why any dose would be refused now, whatever its volume; empty if it would not."""
         return self._doses.refusal(self._against)
 
+    @property
+    def least_dose(self) -> float:
+        """The smallest volume that can be delivered (m3): the pump's least pulse."""
+        return self._least_pulse
+
     def ask_dose(self, request: float, volume: float) -> str:
         """Accept a request for a dose (returns an empty string), or return why it is refused.
 

@@ -25,7 +25,7 @@ from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.registry import ERROR, STALE, WARN, Registry, Trouble
 from greenroof_ros.watch.wire import Status
-from greenroof_ros.watch.words import plain
+from greenroof_ros.watch.words import plain, sentence
 
 # An alarm that comes back within this time (s) is the same one to an operator.
 _AGAIN_S = 10.0
@@ -37,6 +37,8 @@ _SEVERITY = {ERROR: 0, STALE: 1, WARN: 2}
 OTHER = "There is no advice for this; read the log of the node that reports it."
 FOREIGN = "Reported by another device or program, not by the green roof: see its instructions."
 
+# A command of ROS says nothing to whoever stands at the pump.
+_RESET = "the page of the site says how"
 # With such a code the pump's state needs somebody at the pump, whatever caused it.
 _NEEDS_A_HAND = {
     *(code for code, interlock in INTERLOCKS.items() if interlock.kind == LATCHED),
@@ -50,6 +52,7 @@ _PARTS_OF_REASON = {
         ("no_command", "command_unknown", "command_refused", "two_controllers"), ("command",)
     ),
     "no_permit": ("supervisor",),
+    "two_pumps": ("flow",),
     **dict.fromkeys(
         ("not_active", "drive_lost", "drive_local", "second_master", "start_failed",
          "drive_not_ready", "drive_speed_unknown", "drive_timeout", "drive_guards_later", "no_run"),
@@ -70,7 +73,8 @@ _TAKES_IN = {
 }
 _ABSENT = {
     "input_waiting", "input_silent", "input_refused", "no_command", "no_forecast",
-    "temperature_unknown", "gauge_bad", "values_refused", "not_heard",
+    "temperature_unknown", "thermometer_lost", "temperature_not_fetched", "gauge_bad",
+    "forecast_missing", "forecast_service_silent", "values_refused", "not_heard",
 }
 
 
@@ -85,7 +89,7 @@ def advise(code: str, role: str, node: str) -> tuple[str, bool]:
     if not role:
         return FOREIGN, False
     known = read_conditions().get(code)
-    return (OTHER, False) if known is None else (known.advise(node, role), True)
+    return (OTHER, False) if known is None else (known.advise(node, role, reset=_RESET), True)
 
 
 @dataclass
@@ -152,6 +156,8 @@ class Alarms:
     Attributes:
         registry: what each node says.
         shown: whether that is shown; otherwise it makes no alarms and no events.
+        starting: whether the site starts.
+        missing: what it then still waits for, each by the name of its status.
     """
 
     def __init__(self, namespace: str = "") -> None:
@@ -168,6 +174,7 @@ class Alarms:
     def start_over(self) -> None:
         """Forget all alarms and events, but not the nodes."""
         self._alarms: dict[str, Alarm] = {}
+        self.starting, self.missing = False, dict[str, Trouble]()
         self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
 
     def hear(self, wall: float, now: float, statuses: Sequence[Status], **more: Any) -> None:
@@ -179,6 +186,13 @@ class Alarms:
     def look(self, wall: float, now: float) -> None:
         """Update the alarms: called with each message, and about twice a second."""
         troubles = self.registry.troubles(wall) if self.shown else {}
+        self.starting = self.shown and self.registry.starting(wall)
+        # While a site starts, what has not come yet is no alarm and no event: it is only listed.
+        self.missing = {
+            name: trouble for name, trouble in troubles.items()
+            if self.starting and trouble.is_missing and name not in self._present()
+        }
+        troubles = {name: what for name, what in troubles.items() if name not in self.missing}
         for name, trouble in troubles.items():
             alarm = self._alarms.get(name)
             if alarm is None or (alarm.over is not None and wall - alarm.over_wall > _AGAIN_S):
@@ -263,10 +277,21 @@ class Alarms:
         return len(serious), len(present) - len(causes) - len(serious), len(causes)
 
     def advice(self) -> Any:
-        """Return what to do now: about the cause of the first alarm that is not acknowledged."""
+        """Return what to do now: about the cause of the first alarm that is not acknowledged.
+
+        If it is only a hold, somebody wanted that: what to do about a second trouble is added.
+        """
         present = {row["id"]: row for row in self.rows() if row["over"] is None}
         rows = sorted(present.values(), key=lambda row: row["acknowledged"])
-        return present.get(rows[0]["follows"], rows[0])["do"] if rows else "Nothing to do."
+        if not rows:
+            return "Nothing to do."
+        first = present.get(rows[0]["follows"], rows[0])
+        second = next((
+            row["do"] for row in rows
+            if row is not first and row["level"] != "warn" and not row["follows"]
+        ), "")
+        more = f" Besides: {second}" if first["code"] == "hold" and second else ""
+        return f"{first['do']}{more}"
 
 
 # --- causes ---------------------------------------------------------------------------------------
@@ -380,7 +405,7 @@ def _alarm_of(incident: Incident, start: float, tau: float) -> Alarm:
     code = "started_again" if whole and ended else incident.code
     return Alarm(
         Trouble(
-            ERROR, plain(incident.cause), code, incident.node,
+            ERROR, sentence(incident.cause), code, incident.node,
             "" if whole else incident.part,
         ),
         at(incident.began_tick, incident.began),

@@ -27,6 +27,7 @@ from greenroof_ros.watch.home_assistant import (
     base_of,
     discovery,
 )
+from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.words import UNKNOWN, display_of
 
@@ -112,16 +113,23 @@ class Bridge:
             say(f"stop, over MQTT: {failure}")
             if failure.answered:
                 self._stop_until = -math.inf
+        except Exception as error:  # it is tried again: a stop ends with no error of another kind
+            say(f"stop, over MQTT: {type(error).__name__}: {error}; trying again")
 
     def _publish_state(self) -> None:
-        shown = document(self._store, time.monotonic())
+        parts, shown = Parts(), document(self._store, time.monotonic())
         with self._store.lock:
-            messages = {"state": state_of(self._store, shown), "alarms": alarms_of(shown)}
+            messages = {
+                "state": parts.make("The state", lambda: state_of(self._store, shown), None),
+                "alarms": parts.make("The alarms", lambda: alarms_of(shown), None),
+            }
         now = time.monotonic()
         if self._again.is_set() or now - self._sent_at >= _AT_LEAST_S:
             self._again.clear()
             self._sent, self._sent_at = {}, now
         for name, content in messages.items():
+            if content is None:  # Home Assistant shows what is not renewed as unavailable
+                continue
             text = json.dumps(content, allow_nan=False)
             if self._sent.get(name) != text:
                 self._sent[name] = text

@@ -11,19 +11,19 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from dataclasses import asdict
+from functools import partial
 from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
-from greenroof_ros.common.interface import command_for
 from greenroof_ros.watch import tiles, words
 from greenroof_ros.watch.account import ENTRIES, HOLDS_NS
 from greenroof_ros.watch.history import Gaps, stretch_of
 from greenroof_ros.watch.outlook import AHEAD_S
-from greenroof_ros.watch.registry import Node
+from greenroof_ros.watch.parts import Parts
+from greenroof_ros.watch.stopping import bare_stop, stop_of
 from greenroof_ros.watch.store import INTERVALS, Store
 from greenroof_ros.watch.tiles import Tile, band_of
 
@@ -52,23 +52,94 @@ _HEADINGS = {
 def document(store: Store, wall: float) -> dict[str, Any]:
     """Return everything that page and terminal show, below 100 kB, as plain texts.
 
+    Each part is made on its own: one that cannot be made is replaced, and a note says so.
+
     Args:
         store: state of the graph.
         wall: now (steady clock, s).
     """
     with store.lock:
-        store.look(wall)
-        return _document(store)
+        return _document(store, wall)
 
 
-def _document(store: Store) -> dict[str, Any]:
-    alarms = store.alarms
-    known, incidents = store.graph.anybody or not store.ended, store.incidents()
-    recorded = [
+def _document(store: Store, wall: float) -> dict[str, Any]:
+    parts, alarms = Parts(), store.alarms
+    parts.make("What is overdue", lambda: store.look(wall), None)
+    stop = parts.make("What may be done to the pump", lambda: stop_of(store), bare_stop())
+    known, incidents = parts.make(
+        "Incidents",
+        lambda: (store.graph.anybody or not store.ended, _incidents(store)), (False, []),
+    )
+    rows = parts.make("Alarms", lambda: _alarm_rows(store, incidents), [])
+    listed, present = _within(rows, _MOST_ALARMS), [row for row in rows if row["over"] is None]
+    shown = {
+        name: parts.make(f"The tile of the {name}", partial(make, *given), tiles.unknown(label))
+        for name, label, make, *given in (
+            ("roof", "Roof level", tiles.roof, store),
+            ("cistern", "Cistern level", tiles.cistern, store),
+            ("pump", "Pump", tiles.pump, store, present), ("rain", "Rain", tiles.rain, store),
+            ("controller", "Controller", tiles.controller, store, present),
+        )
+    }
+    waits = parts.make(
+        "What is waited for", lambda: tiles.waiting(store, shown["pump"]["idle"]), ""
+    )
+    over = sum(row["over"] is not None for row in incidents)
+    lasting = len(incidents) - over
+    serious, warnings, following = parts.make("Numbers of alarms", alarms.counts, (0, 0, 0))
+    serious += lasting
+    own = len(present) > lasting
+    summary = parts.make("The summary", lambda: {
+        "word": "Nothing is heard yet:" if store.mode == "none"
+        else _word(serious, warnings, following, over, known) + _starts(store),
+        "sentence": _sentence(store, shown, waits),
+        "level": "error" if serious or stop["warning"]
+        else "warn" if warnings or store.mode == "none"
+        else _level(shown, over=over > 0, known=known),
+    }, {"word": "Alarms are not known.", "sentence": "", "level": "stale"})
+    result = {
+        "heading": parts.make("The heading", lambda: _heading(store), "Green roof"),
+        "mode": store.mode,
+        "namespace": store.namespace,
+        "time": parts.make(
+            "The time", store.clock, {"now": None, "text": words.UNKNOWN, "clock": []},
+        ),
+        "tiles": {**shown, "summary": summary},
+        "advice": parts.make(
+            "The advice", lambda: alarms.advice() if own else _advice(store, shown, waits), ""
+        ),
+        "alarms": listed,
+        "alarms_known": known,
+        "events": parts.make("Events", lambda: _events(store), []),
+        "account": parts.make(
+            "The water account", lambda: _account(store),
+            {"since_text": "", "sentence": words.UNKNOWN, "rows": []},
+        ),
+        "stop": stop,
+    }
+    notes = parts.make(
+        "The notes", lambda: _notes(store, known, bool(incidents), len(rows) - len(listed)), []
+    )
+    if parts.failed:
+        result["alarms_known"] = known and "Alarms" not in parts.failed
+        if not result["alarms_known"]:
+            summary["word"] = "Alarms are not known."
+        if summary["level"] == "ok":
+            summary["level"] = "warn"
+    return result | {"notes": [*parts.notes, *notes]}
+
+
+def _incidents(store: Store) -> list[dict[str, Any]]:
+    """Return the recorded incidents as rows of alarms."""
+    return [
         incident.row(": ".join(filter(None, (trouble.role, trouble.part))), recorded=True)
-        for incident in incidents for trouble in (incident.trouble,)
+        for incident in store.incidents() for trouble in (incident.trouble,)
     ]
-    rows = sorted([*recorded, *alarms.rows()], key=lambda row: row["over"] is not None)
+
+
+def _alarm_rows(store: Store, incidents: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return incidents and alarms, those that are over last, with their times in words."""
+    rows = sorted([*incidents, *store.alarms.rows()], key=lambda row: row["over"] is not None)
     for row in rows:
         since, over = store.dated(row["since"]), row["over"] and store.dated(row["over"])
         row |= {
@@ -76,44 +147,15 @@ def _document(store: Store) -> dict[str, Any]:
             "since_at_least": row["since_at_least"] or since != row["since"],
             "over": over, "over_text": "" if over is None else store.time_of_day(over),
         }
-    events = [
-        {"at": at, "what": what, "at_text": store.time_of_day(at)}
-        for at, what in ((store.dated(event["at"]), event["what"]) for event in alarms.events())
-    ]
-    listed, present = _within(rows, _MOST_ALARMS), [row for row in rows if row["over"] is None]
-    shown = {
-        "roof": tiles.roof(store), "cistern": tiles.cistern(store),
-        "pump": tiles.pump(store, present), "rain": tiles.rain(store),
-        "controller": tiles.controller(store, present),
-    }
-    stop, waits = _stop(store), tiles.waiting(store, shown["pump"]["idle"])
-    serious, warnings, following = alarms.counts()
-    over = sum(row["over"] is not None for row in recorded)
-    serious += len(recorded) - over
-    level = "error" if serious or stop["warning"] else "warn" if warnings else _level(
-        shown, over=over > 0, known=known
-    )
-    word = _word(serious, warnings, following, over, known)
-    shown["summary"] = {
-        "word": "Nothing is heard yet:" if store.mode == "none" else word,
-        "sentence": _sentence(store, shown, waits),
-        "level": "warn" if store.mode == "none" else level,
-    }
-    own = len(present) > len(recorded) - over
-    return {
-        "heading": _heading(store),
-        "mode": store.mode,
-        "namespace": store.namespace,
-        "time": store.clock(),
-        "notes": _notes(store, known, bool(incidents), len(rows) - len(listed)),
-        "tiles": shown,
-        "advice": alarms.advice() if own else _advice(store, shown, waits),
-        "alarms": listed,
-        "alarms_known": known,
-        "events": _within(events, _MOST_EVENTS),
-        "account": _account(store),
-        "stop": stop,
-    }
+    return rows
+
+
+def _events(store: Store) -> list[dict[str, Any]]:
+    """Return the events, the newest first, as many as there is room for."""
+    dated = [(store.dated(event["at"]), event["what"]) for event in store.alarms.events()]
+    return _within([
+        {"at": at, "what": what, "at_text": store.time_of_day(at)} for at, what in dated
+    ], _MOST_EVENTS)
 
 
 def _heading(store: Store) -> str:
@@ -126,6 +168,9 @@ def _heading(store: Store) -> str:
 
 def _notes(store: Store, known: bool, incidents: bool, hidden: int) -> list[str]:
     notes = [*store.notes]
+    if missing := store.alarms.missing:
+        listed = "; ".join(f"{name}: {trouble.what}" for name, trouble in missing.items())
+        notes.insert(0, words.plain(f"The site is starting. Not there yet: {listed}.", 1000))
     if not known:
         notes.append(
             "A recording tells when a drive, a sensor or a node was lost; other alarms are not "
@@ -156,6 +201,10 @@ def _word(alarms: int, warnings: int, following: int, over: int, known: bool) ->
     none = "No alarms" if known else "Alarms are not known"
     more = f" ({following} more caused by these)" if following else ""
     return f"{', '.join(counts) or none}{more}."
+
+
+def _starts(store: Store) -> str:
+    return " The site is starting." if store.alarms.missing else ""
 
 
 def _level(shown: dict[str, Tile], *, over: bool, known: bool) -> str:
@@ -205,6 +254,8 @@ def _pump_clause(pump: Tile, verb: str) -> str:
 
 def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
     """Return what to do if there is no alarm; if something is not as wanted, what happens next."""
+    if store.alarms.missing:
+        return "Nothing to do: the site is starting. What is still missing is listed below."
     roof, pump = shown["roof"]["state"], shown["pump"]
     runs = pump["state"] in ("starting", "running")
     if store.mode == "none":
@@ -228,94 +279,10 @@ def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
     if runs:
         return "Nothing to do: the pump waters the roof."
     if pump["idle"]:
-        return f"Nothing to do now: the controller {shown['controller']['sentence']}."
+        why = tiles.why_not_yet(store) or f"the controller {shown['controller']['sentence']}"
+        return f"Nothing to do now: {why}."
     why = f": {pump['why']}" if pump["why"] else ""
     return f"The roof is not watered, since the pump is {pump['state']}{why}."
-
-
-LOCK_OUT = (
-    "Anyone working on the pump must lock it out at the pump itself; this page does not."
-)
-_THEN = (
-    "The pump then starts by itself when the controller asks for it and nothing else keeps it off, "
-    "but not before its least time off has passed (least_off). "
-)
-
-
-# --- stopping the pump ----------------------------------------------------------------------------
-
-
-def _stop(store: Store) -> dict[str, Any]:
-    """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
-
-    It is stopped if somebody holds it and it stands; the hold alone only says that it should stand.
-    ``call`` and ``release`` are the commands to hold and release it; empty if that would do
-    nothing. Entries in ``_here`` say whether an action is allowed here, entries in ``_then`` what
-    happens then. A request for a dose sends ``asked_at`` back: a delayed request is too old.
-    """
-    two = store.graph.two_pumps(store.wall)
-    node = None if two else store.graph.pump(store.wall)
-    values = {} if node is None else node.values
-    hold, gone = "" if node is None else node.hold, store.gone(node)
-    stands = not gone and values.get("stands") is True
-    stopped, warning = bool(hold) and stands, two
-    if hold and not stands and not gone:
-        warning = (
-            "Stop was accepted, but the pump still turns, or it is not known whether it is at "
-            "rest. Stop it at its drive's panel if it is not at rest within seconds."
-        )
-    state = "" if node is None else (store.pump_says or "").partition(": ")[0]
-    off = state in ("off", "held", "fault") and stands
-    return {
-        "possible": node is not None, "stopped": stopped, "node": node and node.name,
-        "label": "The pump is held off" if stopped
-        else "Keep the pump off" if off else "Stop the pump",
-        "sentence": two or "There is no pump node that could be stopped from here."
-        if node is None else ("It was held off when last heard. " if hold and gone else "")
-        + ("The pump is held" if stopped else "Holds the pump")
-        + " off until somebody releases it. " + LOCK_OUT,
-        "warning": warning,
-        "call": "" if node is None or stopped else command_for(node.name, "hold"),
-        "release": "" if node is None or not hold else command_for(node.name, "release"),
-        "hold": None if node is None or gone else hold and f"{hold[0].upper()}{hold[1:]}.",
-        **_allowed(None if gone or not store.allow_release else node, stands),
-    }
-
-
-def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
-    """Return what may be done here besides a stop, and what happens then.
-
-    Args:
-        node: the pump node, if it is heard and releasing is allowed; otherwise None.
-        stands: whether the pump stands.
-    """
-    greatest = None if node is None else node.values.get("greatest_dose")
-    hold = "" if node is None else node.hold
-    fault, unknown, refusal, no_dose = (
-        "" if node is None else node.text(key)
-        for key in ("fault", "unknown", "no_clear", "no_dose")
-    )
-    doses = isinstance(greatest, (int, float))
-    return {
-        "release_here": bool(hold) and stands,
-        "release_then": _then(fault, unknown) + LOCK_OUT,
-        "clear_here": bool(fault) and not refusal and stands,
-        "clear_then": f"The fault is cleared: {fault}. " + _then(hold, unknown) + LOCK_OUT,
-        "no_clear": refusal if fault else "",
-        "greatest_dose": greatest if doses else None,
-        "dose_here": doses and not no_dose,
-        "asked_at": time.time() if doses and not no_dose else None,
-        "dose_then": "The pump then delivers this volume once, whatever the controller asks for, "
-        "but not above the roof's target. It ends early if anything keeps the pump off. "
-        + LOCK_OUT,
-        "no_dose": no_dose if doses else "",
-    }
-
-
-def _then(*others: str) -> str:
-    """Return what the pump does then; the others are what else keeps it off, empty if it is not."""
-    remain = "; ".join(filter(None, others))
-    return f"It stays off all the same: {remain}. " if remain else _THEN
 
 
 # --- the water account ----------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from typing import Any
 from greenroof_ros.graph.supervision import ENDED, FINISHED, PUMP, RECORDER, STARTING, STATES
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.wire import Status
-from greenroof_ros.watch.words import plain
+from greenroof_ros.watch.words import plain, sentence
 
 OK, WARN, ERROR, STALE = range(4)
 # After this silence (s) a node counts as not heard, as in bringup; it reports four times a second.
@@ -37,6 +37,18 @@ _NODES, _PARTS, _FOREIGN, _NAME = 32, 24, 200, 160
 _NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
 # The greatest tick of a run, and the first time (ns since 1970) that does not fit into 64 bits.
 _LAST_TICK, _LAST_NS = 2**40, 2**63
+# While all nodes have run for less than this (s), what is missing may still come: the site starts.
+_START_S = 60.0
+# Codes of what is missing then, without a drive's or a sensor's loss after it had been there.
+_MISSING = {
+    "input_waiting", "input_silent", "input_refused", "input_recovering", "no_command",
+    "command_unknown", "no_forecast", "forecast_missing", "forecast_not_fetched",
+    "temperature_unknown", "gauge_bad", "frost_unknown", "cistern_level_unknown",
+    "roof_level_unknown", "no_permit", "not_active", "drive_awaited", "drive_guards_later",
+    "drive_not_ready", "drive_speed_unknown", "delivery_blind", "no_run", "waits",
+    "values_refused", "forecast_service_silent", "temperature_not_fetched",
+}
+_NOT_THERE_YET = {"drive_lost", "sensor_lost", "broker_lost"}
 # A name that ROS allows for a node; the name becomes part of commands that are advised.
 _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _PLANT = "plant"
@@ -59,6 +71,7 @@ class Trouble:
         names: topics that it is about, or nodes that are waited for, if known.
         gist: a drive's fault or a latched fault; with another gist it is another alarm.
         at_least: whether it may have begun before anybody listened here.
+        was_good: for a part: whether it was good before.
     """
 
     level: int
@@ -69,6 +82,13 @@ class Trouble:
     names: tuple[str, ...] = ()
     gist: str = ""
     at_least: bool = False
+    was_good: bool = False
+
+    @property
+    def is_missing(self) -> bool:
+        """Whether it is something that has not come yet, if the site is starting."""
+        late = self.code in _NOT_THERE_YET and not self.was_good
+        return bool(self.role) and (self.code in _MISSING or late)
 
     @property
     def hides_pump(self) -> bool:
@@ -85,6 +105,7 @@ class _Part:
     code: str
     heard: float  # wall time (s)
     first: bool  # whether the device, or the node of the part, was heard only once by then
+    good: bool = False  # whether it was ever OK
 
 
 @dataclass
@@ -147,10 +168,14 @@ class Node:
         """Return whether it is heard, or was less than 10 s ago."""
         return not self.over and wall - self.heard < _GONE_S
 
+    def code_of(self, part: str) -> str:
+        """Return the code that a part reports; empty for none."""
+        return self.parts[part].code if part in self.parts else ""
+
     def text(self, key: str) -> str:
         """Return a text that it reports; empty if it does not."""
         value = self.values.get(key)
-        return plain(value) if isinstance(value, str) else ""
+        return sentence(value) if isinstance(value, str) else ""
 
 
 class Registry:
@@ -228,11 +253,12 @@ class Registry:
         )
         if key in known or len(known) < most:
             first = key not in known if node is None else node.first
+            good = status.level == OK or (key in known and known[key].good)
             # An unknown level is an error.
             known[key] = _Part(
                 status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
-                plain(status.message) or "says nothing",
-                plain(status.values.get("code", ""), _NAME), wall, first,
+                sentence(status.message) or "says nothing",
+                plain(status.values.get("code", ""), _NAME), wall, first, good,
             )
 
     def _values_of(self, name: str, status: Status) -> dict[str, Any] | None:
@@ -315,7 +341,7 @@ class Registry:
                 what, old, new = (change.get(key) for key in ("parameter", "before", "value"))
                 self._say(f"{name}: {what} was changed from {old} to {new}")
         for warning in _new(before, values, "warnings", ""):
-            self._say(f"{name} warns: {warning}")
+            self._say(f"{name} warns: {sentence(str(warning))}")
         counts = _counts(before)
         grown = [topic for topic, n in _counts(values).items() if n > counts.get(topic, 0)]
         if grown:
@@ -362,6 +388,13 @@ class Registry:
     def node(self, role: str) -> Node | None:
         """Return the node of a role; None if none was heard."""
         return self._holders.get(role)
+
+    def starting(self, wall: float) -> bool:
+        """Return whether the site starts: every node that is heard began less than 60 s ago."""
+        up = [node.values.get("up_s") for node in self._latest.values() if node.is_heard(wall)]
+        return bool(up) and all(
+            isinstance(seconds, (int, float)) and seconds < _START_S for seconds in up
+        )
 
     def factor(self, tau: float) -> float | None:
         """Return the simulated time per wall time over the last seconds; None if unknown."""
@@ -521,7 +554,7 @@ def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
             code = "stop_not_followed"
     elif code in ("drive_fault", "drive_warning"):
         gist = said.message  # it has the drive's number of the fault
-    return Trouble(level, said.message, code, node.role, part, (), gist, said.first)
+    return Trouble(level, said.message, code, node.role, part, (), gist, said.first, said.good)
 
 
 def _read_value(text: str) -> Any:

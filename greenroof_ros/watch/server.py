@@ -32,6 +32,7 @@ from greenroof_ros.graph.looker import StopFailedError
 from greenroof_ros.watch.document import LEAST_HOURS, MOST_HOURS, document, series
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import Place, listen
+from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.store import Store
 
 _PAGE = Path(__file__).resolve().parent / "page"
@@ -117,8 +118,9 @@ class News:
     async def messages(self, hours: float) -> AsyncGenerator[Message, None]:
         """Yield messages as they come, only the newest.
 
-        An error in making one is printed, and ends every stream: a page then says that it is not
-        connected, rather than showing old values as present ones.
+        Charts that cannot be made are left out, with a reason. If there is no document at all, the
+        error is printed and every stream ends: a page then says that it is not connected, rather
+        than showing old values as present ones, and keeps its stop.
 
         Args:
             hours: of the past in the series; 0 for the summary alone, for a page that nobody sees.
@@ -162,7 +164,9 @@ class News:
 
     def _make(self, key: str | float) -> Message:
         if not isinstance(key, str):
-            return Message("series", series(self._store, key))
+            parts = Parts()
+            made = parts.make("Series", lambda: series(self._store, key), {})
+            return Message("series", made or {"problem": parts.failed["Series"]})
         shown = document(self._store, time.monotonic())
         return Message(key, shown if key == "state" else shown["tiles"]["summary"])
 
@@ -356,6 +360,13 @@ class _Site:
             ok, sentence = True, await asyncio.to_thread(self._feed.ask, action, **request)
         except StopFailedError as failure:
             ok, sentence = False, str(failure)
+        except Exception as error:
+            traceback.print_exc()
+            ok = False
+            sentence = (
+                "It is not known whether that was done: the watcher failed "
+                f"({type(error).__name__}: {error})."
+            )
         event = f"{action.capitalize()}, from {asker}: {sentence}"
         await asyncio.to_thread(self._store.add_event, time.time(), event)
         return ok, sentence

@@ -368,7 +368,7 @@ class Store:
         """Take the pump's state, such as ``off: nothing is commanded``."""
         with self.lock:
             if self.pump_state is None or time_ns > self.pump_state[0]:
-                self.pump_state = (time_ns, words.plain(text))
+                self.pump_state = (time_ns, words.sentence(text))
 
     # --- forecast and plan ----------------------------------------------------------------------
 

@@ -10,8 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.model.metrics import NEAR_TARGET
+from greenroof_ros.model.plant import pumps_run
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
 from greenroof_ros.watch.outlook import ALIKE_M, Amount, Plan
@@ -57,6 +60,14 @@ def _tile(
     return {
         "label": label, "value": text, "number": number, "state": state, "sentence": sentence,
         "stale": stale, **more,
+    }
+
+
+def unknown(label: str) -> Tile:
+    """Return a tile that cannot be made."""
+    return {
+        "label": label, "value": words.UNKNOWN, "number": None, "state": "unknown",
+        "sentence": "cannot be shown", "stale": True, "why": "", "alarm": False, "idle": False,
     }
 
 
@@ -169,12 +180,13 @@ def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
         parts.insert(0, f"{state} when last heard")
     name = "" if node is None else node.name
     kept_off = store.known(_FROST) or any(row["id"] == f"{name}: {PUMP}" for row in wrong)
-    state = "unknown" if stale else state
+    quiet = state == "held" and node is not None and node.code_of(PUMP) == "quiet_hours"
+    state = "unknown" if stale else "off" if quiet else state  # as intended
     return {
         "label": "Pump", "value": state,
         "number": None if pumped is None or pumped.stale else pumped.value,
         "state": state, "alarm": may_turn,
-        "idle": state == "off" and not kept_off and store.known(_COMMAND) == 0,
+        "idle": state == "off" and not kept_off and not quiet and store.known(_COMMAND) == 0,
         "sentence": "; ".join(parts), "why": why, "stale": stale,
     }
 
@@ -198,14 +210,14 @@ def _state(store: Store, said: str | None) -> tuple[str, str]:
         state, _, why = said.partition(": ")
         return (state, why) if state in PUMP_STATES else ("unknown", said)
     pumped, command = store.newest.get(_FLOW), store.newest.get(_COMMAND)
-    share = None if command is None else command.value
+    share, site = None if command is None else command.value, store.site
     why = _why_off(store, share)
     if pumped is None or pumped.value is None:
         if share is None:
             return "unknown", "neither flow nor command is known"
         return ("off", why) if share == 0 or why else ("running", "")
     rests = "it rested between two runs" if store.ended else "it rests between two runs"
-    return ("running", "") if pumped.value > 0 else ("off", why or rests)
+    return ("running", "") if pumps_run(site, pumped.value) else ("off", why or rests)
 
 
 def _why_off(store: Store, share: float | None) -> str:
@@ -302,7 +314,7 @@ def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     else:
         sentence = "commanded no pumping" if store.ended else "commands no pumping now"
     if not alarm and not store.ended:
-        sentence = "; ".join(filter(None, (_aim(store, plan, now), sentence)))
+        sentence = "; ".join(filter(None, (_aim(store, plan, now), sentence, why_not_yet(store))))
     return {
         "label": "Controller",
         "value": name or ("not recorded" if store.ended else words.UNKNOWN), "number": None,
@@ -311,8 +323,20 @@ def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     }
 
 
+def _forecast_known(store: Store) -> bool:
+    """Return whether there is a forecast for the present, and not an old one."""
+    forecast, now = store.forecast, store.now
+    return (
+        forecast is not None and now is not None and forecast.amount(now) is not None
+        and (store.ended or now - forecast.at <= OLD_S)
+    )
+
+
 def _aim(store: Store, plan: Plan | None, now: float | None) -> str:
-    """Return to which level a controller fills the roof, now and later; empty if it does not."""
+    """Return to which level a controller fills the roof, now and later; empty if it does not.
+
+    A level that the roof has already is no aim.
+    """
     level = store.known("/controller/fill_to")
     said = "" if level is None else f"fills to {words.value_of('/controller/fill_to', level)} now"
     if plan is None or now is None:
@@ -320,22 +344,54 @@ def _aim(store: Store, plan: Plan | None, now: float | None) -> str:
     begin, later = plan.without_rain(now)
     if begin <= now or later <= (level or 0.0) + ALIKE_M:
         return said
+    present = store.known(_ROOF)
+    if not said and present is not None and later <= present:
+        return f"does not fill the roof before {store.hour(begin)}"
     then = f"to {words.value_of('/controller/fill_to', later)} after {store.hour(begin)}"
+    if not _forecast_known(store):
+        return f"{said}, and {then}" if said else f"fills {then}"
     return f"{said}, and {then} if no rain has come" if said else f"fills {then} if no rain comes"
 
 
+def why_not_yet(store: Store) -> str:
+    """Return why a controller lets a roof stay too dry for now; empty if that is not known."""
+    forecast, now, level, plan = store.forecast, store.now, store.known(_ROOF), store.plan
+    if (
+        forecast is None or now is None or level is None or plan is None or store.ended
+        or not _forecast_known(store) or level >= band_of(store.site)[0]
+        or now >= plan.ends[-1] or plan.pumped(now) is not None
+    ):
+        return ""
+    amount = forecast.amount(now)
+    if amount is not None and max(amount.mean, amount.high) >= ALIKE_M:
+        reach = words.horizon(amount.reach_s)
+        return (
+            f"it waits and leaves room for rain: {words.rain(amount.mean)}{_range(amount)} "
+            f"expected in the next {reach}"
+        )
+    later = float((forecast.rain.mean(axis=0) * np.clip(
+        forecast.ends - np.maximum(forecast.begins, now), 0.0, None
+    )).sum())
+    if later >= ALIKE_M:
+        return (
+            f"it waits and leaves room for rain: {words.rain(later)} expected until "
+            f"{store.hour(float(forecast.ends[-1]))}"
+        )
+    return "it waits, since the roof then stays nearest to its target over the hours it looks ahead"
+
+
 def _planned(store: Store, plan: Plan, now: float) -> str:
-    ended, right = store.ended, "if the forecast is right"
+    ended, right = store.ended, " if the forecast is right" if _forecast_known(store) else ""
     if now >= plan.ends[-1]:
         return "its plan was over" if ended else "its plan is over"
     pumped = plan.pumped(now)
     reach = words.horizon(min(12 * 3600.0, float(plan.ends[-1]) - now))
     if pumped is None:
-        return f"{'planned not to' if ended else 'will not'} pump in the next {reach} {right}"
+        return f"{'planned not to' if ended else 'will not'} pump in the next {reach}{right}"
     start = "from now on" if pumped.begin <= now else f"from {store.hour(pumped.begin)} on"
     return (
         f"{'planned to' if ended else 'will'} pump {words.quantity(pumped.volume, 'm³', 2)} in the "
-        f"next {reach}, {start}, up to {roof_level(pumped.level)} {right}"
+        f"next {reach}, {start}, up to {roof_level(pumped.level)}{right}"
     )
 
 

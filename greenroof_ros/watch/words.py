@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from datetime import datetime, timedelta, tzinfo
 from functools import cache, lru_cache
 from zoneinfo import ZoneInfo
@@ -11,6 +12,9 @@ from greenroof_ros.common.interface import Display, read_topics
 
 NOT_PLAUSIBLE = "not a plausible value"
 UNKNOWN = "unknown"
+# Names of parameters in brackets at the end of what they explain, and the unit as logs have it.
+_PARAMETERS = re.compile(r" \([a-z]+(?:_[a-z0-9]+)+(?:, [a-z]+(?:_[a-z0-9]+)+)*\)")
+_CUBIC = re.compile(r"\bm3\b")
 SPACE = "\N{NO-BREAK SPACE}"
 """Between a number and its unit: no line ends there."""
 _HOUR = timedelta(hours=1)
@@ -146,6 +150,11 @@ def hour_and_minute(seconds: float, zone: tzinfo, now: float) -> str:
     days = (at.date() - today.date()).days
     clock = at.strftime("%H:%M")
     return clock if days == 0 else f"tomorrow {clock}" if days == 1 else at.strftime("%d %b %H:%M")
+
+
+def sentence(text: str) -> str:
+    """Return a node's sentence for a page that laymen read: no names of parameters, and m³."""
+    return _CUBIC.sub("m³", _PARAMETERS.sub("", plain(text)))
 
 
 def plain(text: str, most: int = 500) -> str:

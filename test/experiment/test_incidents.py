@@ -14,7 +14,13 @@ import pytest
 
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.experiment import incidents
-from greenroof_ros.experiment.incidents import INCIDENTS, Incident, IncidentLog, read_incidents
+from greenroof_ros.experiment.incidents import (
+    INCIDENTS,
+    Incident,
+    IncidentLog,
+    read_incidents,
+    with_incidents,
+)
 
 
 def report_of(node: str, code: str = "a_code", **parts: str) -> dict[str, dict[str, Any]]:
@@ -199,3 +205,20 @@ def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
     assert [incident.number for incident in incidents] == [1, 2, 3]
     assert [incident.ended is None for incident in incidents] == [False, False, True]
     assert second.count == 1
+
+
+def test_the_numbers_of_a_start_go_on_from_the_file(tmp_path: Path) -> None:
+    """``incident 6`` is not followed by ``5 incidents`` without a word."""
+    printed: list[str] = []
+    first = IncidentLog(printed.append, tmp_path / INCIDENTS)
+    first.fail("pump", "ended")
+    assert first.numbers == ""
+    DISK.wait(5)
+    again = IncidentLog(printed.append, tmp_path / INCIDENTS)
+    again.go_on()
+    for _ in range(2):
+        again.fail("pump", "ended")
+    assert printed[-1].startswith("incident 3")
+    assert with_incidents("done", again.count) + again.numbers == (
+        "done, with 2 incidents since this start (number 2 to 3)"
+    )

@@ -100,6 +100,23 @@ def test_an_hour_holds_its_first_start_no_more(gap: int, busiest: int) -> None:
     assert metrics["excess_starts"] == (10 if busiest > 20 else 0)
 
 
+# The pumps deliver 0.00842205 m3/s at most (3 m): they run above 8.422e-5 m3/s.
+@pytest.mark.parametrize(("flows", "starts", "ticks"), [
+    ([0.008 * 0.5**k for k in range(1100)], 1, 7),  # a lag, down to 0: 0.008 / 2^6 is 1.25e-4
+    ([0.004, 2.5e-323, 0.004, 2.5e-323], 2, 2),
+    ([1e-6 * (k % 2) for k in range(100)], 0, 0),  # the noise of a flow meter
+    ([8.42e-5, 8.43e-5, 8.42e-5], 1, 1),
+])
+def test_what_counts_as_running(flows: list[float], starts: int, ticks: int) -> None:
+    metrics = metrics_of(site_with(tau=1.0), [
+        *((75.0, 1.0, 1.0, 0.0, Flows(0.0, flow, 0.0, 0.0, False)) for flow in flows),
+        (75.0, 1.0, 0.0, 0.0, STILL),
+    ])
+    assert metrics["pump_starts"] == starts
+    assert metrics["pump_hours"] == pytest.approx(ticks / 3600)
+    assert metrics["pumped_m3"] == pytest.approx(sum(flows))
+
+
 def test_energy_and_starts_by_hand() -> None:
     """At 3 m the pumps deliver 0.00842205 m3/s at L = phi = 55.2 - 5.78e5 0.00842205^2 = 14.2 m.
 

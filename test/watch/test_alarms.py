@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 import pytest
@@ -167,7 +168,7 @@ def test_another_code_is_another_alarm() -> None:
 
 @pytest.mark.parametrize("sentences", [
     # Numbers that grow or fall: volumes, ages, device answers, times of day, a number of things.
-    ("5 m3 are outstanding", "5.25 m3 are outstanding", "about 1e-05 m3 are outstanding"),
+    ("5 m³ are outstanding", "5.25 m³ are outstanding", "about 1e-05 m³ are outstanding"),
     ("blind for 3 s", "blind for 1 min 3 s"),
     ("the day's volume was pumped; it may run again at 9:59", "... at 10:00 tomorrow"),
     ("roof_level is NaN", "roof_level is -inf"),
@@ -327,7 +328,7 @@ def test_what_has_one_cause(cause: str, said: list[Status], chain: list[str]) ->
 
 @pytest.mark.parametrize(("code", "said", "advice"), [
     ("drive_lost", {"stands": False, "speed": None}, "Go and see"),
-    ("drive_fault", {"stands": False, "speed": None}, "/pump/reset"),
+    ("drive_fault", {"stands": False, "speed": None}, "clear the fault"),
     ("hold", {"stands": True, "hold": HOLD}, "greenroof release"),
     ("hold", {"stands": False, "speed": 0.8, "hold": HOLD}, "at its drive's panel"),
 ])
@@ -347,7 +348,7 @@ def test_a_state_of_the_pump_that_its_cause_does_not_tell(
     ("drive_lost", "drive", "drive_lost"), ("not_active", "drive timeout", "drive_timeout"),
     ("no_permit", "supervisor", "no_permit"), ("two_controllers", "command", "two_controllers"),
     ("roof_level_unknown", "levels", "input_frozen"), ("frost", "frost", "frost"),
-    ("frost_unknown", "frost", "temperature_unknown"),
+    ("frost_unknown", "frost", "temperature_unknown"), ("two_pumps", "flow", "two_pumps"),
 ])
 def test_a_state_follows_from_the_part_that_says_more(state: str, part: str, code: str) -> None:
     """And from no other part of the pump."""
@@ -359,16 +360,17 @@ def test_a_state_follows_from_the_part_that_says_more(state: str, part: str, cod
 
 
 def test_every_code_has_its_advice() -> None:
-    """For the codes of nodes and of the watcher; a manual action comes with its service."""
+    """For the codes of nodes and of the watcher; without names of parameters and calls of ROS."""
     for code in read_conditions():
         for role in ("pump", "controller", "weather", "plant"):
             do, known = advise(code, role, "/site1/pump")
             assert known and do, code
             assert "{" not in do, code
+            assert not re.search(r"ros2 |\([a-z]+_[a-z_]+\)|[a-z]_limit|m3", do), code
         assert advise(code, "", "/camera") == (FOREIGN, False)
     for code, interlock in INTERLOCKS.items():
         if interlock.kind == LATCHED:
-            assert "/site1/pump/reset" in advise(code, "pump", "/site1/pump")[0]
+            assert "clear" in advise(code, "pump", "/site1/pump")[0]
     assert "greenroof release --namespace site1" in advise("hold", "pump", "/site1/pump")[0]
     assert advise("of another version", "pump", "/pump") == (OTHER, False)
 
@@ -376,7 +378,7 @@ def test_every_code_has_its_advice() -> None:
 def test_every_interlock_has_its_place() -> None:
     """It needs somebody at the pump, a part of the node says more, or its own text says all."""
     complete = {
-        "cistern_low", "quiet_hours", "longest_run", "daily_volume", "daily_run", "two_pumps",
+        "cistern_low", "quiet_hours", "longest_run", "daily_volume", "daily_run",
     }
     assert INTERLOCKS.keys() - _NEEDS_A_HAND - _PARTS_OF_REASON.keys() == complete
 
@@ -537,3 +539,75 @@ def test_a_watcher_that_stood_still_takes_nobody_for_silent() -> None:
     assert alarms.rows() == []
     alarms.look(8.5, 8.5)
     assert {row["id"] for row in alarms.rows()} == {"/pump", "/mpc"}
+
+
+# --- the start of a site ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("part", "level", "what", "code"), [
+    ("inputs", ERROR, "/weather/frost was refused: nan; it must be from 0 to 1", "input_refused"),
+    ("inputs", ERROR, "/roof/level received; used after 10 s of good values", "input_recovering"),
+    ("frost", ERROR, "/weather/frost has not come yet", "input_waiting"),
+    ("levels", ERROR, "/roof/level has not come yet", "input_silent"),
+    ("thermometer", WARN, "/gauge/temperature received", "gauge_bad"),
+    ("pump", WARN, "held: no frost is known", "frost_unknown"),
+    ("supervisor", WARN, "bringup: roof_sensor is starting", "no_permit"),
+    ("drive", ERROR, "the drive is being called", "drive_lost"),
+    ("sensor", ERROR, "no value yet", "sensor_lost"),
+])
+def test_what_is_missing_while_a_site_starts_is_no_alarm(
+    part: str, level: int, what: str, code: str
+) -> None:
+    """It comes, and nothing is left of it; if it does not come within a minute, it is an alarm."""
+    alarms = heard(*[(at, pump((part, level, what, code), up_s=at)) for at in (1.0, 5.0, 59.0)])
+    assert (alarms.rows(), alarms.events(), alarms.counts()) == ([], [], (0, 0, 0))
+    assert [trouble.what for trouble in alarms.missing.values()] == [what]
+    came, late = alarms, heard((1.0, pump((part, level, what, code), up_s=1.0)))
+    came.hear(59.5, 59.5, pump((part, OK, "good"), up_s=59.5))
+    assert (came.rows(), came.events(), came.missing) == ([], [], {})
+    late.hear(60.5, 60.5, pump((part, level, what, code), up_s=60.5))
+    assert [row["what"] for row in late.rows()] == [what]
+    assert not late.missing
+
+
+@pytest.mark.parametrize(("part", "code"), [
+    ("drive", "drive_fault"), ("pump", "hold"), ("pump", "delivery"), ("sensor", "sensor_lost"),
+    ("drive", "drive_lost"),
+])
+def test_what_is_lost_or_wrong_while_a_site_starts_is_an_alarm(part: str, code: str) -> None:
+    """A sensor or drive that was there; and whatever needs a person."""
+    alarms = heard(
+        (1.0, pump((part, OK, "good"), up_s=1.0)),
+        (2.0, pump((part, ERROR, "is wrong", code), up_s=2.0)),
+    )
+    assert present(alarms) == [f"/pump: {part}"]
+
+
+@pytest.mark.parametrize("others", [
+    mpc(up_s=5000.0),  # the others go on: a node was started again
+    mpc(),  # of a version that does not say
+])
+def test_a_node_that_is_started_again_is_no_start_of_the_site(others: list[Status]) -> None:
+    alarms = heard((0.0, [
+        *others, *pump(("levels", ERROR, "not come yet", "input_waiting"), up_s=1.0),
+    ]))
+    assert present(alarms) == ["/pump: levels"]
+
+
+@pytest.mark.parametrize(("said", "shown"), [
+    ("/roof/level is older than 5 s (level_limit)", "/roof/level is older than 5 s"),
+    ("used after 10 s of good values (recovery_time)", "used after 10 s of good values"),
+    ("pumps are kept off (unknown_frost_may_pump)", "pumps are kept off"),
+    ("not followed (follow_time, follow_tolerance, drive_ramp)", "not followed"),
+    ("0.25 m3 were pumped at 0.001 m3/s (today)", "0.25 m³ were pumped at 0.001 m³/s (today)"),
+])
+def test_a_sentence_has_no_names_of_parameters(said: str, shown: str) -> None:
+    assert rows(heard((0.0, pump(("levels", ERROR, said, "x")))))["/pump: levels"]["what"] == shown
+
+
+@pytest.mark.parametrize("code", ["broker_lost", "sensor_lost", "drive_lost"])
+def test_a_stop_hides_no_other_trouble(code: str) -> None:
+    hold = ("pump", WARN, f"held: {HELD}", "hold")
+    alarms = heard((0.0, pump(hold, ("sensor", ERROR, "wrong", code), hold=HOLD, stands=True)))
+    (first, second) = (advise(code, "pump", "/pump")[0] for code in ("hold", code))
+    assert alarms.advice() == f"{first} Besides: {second}"

@@ -6,9 +6,11 @@ import json
 import re
 import signal
 import subprocess
+import threading
 import time
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,8 +20,12 @@ from graphs import Process, environment, wait_for
 from said import ERROR, SECOND, START, hear, node, store
 from test_watch_command import end, running_pump
 
-from greenroof_ros.watch.bridge import alarms_of, state_of
+from greenroof_ros.common.mqtt import parse_broker
+from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.watch import feed
+from greenroof_ros.watch.bridge import Bridge, alarms_of, state_of
 from greenroof_ros.watch.document import document as read_document
+from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.home_assistant import discovery
 from greenroof_ros.watch.store import Store
 
@@ -259,3 +265,52 @@ def test_wrong_input_is_one_message(unused_domain: int, tmp_path: Path) -> None:
         (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
         assert message in line
         assert "Traceback" not in done.stderr
+
+
+@needs_mosquitto
+@pytest.mark.parametrize("broken", [
+    "bridge.state_of", "bridge.alarms_of", "tiles.rain", "account.Account.totals",
+])
+def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
+    broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: Any) -> Any:
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(f"greenroof_ros.watch.{broken}", fail)
+    monkeypatch.setattr(feed, "_STOP_S", 0.3)
+    ended = threading.Event()
+
+    class Ended:
+        def check(self) -> None:
+            if ended.is_set():
+                raise InterruptedRun("interrupted")
+
+    with mosquitto(tmp_path) as broker, Talker(broker) as heard:
+        graph = store("live")
+        bridge = Bridge(
+            graph, Feed(graph), parse_broker(broker.address, "broker"), "homeassistant"
+        )
+
+        def run() -> None:
+            with suppress(InterruptedRun):
+                bridge.run(cast(Signals, Ended()))
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        other = "alarms" if broken == "bridge.state_of" else "state"
+        wait_for(lambda: heard.last(f"greenroof/roof/{other}"), 30, "a message")
+        heard.say("greenroof/roof/stop", "STOP")
+        said = ""
+
+        def answered() -> bool:
+            nonlocal said
+            said += capfd.readouterr().err
+            return "stop, over MQTT: The watcher is busy" in said
+
+        wait_for(answered, 30, "an answer")
+        assert thread.is_alive()
+        ended.set()
+        thread.join(30)
+        assert not thread.is_alive()
+        assert said.count("ZeroDivisionError: a bug") == 1

@@ -245,11 +245,11 @@ def test_the_plan_in_words() -> None:
     graph.add_statuses(100.0, node("/lookahead", "controller"))
     plan = np.array([[4740.0, 0, 0.045], [7140.0, 1e-3, 0.047], [43200.0, 0, 0.046]])
     will = (
-        "will pump 2.40 m³ in the next 12 h, from 01:20 on, up to 47.0 mm if the forecast is right"
+        "will pump 2.40 m³ in the next 12 h, from 01:20 on, up to 47.0 mm"  # without a forecast
     )
     for later, (rows, sentence) in enumerate((
         (plan, will), (np.empty((0, 3)), will),
-        (plan * [1, 0, 1], "will not pump in the next 12 h if the forecast is right"),
+        (plan * [1, 0, 1], "will not pump in the next 12 h"),
         (np.full((1, 3), np.nan), "commands no pumping now"),
     )):
         graph.add_plan(MINUTE + later * SECOND, rows)
@@ -269,8 +269,11 @@ def test_what_the_controller_fills_to() -> None:
     later = [[3600.0, 0.0, 0.045, 0.041], [7200.0, 0.0, 0.045, 0.0412], [9000.0, 0.0, 0.045, 0.044]]
     graph.add_plan(MINUTE + SECOND, np.array(later))
     said = tile_of(graph, "controller")["sentence"].partition("; ")[0]
+    assert said == "fills to 41.0 mm now, and to 44.0 mm after 02:01"
+    forecast(graph, MINUTE, np.full((1, 32), 1e-7))
+    said = tile_of(graph, "controller")["sentence"].partition("; ")[0]
     assert said == "fills to 41.0 mm now, and to 44.0 mm after 02:01 if no rain has come"
-    hear(graph, 61, 62, {"/controller/fill_to": math.nan})
+    hear(graph, 61, 62, {"/roof/level": 0.0435, "/controller/fill_to": math.nan})
     said = tile_of(graph, "controller")["sentence"].partition("; ")[0]
     assert said == "fills to 44.0 mm after 02:01 if no rain comes"
     graph.add_plan(MINUTE + 2 * SECOND, np.array(later)[:, :3])  # from an older bag
@@ -726,7 +729,8 @@ def test_a_roof_that_will_be_too_wet_is_said_in_words() -> None:
     tiles = with_outlook(0.032, plan=[[3600.0, 0.0, 0.040], [42900.0, 0.0, 0.045]])
     assert "too wet" not in tiles["summary"]["sentence"]
     assert tiles["controller"]["sentence"] == (
-        "will not pump in the next 12 h if the forecast is right"
+        "will not pump in the next 12 h if the forecast is right; it waits and leaves room for "
+        "rain: 32 mm (19 to 45) expected in the next 12 h"
     )
 
 
@@ -1071,3 +1075,127 @@ def test_the_charts_know_when_the_clock_changes() -> None:
 def test_as_an_operator_reads_it(text: str, expected: str) -> None:
     """Dates have plain spaces, quantities spaces at which no line ends (U+00A0)."""
     assert text == (expected if ":" in expected else expected.replace(" ", "\u00a0"))
+
+
+# --- a part that cannot be made ---------------------------------------------------------------
+
+
+def _fail(*_: Any, **__: Any) -> Any:
+    raise ZeroDivisionError("a bug")
+
+
+@pytest.mark.parametrize("place", [
+    "tiles.rain", "tiles.roof", "tiles.cistern", "tiles.pump", "tiles.controller", "tiles.waiting",
+    "tiles.too_wet", "words.date_and_time", "words.length_of_time", "account.Account.totals",
+    "alarms.Alarms.rows", "alarms.Alarms.counts", "alarms.Alarms.events", "alarms.Alarms.look",
+    "store.Store.incidents",
+])
+def test_whatever_cannot_be_shown_the_pump_can_be_stopped(
+    place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    graph = watched("live")
+    pump_says(graph, 100.0, "running", stands=False)
+    monkeypatch.setattr(f"greenroof_ros.watch.{place}", _fail)
+    document = shown(graph)
+    assert document["stop"]["possible"]
+    assert document["stop"]["node"] == "/pump"
+    assert document["tiles"].keys() == {
+        "roof", "cistern", "pump", "rain", "controller", "summary",
+    }
+    broken = [tile for tile in document["tiles"].values() if tile["sentence"] == "cannot be shown"]
+    assert len(broken) <= 1
+    assert any("cannot be shown (ZeroDivisionError: a bug)" in note for note in document["notes"])
+    assert document["tiles"]["summary"]["level"] != "ok"
+
+
+def test_a_stop_is_offered_even_if_its_own_state_cannot_be_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    graph = watched("live")
+    pump_says(graph, 100.0, "running", stands=False)
+    monkeypatch.setattr("greenroof_ros.watch.registry.Registry.two_pumps", _fail)
+    stop = shown(graph)["stop"]
+    assert (stop["possible"], stop["label"], stop["dose_here"]) == (True, "Stop the pump", False)
+
+
+def test_a_number_that_json_does_not_have_costs_one_tile(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = watched()
+    monkeypatch.setattr(
+        "greenroof_ros.watch.tiles.rain", lambda _: {"label": "Rain", "number": math.nan}
+    )
+    document = shown(graph)
+    assert document["tiles"]["rain"]["value"] == "unknown"
+    assert document["tiles"]["roof"]["number"] == 0.0457
+
+
+@pytest.mark.parametrize(("flow", "state"), [
+    (2.5e-323, "off"), (1e-6, "off"), (8.42e-5, "off"), (8.43e-5, "running"),
+])
+def test_a_flow_below_1_percent_of_the_pumps_flow_is_no_running_pump(
+    flow: float, state: str
+) -> None:
+    """The paper's pumps deliver 0.00842205 m3/s from a cistern that is full to its outlet."""
+    assert tile_of(watched(pump_flow=flow), "pump")["state"] == state
+
+
+# --- why a roof waits, quiet hours, a dose ------------------------------------------------------
+
+
+@pytest.mark.parametrize(("rain", "hours", "why"), [
+    (1e-7, 12, "it waits and leaves room for rain: 4.3 mm expected in the next 12 h"),
+    (0.0, 12, "it waits, since the roof then stays nearest to its target over the hours it looks "
+     "ahead"),
+    (None, 12, ""),
+])
+def test_a_controller_that_leaves_a_dry_roof_dry_says_why(
+    rain: float | None, hours: float, why: str
+) -> None:
+    """A level that the roof has already is no aim; without a forecast none is spoken of."""
+    graph = watched(roof_level=0.0366)
+    graph.add_statuses(100.0, node("/lookahead", "controller"))
+    if rain is not None:
+        forecast(graph, MINUTE, np.full((1, 32), rain), hours)
+    graph.add_plan(MINUTE, np.array([[30_000.0, 0, 0.0366, 0.0], [43_200.0, 0, 0.0361, 0.0361]]))
+    document = shown(graph)
+    aim, will, *rest = document["tiles"]["controller"]["sentence"].split("; ")
+    assert aim == "does not fill the roof before 08:21"
+    assert will == "will not pump in the next 12 h" + " if the forecast is right" * bool(why)
+    assert rest == [why] * bool(why)
+    if why:
+        assert why.split(":")[0] in document["advice"] or "waiting for rain" in (
+            document["tiles"]["summary"]["sentence"]
+        )
+
+
+def test_quiet_hours_are_no_warning() -> None:
+    """Every night: the pump is off as intended."""
+    graph = watched("live")
+    why = "these are quiet hours, until 07:00"
+    graph.add_statuses(100.0, node(
+        "/pump", "pump", ("pump", OK, f"held: {why}", "quiet_hours"), pump=f"held: {why}",
+        stands=True,
+    ))
+    document = shown(graph)
+    pump = document["tiles"]["pump"]
+    assert (pump["state"], pump["value"], pump["why"]) == ("off", "off", why)
+    assert document["tiles"]["summary"]["level"] == "ok"
+    assert document["alarms"] == []
+
+
+@pytest.mark.parametrize(("least", "limits"), [
+    (0.00688, "from 0.007 to 0.688 m³, which is 0.1 mm to 10 mm of water on the roof"),
+    (0.0, "at most 0.688 m³, which is 10 mm of water on the roof"),
+    (0.0344, "from 0.034 to 0.688 m³, which is 0.5 mm to 10 mm of water on the roof"),
+])
+def test_a_dose_has_its_limits_and_is_followed(least: float, limits: str) -> None:
+    """The paper's bed has 68.8 m2."""
+    graph = watched("live")
+    graph.allow_release = True
+    dose = {"said": "the dose of 0.5 m3 was delivered"}
+    graph.add_statuses(100.0, node(
+        "/pump", "pump", pump="off: nothing is commanded", stands=True, greatest_dose=0.688,
+        least_dose=least, dose=dose,
+    ))
+    stop = shown(graph)["stop"]
+    assert stop["dose_limits"] == limits
+    assert stop["dose"] == "the dose of 0.5 m³ was delivered"

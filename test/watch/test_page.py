@@ -668,7 +668,12 @@ def test_alarms_are_acknowledged_and_events_listed(open_page: Open) -> None:
     assert not row.locator("button").is_visible()
     other.focus()
     said[:] = [*weather, *mpc(0, "solves it")]
+    wait_for(lambda: page.inner_text("#past-word") == "1 alarm is over", 60, "one line")
+    assert not page.locator(".alarm.over").is_visible()
+    page.click("#past-word")
     until_shown(page, ".alarm.over", CANNOT)
+    page.click("#past-word")
+    other.focus()
     assert other.evaluate("(button) => document.activeElement === button")
     events = page.locator("#events li")
     count = events.count()
@@ -795,7 +800,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         for wrong in ("", "0.6", "-0.1", "0"):
             volume.fill(wrong)
             page.locator("#dose-button").click()
-            until_shown(page, "#answer.failed", "above 0 and at most 0.5 m³")
+            until_shown(page, "#answer.failed", "A dose must be at most 0.5 m³, which is ")
         volume.fill("0.25")
         page.locator("#dose-button").click()
         until_shown(page, "#ask", "Give a dose of 0.25 m³?")
@@ -839,3 +844,50 @@ def test_what_is_not_heard_now_is_said_to_be_of_before(browser: Any) -> None:
         with served(watched, port=port):
             until_shown(page, ".tile[data-key=roof] .value", "50.0 mm")
             assert not page.locator("#lost").is_visible()
+
+
+def _fail(*_: Any) -> Any:
+    raise ZeroDivisionError("a bug")
+
+
+@pytest.mark.parametrize("broken", [
+    "tiles.rain", "tiles.pump", "document.document", "server.document", "server.series",
+])
+def test_a_fresh_page_has_its_stop_whatever_cannot_be_shown(
+    browser: Any, monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    """Neither a tile, nor the charts, nor even the whole document is needed for it."""
+    watched = site_watched("live")
+    watched.look(time.monotonic())
+    monkeypatch.setattr(f"greenroof_ros.watch.{broken}", _fail)
+    with saying(watched, pump("running", stands=False)), served(watched) as port:
+        page = browser.new_page()
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.click("#stop-button", timeout=LONG_MS)
+        page.click("#ask-yes")
+        page.wait_for_selector("#answer.failed", timeout=LONG_MS)
+        assert "The watcher is busy: the pump node was not asked" in page.inner_text("#answer")
+        page.close()
+
+
+@pytest.mark.parametrize("key", ["rain", "summary", "controller"])
+def test_a_tile_that_the_browser_cannot_show_hides_no_other(
+    browser: Any, monkeypatch: pytest.MonkeyPatch, key: str
+) -> None:
+    watched = site_watched("live")
+    watched.look(time.monotonic())
+
+    def without(store: Store, wall: float) -> dict[str, Any]:
+        document = read_document(store, wall)
+        document["tiles"][key] = None
+        return document
+
+    monkeypatch.setattr("greenroof_ros.watch.server.document", without)
+    with saying(watched, pump("running", stands=False)), served(watched) as port:
+        page = browser.new_page()
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.wait_for_selector("[data-key=pump] .value", timeout=LONG_MS)
+        page.wait_for_selector("#notes li:has-text('This browser cannot show')", timeout=LONG_MS)
+        assert page.is_visible("#stop-button")
+        assert "mm" in page.inner_text("[data-key=roof] .value")
+        page.close()

@@ -101,6 +101,12 @@ const fillTile = (tile, data) => {
   if (gauge) fillGauge(gauge, data);
 };
 
+const showTile = (key, data) => {
+  const tile = byId("tiles").querySelector(`[data-key=${key}]`) ?? makeTile(key);
+  if (!tile.isConnected) byId("tiles").append(tile);
+  fillTile(tile, data);
+};
+
 const fillGauge = (gauge, data) => {
   const known = Number.isFinite(data.low) && Number.isFinite(data.high) && data.high > data.low;
   gauge.hidden = !known;
@@ -206,38 +212,73 @@ let shown = null;
 let shownAt = 0; // by the browser's clock (ms), which may be wrong
 let announced = { text: "", at: 0 };
 
-const show = (document_) => {
-  shown = document_;
-  shownAt = Date.now();
-  setClock(document_.time.clock);
+const showSummary = (document_) => {
   const { summary } = document_.tiles;
-  setText(byId("namespace"), document_.namespace ? ` ${document_.namespace}` : "");
-  setText(byId("heading"), document_.heading);
-  setText(byId("time"), document_.time.text);
   byId("summary").dataset.level = summary.level;
   byId("summary-shape").setAttribute("href", `#shape-${summary.level}`);
   setText(byId("summary-word"), summary.word);
   setText(byId("summary-sentence"), summary.sentence);
   setText(byId("advice"), document_.advice);
   showTitle(summary);
-  keep(byId("notes"), document_.notes, (note) => note, () => element("li"), setText);
-  keep(byId("tiles"), TILES.filter((key) => document_.tiles[key]), (key) => key, makeTile,
-    (tile, key) => fillTile(tile, document_.tiles[key]));
-  keep(byId("alarms"), document_.alarms, (alarm) => JSON.stringify([alarm.id, alarm.since]), makeAlarm, fillAlarm);
-  byId("no-alarms").hidden = document_.alarms.length > 0;
-  setText(byId("no-alarms"), document_.alarms_known ? "None." : "Not recorded.");
-  keep(byId("events"), document_.events, (event) => JSON.stringify([event.at, event.what]), (event) => {
+  announce(`${summary.word} ${summary.sentence}`);
+};
+
+const showEvents = (events) => {
+  keep(byId("events"), events, (event) => JSON.stringify([event.at, event.what]), (event) => {
     const row = element("li");
     row.append(element("time", "", event.at_text), element("span", "", event.what));
     return row;
   }, () => {});
-  byId("no-events").hidden = document_.events.length > 0;
-  const { account } = document_;
+  byId("no-events").hidden = events.length > 0;
+};
+
+const showAccount = (account) => {
   setText(byId("account-since"), account.since_text);
   setText(byId("account-sentence"), account.sentence);
   keep(byId("account"), account.rows, (entry) => entry.key, makeAccount, fillAccount);
-  showStop(document_.stop);
-  announce(`${summary.word} ${summary.sentence}`);
+};
+
+const showHead = (document_) => {
+  setText(byId("namespace"), document_.namespace ? ` ${document_.namespace}` : "");
+  setText(byId("heading"), document_.heading);
+  setText(byId("time"), document_.time.text);
+};
+
+const showAlarms = (document_) => {
+  // What a recording tells stays in sight; alarms of this watch that are over are one line.
+  const past = document_.alarms.filter((alarm) => alarm.over !== null && !alarm.recorded);
+  const listed = document_.alarms.filter((alarm) => !past.includes(alarm));
+  const keyOf = (alarm) => JSON.stringify([alarm.id, alarm.since]);
+  keep(byId("alarms"), listed, keyOf, makeAlarm, fillAlarm);
+  keep(byId("past-alarms"), past, keyOf, makeAlarm, fillAlarm);
+  byId("past").hidden = past.length === 0;
+  setText(byId("past-word"), past.length === 1 ? "1 alarm is over" : `${past.length} alarms are over`);
+  byId("no-alarms").hidden = listed.length > 0;
+  setText(byId("no-alarms"), document_.alarms_known ? "None." : "Not recorded.");
+};
+
+// The stop first; a part that cannot be shown hides no other part.
+const show = (document_) => {
+  shown = document_;
+  shownAt = Date.now();
+  const failed = [];
+  for (const [name, part] of [
+    ["the stop", () => showStop(document_.stop)],
+    ["the clock", () => setClock(document_.time.clock)],
+    ["the summary", () => showSummary(document_)],
+    ["the heading", () => showHead(document_)],
+    ...TILES.map((key) => [`the tile of the ${key}`, () => showTile(key, document_.tiles[key])]),
+    ["the alarms", () => showAlarms(document_)],
+    ["the events", () => showEvents(document_.events)],
+    ["the account", () => showAccount(document_.account)],
+  ]) {
+    try {
+      part();
+    } catch (error) {
+      failed.push(`This browser cannot show ${name} (${error.message}).`);
+    }
+  }
+  keep(byId("notes"), [...failed, ...(document_.notes ?? [])], (note) => note, () => element("li"), setText);
 };
 
 // For a screen reader: the summary when it changes, but not more often than it can be read.
@@ -249,6 +290,8 @@ const announce = (text) => {
 
 // Stopping the pump
 
+let answered = ""; // the action whose answer is shown
+let told = "-"; // what was last told of a dose
 let stopBefore = { held: false, warning: "" };
 
 const showStop = (stop) => {
@@ -260,11 +303,21 @@ const showStop = (stop) => {
   setText(byId("hold"), stop.hold ?? "");
   byId("release-by-hand").hidden = stop.release_here;
   byId("release-button").hidden = !stop.release_here;
-  byId("clear").hidden = !stop.clear_here && !stop.no_clear;
+  byId("clear").hidden = !stop.clear_here && !stop.clear_call;
+  setText(byId("clear-call"), stop.clear_call);
+  byId("clear-by-hand").hidden = stop.clear_here || !stop.clear_call;
   setText(byId("no-clear"), stop.no_clear && `The fault is not cleared here: ${stop.no_clear}.`);
   byId("clear-button").hidden = !stop.clear_here;
   byId("dose").hidden = stop.greatest_dose === null;
   byId("dose-volume").max = stop.greatest_dose ?? 0;
+  byId("dose-volume").min = stop.least_dose ?? 0;
+  setText(byId("dose-limits"), stop.dose_limits);
+  byId("dose-limits").hidden = !stop.dose_here;
+  // The answer to a request follows the dose until it is delivered.
+  if (answered === "dose" && stop.dose && !stop.dose.startsWith(told)) {
+    told = stop.dose;
+    answer(`${stop.dose[0].toUpperCase()}${stop.dose.slice(1)}.`, false);
+  }
   setText(byId("no-dose"), stop.no_dose && `No dose now: ${stop.no_dose}.`);
   byId("dose-label").hidden = byId("dose-button").hidden = !stop.dose_here;
   setText(byId("stop-warning"), stop.warning);
@@ -280,6 +333,12 @@ const showStop = (stop) => {
     byId("ask").close();
     answer("Nothing was done: the situation has changed meanwhile.", true);
   }
+};
+
+// A stop needs no document: before the first one comes, and if none can be made.
+const LOCK_OUT = byId("release-lock").textContent;
+const showBareStop = () => {
+  byId("stop").hidden = false;
 };
 
 const answer = (text, failed) => {
@@ -318,12 +377,14 @@ const ACTIONS = {
 const act = async (name, body) => {
   const button = byId(`${name}-button`);
   button.disabled = true;
+  answered = "";
   answer("Asking the pump node ...", false);
   // A browser has six connections to a server, and each open page holds one: release this page's.
   stream.close();
   try {
     const { ok, sentence } = await post(`/${name}`, body);
     answer(sentence, !ok);
+    [answered, told] = [ok ? name : "", "-"];
   } catch (error) {
     const how = name === "stop" ? " Try again, or stop it at the pump itself." : "";
     answer(`It is not known whether ${ACTIONS[name].doubt}: ${error.message}.${how}`, true);
@@ -350,15 +411,15 @@ let askedBody = {};
 for (const [name, { title, yes, then }] of Object.entries(ACTIONS)) {
   byId(`${name}-button`).addEventListener("click", () => {
     const volume = byId("dose-volume").valueAsNumber;
-    if (name === "dose" && !(volume > 0 && volume <= shown.stop.greatest_dose)) {
-      answer(`A dose must be above 0 and at most ${shown.stop.greatest_dose} m³.`, true);
+    if (name === "dose" && !(volume > 0 && volume >= shown.stop.least_dose && volume <= shown.stop.greatest_dose)) {
+      answer(`A dose must be ${shown.stop.dose_limits}.`, true);
       return;
     }
     asked = name;
     askedBody = name === "dose" ? { volume } : {};
     setText(byId("ask-title"), name === "dose" ? `${title.slice(0, -1)} of ${volume} m³?` : title);
     setText(byId("ask-yes"), yes);
-    setText(byId("ask-sentence"), shown.stop[then]);
+    setText(byId("ask-sentence"), shown?.stop[then] ?? `Holds the pump off until somebody releases it. ${LOCK_OUT}`);
     byId("ask").showModal();
   });
 }
@@ -398,6 +459,7 @@ for (const button of document.querySelectorAll("[data-hours]")) {
 
 const takeSeries = (series) => {
   try {
+    if (series.problem) throw new Error(series.problem);
     charts.take(series);
     document.documentElement.dataset.drawn = "yes";
   } catch (error) {
@@ -485,6 +547,7 @@ const stream = {
   },
 
   ended(reason) {
+    if (!shown) showBareStop();
     document.title = "Not connected: Green roof";
     this.lost(reason instanceof Refused ? ` The server says: ${reason.message}.` : "");
     this.timer = setTimeout(() => this.open(), this.wait);

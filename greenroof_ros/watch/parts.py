@@ -1,0 +1,54 @@
+"""The parts of what is shown, each made on its own; see :class:`Parts`."""
+
+from __future__ import annotations
+
+import json
+import traceback
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from greenroof_ros.watch.words import plain
+
+_Part = TypeVar("_Part")
+# Failures that were printed: each place in the code once, since it fails again twice a second.
+_PRINTED: set[str] = set()
+
+
+class Parts:
+    """Makes the parts of a document: one that fails is replaced, and the others are shown.
+
+    Attributes:
+        failed: the names of the parts that failed, each with the reason.
+    """
+
+    def __init__(self) -> None:
+        """Start without a failure."""
+        self.failed: dict[str, str] = {}
+
+    def make(self, name: str, make: Callable[[], _Part], instead: Any) -> _Part:
+        """Return a part, or what is shown in its place if it cannot be made or sent as JSON.
+
+        The traceback of a failure is printed, once for each place in the code.
+
+        Args:
+            name: of the part, as it begins a sentence.
+            make: makes it.
+            instead: what is shown in its place.
+        """
+        try:
+            part = make()
+            json.dumps(part, allow_nan=False)
+        except Exception as error:  # whatever it is, the stop and the other parts are shown
+            self.failed[name] = plain(f"{type(error).__name__}: {error}", 200)
+            text = traceback.format_exc()
+            if text not in _PRINTED and len(_PRINTED) < 100:
+                _PRINTED.add(text)
+                traceback.print_exc()
+            replacement: _Part = instead
+            return replacement
+        return part
+
+    @property
+    def notes(self) -> list[str]:
+        """For each part that failed, a sentence."""
+        return [f"{name} cannot be shown ({why})." for name, why in self.failed.items()]
