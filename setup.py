@@ -16,8 +16,9 @@ CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 # ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
 COMMANDS = (
     "bringup.__main__", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "pause",
-    "dose", "calibrate", "verify", "bridge", "study.__main__", "report.__main__", "watch.__main__",
+    "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "hold",
+    "release", "dose", "calibrate", "verify", "bridge", "study.__main__", "report.__main__",
+    "watch.__main__",
 )
 # Colcon calls one of these, and setup.cfg says where executables go. Pip calls neither, and would
 # put names such as `report` and `watch` on everybody's PATH.
@@ -111,7 +112,6 @@ setup(
         "mqtt": ["paho-mqtt>=2.1,<3"],  # Eclipse's own client; 2 names the reasons of failures
         # Studies of many runs, and reports with figures; neither needs a ROS.
         "study": [
-            "pebble>=5,<6",  # parallel processes; one may die without the others
             "polars>=1.33,<3",  # trajectories as parquet; from 1.33 on it takes metadata
             "rosbags>=0.10,<1",  # reads any bag, of whatever storage
             "altair>=6,<7",  # figures: one description for page, PNG and SVG

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from real_season_tables import ALL, DRESSED, ISSUED, OVER_ONOFF, SEASON, numbers
+from real_season_tables import OVER_ONOFF, TOGETHER, numbers
 
 from greenroof_ros.common.files import shared_directory
 
@@ -337,10 +337,7 @@ _GENERATED = {
     ("lookahead", "real"): "`lookahead`, generated",
     ("lookahead", "none"): "`lookahead`, generated without skill",
 }
-_ISSUED = {
-    ISSUED: "`lookahead`, issued",
-    DRESSED: "`lookahead`, issued and dressed",
-}
+_ISSUED = "`lookahead`, issued"
 
 
 def choices() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
@@ -351,12 +348,11 @@ def choices() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         if name is not None:
             cells.setdefault(name, {})[_roof(row)] = _interval(_ratio("", "", row))
     roofs = tuple(_ROOFS.values())
-    for form, name in _ISSUED.items():
-        cells[name] = {
-            place: numbers()[roof, SEASON, ALL, "three", form, OVER_ONOFF].text("{:.3f}")
-            for roof, place in zip(("paper", "measured"), roofs, strict=True)
-        }
-    names = (*_GENERATED.values(), *_ISSUED.values())
+    cells[_ISSUED] = {
+        place: numbers()[roof, TOGETHER, OVER_ONOFF].text("{:.3f}")
+        for roof, place in zip(("paper", "measured"), roofs, strict=True)
+    }
+    names = (*_GENERATED.values(), _ISSUED)
     rows = [(name, *(cells[name][roof] for roof in roofs)) for name in names]
     return ("controller and forecast", *roofs), rows
 

@@ -8,16 +8,14 @@ from __future__ import annotations
 from html import escape
 from typing import NamedTuple
 
-from real_season_tables import ALL, DRESSED, ISSUED, MEAN, OVER_ONOFF, SEASON, Number, numbers
+from real_season_tables import MEAN, OVER_ONOFF, TOGETHER, Number, numbers
 
 # The runs in the figure, by their labels.
 _SHOWN = {
-    "on/off": ("on/off", ISSUED),
-    "lookahead, no forecast": ("no rain", ISSUED),
-    "with issued forecasts": ("three", ISSUED),
-    "with dressed forecasts": ("three", DRESSED),
-    "with perfect forecasts": ("perfect", ISSUED),
-    "least possible": ("least possible", ""),
+    "on/off": "on/off",
+    "lookahead, no forecast": "no rain",
+    "with issued forecasts": TOGETHER,
+    "with perfect forecasts": "perfect",
 }
 _TITLES = {
     "measured": "Measured roof: drains in most storms",
@@ -30,11 +28,9 @@ _FROM, _TO = 68, 102
 _STYLE = """
   .back { fill: #fff } text { fill: #222 } .quiet { fill: #555 } .grid { stroke: #ddd }
   .mark { fill: #0072b2; stroke: #0072b2 } .onoff { fill: #d55e00; stroke: #d55e00 }
-  .least { fill: #009e73; stroke: #009e73 }
   @media (prefers-color-scheme: dark) {
     .back { fill: #1a1c1e } text { fill: #eee } .quiet { fill: #bbb } .grid { stroke: #444 }
     .mark { fill: #56b4e9; stroke: #56b4e9 } .onoff { fill: #e69f00; stroke: #e69f00 }
-    .least { fill: #3fcf9f; stroke: #3fcf9f }
   }
 """
 
@@ -57,10 +53,9 @@ def rows(roof: str) -> list[Row]:
     """Return the rows of a roof."""
     return [
         Row(
-            words, numbers()[(roof, SEASON, ALL, *shown, MEAN)].value,
-            numbers()[(roof, SEASON, ALL, *shown, OVER_ONOFF)],
+            words, numbers()[roof, forecast, MEAN].value, numbers()[roof, forecast, OVER_ONOFF]
         )
-        for words, shown in _SHOWN.items()
+        for words, forecast in _SHOWN.items()
     ]
 
 
@@ -114,18 +109,14 @@ def _panel(title: str, rows: list[Row], top: int) -> tuple[list[str], int]:
 
 
 def _row(row: Row, y: int) -> list[str]:
-    share, low, high = (_at(100 * end) for end in row.share if end is not None)
+    share, low, high = (_at(100 * end) for end in row.share)
     words = row.decided_by
-    kind = {"on/off": "onoff", "least possible": "least"}.get(words, "mark")
-    mark = (
-        f'<circle class="{kind}" cx="{share:.1f}" cy="{y}" r="5.5"/>' if kind != "least" else
-        f'<path class="{kind}" d="M{low:.1f} {y - 6}V{y + 6}" stroke-width="3"/>'
-    )
+    kind = "onoff" if words == "on/off" else "mark"
     return [
         f'<text x="{_LEFT - 14}" y="{y + 5}" text-anchor="end">{escape(words)}</text>',
         f'<line class="{kind}" x1="{low:.1f}" x2="{high:.1f}" y1="{y}" y2="{y}" '
         'stroke-width="3"/>',
-        mark,
+        f'<circle class="{kind}" cx="{share:.1f}" cy="{y}" r="5.5"/>',
         f'<text x="{_WIDTH - 16}" y="{y + 5}" text-anchor="end">'
         f"{row.mean:#.3g} mm</text>",
     ]

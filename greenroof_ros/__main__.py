@@ -31,7 +31,8 @@ GROUPS = {
         "run": Command("bringup.__main__", "run the node graph, simulated or with a drive"),
         "live": Command("bringup.live", "keep a site with sensors and a pump running"),
         "fetch-forecast": Command("fetch_forecast", "fetch a forecast from the internet"),
-        "pause": Command("pause", "keep the pump off until a date"),
+        "hold": Command("hold", "keep the pump off, until a release or a time"),
+        "release": Command("release", "end the hold of the pump"),
         "dose": Command("dose", "let the pump deliver a volume once, now"),
     },
     "see what it does, or did": {

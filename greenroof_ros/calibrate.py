@@ -36,12 +36,16 @@ from greenroof_ros.calibration.site_file import (
 )
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import naming, shared_directory
 from greenroof_ros.common.quality import Finding, Severity, accept
 from greenroof_ros.common.standard_error import progress_bar
+from greenroof_ros.formats.records import read_table
 from greenroof_ros.model.pump_curve import PumpCurve, fit_pump_curve
 from greenroof_ros.model.site import Site, read_site
 
+# Pumps of roofs are below these limits [assumed]; data sheets in l/s, m3/h or mm exceed them.
+_LIMITS = ("m3/s", 0.0, 0.5), ("m", 0.0, 500.0)
+_HEADER = "flow [m3/s]", "head [m]"
 _DESCRIPTION = """\
 Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
 drainage time and crop coefficient, as far as the record can tell them. The first half of its rain
@@ -82,7 +86,7 @@ def make_parser() -> Parser:
     parser = Parser(prog="greenroof calibrate", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
         "measured", type=Path, nargs="?", metavar="MEASURED",
-        help="the record, CSV or a bag; not needed with --pump-data",
+        help="the record: CSV, a bag, or an .mcap file; not needed with --pump-data",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -139,18 +143,34 @@ def main() -> int:
         text, page = _calibrate(arguments, site_file, site, sheet, findings)
         texts = {page_file: page, output: text}
     for file, text in texts.items():
-        file.write_text(text, encoding="utf-8")
+        with naming(file):
+            file.write_text(text, encoding="utf-8")
     written = ", ".join(map(str, reversed(texts)))
     Console().print(f"written: {written}", soft_wrap=True, highlight=False)
     return EXIT_DONE
 
 
+def read_pump_data(file: Path) -> PumpCurve:
+    """Return the curve fitted to a data sheet's points: lines of flow (m3/s) and head (m).
+
+    Raises:
+        ConfigurationError: the file is wrong, or no curve can be fitted to it.
+    """
+    table = read_table(file)
+    table.require_header(_HEADER, f" (the first line is '{','.join(_HEADER)}')")
+    flows, heads = (
+        table.numbers(column, limits, hint="; are they in other units, such as l/s (0.001 m3/s)?")
+        for column, limits in zip(_HEADER, _LIMITS, strict=True)
+    )
+    try:
+        return fit_pump_curve(flows, heads)
+    except ValueError as error:
+        raise ConfigurationError(str(error), file=file) from error
+
+
 def _read_sheet(file: Path, site: Site) -> PumpCurve:
-    """Return the pump curve fitted to a data sheet."""
-    with in_extra("study"):
-        from greenroof_ros.report.pump_figures import read_pump_data
-    points = read_pump_data(file)
-    sheet = fit_pump_curve([flow for flow, _ in points], [head for _, head in points])
+    """Return the pump curve fitted to a data sheet; the pumps must lift water to the roof."""
+    sheet = read_pump_data(file)
     if sheet.c_hat - site.d + site.suction_level <= 0:
         raise ConfigurationError(
             f"the curve has {sheet.c_hat:.4g} m at no flow; it must exceed d - z_pump - z_H = "
@@ -179,7 +199,7 @@ def _calibrate(
     months: str | None = arguments.months
 
     def read(site: Site) -> Record:
-        if measured.is_dir():
+        if measured.is_dir() or measured.suffix == ".mcap":
             return read_bag_record(measured, site)
         return read_csv_record(measured, site, months)
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import naming
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.options import (
@@ -85,6 +86,7 @@ def main() -> int:
         columns = {**_COLUMNS, **(_LAYER if run.site.drainage_storage is not None else {})}
         values = attrgetter(*columns.values())
         if arguments.trajectory is not None:
+            stack.enter_context(naming(arguments.trajectory))
             try:
                 stream = stack.enter_context(arguments.trajectory.open("x", newline=""))
             except OSError as error:

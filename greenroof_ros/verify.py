@@ -7,7 +7,7 @@ import csv
 import io
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,33 +17,26 @@ from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import naming, shared_directory
 from greenroof_ros.common.standard_error import progress_bar
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
 from greenroof_ros.forecast.choice import MODELS
-from greenroof_ros.forecast.dressing import chosen_archive, dressing_text, learn
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.model.site import read_site
 from greenroof_ros.verification.checks import check_forecasts
-from greenroof_ros.verification.dressed import Worth, worth
 from greenroof_ros.verification.pairs import (
     Class,
-    IssuedForecasts,
     Sum,
     issued_forecasts,
     tally,
 )
 from greenroof_ros.verification.scores import SHOWN, Tally
 from greenroof_ros.weather.reading import find_files, read_weather
-from greenroof_ros.weather.series import Weather
 
 _DESCRIPTION = """\
 Score rain forecasts against records: by lead time, and by sums over hours, with the events among
 them. FORECASTS are an archive, a file or a directory of files as --forecast of simulate takes
 them, or a model of this package, whose forecasts of the records are made and scored.
-
-With --dress, make from an archive and a record the file with which --dressed of simulate and run
-gives a controller, instead of each forecast, the rain observed after ten similar ones.
 """
 _EPILOG = f"""\
 A model is one of {', '.join(MODELS)}.
@@ -60,25 +53,16 @@ A model is one of {', '.join(MODELS)}.
 
 For an ensemble the first five use member 0, the last two all members.
 
---dress scores sums from each issue on: as issued, dressed without past issues within the length of
-a member and five days of it, and by climate, which is all rain of the record.
-
 examples:
   greenroof verify gem_previous_runs.csv --weather gauge.csv
   greenroof verify caspar/ --weather 'hourly_*.csv' --lead 6 --sums 1 6 --events 1 2
-  greenroof verify gem_previous_runs.csv --weather gauge.csv --fit gem.yaml
   greenroof verify errors --weather 'hourly_*.csv' -o errors.html -o errors.csv
-  greenroof verify --dress gem_previous_runs.csv --weather gauge.csv -o dressed_gem.csv
-  greenroof verify gem_previous_runs.csv --dressed dressed_gem.csv --weather later.csv
 
 exit codes: 0 done, 2 bad usage, configuration or file
 """
 # Default sums: hours, and the mm from which such a sum is an event.
 _SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
 _MOST_HOURS = 384
-# Hours ahead that are scored; and hours of each member of a dressed issue: half a day more, so a
-# live site with an issue half a day old still has its full look-ahead.
-_HORIZON, _MEMBER = 120, 132
 
 
 def make_parser() -> Parser:
@@ -112,26 +96,12 @@ def make_parser() -> Parser:
         "%(default)s, days)",
     )
     parser.add_argument(
-        "--horizon", type=whole_hours, metavar="H",
-        help=f"how many hours ahead are scored (default: {_HORIZON}; with --dress {_MEMBER}, so "
-        f"that forecasts that are up to {_MEMBER - _HORIZON} h old serve a horizon of {_HORIZON} "
-        "h)",
+        "--horizon", type=whole_hours, default=120, metavar="H",
+        help="how many hours ahead are scored (default: %(default)s)",
     )
     parser.add_argument(
         "-o", "--output", type=Path, action="append", default=[], metavar="FILE",
-        help="write a page with figures, FILE.html, or the table, FILE.csv; may be given twice; "
-        "with --dress, FILE.csv for --dressed",
-    )
-    parser.add_argument(
-        "--dress", action="store_true",
-        help="write the rain of the records after each issue of an archive to -o FILE.csv, and "
-        "score the result; --horizon sets the number of hours. Use half a year or more. To judge "
-        "it on some months, leave them out of --weather",
-    )
-    parser.add_argument(
-        "--fit", type=Path, metavar="FILE.yaml",
-        help="write a skill with which --forecast errors is as good as these forecasts, for "
-        "--forecast-skill; takes half a minute for two years",
+        help="write a page with figures, FILE.html, or the table, FILE.csv; may be given twice",
     )
     add_forecast_options(parser.add_argument_group("options of forecasts"))
     return parser
@@ -141,28 +111,22 @@ def make_parser() -> Parser:
 def main() -> int:
     """Verify the forecasts named on the command line."""
     arguments = make_parser().parse_args()
-    return _dress(arguments) if arguments.dress else _verify(arguments)
-
-
-def _verify(arguments: argparse.Namespace) -> int:
-    """Score forecasts, and write the requested files."""
     sums = _sums(arguments)
     for file in arguments.output:
         refuse_unwritable(file, (".html", ".csv"), "--output")
-    if arguments.fit is not None:
-        refuse_unwritable(arguments.fit, (".yaml",), "--fit")
     with in_extra("study"):  # fail before the work if a page needs it
         if any(file.suffix == ".html" for file in arguments.output):
             from greenroof_ros.verification.page import render
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
-    site, weather = _site_and_weather(arguments)
-    forecasts = issued_forecasts(choice, weather, site, arguments.horizon or _HORIZON)
+    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    weather = read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
+    forecasts = issued_forecasts(choice, weather, site, arguments.horizon)
     if arguments.lead % forecasts.finest_lead:
         raise ConfigurationError(
             f"must be a multiple of {forecasts.finest_lead} h, the finest lead time of "
             f"{forecasts.name}", key="--lead", value=arguments.lead,
         )
-    with _bar("verifying", forecasts.count, "issues") as done:
+    with _bar(forecasts.count) as done:
         tallies = tally(forecasts, weather.precipitation, arguments.lead, sums, done)
     span = f"{to_people(weather.first)} to {to_people(weather.end)}"
     if not any(of_class.scores().n for of_class in tallies.values()):
@@ -174,77 +138,23 @@ def _verify(arguments: argparse.Namespace) -> int:
     records = f"{weather.source}, {span}"
     # Only archives put together from previous runs have leads in whole days.
     findings = check_forecasts(tallies, previous_runs=forecasts.finest_lead > 1)
-    texts: dict[Path, str] = {}
-    if arguments.fit is not None:  # first: it may refuse the forecasts
-        texts[arguments.fit] = _fit(forecasts, tallies, weather, records)
     for file in arguments.output:
-        texts[file] = (
+        text = (
             _csv_text(tallies) if file.suffix == ".csv"
             else render(forecasts, records, tallies, findings)
         )
-    for file, text in texts.items():
-        file.write_text(text, encoding="utf-8")
+        with naming(file):
+            file.write_text(text, encoding="utf-8")
     console = Console()
     console.print(_table(
         f"{forecasts.name}: {forecasts.count} issues, against {weather.source}", tallies
     ))
     for finding in findings:
         print(f"warning: {finding.text}", file=sys.stderr)
-    if texts:
-        written = ", ".join(map(str, texts))
+    if arguments.output:
+        written = ", ".join(map(str, arguments.output))
         console.print(f"written: {written}", soft_wrap=True, highlight=False)
     return EXIT_DONE
-
-
-def _fit(
-    forecasts: IssuedForecasts, tallies: Mapping[Class, Tally], weather: Weather, records: str
-) -> str:
-    """Return the file of a skill that is as good as the forecasts."""
-    # Imported here because its parts of scipy take half a second, needed only for a fit.
-    from greenroof_ros.verification.fitting import MOST_TRIALS, fit_skill, skill_text
-
-    with _bar("fitting", MOST_TRIALS, "trials") as done:
-        skill = fit_skill(tallies, forecasts.older, weather.precipitation, done)
-    return skill_text(skill, f"{forecasts.name}, against {records}")
-
-
-def _dress(arguments: argparse.Namespace) -> int:
-    """Write the file for dressing an archive's forecasts, and print what dressing is worth."""
-    for key in ("sums", "events", "fit", "dressed"):
-        if getattr(arguments, key) is not None:
-            raise ConfigurationError("is for scores; --dress makes a file", key=f"--{key}")
-    if len(arguments.output) != 1:
-        raise ConfigurationError(
-            "must be given once with --dress: FILE.csv, for --dressed", key="--output"
-        )
-    output: Path = arguments.output[0]
-    refuse_unwritable(output, (".csv",), "--output")
-    choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
-    if choice.file is None:
-        raise ConfigurationError(
-            "must be an archive with --dress: a model's forecasts are made from the records",
-            key="FORECASTS", value=arguments.forecasts,
-        )
-    site, weather = _site_and_weather(arguments)
-    archive = chosen_archive(choice, site)
-    dressing = learn(archive, weather, arguments.horizon or _MEMBER)
-    with _bar("dressing", len(archive.issues), "issues") as done:
-        rows = worth(archive, dressing, weather, done)
-    output.write_text(dressing_text(dressing), encoding="utf-8")
-    console = Console()
-    title = f"{archive.source} ({archive.kind}), against {weather.source}"
-    console.print(_worth_table(title, rows))
-    console.print(
-        f"written: {output}, {len(dressing.issued)} issues and {dressing.hours} h after each",
-        soft_wrap=True, highlight=False,
-    )
-    return EXIT_DONE
-
-
-def _site_and_weather(arguments: argparse.Namespace) -> tuple[Site, Weather]:
-    """Return the site, and the records of rain."""
-    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
-    return site, read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
 
 
 def _sums(arguments: argparse.Namespace) -> list[Sum]:
@@ -267,18 +177,11 @@ def _sums(arguments: argparse.Namespace) -> list[Sum]:
     return [Sum(*values) for values in zip(arguments.sums, arguments.events, strict=True)]
 
 
-def _new_table(title: str, *names: str) -> Table:
-    """Return a table of numbers, without rows yet."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for name in names:
-        table.add_column(name, justify="left" if name == "lead" else "right", no_wrap=True)
-    return table
-
-
 def _table(title: str, tallies: Mapping[Class, Tally]) -> Table:
     """Return the scores as a table for the terminal."""
-    headings = (heading for heading, _ in SHOWN.values())
-    table = _new_table(title, "lead", "sum of", "event", *headings)
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for name in ("lead", "sum of", "event", *(heading for heading, _ in SHOWN.values())):
+        table.add_column(name, justify="left" if name == "lead" else "right", no_wrap=True)
     before = ""
     for key, of_class in tallies.items():
         scores = of_class.scores()
@@ -288,20 +191,6 @@ def _table(title: str, tallies: Mapping[Class, Tally]) -> Table:
             *map(scores.shown, SHOWN),
         )
         before = key.lead
-    return table
-
-
-def _worth_table(title: str, rows: Sequence[Worth]) -> Table:
-    """Return the worth of dressing as a table for the terminal."""
-    table = _new_table(
-        title, "sum of", "n", "fell mm", "bias issued", "dressed", "CRPS mm issued", "dressed",
-        "climate",
-    )
-    for row in rows:
-        table.add_row(
-            f"{row.hours} h", str(row.n), f"{row.fell:.1f}",
-            *(f"{value:.2f}" for value in (*row.bias[:2], *row.crps)),
-        )
     return table
 
 
@@ -323,14 +212,14 @@ def _csv_text(tallies: Mapping[Class, Tally]) -> str:
 
 
 @contextmanager
-def _bar(action: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar; yield a function that is called with the number of items just done."""
+def _bar(total: int) -> Iterator[Callable[[int], None]]:
+    """Show a progress bar; yield a function that is called with the number of issues just done."""
     done = 0
     with progress_bar() as tell:
         def advance(more: int) -> None:
             nonlocal done
             done += more
-            tell(f"{action}: {done} of {total} {unit}", done / total)
+            tell(f"verifying: {done} of {total} issues", done / total)
 
         yield advance
 

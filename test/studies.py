@@ -50,24 +50,21 @@ def begun(directory: Path, *options: str, **variables: str) -> subprocess.Popen[
     )
 
 
-def store_of(
-    directory: Path, *, engine: str = "inprocess", trajectory_every: float | None = 0.0
-) -> Store:
+def store_of(directory: Path, *, trajectory_every: float | None = 0.0) -> Store:
     """Begin the study of the grid in a directory, or continue it."""
     file = directory / "grid.yaml"
-    return Store(
-        directory / "out", file, read_grid(file), engine, trajectory_every=trajectory_every
-    )
+    return Store(directory / "out", file, read_grid(file), trajectory_every=trajectory_every)
 
 
 def run_here(directory: Path, text: str) -> Store:
     """Do all runs of a grid in this process."""
     grid(directory, text)
     store = store_of(directory)
+    inputs = directory / "out" / "configuration"
     for case in store.cases:
-        store.keep(case, run_case(case, store.engine, store.trajectory_every))
+        store.keep(case, run_case(inputs, case, store.trajectory_every))
         if case.bound_block != 0 and case.problem not in store.bounds:
-            store.keep_bound(case, bound_case(case))
+            store.keep_bound(case, bound_case(inputs, case))
     store.write_tables()
     return store
 

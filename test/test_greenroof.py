@@ -121,7 +121,7 @@ def test_an_abbreviated_option_is_refused(tmp_path: Path, name: str) -> None:
     ("--vers", "--version"),
     ("run --hour 0.01", "--hours"),
     ("simulate --contr=onoff", "--controller"),
-    ("live --controller=lookahead --trust 3", "--trust-memory"),
+    ("live --controller=lookahead --waiting-b 3", "--waiting-budget"),
     ("study --job=2", "--jobs"),
     ("topics --hlep", "--help"),
 ])

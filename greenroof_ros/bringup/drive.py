@@ -72,7 +72,7 @@ class DriveChoice:
         return place_drive(self.file, self.at, "--drive-at", self.login, self.authority)
 
     def state_file(self, state: Path | None) -> Path:
-        """Return the file that keeps this drive's stops and faults, and create its directory.
+        """Return the file that keeps this drive's holds and faults, and create its directory.
 
         By default the file belongs to the drive, not to a run: a fault outlives the run in which it
         was found. Its name is the same for every spelling of the address.

@@ -47,7 +47,7 @@ def wait_for_drive(
         NodeFailed: the node ended or hangs, or the drive could not be run within 60 s.
         InterruptedRun: a signal came.
     """
-    progress.say(f"stops and faults of the drive are kept in {state_file}")
+    progress.say(f"holds and faults of the drive are kept in {state_file}")
     until = time.monotonic() + _DRIVE_LIMIT_S
     report: dict[str, Any] = {}
     while not report.get("active"):
@@ -67,9 +67,10 @@ def wait_for_drive(
                 f"the drive cannot be run, after {_DRIVE_LIMIT_S:g} s: {trouble}; check its power "
                 "and cable, and the address of --drive-at", "", EXIT_FAILED,
             )
-    latched = report.get("fault") or report.get("stop")
-    if latched:
+    hold = report.get("hold") or {}
+    kept_off = report.get("fault") or report.get("unknown") or hold.get("said")
+    if kept_off:
         progress.say(
-            f"warning: {state_file} keeps the pump off: {latched}; a fault is cleared by the "
-            "service /pump/reset, a stop by /pump/stop with false; another drive needs --state DIR"
+            f"warning: {state_file} keeps the pump off: {kept_off}; a fault is cleared by the "
+            "service /pump/reset, a hold by greenroof release; another drive needs --state DIR"
         )

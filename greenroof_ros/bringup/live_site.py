@@ -45,7 +45,6 @@ class LiveSite:
         fetch_model: weather model to fetch; empty for the service's choice.
         fetch_url: URL of the forecast server; empty for Open-Meteo's.
         fetch_every: time between two forecasts (min); None for the weather node's default.
-        dressed: file of the rain after past forecasts, to which new rain is added; None for none.
         drive: the pump's drive; None if the user's own node runs the pump.
         bag_limit: size beyond which the bag's oldest files are removed (MB); None for no bag.
     """
@@ -71,8 +70,6 @@ class LiveSite:
              "address; or give --pump external, if a node of your own runs the pump"),
             (others_weather and has_forecast, "--forecast", arguments.forecast,
              "is for the weather node, which --weather external replaces"),
-            (arguments.dressed is not None and not has_forecast, "--dressed", arguments.dressed,
-             "is for forecasts of --forecast FILE.csv"),
             (not others_weather and not has_forecast and self.controller.needs_forecast,
              "--forecast FILE.csv", None,
              f"is missing: {self.controller.name} needs a forecast; or give --weather external, "
@@ -102,7 +99,6 @@ class LiveSite:
         self.fetch_model: str = arguments.fetch_model
         self.fetch_url: str = arguments.fetch_url
         self.fetch_every: float | None = arguments.fetch_every
-        self.dressed = _readable(arguments.dressed, "--dressed") if arguments.dressed else None
         self.bag_limit: float | None = None if arguments.no_record else arguments.bag_limit
 
     def files(self) -> dict[str, Path]:
@@ -146,7 +142,6 @@ class LiveSite:
                 {
                     **common,
                     **self.fetched(state),
-                    "dressed": str(self.dressed or ""),
                     "horizon": self.parameters.get("horizon", 0.0),
                     "all_members": self.controller.ensemble,
                 },
@@ -220,12 +215,6 @@ def make_parser() -> Parser:
     group.add_argument(
         "--fetch-every", type=within(10, 1440), metavar="MIN",
         help="minutes between two forecasts of Open-Meteo (default: 30)",
-    )
-    group.add_argument(
-        "--dressed", metavar="FILE.csv",
-        help="replaces each forecast by an ensemble of the rain observed after similar "
-        "forecasts, from a file that 'greenroof verify --dress' made; the rain measured here is "
-        "added to it, and without a forecast its spells of rain are used",
     )
     group.add_argument(
         "--thermometer", choices=[EXTERNAL],

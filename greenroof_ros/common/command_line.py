@@ -147,7 +147,8 @@ def command(
             print(f"error: {error}", file=sys.stderr)
             code = failed or exit_code(error)
         except OSError as error:
-            parts = (error.filename, error.strerror or str(error))
+            # Of a copy, it is the second file that has no room.
+            parts = (error.filename2 or error.filename, error.strerror or str(error))
             print("error:", ": ".join(filter(None, parts)), file=sys.stderr)
             code = failed or EXIT_FAILED
         except KeyboardInterrupt:

@@ -140,7 +140,7 @@ _CLOSE_S = 2.0
 
 
 class Kept:
-    """A file of named numbers, or of other text. The disk thread writes it, since a disk may hang.
+    """A file of named numbers. The disk thread writes it, since a disk may hang.
 
     The file is replaced as a whole: after a power cut it is the old one or the new one.
     """
@@ -148,7 +148,9 @@ class Kept:
     def __init__(self, file: Path) -> None:
         """Take the file, which need not exist."""
         self._file = file
-        self._newest = Newest[Callable[[], str]](lambda text: replace_text(file, text()), str)
+        self._newest = Newest[dict[str, float]](
+            lambda values: replace_text(file, json.dumps(values, indent=1)), str
+        )
 
     @property
     def problem(self) -> str:
@@ -175,12 +177,7 @@ class Kept:
 
     def write(self, values: Mapping[str, float]) -> None:
         """Queue numbers for writing."""
-        copy = dict(values)
-        self.write_text(lambda: json.dumps(copy, indent=1))
-
-    def write_text(self, text: Callable[[], str]) -> None:
-        """Queue a text for writing; the disk thread calls ``text`` to get it."""
-        self._newest.give(text)
+        self._newest.give(dict(values))
 
     def close(self) -> None:
         """Wait at most two seconds until everything is written."""

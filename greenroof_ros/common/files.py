@@ -9,7 +9,8 @@ import hashlib
 import math
 import os
 import re
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -241,6 +242,21 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
     return content
 
 
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Add a path to an error that lacks it, as the errors of reading and writing an open file do.
+
+    Raises:
+        OSError: as raised inside, with a path.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
 def replace_text(file: Path, text: str) -> None:
     """Write a file as a whole: after a power cut it is the old one or the new one.
 
@@ -249,7 +265,7 @@ def replace_text(file: Path, text: str) -> None:
     """
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(f".{file.name}.part")
-    with part.open("w", encoding="utf-8") as stream:
+    with naming(part), part.open("w", encoding="utf-8") as stream:
         stream.write(text)
         stream.flush()
         os.fsync(stream.fileno())

@@ -240,8 +240,14 @@ class Condition:
         return self.by_role.get(role, self.advice).format(
             node=node,
             reset=f"ros2 service call {node}/reset std_srvs/srv/Trigger",
-            release=f'ros2 service call {node}/stop std_srvs/srv/SetBool "{{data: false}}"',
+            release=command_for(node, "release"),
         )
+
+
+def command_for(node: str, name: str) -> str:
+    """Return how a command of ``greenroof`` is called for the graph of a node."""
+    namespace = node.rpartition("/")[0].strip("/")
+    return f"greenroof {name}" + (f" --namespace {namespace}" if namespace else "")
 
 
 @functools.cache

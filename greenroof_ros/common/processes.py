@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import fcntl
+import hashlib
 import os
 import select
 import signal
 import socket
+import struct
 import threading
 from io import FileIO
 from pathlib import Path
@@ -55,34 +58,80 @@ def end_with(process: int) -> None:
 
 
 _FLAGS = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC
+# Length of an address of a Unix socket (bytes), and what the kernel says of its listener: process,
+# user and group.
+_LONGEST_ADDRESS = 107
+_CREDENTIALS = struct.Struct("3i")
 
 
 class LockedError(Exception):
     """Another process has the lock.
 
     Attributes:
-        holder: its process number; None if it could not write that, as on a full disk.
+        holder: its process number; None if it is unknown.
     """
 
-    def __init__(self, path: Path, holder: int | None) -> None:
-        super().__init__(f"process {holder or 'unknown'} holds the lock {path}")
+    def __init__(self, lock: Path | str, holder: int | None) -> None:
+        super().__init__(f"process {holder or 'unknown'} holds the lock {lock}")
         self.holder = holder
 
 
-def take_lock(path: Path, mode: int = 0o600) -> FileIO:
+def take_name(name: str) -> socket.socket:
+    """Return a lock on a name, for all users of this machine; it is held until it is closed.
+
+    The lock is a socket in Linux's abstract namespace. It has no file, which a cleaner of ``/tmp``
+    or the end of a login session could remove while the lock is held, and it ends with its process.
+    Like network ports, it is shared by processes of one network namespace.
+
+    Args:
+        name: of what is locked; long names are shortened to a digest.
+
+    Raises:
+        LockedError: another process has the lock.
+        OSError: the system refuses such sockets.
+    """
+    address = f"\0greenroof_ros-{name}"
+    if len(address.encode()) > _LONGEST_ADDRESS:
+        address = f"\0greenroof_ros-{hashlib.sha256(name.encode()).hexdigest()}"
+    lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        lock.bind(address)
+        lock.listen()  # so that others can ask the kernel who holds it
+    except OSError as error:
+        lock.close()
+        if error.errno != errno.EADDRINUSE:
+            raise
+        raise LockedError(name, _listener(address)) from None
+    return lock
+
+
+def _listener(address: str) -> int | None:
+    """Return the process that listens at an address; None if it is unknown."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as visitor:
+        visitor.setblocking(False)
+        try:
+            visitor.connect(address)
+            credentials = visitor.getsockopt(
+                socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size
+            )
+        except OSError:  # it has just ended, or nobody can connect any more
+            return None
+    return int(_CREDENTIALS.unpack(credentials)[0]) or None  # 0: in another process namespace
+
+
+def take_lock(path: Path) -> FileIO:
     """Return the open file of a lock; the lock is held until the file is closed.
 
     Args:
         path: the lock's file, which is created if need be; symbolic links are not followed. The
             holder of the lock may remove the file.
-        mode: of that file, whatever the umask.
 
     Raises:
         LockedError: another process has the lock.
         OSError: the file cannot be opened.
     """
     while True:
-        lock = _open(path, mode)
+        lock = _open(path)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -99,20 +148,9 @@ def take_lock(path: Path, mode: int = 0o600) -> FileIO:
     return lock
 
 
-def _open(path: Path, mode: int) -> FileIO:
-    """Return the file, created if need be.
-
-    An existing file is opened without O_CREAT: in a directory such as /tmp the kernel refuses that
-    flag for another user's file.
-    """
-    while True:
-        try:
-            return FileIO(os.open(path, _FLAGS), "r+")
-        except FileNotFoundError:
-            with contextlib.suppress(FileExistsError):
-                descriptor = os.open(path, _FLAGS | os.O_CREAT | os.O_EXCL, mode)
-                os.fchmod(descriptor, mode)
-                return FileIO(descriptor, "r+")
+def _open(path: Path) -> FileIO:
+    """Return the file, created if need be."""
+    return FileIO(os.open(path, _FLAGS | os.O_CREAT, 0o600), "r+")
 
 
 _NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

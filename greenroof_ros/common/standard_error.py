@@ -94,8 +94,13 @@ atexit.register(LINES.wait, _END_S)
 class ProgressLines:
     """Prints progress every ten seconds; nothing within the first ten."""
 
-    def __init__(self) -> None:
-        """Start the first ten seconds."""
+    def __init__(self, say: Callable[[str], None] | None = None) -> None:
+        """Start the first ten seconds.
+
+        Args:
+            say: prints a line; by default on standard error.
+        """
+        self._say = say or _print
         self._due = time.monotonic() + _EVERY_S
 
     def tell(self, text: str) -> None:
@@ -103,7 +108,11 @@ class ProgressLines:
         now = time.monotonic()
         if now >= self._due:
             self._due = now + _EVERY_S
-            print(text, file=sys.stderr, flush=True)
+            self._say(text)
+
+
+def _print(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -120,14 +129,14 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     lines = ProgressLines()
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
+        TimeRemainingColumn(), console=console, transient=True, disable=not console.is_interactive,
         refresh_per_second=2,  # its thread competes with the run
     ) as progress:
         task = progress.add_task("", total=1.0)
 
         def tell(text: str, share: float) -> None:
             progress.update(task, description=text, completed=share)
-            if not console.is_terminal:
+            if not console.is_interactive:
                 lines.tell(f"{text}: {share:.0%}")
 
         yield tell

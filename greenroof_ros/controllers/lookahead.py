@@ -22,7 +22,6 @@ from greenroof_ros.controllers.order_up_to import (
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.controllers.tick_times import TickTimes
-from greenroof_ros.controllers.trust import TRUST_MEMORY, Trust
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON, MOST_MEMBERS
 from greenroof_ros.model.plant import command_to, maximum_pump_flow
 from greenroof_ros.model.site import Site
@@ -72,15 +71,13 @@ class Lookahead:
     fills the roof slowly enough that the pumps are on for ``least_on``. At the level it balances
     evapotranspiration by a small flow, which needs no starts.
 
-    An observer filters the roof's level, and rain forecasts are trusted only as far as this paid
-    recently, within a budget: :class:`~greenroof_ros.controllers.roof_observer.RoofObserver`,
-    :class:`~greenroof_ros.controllers.trust.Trust` and
+    An observer filters the roof's level, and a budget limits what waiting for rain may cost:
+    :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
     :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`.
 
     Attributes:
         fill_to: level of the roof (m) to which it is filled, or at which it is held, in this tick;
             NaN if it is left alone, or if the controller did not decide.
-        trust: share of the room for forecast rain that is left (1).
         plan: the plan made in this tick, shape (steps, 4). Each row is a step: its end (s from this
             tick); the mean pump flow in it (m3/s) and the expected roof level at its end (m), both
             means over the members; and the level to which the roof is filled if no rain has come
@@ -115,7 +112,6 @@ class Lookahead:
             "least minimum_on: filling takes this long, so that they do not run on at the level",
         ),
         OBSERVER_TIME_CONSTANT,
-        TRUST_MEMORY,
         WAITING_BUDGET,
         WAITING_SHARE,
     )
@@ -124,7 +120,6 @@ class Lookahead:
     outputs: ClassVar[Mapping[str, str]] = {
         "/controller/fill_to": "fill_to",
         "/controller/plan": "plan",
-        "/controller/trust": "trust",
         "/controller/planned_deviation": "planned_deviation",
     }
 
@@ -138,7 +133,6 @@ class Lookahead:
         cvar_level: float,
         least_on: float,
         observer_time_constant: float,
-        trust_memory: float,
         waiting_budget: float,
         waiting_share: float,
     ) -> None:
@@ -160,7 +154,6 @@ class Lookahead:
         ]
         self._program = OrderUpTo(site, cvar_level)
         self._observer = RoofObserver(site, observer_time_constant)
-        self._trust = Trust(site, self._program, trust_memory)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
         self._policy: Policy | None = None
         self._age = 0.0  # of the policy (s)
@@ -182,19 +175,12 @@ class Lookahead:
 
     @property
     def learned(self) -> dict[str, float]:
-        """The cost of waiting so far, the trust in forecasts, and the losses behind that trust."""
-        return {**self._regret_budget.learned, **self._trust.learned}
+        """The cost of waiting so far."""
+        return self._regret_budget.learned
 
     @learned.setter
     def learned(self, values: Mapping[str, float]) -> None:
-        values = {name: values[name] for name in self.learned}  # all values or none
         self._regret_budget.learned = values
-        self._trust.learned = values
-
-    @property
-    def trust(self) -> float:
-        """Share of the room for forecast rain that is left (1)."""
-        return self._trust.share
 
     @property
     def plan(self) -> Array:
@@ -248,11 +234,7 @@ class Lookahead:
         elif self._age >= self._longest or rain_counts != self._rain_counts:
             self._policy = None
         self._fallen += now[0] * site.tau
-        if self._trust.pass_tick(x2, *now):
-            able = cistern_level >= site.suction_level and not quiet
-            most = self._most_flow(x1) if able else 0.0
-            self._trust.move(most, functools.partial(self._levels, x1))
-        level = -1.0 if quiet else float(self._levels(x1, x2, self._trust.share))
+        level = -1.0 if quiet else self._level(x1, x2)
         share = 0.0
         if level >= x2 and cistern_level >= site.suction_level:
             share = self._share(x1, x2, level, *now)
@@ -317,10 +299,10 @@ class Lookahead:
     ) -> Array:
         """Return the rows of :attr:`plan`, from a policy and the inputs that it was found for."""
         x1, x2, rain, evaporated, flow = inputs
-        flows, roofs, _ = self._program.follow(policy, *inputs, self.trust)
+        flows, roofs, _ = self._program.follow(policy, *inputs)
         driest = int((rain @ np.diff(policy.edges)).argmin())
         dry = x1, x2, np.zeros_like(rain[:1]), evaporated, flow
-        _, _, (aims,) = self._program.follow(policy, *dry, self.trust, driest)
+        _, _, (aims,) = self._program.follow(policy, *dry, driest)
         depths = roofs.mean(axis=0) / self._site.a2, aims / self._site.a2
         rows = policy.edges[1:], flows.mean(axis=0), *depths
         horizon = self._after.edges[self._after.steps]
@@ -337,20 +319,18 @@ class Lookahead:
         full = maximum_pump_flow(self._site, x1)
         return min(self._max_command * full, self._site.z_cap) if full else 0.0
 
-    def _levels(self, x1: float, x2: Any, trusted: Any) -> Any:
-        """Return the volumes that roofs are filled to or held at (m3); a fuller roof is left alone.
+    def _level(self, x1: float, x2: float) -> float:
+        """Return the volume that the roof is filled to or held at (m3); a fuller one is left alone.
 
         Args:
             x1: in the cistern (m3).
-            x2: on each roof (m3).
-            trusted: share of the room for forecast rain that each roof leaves (1).
+            x2: on the roof (m3).
         """
         policy = self._policy
         if policy is None:
-            return self._site.x2_star + 0.0 * x2
+            return self._site.x2_star
         step = int(policy.edges[1:-1].searchsorted(self._age, side="right"))
-        usable = self._program.usable(x1)
-        return self._program.levels(policy, step, 0, usable, x2, trusted)
+        return float(self._program.levels(policy, step, 0, self._program.usable(x1), x2))
 
     def _share(
         self, x1: float, x2: float, level: float, rain: float, evaporated: float

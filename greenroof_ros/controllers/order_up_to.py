@@ -177,9 +177,7 @@ class OrderUpTo:
         self._per_node = below**2 / self._target, above**2 / most
         self._contents = self._content(self._nodes)
 
-    def levels(
-        self, policy: Policy, step: int, group: Any, usable: Any, x2: Any, share: Any = 1.0
-    ) -> Any:
+    def levels(self, policy: Policy, step: int, group: Any, usable: Any, x2: Any) -> Any:
         """Return the volumes that roofs are filled to or held at (m3); a fuller roof is left alone.
 
         Args:
@@ -188,15 +186,9 @@ class OrderUpTo:
             group: index of a group of the step, for each roof or for all.
             usable: water in the cistern (m3), likewise.
             x2: on each roof (m3).
-            share: of the room for forecast rain that each leaves (1), as for :func:`leave`.
         """
-        def planned(x2: Any) -> Any:
-            water = usable + self._content(x2) if len(policy.water) > 1 else 0.0
-            return policy.level(step, group, x2, water)
-
-        if isinstance(share, float) and share == 1:
-            return planned(x2)
-        return leave(share, planned(x2), planned(0.0), self._target)
+        water = usable + self._content(x2) if len(policy.water) > 1 else 0.0
+        return policy.level(step, group, x2, water)
 
     def usable(self, x1: float) -> float:
         """Return the volume that can be pumped from a cistern that holds x1 (m3)."""
@@ -261,7 +253,7 @@ class OrderUpTo:
 
     def follow(
         self, policy: Policy, x1: float, x2: float, rain: Array, evapotranspiration: Array,
-        flow: Array, share: float, member: int | None = None,
+        flow: Array, member: int | None = None,
     ) -> tuple[Array, Array, Array]:
         """Return a policy's pump flow (m3/s), roof at the end, and volume filled to (m3), by step.
 
@@ -272,7 +264,6 @@ class OrderUpTo:
             rain: in each step (m/s), shape (members, n).
             evapotranspiration: off the whole bed (m3/s), shape (n,).
             flow: largest pump flow in each step (m3/s), shape (n,).
-            share: of the room for forecast rain that is left (1).
             member: index of the member whose decisions are followed; None: each follows its own.
 
         Returns:
@@ -284,18 +275,18 @@ class OrderUpTo:
         pumped, volumes, aimed = np.empty_like(rain), np.empty_like(rain), np.empty_like(rain)
         for step, seconds in enumerate(np.diff(policy.edges).tolist()):
             groups = policy.group_of[step] if member is None else policy.group_of[step][member]
-            level = self.levels(policy, step, groups, water, roof, share)
+            level = self.levels(policy, step, groups, water, roof)
             aimed[:, step] = np.where(level >= roof, level, 0.0)
             most = np.minimum(flow[step], water / seconds + mains)
-            roof, took = self.move(
+            roof, took = self._move(
                 level, roof, rain[:, step], float(evapotranspiration[step]), most, seconds
             )
             water = self._cistern.after(water - took, rain[:, step], seconds)
             pumped[:, step], volumes[:, step] = took / seconds, roof
         return pumped, volumes, aimed
 
-    def move(
-        self, level: Array, roof: Array, rain: Any, evapotranspiration: float, flow: Any,
+    def _move(
+        self, level: Array, roof: Array, rain: Array, evapotranspiration: float, flow: Array,
         seconds: float,
     ) -> tuple[Array, Array]:
         """Move roofs on by a step in which each is filled to a level and held there.
@@ -303,9 +294,9 @@ class OrderUpTo:
         Args:
             level: of each (m3), -1 to leave it alone.
             roof: volume on each (m3).
-            rain: in the step (m/s), for each or for all.
+            rain: in the step on each (m/s).
             evapotranspiration: off the whole bed (m3/s).
-            flow: largest pump flow (m3/s), for each or for all.
+            flow: largest pump flow for each (m3/s).
             seconds: the step's length.
 
         Returns:
@@ -453,20 +444,6 @@ def _lowest_from_here_up(values: Array) -> Indices:
     least = np.minimum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
     places = np.where(values == least, np.arange(values.shape[-1]), values.shape[-1])
     return np.asarray(np.minimum.accumulate(places[..., ::-1], axis=-1)[..., ::-1])
-
-
-def leave(share: Any, level: Any, lowest: Any, target: float) -> Array:
-    """Return the volume that a roof is filled to or held at to leave a share of a plan's room (m3).
-
-    Args:
-        share: of the room (1).
-        level: the plan's, for the roof's volume (m3), -1 if it is left alone.
-        lowest: the plan's, for an empty roof (m3), likewise.
-        target: x2* (m3).
-    """
-    base = np.where(np.asarray(level) >= 0, level, np.maximum(lowest, 0.0))
-    lowered = target - share * (target - base)
-    return np.asarray(np.where(np.asarray(share) == 1, level, lowered))
 
 
 def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:

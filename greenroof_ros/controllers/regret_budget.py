@@ -1,4 +1,4 @@
-"""A budget for the cost of trusting forecasts."""
+"""A budget for the cost of waiting for rain that is forecast."""
 
 from __future__ import annotations
 

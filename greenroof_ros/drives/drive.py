@@ -62,7 +62,7 @@ class Drive:
     Attributes:
         file: the drive file.
         line: the connection.
-        stopped: whether the last `stop` on this connection was written; None if there was none.
+        stopped: whether the last `stop` on this connection was confirmed; None if there was none.
     """
 
     def __init__(self, file: DriveFile, address: Address, timeout_s: float = 0.5) -> None:
@@ -207,7 +207,8 @@ class Drive:
         """Ramp down and switch off. The caller repeats this while the pump must be off.
 
         If the drive refuses a step, the later steps are still written: a speed of 0 may get through
-        although the control word does not.
+        although the control word does not. The drive must then answer a reading of its status: the
+        answer to a write equals the request, so it may be the request itself, returned by the line.
 
         Raises:
             DriveError: no answer or a wrong one.
@@ -223,6 +224,7 @@ class Drive:
                     break
         if refused is not None:
             raise refused
+        self._number(self.file.status.running.register)
         self.stopped = True
 
     def reset(self) -> None:

@@ -231,8 +231,9 @@ class DriveExchange(DeviceThread[Snapshot]):
     while a speed was asked for, the drive stays off until `demand` has asked for off: the caller,
     which counts starts and waits between them, decides on the next. During a silence nothing is
     sent for longer than the drive's own timeout, which then stops it: it may count any order as a
-    sign of life. `close` works in every state and leaves the drive stopped. From the first
-    connection to `close` no other program on this machine can use the drive.
+    sign of life. A timeout above the limit is not relied on, and `stop` ends a silence early.
+    `close` works in every state and leaves the drive stopped. From the first connection to `close`
+    no other program on this machine can use the drive.
     """
 
     def __init__(
@@ -252,8 +253,8 @@ class DriveExchange(DeviceThread[Snapshot]):
             period_s: between two rounds of requests (s); a relay's file may ask for more.
             dead_man_s: the drive is stopped if `demand` has not been called for this long (s).
             timeout_s: longest wait for each answer (s).
-            timeout_limit_s: used as the drive's own communication timeout while that is unknown or
-                off (s).
+            timeout_limit_s: longest usable communication timeout of the drive (s). A silence lasts
+                this long if the timeout is longer, unknown or off.
             seeks_simulator: whether to find out if it is the drive simulator.
 
         Raises:
@@ -274,6 +275,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         # When to connect next, how long to wait after that, and whether it is the last attempt.
         self._connect_at, self._wait_s = -math.inf, FIRST_WAIT_S
         self._last_attempt = False
+        self._stop_requested = False
         self._paused_until = -math.inf
         self._settings_at = -math.inf
         # Number of consecutive rounds without a valid answer.
@@ -321,6 +323,15 @@ class DriveExchange(DeviceThread[Snapshot]):
         if (speed is None) != (before is None):
             self._wake.set()
 
+    def stop(self) -> None:
+        """Try to stop the drive now, also during a silence, in which `demand` has no effect.
+
+        For a person's request to stop; `demand` must be off, too. An attempt that fails during a
+        silence begins another silence.
+        """
+        self._stop_requested = True
+        self._wake.set()
+
     def reset(self) -> None:
         """Have a fault acknowledged; this stops the drive first.
 
@@ -340,6 +351,9 @@ class DriveExchange(DeviceThread[Snapshot]):
         with self._lock:
             errors = self._snapshot.errors + 1
             self._snapshot = replace(self._snapshot, problem=problem, errors=errors, **changes)
+
+    def _hurried(self) -> bool:
+        return self._closing or self._stop_requested
 
     def _target_speed(self) -> float | None:
         speed, at = self._demand
@@ -389,19 +403,29 @@ class DriveExchange(DeviceThread[Snapshot]):
             self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
             self._fail(problem, state=State.CONNECTING, status=None)
         else:
-            own_timeout_s = self._snapshot.timeout_s
-            timeout_s = self._timeout_limit_s if own_timeout_s is None else own_timeout_s
-            silence_s = timeout_s + SILENCE_MARGIN_S
+            silence_s, timeout = self._silence()
             self._connect_at = now + silence_s
             self._obedience.left(self._connect_at)
             self._fail(
                 f"{problem}{why}, so nothing is sent for {silence_s:g} s, in which the drive's "
-                "own communication timeout "
-                f"({'' if own_timeout_s is not None else 'assumed to be at most '}{timeout_s:g} "
-                "s) must stop it; any message could restart that timeout",
+                f"own communication timeout ({timeout}) must stop it; any message could restart "
+                "that timeout",
                 state=State.SILENT, status=None,
             )
         self._let_go()
+
+    def _silence(self) -> tuple[float, str]:
+        """Return the length of a silence (s), and the drive's own timeout in words.
+
+        A timeout above the limit cannot be waited for: it was misread, or the drive runs on. It
+        counts like an unknown timeout, so no value that the drive reports makes a silence long.
+        """
+        limit_s, own_s = self._timeout_limit_s, self._snapshot.timeout_s
+        if own_s is None:
+            return limit_s, f"assumed to be at most {limit_s:g} s"
+        if own_s > limit_s:
+            return limit_s, f"{own_s:g} s was read, which is not relied on: above {limit_s:g} s"
+        return own_s + SILENCE_MARGIN_S, f"{own_s:g} s"
 
     def _let_go(self) -> None:
         """Close the connection; at the end also release the lock."""
@@ -414,6 +438,7 @@ class DriveExchange(DeviceThread[Snapshot]):
     def _connect(self) -> None:
         """Stop the drive first; then read what it is and whether its own timeout would stop it."""
         self._pause_until(self._connect_at)
+        self._stop_requested = False
         if not self._only.locked:
             self._take()
             return
@@ -475,6 +500,7 @@ class DriveExchange(DeviceThread[Snapshot]):
     def _round(self) -> None:
         """Write what is asked for, and read the drive's report."""
         started = time.monotonic()
+        self._stop_requested = False
         try:
             runs, problem = self._order()
             status = self._read()

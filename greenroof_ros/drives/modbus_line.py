@@ -39,6 +39,8 @@ SIMULATOR = ("greenroof_ros", "drive simulator")
 # Its messages repeat ours; without a handler they would go to the terminal.
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
+# The function that writes a single register.
+_WRITE = 6
 # Section 7 of the specification.
 _EXCEPTIONS = {
     1: "illegal function",
@@ -253,13 +255,16 @@ class ModbusLine:
 
         self.where = f"{address}, device {device_id}"
         self._device_id, self._timeout_s = device_id, timeout_s
+        # The bytes of the last request, and whether they have come back.
+        self._sent, self._echoed = b"", False
         self._client: ModbusTcpClient | ModbusSerialClient
         if address.line:
             assert serial is not None
-            self._client = _serial_client(address.line, serial, timeout_s)
+            self._client = _serial_client(address.line, serial, timeout_s, self._trace)
         else:
             self._client = ModbusTcpClient(
-                address.host, port=address.port or port, timeout=timeout_s, retries=0
+                address.host, port=address.port or port, timeout=timeout_s, retries=0,
+                trace_packet=self._trace,
             )
 
     @property
@@ -306,7 +311,7 @@ class ModbusLine:
             DriveError: no answer, or one that does not confirm the write.
         """
         action = f"writing 0x{word:04X} to register {address}"
-        answer = self._ask(action, 6, self._client.write_register, address, word)
+        answer = self._ask(action, _WRITE, self._client.write_register, address, word)
         if answer.address != address or list(answer.registers) != [word]:
             raise self.error(
                 "answer",
@@ -336,7 +341,9 @@ class ModbusLine:
         try:
             answer = request(*values, device_id=self._device_id, **options)
         except (ModbusException, OSError) as error:
+            self._refuse_echo(action, function)
             raise self._silence(action, error) from error
+        self._refuse_echo(action, function)
         if answer.isError():
             code = answer.exception_code
             name = _EXCEPTIONS.get(code, "unknown")
@@ -347,6 +354,26 @@ class ModbusLine:
                 f"{action}: the answer has function {answer.function_code}, not {function}",
             )
         return answer
+
+    def _trace(self, sending: bool, data: bytes) -> bytes:
+        """Note what is sent, and whether it comes back."""
+        if sending:
+            self._sent, self._echoed = data, False
+        else:
+            self._echoed |= data.startswith(self._sent)
+        return data
+
+    def _refuse_echo(self, action: str, function: int) -> None:
+        """Raise if the request has come back; only the answer to a write may equal its request.
+
+        Raises:
+            DriveError: the line returns what is sent.
+        """
+        if function != _WRITE and self._echoed:
+            raise self.error(
+                "connection",
+                f"{action}: the line returns what was sent: switch off the adapter's local echo",
+            )
 
     def _silence(self, action: str, error: Exception) -> DriveError:
         if isinstance(error, ConnectionError):
@@ -363,7 +390,9 @@ class ModbusLine:
         return DriveError(kind, f"{self.where}: {problem}")
 
 
-def _serial_client(line: str, settings: Serial, timeout_s: float) -> ModbusSerialClient:
+def _serial_client(
+    line: str, settings: Serial, timeout_s: float, trace: Callable[[bool, bytes], bytes]
+) -> ModbusSerialClient:
     """Return a client for a serial line, not yet opened."""
     from pymodbus.client import ModbusSerialClient
     from pymodbus.exceptions import ConnectionException
@@ -384,7 +413,7 @@ def _serial_client(line: str, settings: Serial, timeout_s: float) -> ModbusSeria
 
     return Client(
         line, baudrate=settings.baud_rate, timeout=timeout_s, retries=0,
-        parity=settings.parity_letter(line), stopbits=settings.stop_bits,
+        parity=settings.parity_letter(line), stopbits=settings.stop_bits, trace_packet=trace,
     )
 
 
@@ -525,6 +554,10 @@ class DeviceThread(ABC, Generic[K]):
         self._wake.clear()
 
     def _pause_until(self, due: float) -> None:
-        """Wait until a time (s, `time.monotonic`); only closing ends the wait early."""
-        while not self._closing and (remaining := due - time.monotonic()) > 0:
+        """Wait until a time (s, `time.monotonic`), or until `_hurried`."""
+        while not self._hurried() and (remaining := due - time.monotonic()) > 0:
             self._pause(remaining)
+
+    def _hurried(self) -> bool:
+        """Whether a wait for the next attempt must end now."""
+        return self._closing

@@ -206,13 +206,6 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
         f"(default: {SERVICE_DELAY_H:g} for errors and ensemble; for a file, the usual delay of "
         "its kind, 0 for this project's format, which states when it was available)",
     )
-    group.add_argument(
-        "--dressed", type=Path, metavar="FILE",
-        help="a file: replaces each forecast by an ensemble of the rain observed after similar "
-        "forecasts, from FILE.csv, which 'greenroof verify --dress' makes from an archive and a "
-        "record; past issues within the length of a member and five days of an issue are left "
-        "out, so that none is dressed by its own weather",
-    )
 
 
 def _skill(text: str) -> str:
@@ -334,9 +327,4 @@ def forecast_from_arguments(
                 f"is an option of {' and '.join(owners)}; the forecast is {choice}",
                 key=f"--forecast-{option}",
             )
-    if arguments.dressed is not None and choice.file is None:
-        raise ConfigurationError(
-            f"is an option of a file; the forecast is {choice}", key="--dressed",
-            value=str(arguments.dressed),
-        )
-    return replace(choice, **chosen, dressed=arguments.dressed)
+    return replace(choice, **chosen)

@@ -1,4 +1,4 @@
-"""The progress bar of a run, on standard error."""
+"""The progress of a run, on standard error: a bar on a terminal, otherwise a line now and then."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+from greenroof_ros.common.standard_error import ProgressLines
 from greenroof_ros.common.times import hours_minutes_seconds
 
 # Often enough for the eye, seldom enough to cost nothing.
@@ -25,17 +26,20 @@ class RunProgress(Progress):
             tau: duration of a tick (s).
             file: where it is drawn; standard error if None.
         """
+        console = Console(stderr=True, file=file)
         super().__init__(
             TextColumn("{task.fields[clock]}"),
             BarColumn(bar_width=None),
             TextColumn("{task.percentage:>3.0f} %"),
             TextColumn("{task.fields[state]}"),
-            console=Console(stderr=True, file=file),
+            console=console,
+            disable=not console.is_interactive,
             # Redrawn when there is news, not by a thread that would compete with the run.
             auto_refresh=False,
         )
         self._run = self.add_task("", total=steps, clock="00:00:00", state="starting")
         self._tau = tau
+        self._lines = ProgressLines(self.say)
         self._warned: set[str] = set()
 
     def warn(self, warnings: Iterable[str]) -> None:
@@ -51,7 +55,7 @@ class RunProgress(Progress):
 
     def waiting(self, for_what: str) -> None:
         """Show what the run waits for before its first tick."""
-        self.update(self._run, state=for_what, refresh=True)
+        self._update(state=for_what)
 
     def show(self, tick: int, cistern: float, roof: float, command: float) -> None:
         """Show a tick.
@@ -64,10 +68,16 @@ class RunProgress(Progress):
         """
         ticks_per_s = self.tasks[0].speed
         speed = f", {ticks_per_s * self._tau:.0f}x real time" if ticks_per_s else ""
-        self.update(
-            self._run,
+        self._update(
             completed=tick,
             clock=hours_minutes_seconds(tick * self._tau),
             state=f"cistern {cistern:.3f} m, roof {roof:.4f} m, command {command:.3f}{speed}",
-            refresh=True,
         )
+
+    def _update(self, **fields: Any) -> None:
+        """Show the bar with these values, or print them."""
+        self.update(self._run, refresh=True, **fields)
+        if self.disable:
+            run = self.tasks[0]
+            clock, state = run.fields["clock"], run.fields["state"]
+            self._lines.tell(f"{clock} ({run.percentage:.0f} %): {state}")

@@ -129,7 +129,7 @@ def build_run(
     series = WeatherSeries(weather, site, first, steps)
     x1, x2 = volumes
     topics = read_topics()
-    # Refuse here what the nodes would refuse: both engines give the same numbers.
+    # Refuse here what the nodes would refuse: graph and simulation give the same numbers.
     for name, largest in (
         ("/cistern/level", site.cistern_level(x1)),
         ("/roof/level", site.roof_level(x2)),

@@ -100,8 +100,6 @@ def write_configuration(
         if choice.skill_file is not None:
             skill = _copy(choice.skill_file, configuration / "skill.yaml")
             choice = replace(choice, skill=str(skill))
-        if choice.dressed is not None:
-            choice = replace(choice, dressed=_copy(choice.dressed, configuration / "dressed.csv"))
         common = {"site_file": str(site_file)}
         span = {"start": run.start.isoformat(), "run_length": run.steps}
         parameters = {
@@ -117,7 +115,6 @@ def write_configuration(
                 "all_members": run.controller.ensemble,
                 "forecast": str(choice),
                 **{f"forecast_{name}": value for name, value in choice.options().items()},
-                **({"dressed": str(choice.dressed)} if choice.dressed is not None else {}),
             },
             run.controller.name: {**common, **run.parameters},
             "recorder": {

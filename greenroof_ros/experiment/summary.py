@@ -99,7 +99,6 @@ def build_unfinished(
             "model": choice.model,
             **choice.options(),
             **({"file": str(choice.file)} if choice.file is not None else {}),
-            **({"dressed": str(choice.dressed)} if choice.dressed is not None else {}),
         },
         "forecast_repeats_last_record_from": repeats_from.isoformat() if repeats_from else None,
         "longest_issue_h": run.forecast.longest,

@@ -54,8 +54,6 @@ class ForecastChoice:
         file: file of forecasts, or directory of such files; None for a model.
         delay: time after its nominal time from which an issue is known (h); None for the usual
             delay of the kind of file, or of weather services for a model with errors.
-        dressed: file of past issues and the rain observed after each, see
-            :mod:`greenroof_ros.forecast.dressing`; None for forecasts as they were issued.
     """
 
     model: str = PERFECT
@@ -64,7 +62,6 @@ class ForecastChoice:
     members: int = 10
     file: Path | None = None
     delay: float | None = None
-    dressed: Path | None = None
 
     def __str__(self) -> str:
         """The model's name or the file's path, as in the option ``--forecast``."""

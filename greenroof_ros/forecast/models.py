@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import from_epoch_ns, hours_since_1970, to_minutes
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
-from greenroof_ros.forecast.dressing import chosen_archive
 from greenroof_ros.forecast.skill import Climate, Skill, read_skill
+from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
     HOUR,
@@ -508,10 +508,11 @@ def make_model(
         all_members: whether to use all members of an ensemble, or only member 0.
 
     Raises:
-        ConfigurationError: the file of forecasts, dressing or skill is wrong.
+        ConfigurationError: the file of forecasts or of the skill is wrong.
     """
     if choice.file is not None:
-        return FileModel(chosen_archive(choice, site), weather, all_members)
+        archive = read_archive(choice.file, site, choice.delay)
+        return FileModel(archive, weather, all_members)
     if choice.model == "persistence":
         return PersistenceModel(weather)
     members = choice.members if all_members and choice.model == "ensemble" else 1

@@ -19,7 +19,7 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError, with_extra
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.processes import LockedError, take_lock
+from greenroof_ros.common.processes import LockedError, take_name
 from greenroof_ros.graph.rclpy_internals import waiting_in
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -38,8 +38,6 @@ _LISTEN_S = 1.0
 TAKING_DOWN_S = 6
 # Above it a domain's ports overlap the system's ephemeral ports.
 _LAST_DOMAIN = 101
-# Directory of the locks that keep a second bringup out: in memory, as a disk can be full.
-_LOCKS = Path("/dev/shm")
 
 
 @contextmanager
@@ -137,20 +135,12 @@ def only_bringup(namespace: str) -> Iterator[None]:
 
     Raises:
         OccupiedError: a bringup runs there already.
-        ConfigurationError: the lock file cannot be opened. Its directory is writable by everybody,
-            so a symbolic link in its place is not followed.
+        OSError: the system refuses the lock.
     """
-    name = f"greenroof_ros-{os.getuid()}-domain-{_domain()}{namespace.replace('/', '-')}.lock"
-    file = _LOCKS / name
     try:
-        lock = take_lock(file)
+        lock = take_name(f"{os.getuid()}-domain-{_domain()}{namespace}")
     except LockedError:
         raise _occupied("a bringup is running", namespace) from None
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot be opened ({error.strerror}); without it two bringups could run the same "
-            "site; remove it", file=file,
-        ) from error
     with lock:
         yield
 

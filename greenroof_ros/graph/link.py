@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -73,13 +74,12 @@ class LinkedNode(NoClockSubscription, Node):
             ConfigurationError: ROS arguments or a parameter file are wrong.
         """
         try:
-            super().__init__(
-                name, parameter_overrides=[Parameter("use_sim_time", Parameter.Type.BOOL, False)]
-            )
+            super().__init__(name)
         except RuntimeError as error:  # from rcl
             raise ConfigurationError(" ".join(str(error).split())) from error
         self.role = role
         self.live: bool = declare(self, [LIVE])["live"] if live is None else live
+        self._fix_time_source()
         self.error: Exception | None = None
         self.acted = False
         self.interface = read_live_topics() if self.live else read_topics()
@@ -93,13 +93,40 @@ class LinkedNode(NoClockSubscription, Node):
         self._site_file: dict[str, str] = {}
         self.lockstep = Lockstep(role, self.act, self.finish)
         self._live = Live(self, self.act, self.diagnose) if self.live else None
-        self.set_parameters([Parameter("use_sim_time", Parameter.Type.BOOL, not self.live)])
         self._ros_clock = cast(ROSClock, self.get_clock())
         self.reports = Reports(self, role)
         if not self.live and role != PLANT:
             run = Publishers(self, self.interface[RUN], live=False)
             decode = decoder(run.topic.type)
             self._open(run, lambda message: self.lockstep.hear_run(decode(message)))
+
+    def _fix_time_source(self) -> None:
+        """Set ``use_sim_time`` as the kind of graph needs it, and refuse every later change.
+
+        On simulated time a live node would wait for a clock that nobody publishes.
+
+        Raises:
+            ConfigurationError: a live node was started with ``use_sim_time`` true.
+        """
+        simulated = not self.live
+        if self.live and self.get_parameter("use_sim_time").value:
+            raise ConfigurationError(
+                "must be false: a live site runs on the steady clock",
+                key=f"parameter use_sim_time of {self.get_name()}", value="true",
+            )
+        self.set_parameters([Parameter("use_sim_time", Parameter.Type.BOOL, simulated)])
+
+        def refuse_change(changes: list[Parameter]) -> SetParametersResult:
+            changed = any(
+                change.name == "use_sim_time" and change.value is not simulated
+                for change in changes
+            )
+            kind = "simulated" if simulated else "live"
+            value = str(simulated).lower()
+            reason = f"use_sim_time must be {value}: this node is in a {kind} graph"
+            return SetParametersResult(successful=not changed, reason=reason if changed else "")
+
+        self.add_on_set_parameters_callback(refuse_change)
 
     def act(self) -> None:
         """Let the node act, and note that its run has begun."""

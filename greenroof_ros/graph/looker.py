@@ -1,7 +1,6 @@
-"""Watches a graph from outside: hears the topics asked for, and can stop the pump.
+"""Watches a graph from outside: hears the topics asked for, and can hold the pump.
 
-By services of their own it can release its own stop and clear some faults. It can also ask for a
-pause or, if the site allows it, a dose.
+It can also release the pump, clear some faults and, if the site allows it, ask for a dose.
 
 It must not delay any node. So it subscribes best effort and volatile: no publisher stores, repeats
 or waits for anything for it. It uses only UDP: with shared memory, a stopped process can hold a
@@ -16,14 +15,17 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Collection
+from contextlib import closing
 from typing import Any
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.domain import TAKING_DOWN_S, join
+from greenroof_ros.graph.domain import TAKING_DOWN_S, importing_ros, join
 from greenroof_ros.graph.rclpy_internals import waiting_in
 
 # How many messages of a topic can wait for the next look: 1 s at 60 times real time.
 _DEPTH = 64
+# How long a command waits for the pump node (s): to discover it takes seconds.
+_PATIENCE_S = 20.0
 
 DIAGNOSTICS = "/diagnostics"
 
@@ -38,6 +40,22 @@ class StopFailedError(Exception):
     def __init__(self, why: str, *, answered: bool = False) -> None:
         super().__init__(why)
         self.answered = answered
+
+
+def ask_pump(namespace: str, request: Callable[[Looker, float], str]) -> str:
+    """Make one request to the pump node of a graph, for a command, and return the answer.
+
+    Args:
+        namespace: the graph's namespace, such as ``/site1``; empty for none.
+        request: a method of the looker, with the longest wait for the answer (s).
+
+    Raises:
+        StopFailedError: the pump node did not confirm it.
+        ConfigurationError: ROS 2 is not installed.
+    """
+    with importing_ros(), closing(Looker(namespace, lambda *_: None)) as looker:
+        looker.prepare_stop(f"{namespace}/pump")
+        return request(looker, _PATIENCE_S)
 
 
 class Looker:
@@ -74,8 +92,8 @@ class Looker:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._caller)
         self._types: dict[str, Any] = {
-            "page_stop": SetBool, "page_clear": Trigger, "dose": SetParametersAtomically,
-            "set_parameters_atomically": SetParametersAtomically,
+            "stop": SetBool, "clear": Trigger, "hold": SetParametersAtomically,
+            "dose": SetParametersAtomically,
         }
         self._pump: str | None = None
         self._services: dict[str, Any] = {}
@@ -135,8 +153,16 @@ class Looker:
             for name, kind in self._types.items()
         }
 
-    def stop_pump(self, timeout_s: float = 3.0) -> str:
-        """Have the pump kept off until somebody releases it.
+    def hold_pump(
+        self, owner: str, reason: str = "", until: float | None = None, timeout_s: float = 3.0
+    ) -> str:
+        """Hold the pump until somebody releases it, or until a time.
+
+        Args:
+            owner: who asks for it.
+            reason: why; may be empty.
+            until: its end (s since 1970); None if it has none.
+            timeout_s: longest wait for the answer (s).
 
         Returns:
             The pump node's answer.
@@ -144,19 +170,16 @@ class Looker:
         Raises:
             StopFailedError: the pump node did not confirm it.
         """
-        return self._call("page_stop", timeout_s, data=True)
+        end = {} if until is None else {"until": until}
+        return self._set("hold", timeout_s, owner=owner, reason=reason, **end)
 
     def release_pump(self, timeout_s: float = 3.0) -> str:
-        """Release a stop by :meth:`stop_pump`; returns and raises likewise."""
-        return self._call("page_stop", timeout_s, data=False)
+        """End the hold, whoever made it; returns and raises likewise."""
+        return self._call("stop", timeout_s, data=False)
 
     def clear_fault(self, timeout_s: float = 3.0) -> str:
-        """Clear the pump's latched fault, if the page may; returns and raises likewise."""
-        return self._call("page_clear", timeout_s)
-
-    def pause_pump(self, until: str, timeout_s: float = 3.0) -> None:
-        """Have the pump kept off until a time (ISO 8601), or end a pause (empty)."""
-        self._set("set_parameters_atomically", timeout_s, pause_until=until)
+        """Clear the pump's latched fault if nobody must see it; returns and raises likewise."""
+        return self._call("clear", timeout_s)
 
     def give_dose(self, volume: float, asked_at: float, timeout_s: float = 3.0) -> str:
         """Ask for a dose.
@@ -208,7 +231,7 @@ class Looker:
         else:
             ok, message = result.success, result.message
         if not ok:
-            # A stop with this answer is in force, but would not survive a restart.
+            # A hold with this answer may be in force, but would not survive a restart.
             raise StopFailedError(str(message), answered=True)
         return str(message)
 

@@ -51,10 +51,12 @@ def _is_diagnosis(value: object) -> bool:
 
 # Checks of the types that readers of a report rely on.
 _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
-    **dict.fromkeys(("pump", "pump_state", "failure", "fault", "stop"), _is_text),
+    **dict.fromkeys(("pump", "pump_state", "failure", "fault", "unknown"), _is_text),
     **dict.fromkeys(("cistern_level", "roof_level", "command", "flow", "speed"), _is_number),
     **dict.fromkeys(("warnings", "waiting"), _is_list),
     **dict.fromkeys(("stands", "active"), lambda value: isinstance(value, bool)),
+    "hold": lambda value: value is None
+    or (isinstance(value, dict) and _is_text(value.get("said"))),
     "tick": lambda value: type(value) is int,
     "refused": lambda value: isinstance(value, dict)
     and all(type(count) is int for count in value.values()),

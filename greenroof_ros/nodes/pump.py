@@ -3,14 +3,16 @@
 It is a lifecycle node. *configure* connects to the drive and reads its nameplate and its own
 communication timeout; *activate* lets the pump run, unless that timeout is off, too long or
 unreadable; *deactivate* ramps down; *cleanup* stops and disconnects. ``~/stop`` (std_srvs/SetBool)
-keeps the pump off, whatever is commanded, also after a restart; ``~/reset`` (std_srvs/Trigger)
-clears a latched fault. The page has its own services: ``~/page_stop`` stops the pump, and releases
-only this stop; ``~/page_clear`` clears the fault speed_not_followed, once in 24 h. The parameter
-``pause_until`` keeps the pump off until a date, also after a restart. If the site file allows it,
-``~/dose`` (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, the present
-time in s since 1970) delivers a volume once, or says why not. /pump/flow is published in every
-state: in lockstep once per tick, after command, levels and frost have arrived; live every tau. In
-between, the drive can be stopped by wall time. /pump/state says why the pump is at rest.
+with true holds the pump: it stays off, whatever is commanded, also after a restart; with false it
+ends any hold. ``~/hold`` (rcl_interfaces/SetParametersAtomically) holds it for an ``owner``, with
+a ``reason`` and an end, ``until`` (s since 1970), if they are given. ``~/reset``
+(std_srvs/Trigger), for a person at the pump, clears a latched fault and an unknown state;
+``~/clear``, for the page, clears only a fault that needs nobody there (speed_not_followed). If the
+site file allows it, ``~/dose`` (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and
+``asked_at``, the present time in s since 1970) delivers a volume once, or says why not. /pump/flow
+is published in every state: in lockstep once per tick, after command, levels and frost have
+arrived; live every tau. In between, the drive can be stopped by wall time. /pump/state says why the
+pump is at rest.
 """
 
 from __future__ import annotations
@@ -18,19 +20,17 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import asdict
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.parameter import Parameter as RosParameter
+from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.times import boot_time, read_start, suspended_time
+from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.drives.drive import DriveStatus, no_real_time
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
@@ -52,7 +52,7 @@ from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.dose import DONE
-from greenroof_ros.pumping.ledger import Ledger, state_directory
+from greenroof_ros.pumping.ledger import MOST, Ledger, state_directory
 from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
 
@@ -72,10 +72,6 @@ _SAID_S = 60.0
 # How often the node tries to start by itself, and how often it reports on the drive (s).
 _AGAIN_S, _LOOK_S = 0.5, 0.2
 
-PAUSE_UNTIL = Parameter(
-    "pause_until", "", meaning="pump off until this time, such as 2026-12-24T08:00-05:00, after "
-    "restarts too; empty ends the pause (greenroof pause sets it)", may_change=True,
-)
 _OWN = (
     Parameter("drive", "", meaning="make of drive, a file of config/drives, or a file's path"),
     Parameter(
@@ -111,10 +107,9 @@ _OWN = (
         "be read",
     ),
     Parameter(
-        "state_file", "", meaning="file that keeps a stop, a fault and the day's use across "
+        "state_file", "", meaning="file that keeps a hold, a fault and the day's use across "
         "restarts; empty: greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
     ),
-    PAUSE_UNTIL,
 )
 
 
@@ -327,18 +322,10 @@ class PumpNode(Lifecycle, LinkedNode):
         self.open_outputs("/pump/flow", "/pump/state")
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
-        self.create_service(SetBool, "~/page_stop", partial(self._on_stop_request, of_page=True))
-        self.create_service(Trigger, "~/page_clear", self._on_page_clear)
+        self.create_service(SetParametersAtomically, "~/hold", self._on_hold_request)
+        self.create_service(Trigger, "~/clear", self._on_clear_request)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
         self.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
-        paused_until = values[PAUSE_UNTIL.name]
-        ends = read_start(paused_until, key=PAUSE_UNTIL.name).timestamp() if paused_until else 0.0
-        # A pause that is over, or shorter than the kept one, changes nothing. If the state file
-        # cannot be written yet, the pump stays off for that reason, too.
-        if ends > max(time.time(), self._ledger.record.pause_until):
-            self._control.pause(ends)
-        self._show_pause()
-        self.add_on_set_parameters_callback(self._on_parameters)
         self._step(boot_time())
 
     # --- state kept across restarts ---------------------------------------------------------------
@@ -349,7 +336,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self._site, self._settings, self._ledger, self._drive_stops_after
         )
         record = self._ledger.record
-        if why := record.fault or record.stop:
+        if why := record.fault or record.unknown or self._ledger.held:
             self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _take_state(self) -> None:
@@ -357,46 +344,6 @@ class PumpNode(Lifecycle, LinkedNode):
         if self._ledger.take():
             self._begin()
             self._reasons = ()  # decide again
-
-    def _show_pause(self) -> None:
-        """Set the parameter to the kept pause."""
-        shown = ""
-        if self._ledger.paused:
-            ends = datetime.fromtimestamp(self._ledger.record.pause_until).astimezone()
-            shown = ends.isoformat(timespec="seconds")
-        self.set_parameters([RosParameter(PAUSE_UNTIL.name, value=shown)])
-
-    def _on_parameters(self, changes: list[RosParameter]) -> SetParametersResult:
-        try:
-            for parameter in changes:
-                if parameter.name == PAUSE_UNTIL.name:
-                    self._pause(parameter.value)
-        except ConfigurationError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-    def _pause(self, until: str) -> None:
-        """Pause the pump until a time, or end the pause (empty).
-
-        Raises:
-            ConfigurationError: the time is not in the future, or the pause cannot be kept across a
-                restart; the pause is then unchanged.
-        """
-        self._take_state()
-        before, ends = self._ledger.record.pause_until, 0.0
-        if until:
-            ends = read_start(until, key=PAUSE_UNTIL.name).timestamp()
-            if ends <= time.time():
-                raise ConfigurationError(
-                    "must be in the future", key=PAUSE_UNTIL.name, value=until
-                )
-        self._control.pause(ends)
-        if problem := self._ledger.why_not_kept():
-            self._control.pause(before)
-            raise ConfigurationError(
-                f"cannot be kept: {problem}", key=PAUSE_UNTIL.name, value=until
-            )
-        self._step(boot_time())
 
     # --- lifecycle --------------------------------------------------------------------------------
 
@@ -485,12 +432,34 @@ class PumpNode(Lifecycle, LinkedNode):
     # --- services ---------------------------------------------------------------------------------
 
     def _on_stop_request(
-        self, request: SetBool.Request, response: SetBool.Response, *, of_page: bool = False
+        self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
         self._take_state()
-        (self._control.stop_on_page if of_page else self._control.stop)(request.data)
+        if request.data:
+            self._ledger.hold("the operator")
+        else:
+            self._ledger.release()
         self._step(boot_time())
-        return self._kept(response, self._state)
+        if request.data:
+            self._drive.exchange.stop()
+        response.success, response.message = self._kept(self._state)
+        return response
+
+    def _on_hold_request(
+        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
+    ) -> SetParametersAtomically.Response:
+        self._take_state()
+        result = response.result
+        try:
+            self._ledger.hold(**_hold_of(request))
+        except ValueError as error:
+            result.successful, result.reason = False, str(error)
+        else:
+            self._step(boot_time())
+            self._drive.exchange.stop()
+            result.successful, result.reason = self._kept(self._state)
+        self.get_logger().info(f"hold requested: {result.reason}")
+        return response
 
     def _on_reset_request(
         self, request: Trigger.Request, response: Trigger.Response
@@ -499,21 +468,23 @@ class PumpNode(Lifecycle, LinkedNode):
         cleared = self._control.reset()
         self._drive.exchange.reset()
         self._resetting_until = boot_time() + RESET_S
-        self._kept(response, f"cleared: {cleared}" if cleared else "there was no fault")
+        response.success, response.message = self._kept(
+            f"cleared: {cleared}" if cleared else "there was no fault"
+        )
         self.get_logger().info(f"reset: {response.message}")
         return response
 
-    def _on_page_clear(
+    def _on_clear_request(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         self._take_state()
-        if refusal := self._control.page_may_not_clear:
+        if refusal := self._control.no_clear:
             response.success, response.message = False, refusal
             return response
-        self._control.clear_on_page()
+        self._control.clear()
         self._step(boot_time())
-        self._kept(response, self._state)
-        self.get_logger().info(f"fault cleared on the page: {response.message}")
+        response.success, response.message = self._kept(self._state)
+        self.get_logger().info(f"fault cleared: {response.message}")
         return response
 
     def _on_dose_request(
@@ -531,12 +502,10 @@ class PumpNode(Lifecycle, LinkedNode):
         self.get_logger().info(f"dose requested: {response.result.reason}")
         return response
 
-    def _kept(self, response: Any, message: str) -> Any:
-        """Fill in a service's response: success only if the state is saved for a restart."""
+    def _kept(self, message: str) -> tuple[bool, str]:
+        """Return a service's success, only if the state is saved for a restart, and its message."""
         problem = self._ledger.why_not_kept()
-        response.success = not problem
-        response.message = f"{message}; but {problem}" if problem else message
-        return response
+        return not problem, f"{message}; but {problem}" if problem else message
 
     # --- inputs -----------------------------------------------------------------------------------
 
@@ -690,6 +659,7 @@ class PumpNode(Lifecycle, LinkedNode):
     def progress(self) -> dict[str, Any]:
         """Return the values that bringup shows and waits for."""
         record, decision, dose = self._ledger.record, self._decision, self._control.dose
+        held = self._ledger.held
         return {
             "pump": self._state, "pump_state": decision.state,
             "stands": decision.stands,
@@ -697,14 +667,12 @@ class PumpNode(Lifecycle, LinkedNode):
             "flow": decision.flow if decision.flow_known else None,
             "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
             "fault": record.fault,
-            "stop": record.stop,
-            "stopped_by": [
-                owner for owner, on in (
-                    ("service", record.operator_stop), ("page", record.page_stop),
-                    ("unknown state", record.unknown),
-                ) if on
-            ],
-            "page_may_not_clear": self._control.page_may_not_clear,
+            "no_clear": self._control.no_clear,
+            "unknown": record.unknown,
+            "hold": {
+                "owner": record.hold_owner, "reason": record.hold_reason,
+                "until": record.hold_until, "said": held,
+            } if held else None,
             "greatest_dose": self._site.greatest_dose,
             "no_dose": self._control.no_dose,
             "dose": None if dose is None else {**asdict(dose), "said": dose.said},
@@ -740,7 +708,7 @@ class PumpNode(Lifecycle, LinkedNode):
             "what is pumped is compared with both levels", "delivery_blind", WARN,
         )
         self.say(
-            "state file", self._ledger.problem, "stops and faults are kept", "state_not_kept"
+            "state file", self._ledger.problem, "holds and faults are kept", "state_not_kept"
         )
         frost, code = self._frost.problem, self._cause("frost_unknown")
         if self._frost.good:
@@ -832,6 +800,32 @@ class PumpNode(Lifecycle, LinkedNode):
         else:
             well = f"without this machine the drive stops after {snapshot.timeout_s:g} s{beware}"
             self.diagnose("drive timeout", OK, well)
+
+
+def _hold_of(request: SetParametersAtomically.Request) -> dict[str, Any]:
+    """Return owner, reason and end of a requested hold.
+
+    Raises:
+        ValueError: it is not such a request.
+    """
+    fields = {
+        parameter.name: parameter_value_to_python(parameter.value)
+        for parameter in request.parameters
+    }
+    kinds = {"owner": str, "reason": str, "until": float}
+    if not fields.get("owner") or not all(
+        name in kinds and isinstance(value, kinds[name]) for name, value in fields.items()
+    ):
+        raise ValueError(
+            "a hold needs an owner (text), and may have a reason (text) and until (s since 1970, a "
+            "floating-point number), and nothing else"
+        )
+    if "until" in fields and not time.time() < fields["until"] <= MOST:
+        raise ValueError(
+            f"until = {fields['until']:.15g}: must be in the future, in s since 1970, and at most "
+            f"{MOST:g}"
+        )
+    return fields
 
 
 def _fault(status: DriveStatus | None) -> str:

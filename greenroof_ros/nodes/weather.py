@@ -34,7 +34,6 @@ from greenroof_ros.forecast.choice import (
 )
 from greenroof_ros.forecast.live_forecast import (
     ForecastFile,
-    LiveDressing,
     LiveForecast,
     NoForecastError,
 )
@@ -126,11 +125,6 @@ def parameters(site: Site) -> list[Parameter]:
             f"{SERVICE_DELAY_H:g} for the first two, and what is usual for a file's kind",
         ),
         Parameter(
-            "dressed", "", meaning="with a file of forecasts: FILE.csv from greenroof verify "
-            "--dress, which replaces each forecast by an ensemble of the rain observed after "
-            "similar ones; live, new observations are added; empty: none",
-        ),
-        Parameter(
             "issue_limit", 7200.0, "s", 1.0, 1e6, "live: how long ago the newest forecast in the "
             "file may have been issued",
         ),
@@ -162,13 +156,6 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
     options = {name: values[f"forecast_{name}"] for name in OPTIONS}
     if options["delay"] == NUMBERS["delay"].default:
         del options["delay"]
-    if values["dressed"]:
-        if choice.file is None:
-            raise ConfigurationError(
-                f"is for a file of forecasts; the forecast is {choice}",
-                key="parameter dressed of weather", value=values["dressed"],
-            )
-        options["dressed"] = Path(values["dressed"])
     return replace(choice, **options)
 
 
@@ -223,14 +210,13 @@ class WeatherNode(LinkedNode):
         self._site = site
         if self.live:
             self._unknown_frost = 0.0 if values["unknown_frost_may_pump"] else math.nan
-            self._dressing = self._record(values["dressed"])
             # A file of many members takes seconds to read.
             self._reader, self._files_read = DiskThread(), 0
             self._live_forecast: LiveForecast | None = None
             if values["forecast"] and (file := _forecast(values).file) is not None:
                 self._live_forecast = LiveForecast(
                     ForecastFile(file), site, values["horizon"], values["issue_limit"],
-                    values["all_members"], self._dressing,
+                    values["all_members"],
                 )
                 self._live_forecast.file.look()
                 self._fetcher = self._fetch(values, file) if values["fetch"] else None
@@ -277,8 +263,6 @@ class WeatherNode(LinkedNode):
         """Publish what is known now; readers notice a missing value by its age."""
         now = from_epoch_ns(self.get_clock().now().nanoseconds)
         rain = self._rain_gauge.value if self._rain_gauge.good else None
-        if self._dressing is not None:
-            self._learn(self._dressing, now, rain)
         if self._fetcher is not None:
             self.say(
                 "forecast service", self._fetcher.problem, ATTRIBUTION, "forecast_not_fetched", WARN
@@ -309,15 +293,6 @@ class WeatherNode(LinkedNode):
             "thermometer", self._thermometer, f"the present temperature is {instead}"
         )
 
-    def _record(self, file: str) -> LiveDressing | None:
-        """Return what the forecasts are dressed with; None, with a warning, if it is unusable."""
-        try:
-            return LiveDressing(Path(file), self._site.tau) if file else None
-        except ConfigurationError as error:
-            why = f"forecasts are used as they are issued: {error}"
-            self.diagnose("record of forecasts", WARN, why, "record_not_kept")
-            return None
-
     def _fetch(self, values: dict[str, Any], file: Path) -> Fetcher:
         """Begin to fetch forecasts on a separate thread."""
         days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC; used until issue_limit
@@ -333,31 +308,19 @@ class WeatherNode(LinkedNode):
         """Return the month at the site, for its usual evapotranspiration."""
         return now.astimezone(timezone(timedelta(hours=self._site.utc_offset or 0.0))).month
 
-    def _learn(self, dressing: LiveDressing, now: datetime, rain: float | None) -> None:
-        """Add the gauge's rain (m/s) to the record of forecasts, and report its state."""
-        dressing.measure(now, rain)
-        code, why = "record_not_kept", dressing.problem and f"is not kept: {dressing.problem}"
-        if dressing.few:
-            code, why = "record_short", f"the forecast is used as it was issued: {dressing.few}"
-        well = "is used; without /gauge/precipitation nothing is added to it"
-        well = "is kept" if self._rain_gauge.good else well
-        self.say("record of forecasts", why, well, code, WARN)
-
     def progress(self) -> dict[str, Any]:
         """Return the source of the forecast, which its licence requires to be shown."""
         return {} if self._fetcher is None else {"forecast_by": ATTRIBUTION}
 
     def on_stop(self) -> None:
-        """End the fetching, and close the record of forecasts."""
+        """End the fetching."""
         if self._fetcher is not None:
             self._fetcher.end()
-        if self.live and self._dressing is not None:
-            self._dressing.close()
 
     def _outlook(
         self, forecast: LiveForecast, now: datetime, rain: float | None
     ) -> Outlook | None:
-        """Return the outlook (from the record if no forecast), and report its issue or problem.
+        """Return the outlook, None without a forecast, and report its issue or problem.
 
         Args:
             forecast: reads the file of forecasts.
@@ -374,15 +337,9 @@ class WeatherNode(LinkedNode):
             outlook = forecast.at(now, rain)
         except NoForecastError as error:
             why = "; ".join(filter(None, [str(error), problem]))
-            usual = self._site.climatic_evapotranspiration(self._month(now))
-            of_record = forecast.of_record(now, usual, rain)
             self.reports.numbers.pop("forecast", None)
-            if of_record is None:
-                self.diagnose("forecast", ERROR, why, "forecast_missing", unreadable)
-            else:
-                why = f"the record of past weather replaces the forecast: {why}"
-                self.diagnose("forecast", WARN, why, "forecast_of_record", unreadable)
-            return of_record
+            self.diagnose("forecast", ERROR, why, "forecast_missing", unreadable)
+            return None
         assert outlook.issued is not None  # a file's forecasts have issues
         age = (now - outlook.issued).total_seconds()
         self.reports.numbers["forecast"] = {"issued_ago_s": age}

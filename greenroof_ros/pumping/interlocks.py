@@ -3,8 +3,8 @@
 An interlock is active while there is a reason for it. The pump does not run while any interlock is
 active. There are three kinds:
 
-- *latched*: a fault of the pump, pipes or drive. It stays until somebody resets it, even across
-  restarts.
+- *latched*: a fault of the pump, pipes or drive, or a lost record of one. It stays until somebody
+  resets it, even across restarts.
 - *inhibit*: the site, its operator or a limit forbids pumping.
 - *enable*: a condition for running the pump at all is missing.
 
@@ -56,8 +56,7 @@ class Interlock(NamedTuple):
 _CONTROL, _LIMITS, _NODE = "pump_control", "limits", "nodes/pump"
 _FOLLOWING = "follow_time, follow_tolerance, drive_ramp"
 _OF_LEVEL = "level_limit, frozen_movement, jump_tolerance, recovery_time"
-_RELEASE, _AT_PANEL = "~/stop with false", "somebody at the drive's panel"
-_PAUSE_ENDS = "itself at its date, or greenroof pause --end"
+_AT_PANEL = "somebody at the drive's panel"
 INTERLOCKS = {
     "turns_backwards": Interlock(LATCHED, _CONTROL),
     "runs_on": Interlock(LATCHED, _CONTROL, f"{_FOLLOWING}, least_flow"),
@@ -68,10 +67,11 @@ INTERLOCKS = {
         "least_delivery, level_tolerance, averaging_time, greatest_loss, level_offset",
     ),
     "fault_unknown": Interlock(LATCHED, _CONTROL, "state_file"),
-    "operator_stop": Interlock(INHIBIT, _CONTROL, by=_RELEASE),
-    "page_stop": Interlock(INHIBIT, _CONTROL, by=_RELEASE, on_page=True),
-    "paused": Interlock(INHIBIT, _CONTROL, "pause_until", by=_PAUSE_ENDS),
-    "record_unknown": Interlock(INHIBIT, _CONTROL, "state_file", by=_RELEASE),
+    "record_unknown": Interlock(LATCHED, _CONTROL, "state_file"),
+    "hold": Interlock(
+        INHIBIT, _CONTROL, by="itself at its end, greenroof release, ~/stop with false",
+        on_page=True,
+    ),
     "cistern_level_unknown": Interlock(INHIBIT, _LIMITS, _OF_LEVEL),
     "cistern_low": Interlock(INHIBIT, _LIMITS, "level_offset, suction_hysteresis"),
     "roof_level_unknown": Interlock(INHIBIT, _LIMITS, _OF_LEVEL),

@@ -1,13 +1,25 @@
-"""State of the pump node that must survive a restart: stop, pause, fault, starts, the day's use.
+"""State of the pump node that must survive a restart: hold, fault, starts, the day's use.
+
+A hold keeps the pump off. It has an owner, who asked for it; a reason, which may be empty; and an
+end, or none. This is what it promises:
+
+- It is read before the pump may run. Neither a restart nor a power cut ends it.
+- There is one hold at a time. A later request replaces owner and reason, and never shortens it: the
+  later end counts, and no end is later than any.
+- It ends at its end by the system clock, or when it is released, whoever made it.
+- If it is unknown whether there was a hold or a fault, the pump stays off until somebody at the
+  pump clears that.
 
 The file has two lines of fixed length, padded with blanks and overwritten in place in turn. Its
-space is allocated when it is made, so a stop or a fault can be saved even if the disk is full later
+space is allocated when it is made, so a hold or a fault can be saved even if the disk is full later
 (except on file systems that never write in place: btrfs, zfs). Each line begins with its checksum
 and is one page long. A kill does not tear a page, but a power cut may. Then the other line is
-intact, but the torn one may have held a stop or a fault: the pump stays off until it is released.
+intact, but the torn one may have had a hold or a fault: this is unknown. So it is if the file
+cannot be read, has other keys than this version's, or is missing while another file shows that it
+existed. The file is made under another name and renamed once.
 
 The disk thread writes, so a slow disk does not delay the control of the pump. A lock on a file
-beside it lets only one ledger write: the record of a second one would erase a stop or a fault.
+beside it lets only one ledger write: the record of a second one would erase a hold or a fault.
 
 A day is 24 h of the ledger's clock, which starts at its first step and counts the site's time
 (steady clock, or simulated). Downtime is added by the system clock, unless that was set back.
@@ -23,6 +35,7 @@ import stat
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from datetime import datetime
 from functools import partial
 from io import FileIO
 from pathlib import Path
@@ -30,13 +43,17 @@ from typing import Any
 
 from greenroof_ros.common.disk import DISK, PATIENCE_S, Newest
 from greenroof_ros.common.processes import LockedError, take_lock
+from greenroof_ros.common.times import to_people
 
 DAY_S = 86_400.0
-PAGE_STOPPED = "somebody stopped it on the page or over MQTT"
+MOST = 1e11
+"""No number of the record is larger; as a time, it is in the year 5138."""
 # Length of a line (bytes): a page, and a block of most disks.
 _LINE = 4096
-# Most bytes of each text, and most starts, that fit in a line, whatever the text contains.
-_TEXT, _STARTS = 350, 100
+# Most bytes of a text and of an owner, and most starts, that fit in a line, whatever they contain.
+_TEXT, _OWNER, _STARTS = 350, 40, 100
+# What is beside the file while it is made; another version moved a broken file away.
+_NEW, _LEFTOVERS = ".new", (".new", ".broken")
 # Starts to remember: no pump may start more often in the hour that counts.
 _MOST_STARTS = 3600
 # While the pump is on, at most this much of its use is not yet on the disk (s).
@@ -50,11 +67,10 @@ class Record:
     """The state that is kept.
 
     Attributes:
-        operator_stop: why the pump was stopped through the service; empty if it was not.
-        pause_until: end of the pause, by the system clock (s since 1970).
-        page_stop: whether it was stopped on the page or over MQTT; the page may release this.
-        page_clears_from: when the page may clear a fault again (s, as ``elapsed``).
-        unknown: why it is unknown whether there was a stop or a fault; empty if it is known.
+        hold_owner: who holds the pump; empty if nobody does.
+        hold_reason: why; may be empty.
+        hold_until: end of the hold by the system clock (s since 1970); None if it has no end.
+        unknown: why it is unknown whether there was a hold or a fault; empty if it is known.
         fault: the latched fault; empty if there is none.
         fault_code: code of its interlock.
         elapsed: time since the ledger's first step (s).
@@ -65,10 +81,9 @@ class Record:
         written_at: time of writing by the system clock (s since 1970).
     """
 
-    operator_stop: str = ""
-    pause_until: float = 0.0
-    page_stop: bool = False
-    page_clears_from: float = 0.0
+    hold_owner: str = ""
+    hold_reason: str = ""
+    hold_until: float | None = None
     unknown: str = ""
     fault: str = ""
     fault_code: str = ""
@@ -80,9 +95,9 @@ class Record:
     written_at: float = 0.0
 
     @property
-    def stop(self) -> str:
-        """Why the pump stays stopped until somebody releases it; empty if it is not stopped."""
-        return self.operator_stop or self.unknown or (PAGE_STOPPED if self.page_stop else "")
+    def hold(self) -> tuple[str, str, float | None]:
+        """Owner, reason and end of the hold."""
+        return self.hold_owner, self.hold_reason, self.hold_until
 
     @property
     def day_elapsed(self) -> float:
@@ -99,10 +114,9 @@ def state_directory() -> Path:
 class Ledger:
     """Keeps the record, in a file if one is given.
 
-    A missing file means a fresh record, and is made at once. A broken file stops the pump until
-    somebody releases it, because it may have held a fault; it is kept as ``.broken``. The first
-    ledger of a file owns it until the ledger is closed or its process ends. A second ledger
-    reads the file at its own start, and writes nothing until it can take over (:meth:`take`).
+    A missing file means a fresh record, and is made at once. The first ledger of a file owns it
+    until the ledger is closed or its process ends. A second ledger reads the file at its own start,
+    and writes nothing until it can take over (:meth:`take`).
 
     Attributes:
         record: the present record.
@@ -130,19 +144,15 @@ class Ledger:
     def take(self) -> bool:
         """Take over the file if another ledger had it or it could not be made; return whether so.
 
-        Its present content counts, plus the stops, pauses and faults that came here meanwhile. An
-        earlier release does not apply to it, nor to its being unreadable.
+        Its present content counts, plus a hold and a fault that came here meanwhile. An earlier
+        release does not apply to it, nor to its being unreadable.
         """
         if self._file is None or self._only is not None or not self._lock(self._file):
             return False
         mine, before = self.record, self._at_start
         self._begin(self._file)
-        if mine.operator_stop and mine.operator_stop != before.operator_stop:
-            self.stop(mine.operator_stop)
-        if mine.page_stop and not before.page_stop:
-            self.stop_on_page(True)
-        if mine.pause_until != before.pause_until:
-            self.pause(mine.pause_until)
+        if mine.hold_owner and mine.hold != before.hold:
+            self.hold(*mine.hold)
         if mine.fault and mine.fault != before.fault:
             self.fault(mine.fault, mine.fault_code)
         return True
@@ -181,37 +191,41 @@ class Ledger:
             return f"{self._file} could not be written within {PATIENCE_S:g} s"
         return self._newest.problem
 
-    def stop(self, reason: str) -> None:
-        """Keep the pump off; or (empty) release every stop, also the page's and an unknown one."""
-        self.record = replace(self.record, operator_stop=reason)
-        if not reason:
-            self.record = replace(self.record, page_stop=False, unknown="")
-        self._save()
-
-    def stop_on_page(self, on: bool) -> None:
-        """Keep the pump off for the page, or release the page's stop and no other."""
-        self.record = replace(self.record, page_stop=on)
-        self._save()
-
     @property
     def now(self) -> float:
         """The system time (s since 1970)."""
         return self._clock()
 
     @property
-    def paused(self) -> bool:
-        """Whether the pump is paused now."""
-        return self.now < self.record.pause_until
+    def held(self) -> str:
+        """Who holds the pump, until when and why; empty if nobody does."""
+        owner, reason, until = self.record.hold
+        if not owner or (until is not None and self.now >= until):
+            return ""
+        end = "" if until is None else (
+            f" until {to_people(datetime.fromtimestamp(until).astimezone())}"
+        )
+        return f"a hold by {owner}{end}" + (f": {reason}" if reason else "")
 
-    def pause(self, until: float) -> None:
-        """Keep the pump off until a system time (s since 1970); 0 ends the pause."""
-        self.record = replace(self.record, pause_until=until)
+    def hold(self, owner: str, reason: str = "", until: float | None = None) -> None:
+        """Keep the pump off until a release, or until a time (s since 1970) if one is given."""
+        if self.held:
+            ends = until, self.record.hold_until
+            until = None if None in ends else max(end for end in ends if end is not None)
+        self.record = replace(
+            self.record, hold_owner=owner, hold_reason=reason, hold_until=until
+        )
         self._save()
 
-    def clear_on_page(self) -> None:
-        """Clear the latched fault from the page, which may do so once in 24 h."""
-        self.record = replace(self.record, page_clears_from=self.record.elapsed + DAY_S)
-        self.fault("", "")
+    def release(self) -> None:
+        """End the hold, whoever made it."""
+        self.record = replace(self.record, hold_owner="", hold_reason="", hold_until=None)
+        self._save()
+
+    def clear_unknown(self) -> None:
+        """Accept that an earlier hold or fault may have been lost."""
+        self.record = replace(self.record, unknown="")
+        self._save()
 
     def fault(self, text: str, code: str) -> None:
         """Latch a fault with its interlock's code, or clear it (empty)."""
@@ -314,7 +328,7 @@ def _why(file: Path, error: Exception) -> str:
         )
     why = getattr(error, "strerror", None) or repr(error)
     return (
-        f"{file} cannot be written: {why}; a restart would not know of a stop, a fault, or how "
+        f"{file} cannot be written: {why}; a restart would not know of a hold, a fault, or how "
         "much was pumped"
     )
 
@@ -322,13 +336,13 @@ def _why(file: Path, error: Exception) -> str:
 def _line(sequence: int, record: Record) -> bytes:
     """Return a record as a line of the file."""
 
-    def short(text: str) -> str:
-        printable = "".join(letter if letter.isprintable() else " " for letter in text[:_TEXT])
-        return printable.encode()[:_TEXT].decode(errors="ignore")
+    def short(text: str, most: int = _TEXT) -> str:
+        printable = "".join(letter if letter.isprintable() else " " for letter in text[:most])
+        return printable.encode()[:most].decode(errors="ignore")
 
     record = replace(
-        record, operator_stop=short(record.operator_stop), unknown=short(record.unknown),
-        fault=short(record.fault),
+        record, hold_owner=short(record.hold_owner, _OWNER), hold_reason=short(record.hold_reason),
+        unknown=short(record.unknown), fault=short(record.fault),
     )
     content = {"sequence": sequence, **asdict(record)}
     content["starts"] = [round(start, 1) for start in record.starts[-_STARTS:]]
@@ -339,21 +353,19 @@ def _line(sequence: int, record: Record) -> bytes:
 
 
 def _make(file: Path, record: Record) -> None:
-    """Write the file under another name, then rename it; an existing file is moved away.
+    """Write the file under another name, then rename it, which replaces a broken one at once.
 
     Raises:
         OSError: for instance, there is no room.
     """
-    if file.exists() and not file.is_file():
+    if os.path.lexists(file) and not file.is_file():
         raise FileExistsError(errno.EEXIST, "it exists but is not a file")
     file.parent.mkdir(parents=True, exist_ok=True)
-    beside = file.with_name(file.name + ".new")
+    beside = file.with_name(file.name + _NEW)
     with beside.open("wb") as stream:
         stream.write(_line(1, record) + _line(2, record))
         stream.flush()
         os.fsync(stream.fileno())
-    if file.exists():
-        file.replace(file.with_name(file.name + ".broken"))
     beside.replace(file)
     directory = os.open(file.parent, os.O_RDONLY)
     try:
@@ -381,7 +393,7 @@ def _read(file: Path) -> tuple[Record, int, bool]:
 
     Returns:
         The newest record; its number, 0 if the file must be made; and whether the file was intact.
-        If a line is broken, the record stops the pump.
+        If it was not, the record stops the pump.
     """
     numbered, problems = [], []
     try:
@@ -397,34 +409,74 @@ def _read(file: Path) -> tuple[Record, int, bool]:
             except ValueError as error:
                 problems.append(f"line {number + 1}: {error}")
     except FileNotFoundError:
-        return Record(), 0, False
+        problems = _traces(file)
+        if not problems:
+            return Record(), 0, False
     except (OSError, ValueError) as error:
-        problems = [str(error)]
+        problems = [getattr(error, "strerror", None) or str(error)]
     # The broken line is written next, which repairs the file.
     sequence, record = max(numbered, key=lambda pair: pair[0], default=(0, Record()))
     if problems:
         unknown = (
             f"{file} cannot be read ({'; '.join(problems)}), so it is unknown whether there was a "
-            "stop or a fault; check the pump, then release it"
+            "hold or a fault; check the pump, then reset it"
         )
         record = replace(record, unknown=record.unknown or unknown)
     return record, sequence, not problems
+
+
+def _traces(file: Path) -> list[str]:
+    """Return what shows that a missing file existed before."""
+    if file.is_symlink():
+        return [f"it is a link to {file.readlink()}, which is missing"]
+    beside = (file.with_name(file.name + ending) for ending in _LEFTOVERS)
+    return [f"it is missing, but {path.name} is there" for path in beside if os.path.lexists(path)]
 
 
 def _parse(line: bytes, number: int) -> tuple[int, Record]:
     """Return a line's sequence number and record.
 
     Raises:
-        ValueError: the line is broken.
+        ValueError: the line is broken, or from a version with other keys.
     """
     checksum, _, text = line.rstrip().partition(b" ")
     if checksum != b"%08x" % zlib.crc32(text):
         raise ValueError("its checksum is wrong")
-    content: dict[str, Any] = json.loads(text)
-    sequence, names = content.pop("sequence"), asdict(Record()).keys()
-    if "held" in content:  # the name in an older version
-        content["operator_stop"] = content.pop("held")
-    # An older version wrote fewer fields.
-    if content.keys() - names or (sequence + 1) % 2 != number:
-        raise ValueError(f"it must hold sequence, {', '.join(names)}")
+    try:
+        content = json.loads(text)
+    except RecursionError:
+        content = None
+    if not isinstance(content, dict):
+        raise ValueError("it must be a table of keys")
+    if wrong := sorted(content.keys() ^ _KINDS.keys()):
+        has = "no" if wrong[0] in _KINDS else "an unknown key"
+        raise ValueError(f"it has {has} {wrong[0]}, as if another version had written it")
+    for name, (kind, is_right) in _KINDS.items():
+        if not is_right(content[name]):
+            raise ValueError(f"{name} must be {kind}")
+    sequence = content.pop("sequence")
+    if (sequence + 1) % 2 != number:
+        raise ValueError("its sequence belongs to the other line")
     return sequence, Record(**content | {"starts": tuple(content["starts"])})
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and 0 <= value <= MOST
+
+
+_TEXT_KIND = "text", lambda value: isinstance(value, str)
+_NUMBER_KIND = f"a number from 0 to {MOST:g}", _is_number
+# What each key of a line must be, and the check of it.
+_KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "sequence": ("a whole number above 0", lambda value: type(value) is int and value > 0),
+    "hold_until": (
+        "a number or null", lambda value: value is None or _is_number(value)
+    ),
+    **dict.fromkeys(("hold_owner", "hold_reason", "unknown", "fault", "fault_code"), _TEXT_KIND),
+    **dict.fromkeys(("elapsed", "day_run", "day_volume", "written_at"), _NUMBER_KIND),
+    "starts": (
+        "a list of numbers",
+        lambda value: isinstance(value, list) and all(map(_is_number, value)),
+    ),
+    "on": ("true or false", lambda value: isinstance(value, bool)),
+}

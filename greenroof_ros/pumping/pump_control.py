@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 
-from greenroof_ros.common.times import to_people
 from greenroof_ros.model.pump_speed import STANDS, flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.delivery import DeliveryCheck
@@ -19,7 +17,7 @@ from greenroof_ros.pumping.interlocks import (
     LATCHED,
     evaluate,
 )
-from greenroof_ros.pumping.ledger import PAGE_STOPPED, SAVE_EVERY_S, Ledger
+from greenroof_ros.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.pumping.limits import Limits, Pulses, PumpSettings
 
 # A measured flow above this multiple of the maximum flow is not believed.
@@ -141,28 +139,6 @@ class PumpControl:
         # since it is not known to be at rest.
         self._turned = 1.0
 
-    def stop(self, on: bool) -> None:
-        """Keep the pump off whatever is commanded, or release it; restarts do not change that.
-
-        It takes effect with the next step.
-        """
-        self._ledger.stop("an operator stopped it" if on else "")
-
-    def stop_on_page(self, on: bool) -> None:
-        """Keep the pump off for the page, or release the page's stop and no other."""
-        self._ledger.stop_on_page(on)
-
-    def pause(self, until: float) -> None:
-        """Keep the pump off until a time (s since 1970), across restarts; 0 ends the pause."""
-        self._ledger.pause(until)
-
-    def _paused(self) -> str:
-        """Return that the pump is paused, and until when; empty if it is not paused."""
-        if not self._ledger.paused:
-            return ""
-        end = datetime.fromtimestamp(self._ledger.record.pause_until).astimezone()
-        return f"an operator paused it until {to_people(end)}"
-
     @property
     def dose(self) -> Dose | None:
         """The dose that waits, runs, or ended a moment ago; None if there is none."""
@@ -185,37 +161,33 @@ class PumpControl:
         )
 
     def reset(self) -> str:
-        """Clear the latched fault, and return it; a cause that persists latches it again."""
-        cleared = self._ledger.record.fault
-        if cleared:
-            self._ledger.fault("", "")
-            self._forget_evidence()
-        return cleared
+        """Clear the latched fault and an unknown state, and return both.
+
+        A cause that persists latches the fault again.
+        """
+        record = self._ledger.record
+        self._ledger.clear_unknown()
+        self.clear()
+        return "; ".join(filter(None, (record.fault, record.unknown)))
 
     @property
-    def page_may_not_clear(self) -> str:
-        """Why the page must not clear the latched fault; empty if it may."""
+    def no_clear(self) -> str:
+        """Why the latched fault must not be cleared from the page; empty if it may be."""
         record = self._ledger.record
         if not record.fault:
             return "there is no fault"
         row = INTERLOCKS.get(record.fault_code)
         if row is None or not row.on_page:
-            return "such a fault is cleared at the pump node, by somebody who has checked the pump"
-        wait = record.page_clears_from - record.elapsed
-        if wait > 0:
-            return f"a fault can be cleared here once in 24 h; again in {wait / 3600:.1f} h"
+            return "such a fault is reset at the pump node, by somebody who has checked the pump"
         return ""
 
-    def clear_on_page(self) -> None:
-        """Clear a latched fault from the page; a cause that persists latches it again."""
-        self._ledger.clear_on_page()
-        self._forget_evidence()
-
-    def _forget_evidence(self) -> None:
-        """Forget the evidence that led to a fault."""
-        self._delivery = DeliveryCheck(self._site, self._settings)
-        self._follow_error_for = self._flowed_for = 0.0
-        self._failed_starts = 0
+    def clear(self) -> None:
+        """Clear the latched fault, if any, and forget the evidence that led to it."""
+        if self._ledger.record.fault:
+            self._ledger.fault("", "")
+            self._delivery = DeliveryCheck(self._site, self._settings)
+            self._follow_error_for = self._flowed_for = 0.0
+            self._failed_starts = 0
 
     def pass_unseen(self, dt: float) -> None:
         """Count unwatched time, such as a suspend of the machine; the pump is off after it.
@@ -455,7 +427,7 @@ class PumpControl:
     ) -> dict[str, str]:
         """Return the faults by interlock: the present ones, and the latched one until its reset.
 
-        Also the other reasons that the ledger keeps: stops, a pause, and an unreadable record.
+        Also the other reasons that the ledger keeps: a hold, and an unreadable record.
         """
         failed_start = observed.reasons.get("start_failed", "")
         if failed_start and self._setpoint is not None:
@@ -493,10 +465,7 @@ class PumpControl:
         if worst:
             self._ledger.fault(latched[worst], worst)
         record = self._ledger.record
-        reasons |= {
-            "operator_stop": record.operator_stop, "record_unknown": record.unknown,
-            "page_stop": PAGE_STOPPED if record.page_stop else "", "paused": self._paused(),
-        }
+        reasons |= {"record_unknown": record.unknown, "hold": self._ledger.held}
         if record.fault:
             row = INTERLOCKS.get(record.fault_code)
             known = row is not None and row.kind == LATCHED

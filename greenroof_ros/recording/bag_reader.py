@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import tzinfo
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
@@ -39,6 +41,7 @@ _COLUMNS = {
     "/weather/frost": "frost",
 }
 _TYPE = "std_msgs/msg/Float64"
+_CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
 # A live graph publishes NaN if it does not know the value, as defined in the interface.
 _MAY_BE_UNKNOWN = ("/weather/frost",)
@@ -91,7 +94,7 @@ def load_bag(
     their samples are the ticks.
 
     Args:
-        bag: its directory.
+        bag: its directory, or a single MCAP file.
         site: where it was recorded.
         zone: time zone of the result.
         own: whether the run is known to be this package's: its plant then refused implausible
@@ -148,33 +151,36 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     """Read each used topic of a bag, ordered by time.
 
     The topics may be in a namespace, such as /site1/roof/level; the result has their plain names.
+    If the bag has the graph's clock, its times count: a bag of a simulation that was recorded
+    without simulated time has the times of arrival.
 
     Raises:
         ConfigurationError: the bag is damaged, or lacks a needed topic.
     """
     with in_extra("study"):
-        from rosbags import highlevel, typesys
+        from rosbags import typesys
+    typestore = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     times: dict[str, list[int]] = {}
-    values: dict[str, list[float]] = {}
+    values: dict[str, list[float]] = {}  # of the clock in ns
     try:
-        with highlevel.AnyReader(
-            [bag], default_typestore=typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
-        ) as reader:
-            types = {connection.topic: connection.msgtype for connection in reader.connections}
+        with _opened(bag, typestore) as reader:
+            types = dict(reader.types)
             namespace = find_namespace(types, list(_NEEDED), bag)
             names = {f"{namespace}{topic}": topic for topic in _COLUMNS}
             _check_topics(bag, types, names)
-            connections = [
-                connection for connection in reader.connections if connection.topic in names
-            ]
-            for connection, stamp, raw in reader.messages(connections=connections):
-                topic = names[connection.topic]
-                message: Any = reader.deserialize(raw, connection.msgtype)
+            clock = f"{namespace}{_CLOCK}"
+            if types.get(clock) == _CLOCK_TYPE:
+                names[clock] = _CLOCK
+            for name, stamp, message in reader.messages([name for name in names if name in types]):
+                topic = names[name]
                 times.setdefault(topic, []).append(stamp)
-                values.setdefault(topic, []).append(message.data)
+                values.setdefault(topic, []).append(
+                    message.clock.sec * 10**9 + message.clock.nanosec if topic == _CLOCK
+                    else message.data
+                )
     except ConfigurationError:
         raise
-    except Exception as error:  # rosbags lets any error of its storages and codecs pass
+    except Exception as error:  # the readers let any error of storages and codecs pass
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ConfigurationError(
             f"cannot be read as a bag: {reason} If its recorder was killed, {repair}", file=bag
@@ -182,7 +188,88 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     silent = [topic for topic in _NEEDED if topic not in times]
     if silent:
         raise ConfigurationError(f"holds no message of {', '.join(silent)}", file=bag)
-    return {topic: _Series(np.array(times[topic]), np.array(values[topic])) for topic in times}
+    arrived = {topic: np.array(stamps) for topic, stamps in times.items()}
+    if _CLOCK in arrived:
+        arrived = _by_clock(bag, arrived, np.array(values[_CLOCK]))
+    return {topic: _Series(stamps, np.array(values[topic])) for topic, stamps in arrived.items()}
+
+
+def _by_clock(bag: Path, arrived: Mapping[str, Stamps], clock: Stamps) -> dict[str, Stamps]:
+    """Return the simulated times of the messages of each topic but the clock (ns).
+
+    A topic with as many messages as the clock has one for each tick. Otherwise a message belongs to
+    the last tick whose clock message arrived before it.
+
+    Args:
+        bag: for messages.
+        arrived: when the messages arrived (ns), by topic.
+        clock: values of the clock's messages (ns).
+
+    Raises:
+        ConfigurationError: the clock goes back: the bag holds more than one run.
+    """
+    back = np.flatnonzero(np.diff(clock) < 0)
+    if len(back):
+        before, after = (from_epoch_ns(int(clock[back[0] + step])).isoformat() for step in (0, 1))
+        raise ConfigurationError(
+            f"goes back from {before} to {after}: record each run in a bag of its own",
+            file=bag, key=_CLOCK,
+        )
+    stamps = {}
+    for topic, own in arrived.items():
+        if topic == _CLOCK:
+            continue
+        if len(own) == len(clock):
+            stamps[topic] = clock
+        else:
+            tick = np.searchsorted(arrived[_CLOCK], own, side="right") - 1
+            stamps[topic] = clock[np.maximum(tick, 0)]
+    return stamps
+
+
+class _Reader(NamedTuple):
+    """An open bag."""
+
+    types: Mapping[str, str]
+    """type of each topic"""
+    messages: Callable[[Sequence[str]], Iterator[tuple[str, int, Any]]]
+    """yields the messages of some topics by time: topic, when it was logged (ns), message"""
+
+
+@contextmanager
+def _opened(bag: Path, typestore: Any) -> Iterator[_Reader]:
+    """Open a bag, which is a directory or a single MCAP file."""
+    if bag.is_dir():
+        from rosbags.highlevel import AnyReader
+
+        with AnyReader([bag], default_typestore=typestore) as reader:
+
+            def of_directory(topics: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
+                wanted = [each for each in reader.connections if each.topic in topics]
+                for connection, stamp, raw in reader.messages(connections=wanted):
+                    message = reader.deserialize(raw, connection.msgtype)
+                    yield connection.topic, stamp, message
+
+            yield _Reader({each.topic: each.msgtype for each in reader.connections}, of_directory)
+        return
+    with bag.open("rb") as stream:
+        mcap = make_reader(stream)
+        summary = mcap.get_summary()
+        if summary is None:
+            raise ValueError("it was not closed.")
+
+        def of_file(topics: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
+            for schema, channel, message in mcap.iter_messages(topics=topics):
+                assert schema is not None, "only channels with a schema are read"
+                yield (
+                    channel.topic, message.log_time,
+                    typestore.deserialize_cdr(message.data, schema.name),
+                )
+
+        yield _Reader({
+            channel.topic: summary.schemas[channel.schema_id].name
+            for channel in summary.channels.values() if channel.schema_id in summary.schemas
+        }, of_file)
 
 
 def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str]) -> None:

@@ -14,7 +14,8 @@ from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.report.run import Assumptions, controller_name
+from greenroof_ros.common.files import naming
+from greenroof_ros.report.run import Assumptions
 
 if TYPE_CHECKING:
     from greenroof_ros.report.groups import Report
@@ -25,8 +26,8 @@ _MOST_TABLES = 3
 _PAGE = "report.html"
 
 _DESCRIPTION = """\
-Judge and draw runs: every figure of the paper, tables of deviation, water balance, energy and pump
-starts, on one page that needs nothing but a browser.
+Judge and draw runs: figures and tables of deviation, water balance, energy and pump starts, on one
+page that needs nothing but a browser.
 """
 _EPILOG = """\
 The output holds report.html, and each figure as SVG and PNG in figures/. A bag needs
@@ -50,7 +51,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH",
-        help="a study's directory, a run's, or a bag (a directory with metadata.yaml)",
+        help="a study, a run or a bag (their directories), or an .mcap file",
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
@@ -64,10 +65,6 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
         help="site of the bags (default: configuration/site.yaml beside each, else the paper's)",
-    )
-    parser.add_argument(
-        "--pump-data", type=Path, metavar="FILE.csv",
-        help="points of the pumps' data sheet, to draw and to fit: lines of 'flow [m3/s],head [m]'",
     )
     group = parser.add_argument_group("assumptions")
     group.add_argument(
@@ -154,12 +151,13 @@ def main() -> int:
         report = groups.Report(
             sources, assumptions, partial(progress.track, description="reading runs")
         )
-        made = list(figures.make_figures(report, arguments.pump_data))
+        made = list(figures.make_figures(report))
         with _writing(output):
             (output / "figures").mkdir(parents=True, exist_ok=True)
         for figure in progress.track(made, description="drawing figures"):
             figure.save(output / "figures")
-    (output / _PAGE).write_text(page.render(report, made), encoding="utf-8")
+    with naming(output / _PAGE):
+        (output / _PAGE).write_text(page.render(report, made), encoding="utf-8")
     names = {figure.name for figure in made}
     for file in former:
         if file.parent.name == "figures" and file.stem not in names:
@@ -171,7 +169,7 @@ def main() -> int:
 
 def _show(report: Report) -> None:
     """Print problems of runs, the best runs of the first windows, and counts of other runs."""
-    from greenroof_ros.report.groups import SEASONS, SEEDS, TOTAL
+    from greenroof_ros.report.groups import SEASONS, SEEDS, TOTAL, who
 
     console = Console()
     for name, run in report.runs.items():
@@ -184,15 +182,14 @@ def _show(report: Report) -> None:
     windows = report.windows()
     for window in windows[:_MOST_TABLES]:
         title = f"Least deviation from the target: {report.heading(window)}"
-        table = Table("from", "controller", "best setting", title=title, title_justify="left")
+        table = Table("from", "controller", title=title, title_justify="left")
         for unit in ("mean mm", "total m3"):
             table.add_column(unit, justify="right")
         for row in report.best():
             if row["window"] == window["window"]:
-                name = controller_name(row["controller"])
                 mean = row["mean_deviation_mm"]
                 table.add_row(
-                    row["from"], name, row["setting"], "" if mean is None else f"{mean:.2f}",
+                    row["from"], who(row), "" if mean is None else f"{mean:.2f}",
                     f"{row[TOTAL]:.2f}",
                 )
         console.print(table)

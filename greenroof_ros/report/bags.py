@@ -48,7 +48,9 @@ def _bag_in(path: Path) -> Path:
 def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
     """Return the run in a run directory or bag; a row with its error if it left no bag."""
     bag, run = _bag_in(path), run_directory(path)
-    closed = [place for place in (bag, recovered_bag(bag)) if (place / "metadata.yaml").is_file()]
+    closed = [path] if path.is_file() else [
+        place for place in (bag, recovered_bag(bag)) if (place / "metadata.yaml").is_file()
+    ]
     bag = next(iter(closed), bag)
     repair = f"greenroof recover {path} makes a whole one"
     own_site, notes = site_file_of(run), list[Note]()
@@ -72,7 +74,8 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
             error = f"{about.ending}; no bag"
             return {"run": name, "what": about.row["controller"], "error": error}
         raise ConfigurationError(
-            "must be a study (with results.csv), a run (with bag/) or a bag (with metadata.yaml)",
+            "must be a study (with results.csv), a run (with bag/), a bag (with metadata.yaml) or "
+            "an .mcap file",
             file=path,
         )
     zone = about.zone
@@ -211,7 +214,7 @@ class Drawn(NamedTuple):
 def drawn(trajectory: Trajectory) -> Drawn:
     """Return the curves of a trajectory that are drawn."""
     curves = {}
-    for name in ("command", "cistern", "roof", "precipitation", "evapotranspiration"):
+    for name in ("command", "pump_flow", "cistern", "roof", "precipitation", "evapotranspiration"):
         values = getattr(trajectory, name)
         if name not in ("cistern", "roof"):
             # The run ends at the last sample: its flows never held, so draw the values before it.

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import altair as alt
 import vl_convert
+
+from greenroof_ros.common.files import naming
 
 # Okabe and Ito's colours without yellow, which is too pale on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
@@ -100,7 +103,7 @@ class Panel:
 def _fit_legend(color: dict[str, Any]) -> None:
     """Give a legend as many columns as fit into the panel at any width of the page."""
     names = color.get("scale", {}).get("domain")
-    if not names:
+    if not names or color.get("legend", {}) is None:
         return
     entry = _LEGEND_SYMBOL + min(_LEGEND_LABEL, _LETTER * max(map(len, names)))
     title = _LETTER * len(color.get("title") or "")
@@ -110,16 +113,15 @@ def _fit_legend(color: dict[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure: its panels, their data, and how to read it.
+    """A figure: its panels and their data.
 
     Attributes:
         name: of its files.
         title: what it shows.
-        caption: how to read it.
+        caption: a few words that name the marks; may be empty.
         panels: in reading order.
         columns: how many panels go side by side.
         data: the rows that the panels refer to by name.
-        folded: whether the page folds it away, because it is about the site and not about a run.
     """
 
     name: str
@@ -128,7 +130,6 @@ class Figure:
     panels: tuple[Panel, ...]
     columns: int
     data: dict[str, Rows] = field(default_factory=dict)
-    folded: bool = False
 
     @property
     def page_columns(self) -> int:
@@ -148,13 +149,19 @@ class Figure:
         # Added here, as altair would check every row. The PNG is made from the SVG, laid out once.
         specification.setdefault("datasets", {}).update(self.data)
         vectors = vl_convert.vegalite_to_svg(specification, _VEGA_LITE)
-        (directory / f"{self.name}.svg").write_text(vectors, encoding="utf-8")
-        (directory / f"{self.name}.png").write_bytes(vl_convert.svg_to_png(vectors, scale=2))
+        file = directory / f"{self.name}.svg"
+        with naming(file):
+            file.write_text(vectors, encoding="utf-8")
+        file = directory / f"{self.name}.png"
+        with naming(file):
+            file.write_bytes(vl_convert.svg_to_png(vectors, scale=2))
 
 
-def distinct(name: str, values: list[str], title: str) -> dict[str, Any]:
-    """Distinguish the series of a field by colour and by dashes."""
-    colour, dash = cycled(COLOURS, values), cycled(_DASHES, values)
+def distinct(
+    name: str, values: list[str], title: str, drawn: Collection[str] | None = None
+) -> dict[str, Any]:
+    """Distinguish the series of a field by colour and by dashes; see :func:`cycled`."""
+    colour, dash = cycled(COLOURS, values, drawn), cycled(_DASHES, values, drawn)
     legend = alt.Legend(symbolSize=600, symbolType="stroke")
     return {
         "color": alt.Color(f"{name}:N", title=title or None, scale=colour, legend=legend),
@@ -177,10 +184,48 @@ def pointed(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tooltip]:
     return list(map(tooltip, fields))
 
 
-def cycled(choices: Sequence[Any], values: list[str]) -> alt.Scale:
-    """Return a scale that gives each value a choice; choices repeat if there are more values."""
-    chosen = list(itertools.islice(itertools.cycle(choices), len(values)))
-    return alt.Scale(domain=values, range=chosen)
+def cycled(
+    choices: Sequence[Any], values: list[str], drawn: Collection[str] | None = None
+) -> alt.Scale:
+    """Return a scale that gives each value a choice; choices repeat if there are more values.
+
+    Args:
+        choices: such as colours.
+        values: of the whole figure, so that a value has one colour in all panels.
+        drawn: the values that have a mark in the panel, and so an entry in its legend; by default
+            all of them.
+    """
+    chosen = {
+        value: choice for value, choice in zip(values, itertools.cycle(choices))
+        if drawn is None or value in drawn
+    }
+    return alt.Scale(domain=list(chosen), range=list(chosen.values()))
+
+
+def value_axis(values: Sequence[float]) -> dict[str, Any]:
+    """Return scale and axis of a quantity: around its values, so that their differences are seen.
+
+    If a few values are so large that half of the others would share a tenth of a linear axis, it is
+    logarithmic; with values of 0 it is linear below the least other value.
+    """
+    ordered = sorted(values)
+    low, middle, high = ordered[0], ordered[len(ordered) // 2], ordered[-1]
+    positive = [value for value in ordered if value > 0]
+    if low >= 0 and positive and high - low > 10 * (middle - low) > 0:
+        least = positive[0]
+        if low > 0:
+            return {"scale": alt.Scale(type="log", domain=[low / 1.1, 1.1 * high], nice=False)}
+        ticks = [10.0**power for power in range(math.ceil(math.log10(least)), 1 + math.floor(
+            math.log10(high)))]
+        return {
+            "scale": alt.Scale(type="symlog", constant=least, domain=[0, 1.5 * high], nice=False),
+            "axis": alt.Axis(values=[0.0, *ticks], format="~g"),
+        }
+    margin = 0.08 * (high - low) or 0.08 * abs(high) or 1.0
+    bottom = low - margin
+    if low >= 0 > bottom:
+        bottom = 0.0
+    return {"scale": alt.Scale(domain=[bottom, high + margin], nice=False)}
 
 
 def hover_points(lines: alt.Chart) -> alt.Chart:

@@ -41,8 +41,6 @@ SINGLE, SEEDS, SEASONS = "single", "seeds", "seasons"
 """the kinds of cases"""
 
 TOTAL = "total_deviation_m3"
-ALIKE = "all alike"
-"""shown instead of a setting if all settings give the same"""
 
 # Runs are compared if they agree in these columns, which are also headers on the page.
 _WINDOW = (
@@ -69,7 +67,7 @@ _SCHEMA: dict[str, Any] = {
     **dict.fromkeys(("year", "rank", "skill rank"), pl.Int64),
     **dict.fromkeys(
         ("hours", "cistern_m3", "roof_m3", "bound_m3", "tau", "initial_layer", "roof_m2",
-         "cistern_size_m3", "x", *_NUMBERS),
+         "cistern_size_m3", *_NUMBERS),
         pl.Float64,
     ),
 }
@@ -106,9 +104,6 @@ class Settings:
     Attributes:
         title: what a label shows: the parameter's name if there is just one, or ``setting``.
         labels: all labels, in the order of their values.
-        axis: the one numeric parameter that differs; empty if there is none, if there are several,
-            or if a parameter was changed during a run.
-        log: whether that parameter's range is wide enough for a logarithmic axis.
     """
 
     def __init__(self, runs: Sequence[Run]) -> None:
@@ -117,11 +112,6 @@ class Settings:
         apart += sorted(changed.difference(apart))
         self._shown = apart or list(runs[0].parameters)[:1]
         self.title = self._shown[0] if len(self._shown) == 1 else "setting"
-        numbers = [run.parameters.get(self.title) for run in runs]
-        floats = [number for number in numbers if isinstance(number, float)]
-        fixed = len(floats) == len(numbers) and not changed
-        self.axis = self.title if len(apart) == 1 and fixed else ""
-        self.log = bool(self.axis) and min(floats) > 0 and max(floats) / min(floats) > 20
 
         def order(run: Run) -> tuple[list[tuple[float, str]], str]:
             values = map(run.parameters.get, self._shown)
@@ -252,7 +242,6 @@ class Report:
                 "roof_m2": run.site.a2, "cistern_size_m3": run.site.a1 * run.site.z_o,
                 "label": label,
                 "setting": settings.label(run, full=True),
-                "x": run.parameters[settings.axis] if settings.axis else None,
                 "rank": _SETTINGS * place + settings.labels.index(label),
                 "skill rank": _SKILLS.get(run.row["skill"], len(_SKILLS)), "ended": run.ended,
             })
@@ -302,7 +291,7 @@ class Report:
         ).group_by("case", maintain_order=True).agg(
             col(
                 "run", "kind", "window", "place", *_FACTS[SINGLE], "from", "controller", "label",
-                "setting", "x", "rank", "skill", "skill rank", "ended", "hours", "roof_m2",
+                "setting", "rank", "skill", "skill rank", "ended", "hours", "roof_m2",
                 "cistern_size_m3", "all_years", "all_seeds",
             ).first(),
             totals=col(TOTAL), worst_m3=col(TOTAL).max(),
@@ -368,7 +357,7 @@ class Report:
     def best(self) -> list[Row]:
         """Return the run of each controller with the least deviation, place by place.
 
-        Only single runs count. If all of them are equal, the setting is :data:`ALIKE`.
+        Only single runs count. If all of them are equal, there is no setting.
         """
         def order(row: Row) -> tuple[int, ...]:
             return row["window"], self.initials.index(row["from"]), row["rank"] // _SETTINGS
@@ -377,7 +366,7 @@ class Report:
         for _, group in groupby(sorted(self.of(SINGLE), key=order), key=order):
             first, *others = sorted(group, key=lambda row: (row[TOTAL], row["case"]))
             alike = others and first[TOTAL] == others[-1][TOTAL]
-            best.append({**first, "setting": ALIKE} if alike else first)
+            best.append({**first, "setting": ""} if alike else first)
         return best
 
     # --- seasons of several years ----------------------------------------------------------------
@@ -454,9 +443,8 @@ class Report:
 
 
 def who(row: Row) -> str:
-    """Name the controller of a case, with its setting unless all settings are alike."""
-    name = controller_name(row["controller"])
-    return name if row["setting"] == ALIKE else f"{name} {row['setting']}".strip()
+    """Name the controller of a case, with its setting if it has one."""
+    return f"{controller_name(row['controller'])} {row['setting']}".strip()
 
 
 def unique(rows: Sequence[Row], names: Sequence[str]) -> list[str]:

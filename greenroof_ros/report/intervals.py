@@ -17,11 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-RESAMPLES = 2000
+_RESAMPLES = 2000
 """of the bootstrap: enough to know the ends of intervals to some hundredths of their width"""
-
-CONTAINS_1 = "contains 1"
-"""verdict on an interval that contains 1"""
 
 _SEED = 1
 
@@ -34,13 +31,6 @@ class Ratio(NamedTuple):
     value: float
     low: float
     high: float
-
-    @property
-    def verdict(self) -> str:
-        """Whether the interval is below 1, above it, or contains it."""
-        if self.low <= 1 <= self.high:
-            return CONTAINS_1
-        return "better" if self.high < 1 else "worse"
 
 
 class Deviations:
@@ -135,7 +125,7 @@ def _draws(years: int) -> Array:
 
     The seed is fixed, so a report is the same each time it is made.
     """
-    drawn = np.random.default_rng(_SEED).integers(years, size=(years, RESAMPLES))
+    drawn = np.random.default_rng(_SEED).integers(years, size=(years, _RESAMPLES))
     counts: Array = (drawn[:, :, None] == np.arange(years)).sum(axis=0).astype(np.float64)
     return counts
 

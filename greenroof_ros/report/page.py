@@ -14,10 +14,9 @@ from markupsafe import Markup
 from greenroof_ros.experiment.summary import versions, versions_text
 from greenroof_ros.model.site import site_parameters
 from greenroof_ros.report.drawing import CONFIG, Figure, Rows
-from greenroof_ros.report.groups import SEASONS, SEEDS, Report
-from greenroof_ros.report.intervals import RESAMPLES
-from greenroof_ros.report.tables import incident_tables, make_tables, shown_metrics, unit
-from greenroof_ros.report.words import LEADING, cautions, make_warnings, sentences, windows
+from greenroof_ros.report.groups import Report
+from greenroof_ros.report.tables import incident_tables, make_tables
+from greenroof_ros.report.words import LEADING, cautions, make_warnings, sentences
 
 
 def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:
@@ -35,7 +34,6 @@ def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:
         loader=jinja2.ChoiceLoader(places), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters["two_lines"] = _two_lines
     return environment.get_template("page.html").render({
         "figures": figures, "versions": versions_text(versions()), "library": _library(),
         "payload": payload(figures), **values,
@@ -56,18 +54,12 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
     return page_of(
         __package__, figures,
         report=report,
-        seeds=bool(report.of(SEEDS)),
-        seasons=bool(report.of(SEASONS)),
         tables=make_tables(report),
         warnings=make_warnings(report),
         incidents=incident_tables(report),
         lead=sentences(report),
         leading=next((by_name[name] for name in LEADING if name in by_name), None),
         cautions=cautions(report),
-        metrics=[(metric.label, unit(metric), metric.meaning) for metric in shown_metrics(report)],
-        bounds=bool(report.table["bound_m3"].sum()),
-        resamples=RESAMPLES,
-        windows=windows(report),
         sites={run.row["site"]: run.site for run in report.runs.values()},
         parameters=site_parameters(),
         versions=versions_text(versions() | used),
@@ -100,16 +92,6 @@ def payload(figures: Sequence[Figure]) -> Markup:
         allow_nan=False, separators=(",", ":"), ensure_ascii=False,
     )
     return Markup(text.replace("<", "\\u003c"))  # noqa: S704
-
-
-def _two_lines(text: str) -> Markup:
-    """Break a text into the two lines that need the least width, for narrow columns."""
-    words = text.split()
-    lines = min(
-        ((" ".join(words[:count]), " ".join(words[count:])) for count in range(1, len(words) + 1)),
-        key=lambda pair: max(map(len, pair)),
-    )
-    return Markup(" <br>").join(filter(None, lines))
 
 
 def _columns(rows: Rows) -> dict[str, list[Any]]:

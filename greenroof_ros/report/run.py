@@ -33,8 +33,6 @@ NO_ERRORS = "none"
 
 PAPERS_CONTROLLERS = {"mpc": "MPC", "onoff": "on/off"}
 
-# The options in a name of forecasts, in the order in which they follow the model or file.
-_LABELLED = (*OPTIONS, "dressed")
 _PARAMETERS = "configuration/parameters.yaml"
 # How an unfinished run ended, as a sentence and in short, by the status in its summary.
 _NOT_DONE = {
@@ -174,7 +172,7 @@ def labels(row: Row) -> Row:
     its number of members only), ``kind of forecast`` (all but the seed), ``skill``, ``seed`` and
     ``sensor and pump errors``.
     """
-    options = {option: row.get(f"forecast_{option}") for option in _LABELLED}
+    options = {option: row.get(f"forecast_{option}") for option in OPTIONS}
     errors = {name: float(row.get(name) or 0) for name in PARAMETERS}
     seed = errors.pop("noise_seed")
     texts = [
@@ -213,8 +211,7 @@ def meaning_of_initial(row: Row) -> object:
 def _forecast(name: str | None, options: Mapping[str, object]) -> str:
     """Return a name for forecasts, with the options that are set."""
     texts = [
-        f"{option} {Path(str(value)).name if option == 'dressed' else value}"
-        for option, value in options.items() if value not in (None, "")
+        f"{option} {value}" for option, value in options.items() if value not in (None, "")
     ]
     return PERFECT if not name or name == PERFECT else " ".join([Path(name).name, *texts])
 
@@ -307,7 +304,7 @@ def _node_parameters(file: Path) -> dict[str, Any]:
         "evapotranspiration_method": weather.get("evapotranspiration"),
         "gaps": weather.get("gaps"),
         "forecast": {
-            "model": weather.get("forecast"), "dressed": weather.get("dressed"),
+            "model": weather.get("forecast"),
             **{option: weather.get(f"forecast_{option}") for option in OPTIONS},
         },
         "sensor_pump_errors": {name: plant.get(name) for name in PARAMETERS},
@@ -371,7 +368,7 @@ def _row(content: Mapping[str, Any], *, live: bool, done: bool) -> Row:
         "evapotranspiration": content.get("evapotranspiration_method"),
         "gaps": content.get("gaps"),
         "forecast": forecast.get("file") or forecast.get("model"),
-        **{f"forecast_{option}": forecast.get(option) for option in _LABELLED},
+        **{f"forecast_{option}": forecast.get(option) for option in OPTIONS},
         **summary_columns(content),
     }
     for name in (*(metric.name for metric in METRICS), "frost_hours"):

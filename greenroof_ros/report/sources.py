@@ -69,16 +69,22 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
         site_file: the site of all bags, instead of the site file beside each.
 
     Raises:
-        ConfigurationError: a path is none of these, or its content is wrong.
+        ConfigurationError: a path is none of these, its content is wrong, or two have one name.
     """
     sources = Sources()
     for path in paths:
-        if not path.is_dir():
-            wrong = "must be a directory: of a study, of a run, or a bag"
+        if not path.is_dir() and not (path.is_file() and path.suffix == ".mcap"):
+            wrong = "must be a directory (of a study, of a run, or a bag), or an .mcap file"
             raise ConfigurationError(wrong if path.exists() else "does not exist", file=path)
-    places = [run_directory(path).resolve() for path in paths]
-    for path, place in zip(paths, places, strict=True):
-        name = _name(place, places)
+    named: dict[str, Path] = {}
+    for path in paths:
+        name = run_directory(path).resolve().name
+        if name in named:
+            raise ConfigurationError(
+                f"{named[name]} and {path} have one name, {name}: give each path once, or rename "
+                "one of the directories"
+            )
+        named[name] = path
         if (path / "results.csv").is_file():
             if site_file is not None:
                 raise ConfigurationError(
@@ -93,20 +99,8 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
                 sources.runs.append(run)
             else:
                 sources.failed.append(run)
-    for name, count in Counter(run.name for run in sources.runs).items():
-        if count > 1:
-            raise ConfigurationError(f"two runs are named {name}; give each path once")
     sources.runs = _with_sources(sources.runs)
     return sources
-
-
-def _name(place: Path, places: list[Path]) -> str:
-    """Return the shortest end of a path that distinguishes it from the others."""
-    others = [other.parts for other in places if other != place]
-    return next(
-        "/".join(place.parts[-count:]) for count in range(1, len(place.parts) + 1)
-        if all(other[-count:] != place.parts[-count:] for other in others)
-    )
 
 
 def _with_sources(runs: Sequence[Run]) -> list[Run]:
@@ -147,7 +141,7 @@ def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
         # Simulations pump nothing during frost.
         row["frost_pumped_m3"] = 0.0
         trajectory = path / "runs" / run / "trajectory.parquet"
-        forecasts = (row.get(key) for key in ("forecast", "forecast_skill", "forecast_dressed"))
+        forecasts = (row.get(key) for key in ("forecast", "forecast_skill"))
         sources.runs.append(Run(
             row=row,
             site=site,

@@ -4,29 +4,45 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
 from greenroof_ros.common.times import hours_minutes_seconds, to_people
 from greenroof_ros.experiment import summary
 from greenroof_ros.model.metrics import METRICS, Metric
-from greenroof_ros.report.groups import SEASONS, SEEDS, TOTAL, Report, facts, who
-from greenroof_ros.report.run import Row, controller_name
+from greenroof_ros.report.groups import SEASONS, SEEDS, SINGLE, TOTAL, Report, facts, heading, who
+from greenroof_ros.report.intervals import Ratio
+from greenroof_ros.report.run import Row
 
 _METRICS = {metric.name: metric for metric in METRICS}
 
-# Not in the table of results: shown per tank in the water balance, or with the chosen band.
-_ELSEWHERE = {
-    TOTAL, "near_target_hours", "rain_m3", "rain_cistern_m3", "rain_roof_m3", "outflow_m3",
-    "drainage_m3", "evapotranspiration_m3", "final_cistern_m3", "final_roof_m3", "final_layer_m3",
+# The results of single runs, by the table that shows them; a page has room for a dozen columns.
+_RESULTS = {
+    "deviation": ("near_target_hours", "near_percent", "mean_deviation_mm"),
+    "plants and rain": (
+        "stress_hours", "evapotranspiration_ratio", "rain_kept_share", "rain_kept_share_hour",
+        "rain_kept_share_day",
+    ),
+    "pump and water": (
+        "pumped_m3", "mains_m3", "saved_m3", "water_value", "max_command", "beyond_hours",
+        "limited_steps", "frost_hours", "frost_pumped_m3",
+    ),
+    "starts and energy": (
+        "pump_starts", "busiest_hour_starts", "excess_starts", "pump_hours",
+        "hydraulic_energy_kwh", "electric_energy_kwh", "energy_cost",
+    ),
 }
 # Means of a season, with the number format if it is not the metric's.
 _MEANS = {
-    "mean_deviation_mm": ".2f", "stress_hours": ".1f", "evapotranspiration_ratio": "",
-    "rain_kept_share": "", "rain_kept_share_hour": "", "rain_kept_share_day": "",
-    "saved_m3": ".2f", "mains_m3": ".2f", "pumped_m3": ".2f", "outflow_m3": ".2f",
-    "drainage_m3": ".2f", "electric_energy_kwh": ".3g", "pump_starts": ".0f",
+    "plants and rain": {
+        "stress_hours": ".1f", "evapotranspiration_ratio": "", "rain_kept_share": "",
+        "rain_kept_share_hour": "", "rain_kept_share_day": "", "drainage_m3": ".2f",
+    },
+    "pump and water": {
+        "saved_m3": ".2f", "mains_m3": ".2f", "pumped_m3": ".2f", "outflow_m3": ".2f",
+        "electric_energy_kwh": ".3g", "pump_starts": ".0f",
+    },
 }
 
 
@@ -91,28 +107,32 @@ def make_tables(report: Report) -> list[Table]:
     tables += _methods(report)
     if single:
         tables += [
-            _of_runs(report, "Results", _results(report), folded=several),
-            _of_runs(report, "Water balance", _balance(report), folded=True),
+            *(_of_runs(report, name, columns, folded=several)
+              for name, columns in _results(report).items()),
+            *(_of_runs(report, name, columns, folded=True)
+              for name, columns in _balances(report).items()),
         ]
     return tables
 
 
-def _table(name: str, columns: Sequence[Column], rows: Iterable[Row], **folded: bool) -> Table:
+def _table(
+    report: Report, name: str, columns: Sequence[Column], rows: Iterable[Row], **folded: bool
+) -> Table:
     """Return a table of rows, which are runs or cases."""
     return Table(
-        name, [column.header for column in columns], [_cells(row, columns) for row in rows],
-        **folded,
+        name, [column.header for column in columns],
+        [_cells(report, row, columns) for row in rows], **folded,
     )
 
 
-def _cells(row: Row, columns: Sequence[Column]) -> list[Cell]:
-    """Return the cells of a run or a case, with sort keys for settings and lengths."""
+def _cells(report: Report, row: Row, columns: Sequence[Column]) -> list[Cell]:
+    """Return the cells of a run or a case; controllers are sorted by their settings' values."""
+    apart = report.apart(row["kind"])
     near, ended, unknown = row["near_share"], row["ended"], Cell("unknown", -1.0)
     shown = {
         **row,
-        "controller": controller_name(row["controller"]),
-        "setting": Cell(row["setting"], f"{row['controller']} {row['rank']:06}"),
-        "length": Cell(row["length"], row["hours"]),
+        "controller": Cell(who(row), f"{row['rank']:06}"),
+        "window": heading(row, apart, apart) if apart else "",
         "ended": Cell(ended, ended, warning=ended != summary.DONE),
         "near_target_hours": unknown if near is None else row["near_target_hours"],
         "near_percent": unknown if near is None else 100 * near,
@@ -123,15 +143,15 @@ def _cells(row: Row, columns: Sequence[Column]) -> list[Cell]:
 
 # --- columns --------------------------------------------------------------------------------------
 
-_SETTING = (Column("controller", "controller"), Column("setting", "setting"))
-_FROM = Column("from", "from")
+_CONTROLLER, _FROM = Column("controller", "controller"), Column("from", "from")
 # Placed after the first results: a directory's name can be long and says little.
 _RUN = Column("run", "run")
 _NEAR = Column("near target (%)", "near_percent", ".1f")
 
 
-def _facts(names: Iterable[str]) -> list[Column]:
-    return [Column(name, name) for name in names]
+def _window(report: Report, kind: str = SINGLE) -> list[Column]:
+    """Return the column that names the windows of a kind, if there are several."""
+    return [Column("window", "window")] * (len(report.windows(kind)) > 1)
 
 
 def _metric(name: str, form: str = "", title: str = "") -> Column:
@@ -158,7 +178,7 @@ def shown_metrics(report: Report) -> list[Metric]:
 def _ended(report: Report) -> list[Column]:
     """Return the column on how runs ended, if a run is unfinished or had incidents."""
     done = all(row["ended"] == summary.DONE for row in report.single)
-    return [] if done else _facts(["ended"])
+    return [Column("ended", "ended")] * (not done)
 
 
 def _ratio(rows: Sequence[Row]) -> list[Column]:
@@ -170,73 +190,80 @@ def _ratio(rows: Sequence[Row]) -> list[Column]:
 # --- single runs ----------------------------------------------------------------------------------
 
 
-def _results(report: Report) -> list[Column]:
-    """Return the columns of results.
+def _results(report: Report) -> dict[str, list[Column]]:
+    """Return the columns of each table of results.
 
-    The facts of windows follow the first numbers, so that a narrow screen shows a result.
+    The window follows the first numbers, so that a narrow screen shows a result.
     """
     money = report.assumptions.currency
-    names = [metric.name for metric in shown_metrics(report) if metric.name not in _ELSEWHERE]
-    return [
-        _metric(TOTAL),
-        *_ratio(report.single),
-        *_facts(report.apart()),
-        _RUN,
-        Column("near target (h)", "near_target_hours", ".2f"),
-        _NEAR,
-        *map(_metric, names),
-        Column(f"value as mains water ({money})", "water_value"),
-        Column(f"cost of electric energy ({money})", "energy_cost"),
-        Column("frost (h)", "frost_hours", ".2f"),
-        Column("pumped in frost (m³)", "frost_pumped_m3", most=0),
-    ]
+    columns = {
+        **{metric.name: _metric(metric.name) for metric in shown_metrics(report)},
+        "near_target_hours": Column("near target (h)", "near_target_hours", ".2f"),
+        "near_percent": _NEAR,
+        "water_value": Column(f"value as mains water ({money})", "water_value"),
+        "energy_cost": Column(f"cost of electric energy ({money})", "energy_cost"),
+        "frost_hours": Column("frost (h)", "frost_hours", ".2f"),
+        "frost_pumped_m3": Column("pumped in frost (m³)", "frost_pumped_m3", most=0),
+    }
+    tables = {
+        name: [*_window(report), *(columns[result] for result in results if result in columns)]
+        for name, results in _RESULTS.items()
+    }
+    first = "deviation"
+    tables[first] = [_metric(TOTAL), *_ratio(report.single), *tables[first], _RUN]
+    return tables
 
 
-def _balance(report: Report) -> list[Column]:
-    """Return the columns of both tanks' water balances."""
+def _balances(report: Report) -> dict[str, list[Column]]:
+    """Return the columns of each tank's water balance."""
     layer = [_metric("final_layer_m3", title="drainage layer: at the end")]
-    return [
-        _metric("rain_cistern_m3", title="cistern: rain"),
-        _metric("pumped_m3", title="pumped"),
-        _metric("outflow_m3", title="to the sewer"),
-        Column("cistern: change (m³)", "cistern_change_m3"),
-        Column("cistern: unexplained (m³)", "cistern_residual_m3", ".1e"),
-        _metric("final_cistern_m3", title="cistern: at the end"),
-        _metric("rain_roof_m3", title="roof: rain"),
-        _metric("evapotranspiration_m3", title="evapotranspiration"),
-        _metric("drainage_m3", title="drainage"),
-        Column("roof: change (m³)", "roof_change_m3"),
-        Column("roof: unexplained (m³)", "roof_residual_m3", ".1e"),
-        _metric("final_roof_m3", title="roof: at the end"),
-        *(layer if _METRICS["final_layer_m3"] in shown_metrics(report) else []),
-        *_facts(report.apart()),
-        _RUN,
-    ]
+    return {
+        "water balance of the cistern": [
+            _metric("rain_cistern_m3", title="rain"),
+            _metric("pumped_m3", title="pumped"),
+            _metric("outflow_m3", title="to the sewer"),
+            Column("change (m³)", "cistern_change_m3"),
+            Column("unexplained (m³)", "cistern_residual_m3", ".1e"),
+            _metric("final_cistern_m3", title="at the end"),
+            *_window(report),
+        ],
+        "water balance of the roof": [
+            _metric("rain_roof_m3", title="rain"),
+            _metric("pumped_m3", title="pumped"),
+            _metric("evapotranspiration_m3", title="evapotranspiration"),
+            _metric("drainage_m3", title="drainage"),
+            Column("change (m³)", "roof_change_m3"),
+            Column("unexplained (m³)", "roof_residual_m3", ".1e"),
+            _metric("final_roof_m3", title="at the end"),
+            *(layer if _METRICS["final_layer_m3"] in shown_metrics(report) else []),
+            *_window(report),
+        ],
+    }
 
 
 def _of_runs(report: Report, name: str, columns: Sequence[Column], *, folded: bool) -> Table:
     """Return a table with a row for each run, or for each quantity if there is a single run."""
-    columns = [*_SETTING, _FROM, *_ended(report), *columns]
-    table = _table(f"{name} of each run", columns, report.single, folded=folded)
+    title = f"{name[0].upper()}{name[1:]}"
+    columns = [_CONTROLLER, _FROM, *_ended(report), *columns]
+    table = _table(report, f"{title}, each run", columns, report.single, folded=folded)
     if len(report.single) > 1:
         return table
     rows = [[cell(header), value] for header, value in zip(table.header, *table.rows, strict=True)]
-    return Table(f"{name} of the run", (), rows, folded)
+    return Table(title, (), rows, folded)
 
 
 def _best(report: Report, best: Sequence[Row]) -> Table:
     """Return the table of each controller's best run."""
-    window = [Column("window", "heading")] if len(report.windows()) > 1 else []
-    return _table("Least total deviation of each controller", [
-        Column("controller", "controller"), Column("best setting", "setting"), _FROM,
-        *_ended(report), _metric(TOTAL), *_ratio(report.single), *window,
-        _metric("pumped_m3"), _metric("max_command"), _RUN,
-    ], [{**row, "heading": report.heading(row)} for row in best])
+    return _table(report, "Least total deviation of each controller", [
+        _CONTROLLER, _FROM, *_ended(report), _metric(TOTAL), *_ratio(report.single),
+        *_window(report), _metric("pumped_m3"), _metric("max_command"), _RUN,
+    ], best)
 
 
 def _methods(report: Report) -> list[Table]:
     """Return the table of total deviations under both kinds of evapotranspiration, if any."""
     where = [name for name in report.apart() if name != "evapotranspiration"]
+    windows = [Column("window", "where")] * bool(where)
 
     def key(row: Row) -> tuple[object, ...]:
         alike = (row[name] for name in facts(row) if name != "evapotranspiration")
@@ -246,13 +273,13 @@ def _methods(report: Report) -> list[Table]:
         key(row): row[TOTAL] for row in report.single if row["evapotranspiration"] == "fao56"
     }
     pairs = [
-        {**row, "who": who(row), "fao56": other[key(row)],
+        {**row, "where": heading(row, where, where) if where else "", "fao56": other[key(row)],
          "more": 100 * (other[key(row)] / row[TOTAL] - 1) if row[TOTAL] else 0.0}
         for row in report.single
         if row["evapotranspiration"] == "published" and key(row) in other
     ]
-    return [_table("Total deviation under both kinds of evapotranspiration", [
-        Column("setting", "who"), _FROM, *_facts(where),
+    return [_table(report, "Total deviation under both kinds of evapotranspiration", [
+        _CONTROLLER, _FROM, *windows,
         Column("published (m³)", TOTAL, ".2f"), Column("fao56 (m³)", "fao56", ".2f"),
         Column("difference (%)", "more", "+.2f"),
     ], pairs)] if pairs else []
@@ -301,9 +328,9 @@ def _seeds(report: Report) -> list[Table]:
     for row in cases:
         for amount, name in known.items():
             row[amount] = share(row[name] / row["bound_m3"] if row["bound_m3"] else None)
-    return [_table("Total deviation under forecast errors, over their seeds", [
-        *_SETTING, Column("seeds", "seeds", "d"), Column("skill of the forecasts", "skill"),
-        *_facts(report.apart(SEEDS)), _FROM,
+    return [_table(report, "Total deviation under forecast errors, over their seeds", [
+        _CONTROLLER, _FROM, *_window(report, SEEDS), Column("seeds", "seeds", "d"),
+        Column("skill of the forecasts", "skill"),
         *(Column(f"{amount} (m³)", name, ".2f") for amount, name in amounts.items()),
         *(Column(f"{amount} over the least (1)", amount) for amount in known),
     ], cases)] if cases else []
@@ -314,7 +341,7 @@ def _seasons(report: Report) -> list[Table]:
     cases = report.of(SEASONS)
     if not cases:
         return []
-    tables = [_means(report, cases)]
+    tables = _means(report, cases)
     for other, compared in (
         ("on/off", report.over_onoff),
         ("the controller with the least deviation", report.over_least),
@@ -325,50 +352,60 @@ def _seasons(report: Report) -> list[Table]:
 
 
 def _named(report: Report) -> list[Column]:
-    return [*_SETTING, *_facts(["forecast", *report.apart(SEASONS)])]
+    return [_CONTROLLER, Column("forecast", "forecast"), *_window(report, SEASONS)]
 
 
-def _means(report: Report, cases: Sequence[Row]) -> Table:
-    """Return the table of means, with sizes if the sites differ in size."""
+def _means(report: Report, cases: Sequence[Row]) -> list[Table]:
+    """Return the tables of means, with sizes if the sites differ in size."""
     sizes = [
         Column("green roof (m²)", "roof_m2", "g"), Column("cistern (m³)", "cistern_size_m3", "g")
     ]
-    return _table("Means of a season", [
-        *_named(report),
-        *(sizes if report.sizing else []),
+    named = [*_named(report), *(sizes if report.sizing else [])]
+    columns = {"deviation": [
         Column("years", "years", "d"), Column("fewest seeds in a year", "seeds", "d"),
         _metric(TOTAL, ".0f"),
         *_ratio(cases),
         Column("worst year (m³)", "worst_year_m3", ".0f"), Column("which", "worst_year", "d"),
-        Column("worst tenth of weeks, of a week (m³)", "worst_tenth_m3", ".0f"),
-        _NEAR,
-        *(_metric(name, form) for name, form in _MEANS.items()
-          if any(row[name] is not None for row in cases)),
-    ], cases)
+        Column("worst tenth of weeks (m³)", "worst_tenth_m3", ".0f"),
+        _NEAR, *_known({"mean_deviation_mm": ".2f"}, cases),
+    ]} | {name: _known(metrics, cases) for name, metrics in _MEANS.items()}
+    return [
+        _table(report, f"Means of a season: {name}", [*named, *results], cases)
+        for name, results in columns.items() if results
+    ]
+
+
+def _known(metrics: Mapping[str, str], rows: Sequence[Row]) -> list[Column]:
+    """Return the columns of the metrics that at least one row has."""
+    return [
+        _metric(name, form) for name, form in metrics.items()
+        if any(row[name] is not None for row in rows)
+    ]
 
 
 def _comparisons(report: Report, other: str, compared: Sequence[Row]) -> Table:
     """Return the table of comparisons with one other controller."""
-    rows, ends = [], {"value": "", "low": "95 % from", "high": "to"}
+    rows = []
     for row in compared:
         has, than = row["has"], row["than"]
         rows.append({
             **row, "over": f"{who(than)} {than['forecast']}", "difference": has.difference,
             "fewer": Cell(f"{has.better} of {has.years}", has.better),
-            "verdict": has.mean.verdict, "worst verdict": has.worst_weeks.verdict,
-            **has.mean._asdict(),
-            **{f"worst {name}": value for name, value in has.worst_weeks._asdict().items()},
+            "value": has.mean.value, "interval": _interval(has.mean),
+            "worst value": has.worst_weeks.value, "worst interval": _interval(has.worst_weeks),
         })
     return _table(
-        f"Deviation relative to {other} ({len(compared)} compared, each interval for one)", [
+        report, f"Deviation relative to {other}", [
             *_named(report), Column("over", "over"),
             Column("years with less deviation", "fewer"),
             Column("more or less (m³)", "difference", "+.0f"),
-            Column("interval", "verdict"),
-            *(Column(header or "deviation of a season, over (1)", name, ".3f")
-              for name, header in ends.items()),
-            Column("interval of worst weeks", "worst verdict"),
-            *(Column(header or "worst tenth of weeks, over (1)", f"worst {name}", ".3f")
-              for name, header in ends.items()),
+            Column("deviation of a season, over (1)", "value", ".3f"),
+            Column("95 % interval", "interval"),
+            Column("worst tenth of weeks, over (1)", "worst value", ".3f"),
+            Column("95 % interval", "worst interval"),
         ], rows,
     )
+
+
+def _interval(ratio: Ratio) -> Cell:
+    return Cell(f"{ratio.low:.3f} to {ratio.high:.3f}", ratio.low)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 
 import altair as alt
 
@@ -15,10 +16,12 @@ _GREY = "#555555"
 _FULL_FLOW = "full flow; the pump cannot deliver more"
 # Runs longer than this (h) have days on their axis.
 _MOST_HOURS = 72.0
+# Commands of 1e-3 and of 1 must both be visible: below this power of ten the axis is linear.
+_LEAST_POWER = {"command": -3, "pump_flow": -2}
 
 
 def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
-    """Return the figure of command and volumes over time (paper: Figs. 6-9).
+    """Return the figure of command, flow and volumes over time (paper: Figs. 6-9).
 
     Args:
         report: all results.
@@ -38,18 +41,23 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
     index = report.initials.index(first["from"]) + 1
     for quantity, title, axis in (
         ("command", "command", "command (1)"),
+        ("pump_flow", "pump flow", "pump flow (L/s)"),
         ("cistern", "cistern", "cistern, x1 (m³)"),
         ("roof", "green roof", "green roof, x2 (m³)"),
     ):
-        curves = {row["run"]: report.drawn[row["run"]].curves[quantity] for row in rows}
+        times = 1000 if quantity == "pump_flow" else 1
+        curves = {
+            row["run"]: [(t, times * v) for t, v in report.drawn[row["run"]].curves[quantity]]
+            for row in rows
+        }
         values = [value for curve in curves.values() for _, value in curve]
         domain, references = _axis(site, quantity, values)
         scale, ticks = alt.Scale(domain=domain, nice=False), alt.Axis()
-        if quantity == "command":
-            # Commands of 1e-3 and of 1 must both be visible.
-            scale = alt.Scale(type="symlog", constant=1e-3, domain=domain, nice=False)
+        if quantity in _LEAST_POWER:
+            least = _LEAST_POWER[quantity]
+            scale = alt.Scale(type="symlog", constant=10.0**least, domain=domain, nice=False)
             ticks = alt.Axis(
-                values=[0.0, *(10.0**power for power in range(-3, 10))], format="~g"
+                values=[0.0, *(10.0**power for power in range(least, 10))], format="~g"
             )
         for controller in controllers:
             dataset = f"{quantity}-{number}-{index}-{controller}"
@@ -70,18 +78,42 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
             )
             panels.append(series_panel(
                 lines, "setting", labels, f"{controller_name(controller)}: {title}",
-                legend=named, below=_reference_layers(domain, references, scale), zoom=True,
+                legend=named, zoom=True, below=[
+                    *(_incidents(report, own, seconds) if quantity in _LEAST_POWER
+                      else []),
+                    *_reference_layers(domain, references, scale),
+                ],
             ))
-    caption = (
-        "Command and volumes over time, one line for each setting. The command's axis is "
-        "logarithmic above 0.001; in the shaded part a command exceeds the pumps' maximum flow. A "
-        "reference that lies outside a panel is named at its edge."
-    )
     return Figure(
         f"trajectories-{number}-{index}",
-        report.title(f"Command and volumes from {first['from']}", first), caption,
+        report.title(f"Command, flow and volumes from {first['from']}", first),
+        "Red: incidents" if any(report.runs[row["run"]].incidents for row in rows) else "",
         tuple(panels), len(controllers) if len(controllers) > 1 else len(panels), data,
     )
+
+
+def _incidents(report: Report, rows: Sequence[Row], seconds: float) -> list[alt.Chart]:
+    """Return the incidents of some runs as areas; one that is not over lasts to the run's end."""
+    areas = []
+    for row in rows:
+        run, began = report.runs[row["run"]], report.drawn[row["run"]].start
+        for incident in run.incidents:
+            low, high = (
+                tick * run.site.tau if tick is not None
+                else (datetime.fromisoformat(time) - began).total_seconds() if time is not None
+                else row["hours"] * 3600
+                for tick, time in ((incident.began_tick, incident.began),
+                                   (incident.ended_tick, incident.ended))
+            )
+            areas.append({
+                "from": low / seconds, "to": high / seconds, "cause": incident.cause,
+                "part": incident.subject, "run": row["run"],
+            })
+    return [
+        alt.Chart(alt.InlineData(areas)).mark_rect(color="#a30000", opacity=0.2, clip=True).encode(
+            x=alt.X("from:Q"), x2=alt.X2("to:Q"), tooltip=pointed("run:N", "part:N", "cause:N"),
+        )
+    ] if areas else []
 
 
 def _axis(
@@ -93,12 +125,12 @@ def _axis(
         # On the logarithmic axis this leaves room for the text above the line.
         top = max(2.5 * high, 0.002)
         return [0.0, top], {_FULL_FLOW: 1.0} if top > 1.5 else {}
-    span = max(high - low, 1e-3 * high, 1e-9)
+    span = max(high - low, 1e-3 * high) or 1.0
 
     def near(value: float) -> bool:
         return low - span / 2 <= value <= high + span / 2
 
-    references = {"target": site.x2_star}
+    references = {"target": site.x2_star} if quantity == "roof" else {}
     if quantity == "cistern":
         references = {"outlet": site.a1 * site.z_o, "suction limit": site.a1 * site.suction_level}
         # Only if nearby: at the edge its label would overlap another.
@@ -197,16 +229,10 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
         x=x, y=alt.Y("v:Q", title="evapotranspiration (mm/day)", scale=alt.Scale(zero=True)),
         tooltip=pointed("method:N", when, alt.Tooltip("v:Q", title="mm/day")),
     )
-    caption = (
-        "Rain, and evapotranspiration as a depth over the vegetation before it is limited to what "
-        "the roof holds. Each value holds from its time to the next."
-    )
-    if frozen:
-        caption += " Grey: frost, when nothing should be pumped."
     return Figure(
         f"weather-{number}",
         f"Weather: {report.heading(rows[0], SKY)}",
-        caption,
+        "Grey: frost" if frozen else "",
         (
             Panel(alt.layer(*frost, rained), "Rain", zoom=True),
             series_panel(evaporated, "method", list(runs), "Evapotranspiration", legend="method",

@@ -20,7 +20,6 @@ from greenroof_ros.report.groups import (
     lowest,
     who,
 )
-from greenroof_ros.report.intervals import CONTAINS_1
 from greenroof_ros.report.run import Note, Row, Run, controller_name
 
 LEADING = (
@@ -54,7 +53,7 @@ def sentences(report: Report) -> list[str]:
     return _of_several(report)
 
 
-def windows(report: Report) -> list[str]:
+def _windows(report: Report) -> list[str]:
     """Name all sets of conditions of the runs."""
     seeds: dict[str, set[str]] = {}
     for row in report.table.filter(kind=SEEDS).to_dicts():
@@ -137,7 +136,7 @@ def _of_several(report: Report) -> list[str]:
     totals = [row[TOTAL] for row in single]
     pumped = [row["pumped_m3"] for row in single if row["pumped_m3"] is not None] or [0.0]
     return [
-        _runs(report, windows(report), report.initials),
+        _runs(report, _windows(report), report.initials),
         _least(report),
         f"Over all runs the total deviation was {min(totals):.2f} to {_deviation(max(totals))}, "
         f"and {min(pumped):.4g} to {_m3('pumped_m3', max(pumped))} were pumped.",
@@ -198,7 +197,7 @@ def _of_seeds(report: Report) -> list[str]:
             groups.setdefault((row["place"], row["skill"]), []).append(row)
     worst = max(cases, key=lambda row: row["worst_tenth_m3"] / row[TOTAL] if row[TOTAL] else 0.0)
     return [
-        _runs(report, windows(report), list(dict.fromkeys(row["from"] for row in cases))),
+        _runs(report, _windows(report), list(dict.fromkeys(row["from"] for row in cases))),
         _least_of(
             [lowest(rows) for rows in groups.values()], "windows, initial states and skills",
             "mean total deviation over the seeds",
@@ -232,8 +231,7 @@ def _of_seasons(report: Report) -> list[str]:
 def _over_onoff(row: Row) -> str:
     has = row["has"]
     value, low, high = (f"{ratio:.3f}" for ratio in has.mean)
-    verdict = ", which contains 1" if has.mean.verdict == CONTAINS_1 else ""
-    return f"{value} (95 %: {low} to {high}{verdict}; less in {has.better} of {has.years} years)"
+    return f"{value} (95 %: {low} to {high}; less in {has.better} of {has.years} years)"
 
 
 def _of_sizes(cases: Sequence[Row]) -> list[str]:
@@ -310,23 +308,14 @@ def _too_few(report: Report) -> dict[str, str]:
     }
 
 
-_TOGETHER = {
-    SEEDS: "these runs differ from others only in the seed of their forecasts' errors. Such "
-    "runs are one case for each controller and setting, and are left out of the tables of single "
-    "runs and the figures of weather, trajectories and balances",
-    SEASONS: "these runs are the same season of several years. The years are one case for each "
-    "controller and setting",
-}
-
-
 def make_warnings(report: Report) -> list[RunWarning]:
     """Return notes and warnings, each with the runs that it is about."""
     runs_of: dict[tuple[str, str], list[str]] = {}
     too_few = _too_few(report)
     for row in report.table.sort("kind", descending=True, maintain_order=True).to_dicts():
         run, kind = report.runs[row["run"]], row["kind"]
-        texts = [*_of_results(row, run), too_few.get(kind), _TOGETHER.get(kind)]
-        for note in (*(Note(text) for text in texts if text), *run.notes):
+        texts = [*_of_results(row, run), *([too_few[kind]] if kind in too_few else [])]
+        for note in (*map(Note, texts), *run.notes):
             text = note.text if kind == SINGLE else note.of_many or note.text
             sentence = f"{text[0].upper()}{text[1:].removesuffix('.')}."
             runs_of.setdefault((sentence, note.listed), []).append(row["run"])
@@ -335,7 +324,6 @@ def make_warnings(report: Report) -> list[RunWarning]:
 
 def _of_results(row: Row, run: Run) -> list[str]:
     """Return the warnings from a run's ending, results and incidents."""
-    pumped = (row["frost_pumped_m3"] or 0) > 0
     above_1 = (row["max_command"] or 0) > 1 or (row["beyond_hours"] or 0) > 0
     return [text for there, text in (
         (run.ending, f"{run.ending}; all results are for the recorded part only"),
@@ -343,8 +331,7 @@ def _of_results(row: Row, run: Run) -> list[str]:
          "pump can follow it"),
         (row["excess_starts"], f"the pumps started more than {run.site.starts_per_hour:g} times in "
          "an hour, the limit set by starts_per_hour in the site file"),
-        (row["frost_hours"], "water was pumped during frost" if pumped
-         else "there was frost; nothing was pumped during it"),
+        ((row["frost_pumped_m3"] or 0) > 0, "water was pumped during frost"),
         (run.incidents, f"{run.ended}: something was lost while the run went on; the table of "
          "incidents says what, when and why"),
     ) if there]

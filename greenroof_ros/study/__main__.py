@@ -11,21 +11,27 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, within
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    Parser,
+    command,
+    within,
+)
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.common.standard_error import progress_bar
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.recording.results_table import differing, shortest
-from greenroof_ros.study.case_run import ENGINES, bound_case, run_case
-from greenroof_ros.study.grid import Case, read_grid
+from greenroof_ros.study.case_run import bound_case, run_case
+from greenroof_ros.study.grid import Case, contents, read_grid
 from greenroof_ros.study.store import Store
-from greenroof_ros.study.workers import Workers, WorkersGoneError, cluster, processes
+from greenroof_ros.study.workers import Workers, processes
 
-# A graph is five processes, which keep two cores busy.
-_CORES_PER_GRAPH = 2
 _REFRESH_S = 0.5
 # Runs with the same values in these columns share a table on the terminal.
 _WINDOW = ("site", "weather", "start", "hours", "evapotranspiration")
@@ -41,14 +47,13 @@ parameters - in parallel, and put the results in one table, results.csv. The pap
 another grid is given. After an interruption or a kill, run the same command again to continue.
 """
 _EPILOG = """\
-exit codes: 0 done, 1 a run failed (the others are in the table) or the cluster is gone (run
+exit codes: 0 done, 1 a run failed (the others are in the table) or the workers are gone (run
 the same command to continue), 2 bad usage or configuration, 130 interrupted
 
 examples:
-  greenroof study                                          the paper's 30 runs
-  greenroof study my_study.yaml --jobs 4                   your grid, on 4 cores
-  greenroof study my_study.yaml --engine ros --output ros  by the node graph
-  greenroof report studies/paper                           tables and figures
+  greenroof study                         the paper's 30 runs
+  greenroof study my_study.yaml --jobs 4  your grid, on 4 cores
+  greenroof report studies/paper          tables and figures
 """
 
 
@@ -74,12 +79,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--jobs", type=within(1, 1024, int), metavar="N",
-        help="runs at a time (default: one per core; with --engine ros, one per two cores)",
-    )
-    parser.add_argument(
-        "--engine", choices=ENGINES, default="inprocess",
-        help="inprocess: the fast loop; ros: the node graph, each run in a ROS domain of its own, "
-        "for the same table (default: %(default)s)",
+        help="runs at a time (default: one per core)",
     )
     parser.add_argument(
         "--scheduler", metavar="ADDRESS",
@@ -104,8 +104,7 @@ def make_parser() -> Parser:
 def main() -> int:
     """Run a study, or the cases of it that are not finished."""
     arguments = make_parser().parse_args()
-    # Acts like Ctrl-C: the workers end, and the table has the finished runs.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # acts like Ctrl-C
     if arguments.scheduler is not None and arguments.jobs is not None:
         raise ConfigurationError(
             "cannot be used with --scheduler: the cluster sets how many", key="--jobs"
@@ -121,37 +120,39 @@ def main() -> int:
     cases = read_grid(grid, arguments.weather)
     every = None if arguments.no_trajectories else arguments.trajectory_every
     store = Store(
-        arguments.output or Path("studies") / grid.stem, grid, cases, arguments.engine,
-        trajectory_every=every,
+        arguments.output or Path("studies") / grid.stem, grid, cases, trajectory_every=every
     )
     open_cases = [case for case in cases if case.identity not in store.outcomes]
     unbounded = {
         case.problem: case for case in cases
         if case.bound_block != 0 and case.problem not in store.bounds
     }
-    console = Console(stderr=True)
     if store.outcomes:
-        console.print(f"{len(store.outcomes)} of {len(cases)} runs are stored already")
+        print(f"{len(store.outcomes)} of {len(cases)} runs are stored already", file=sys.stderr)
     try:
         if open_cases or unbounded:
-            cores = len(os.sched_getaffinity(0))
-            if arguments.engine == "ros":
-                cores = max(1, cores // _CORES_PER_GRAPH)
-            those = (
-                cluster(arguments.scheduler) if arguments.scheduler is not None
-                else processes(arguments.jobs or cores)
-            )
+            files = contents(cases)
+            if arguments.scheduler is None:
+                cores = len(os.sched_getaffinity(0))
+                those = processes(arguments.jobs or cores, files)
+            else:
+                from greenroof_ros.study.cluster import cluster  # needs an extra
+
+                those = cluster(arguments.scheduler, files)
             with those as workers:
-                _run(store, open_cases, list(unbounded.values()), workers, console)
-    except BrokenExecutor:
-        console.print("error: the process that starts workers was killed; repeat the command")
-        return EXIT_FAILED
-    except WorkersGoneError as error:
+                signals = Signals()  # from now on a signal ends the study between two results
+                try:
+                    _run(store, open_cases, list(unbounded.values()), workers, signals)
+                finally:
+                    signals.ignore()
+    except (BrokenExecutor, InterruptedRun) as error:
+        code = EXIT_INTERRUPTED if isinstance(error, InterruptedRun) else EXIT_FAILED
         print(
-            f"error: {error}: {len(store.outcomes)} of {len(cases)} cases are stored; run the same "
-            "command again to continue", file=sys.stderr,
+            f"{'' if code == EXIT_INTERRUPTED else 'error: '}{error}: {len(store.outcomes)} of "
+            f"{len(cases)} cases are stored; run the same command again to continue",
+            file=sys.stderr,
         )
-        return EXIT_FAILED
+        return code
     finally:
         rows = store.write_tables()
     show(cases, rows, store.directory)
@@ -160,7 +161,7 @@ def main() -> int:
 
 def _run(
     store: Store, cases: Sequence[Case], unbounded: Sequence[Case], workers: Workers,
-    console: Console,
+    signals: Signals,
 ) -> None:
     """Run some cases and compute bounds for others; store each result when it arrives."""
     names = Names(store.cases)
@@ -171,37 +172,36 @@ def _run(
             not case.controller.ensemble, not case.controller.outputs, -case.hours
         ),
     )
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(bar_width=None), MofNCompleteColumn(),
-        TextColumn("runs, time left"), TimeRemainingColumn(),
-        console=console, auto_refresh=False,
-    ) as progress:
-        task = progress.add_task("study", total=len(ordered))
-        progress.refresh()
-        pending: dict[Future[Any], tuple[Case, bool]] = {
-            workers.submit(bound_case, case): (case, False) for case in unbounded
-        }
-        for case in ordered:
-            future = workers.submit(run_case, case, store.engine, store.trajectory_every)
-            pending[future] = case, True
+    pending: dict[Future[Any], tuple[Case, bool]] = {
+        workers.submit(bound_case, case): (case, False) for case in unbounded
+    }
+    for case in ordered:
+        pending[workers.submit(run_case, case, store.trajectory_every)] = case, True
+    tasks, runs = len(pending), 0
+    with progress_bar() as tell:
         while pending:
+            tell(f"{runs} of {len(ordered)} runs", 1 - len(pending) / tasks)
             workers.check()
-            done, _ = wait(list(pending), timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
+            done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
+            broken: Exception | None = None
             for future in done:
                 case, is_run = pending.pop(future)
                 try:
-                    result = future.result()
-                except CancelledError:
-                    raise
-                except Exception as error:  # raised by the run, or because its process died
+                    result = workers.result(future)
+                except (BrokenExecutor, CancelledError) as error:
+                    broken = error  # raised once all results that came before are stored
+                    continue
+                except Exception as error:  # raised by the run
                     what, reason = "no bound", str(error) or type(error).__name__
                     if is_run:  # a missing bound is no failure
                         what, store.failures[case.identity] = "failed", reason
-                    progress.print(f"{what}: {names.name(case)}: {reason}", markup=False)
+                    print(f"{what}: {names.name(case)}: {reason}", file=sys.stderr)
                 else:
                     (store.keep if is_run else store.keep_bound)(case, result)
-                progress.advance(task, is_run)
-            progress.refresh()
+                runs += is_run
+            if broken is not None:
+                raise broken
+            signals.check()
 
 
 class Names:
@@ -246,8 +246,7 @@ def _facts(case: Case) -> dict[str, str]:
 def _forecast(case: Case) -> str:
     """Name the forecasts of a case."""
     choice = case.forecast
-    dressed = {} if choice.dressed is None else {"dressed": choice.dressed.name}
-    return _named(str(choice), {**choice.options(), **dressed})
+    return _named(str(choice), choice.options())
 
 
 def _named(name: str, values: Mapping[str, float | str]) -> str:

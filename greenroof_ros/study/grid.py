@@ -22,9 +22,15 @@ from greenroof_ros.common.files import (
     shared_directory,
     unique_name,
 )
-from greenroof_ros.controllers.registry import ControllerChoice, find_controller, read_numbers
+from greenroof_ros.controllers.registry import (
+    ControllerChoice,
+    controller_names,
+    find_controller,
+    read_numbers,
+)
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import (
+    MODELS,
     NUMBERS,
     OPTIONS,
     ForecastChoice,
@@ -49,7 +55,6 @@ from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.weather.reading import find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, Weather
 
-_KEYS = ("site", "weather", "initial", "controllers")
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors", "bound_block")
 # The keys of a window with lists that multiply the runs.
 _TIMES = ("year", "start", "hours", "evapotranspiration")
@@ -59,25 +64,43 @@ _SITE = (
 )
 _WINDOW = "must be a list of windows, each with 'file:', 'start:' and 'hours:'"
 _FORECAST = "{model: errors, skill: real, seed: [1, 2]}"
+_FORECASTS = f"must be one of {', '.join(MODELS)}, a file or directory of forecasts, or {_FORECAST}"
 _ERRORS = "must be {roof_noise: 0.0005, roof_offset: [0, 0.002]} and the like, or a list of these"
 _STATE = (
     f"must be one of {', '.join((*INITIAL_STATES, SITES_OWN))}, or "
     "{name: dry, cistern: 60.0, roof: 1.0} in m3"
 )
+_CONTROLLERS = (
+    f"must hold controllers, each with its parameters: {', '.join(controller_names())}, or "
+    "package.module:Class"
+)
+_FILE, _START = "must be the name of a file", "must be a time such as 2021-07-07T02:00"
+_NAME = "must be a name of your own"
+_TEXTS = {
+    "file": _FILE, "start": _START, "name": _NAME,
+    "evapotranspiration": "must be fao56, or published for the weather files' own column",
+    "skill": f"must be one of {', '.join(SKILLS)}, or the name of a file",
+}
 _SETTINGS = "must hold parameters, a list of these, or nothing"
+# The keys that a grid needs, with what each must be.
+_NEEDED = {"site": _SITE, "weather": _WINDOW, "initial": _STATE, "controllers": _CONTROLLERS}
 # Keys for the digests of a case's forecast files in the data of its identity.
-_DIGESTS = {"file": "forecast_file", "skill": "skill_file", "dressed": "dressed"}
+_DIGESTS = {"file": "forecast_file", "skill": "skill_file"}
 # Names that the directory of a study uses itself.
 _OWN_FILES = ("grid.yaml", "study.json")
 
 
 @dataclass(frozen=True)
 class InputFile:
-    """An input file of runs, which is sent to the machine that makes them."""
+    """An input file of runs. The content is sent to each worker once, and not with each case."""
 
     name: str
     """unique in the study"""
     content: bytes
+
+    def __getstate__(self) -> dict[str, str]:
+        """Return what a worker gets with a case: the name."""
+        return {"name": self.name}
 
     @property
     def digest(self) -> str:
@@ -165,16 +188,17 @@ class Case:
             **({"gaps": self.gaps} if self.gaps != REFUSE else {}),
             "forecast": str(self.forecast),
             **{f"forecast_{name}": self.forecast.options().get(name) for name in OPTIONS},
-            **(
-                {} if self.forecast.dressed is None
-                else {"forecast_dressed": self.forecast.dressed.name}
-            ),
             **(self.sensor_pump_errors.values() if self.sensor_pump_errors is not None else {}),
             "controller": self.controller.name,
             "initial": self.initial,
             "cistern_m3": self.cistern,
             "roof_m3": self.roof,
         }
+
+
+def contents(cases: Iterable[Case]) -> dict[str, bytes]:
+    """Return the contents of all input files of cases, by name."""
+    return {file.name: file.content for case in cases for file in case.files}
 
 
 def in_directory(
@@ -240,7 +264,7 @@ class _Grid:
         # Holds edited sites until their content is read.
         self._scratch = tempfile.TemporaryDirectory(prefix="greenroof_ros-")
         self._mapping = read_yaml(path)
-        self._keys(self._mapping, _KEYS, _OPTIONAL_KEYS)
+        self._keys(self._mapping, _NEEDED, _OPTIONAL_KEYS)
         self._files: dict[Path, InputFile] = {}
         self._weathers: dict[tuple[InputFile, ...], str] = {}
         self._read: dict[tuple[object, ...], Weather] = {}
@@ -259,7 +283,7 @@ class _Grid:
                 for setting in controllers if not setting.sites or name in setting.sites
             ]
             for block in self._blocks(self._mapping, "weather", _WINDOW):
-                self._keys(block, ("file", "start"), (*_TIMES, "gaps", "forecast"))
+                self._keys(block, {"file": _FILE, "start": _START}, (*_TIMES, "gaps", "forecast"))
                 for window in self._combinations(block, _TIMES):
                     yield from self._runs(path, site, window, settings)
 
@@ -268,7 +292,7 @@ class _Grid:
         symbols = [parameter.name for parameter in site_parameters()]
         for place, block in enumerate(self._blocks(self._mapping, "site", _SITE)):
             key = "site" if "site" in block else "file"
-            self._keys(block, (key,), symbols)
+            self._keys(block, {key: _FILE}, symbols)
             for values in self._combinations(block, dict.fromkeys([key, *block])):
                 path = file = self._file(values, key)
                 own = {name: number(self._path, values, name) for name in values if name != key}
@@ -364,7 +388,7 @@ class _Grid:
         if "forecast" not in mapping:
             yield ForecastChoice()
             return
-        for block in self._blocks(mapping, "forecast", f"must be perfect, {_FORECAST} or the like"):
+        for block in self._blocks(mapping, "forecast", _FORECASTS):
             key = "model" if "model" in block else "forecast"
             text = block.get(key)
             try:
@@ -372,16 +396,13 @@ class _Grid:
             except ValueError as error:
                 wrong = f"{text!r} {error}, or {_FORECAST}"
                 raise self._refuse(mapping, "forecast", wrong) from error
-            of_file: tuple[str, ...] = ()
             if choice.file is not None:
-                choice, of_file = replace(choice, file=self._file(block, key)), ("dressed",)
-            self._keys(block, (key,), (*choice.takes, *of_file))
-            for options in self._combinations(block, (*choice.takes, *of_file)):
+                choice = replace(choice, file=self._file(block, key))
+            self._keys(block, {key: _FORECAST}, choice.takes)
+            for options in self._combinations(block, choice.takes):
                 given: dict[str, Any] = read_numbers(self._path, options, NUMBERS)
                 if "skill" in options:
                     given["skill"] = self._skill(options)
-                if "dressed" in options:
-                    given["dressed"] = self._file(options, "dressed")
                 yield replace(choice, **given)
 
     def _weather(
@@ -413,7 +434,7 @@ class _Grid:
             yield None
             return
         for block in self._blocks(self._mapping, key, _ERRORS):
-            self._keys(block, (), PARAMETERS)
+            self._keys(block, {}, PARAMETERS)
             for values in self._combinations(block, PARAMETERS):
                 yield SensorPumpErrors(**read_numbers(self._path, values, PARAMETERS))
 
@@ -468,9 +489,8 @@ class _Grid:
         A directory becomes one file in the project's own format, and so does NetCDF, because the
         issue of a NetCDF file is in its name, which the study may change.
         """
-        named = {"skill": choice.skill_file, "dressed": choice.dressed}
-        files = {key: self._input(file) for key, file in named.items() if file is not None}
-        path = choice.file
+        skill, path = choice.skill_file, choice.file
+        files = {} if skill is None else {"skill": self._input(skill)}
         if path is not None and (path.is_dir() or path.suffix.lower() == ".nc"):
             archive = read_archive(path, site, choice.delay)
             choice = replace(choice, delay=archive.delay)
@@ -509,7 +529,7 @@ class _Grid:
 
     def _volumes(self, state: YamlMapping, areas: dict[str, float]) -> tuple[float, float]:
         """Return the volumes (m3) of a state that gives volumes, or levels over the given areas."""
-        self._keys(state, ("name",), (*areas, *(f"{key}_level" for key in areas)))
+        self._keys(state, {"name": _NAME}, (*areas, *(f"{key}_level" for key in areas)))
         volumes = []
         for key, area in areas.items():
             given = [name for name in (key, f"{key}_level") if name in state]
@@ -544,9 +564,7 @@ class _Grid:
         """
         section = self._mapping["controllers"]
         if not isinstance(section, YamlMapping):
-            raise self._refuse(
-                self._mapping, "controllers", "must hold 'mpc:' or other controllers"
-            )
+            raise self._refuse(self._mapping, "controllers", _CONTROLLERS)
         references: dict[str, str] = {}
         for reference in section:
             with self._at(section, reference):
@@ -574,7 +592,10 @@ class _Grid:
             own = [self._text(named, "site") for named in self._combinations(given, ["site"])]
         for name in own:
             if name not in sites:
-                raise self._refuse(given, "site", f"{name} is not under 'site:' of the grid")
+                raise self._refuse(
+                    given, "site",
+                    f"{name} is not under 'site:' of the grid, which has {', '.join(sites)}",
+                )
         names = [key for key in given if key not in ("forecast", "site")]
         for name in names:
             controller.check_name(name, self._path, given.lines[name])
@@ -629,23 +650,29 @@ class _Grid:
 
     def _text(self, mapping: YamlMapping, key: str) -> str:
         if not isinstance(mapping[key], str):
-            raise self._refuse(mapping, key, "must be text")
+            raise self._refuse(mapping, key, _TEXTS.get(key, "must be text"))
         return str(mapping[key])
 
     def _keys(
-        self, mapping: YamlMapping, needed: Collection[str], further: Collection[str]
+        self, mapping: YamlMapping, needed: Mapping[str, str], further: Collection[str]
     ) -> None:
-        """Refuse a mapping that lacks a needed key or has an unknown one."""
+        """Refuse a mapping that lacks a needed key or has an unknown one.
+
+        Args:
+            mapping: of the grid.
+            needed: what the value of each needed key must be.
+            further: other keys.
+        """
         known = dict.fromkeys((*needed, *further))
         for key in mapping:
             if key not in known:
                 raise self._refuse(
                     mapping, key, f"is not a key here; {did_you_mean(key, known)}"
                 )
-        for key in needed:
+        for key, expected in needed.items():
             if mapping.get(key) in (None, [], {}, ""):
                 raise ConfigurationError(
-                    "is missing or empty", file=self._path,
+                    f"is missing or empty; it {expected}", file=self._path,
                     line=min(mapping.lines.values(), default=None), key=key,
                 )
 

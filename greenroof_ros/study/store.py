@@ -10,19 +10,20 @@ import io
 import json
 import shutil
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import naming
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.recording.results_table import parameter_columns
-from greenroof_ros.study.case_run import Outcome
-from greenroof_ros.study.grid import Case
+from greenroof_ros.study.case_run import Outcome, lay_out
+from greenroof_ros.study.grid import Case, contents
 
 _OUTCOME = "outcome.json"
+_DIGEST = "digest"
 _LOCK = ".lock"
 
 
@@ -32,7 +33,6 @@ class Store:
     Attributes:
         directory: of the study.
         cases: its runs.
-        engine: that makes the runs.
         trajectory_every: time between the samples of each run's trajectory (s), 0 for every tick;
             None to keep only the results.
         outcomes: of finished runs, without their files, by identity.
@@ -45,7 +45,6 @@ class Store:
         directory: Path,
         grid: Path,
         cases: Sequence[Case],
-        engine: str,
         *,
         trajectory_every: float | None,
     ) -> None:
@@ -58,22 +57,20 @@ class Store:
             directory: of the study: new, empty, or from an earlier start of the same study.
             grid: its file.
             cases: its runs.
-            engine: that makes the runs.
             trajectory_every: see the attribute.
 
         Raises:
             ConfigurationError: the directory holds something else, or a study with another grid,
-                engine, trajectories or code; it cannot be written; another process uses it; or an
-                outcome cannot be read now, for instance on a network drive. That outcome is kept.
+                trajectories or code; it cannot be written; another process uses it; or an outcome
+                cannot be read now, for instance on a network drive. That outcome is kept.
         """
         self.directory = directory
-        self.cases, self.engine, self.trajectory_every = cases, engine, trajectory_every
+        self.cases, self.trajectory_every = cases, trajectory_every
         self._runs = directory / "runs"
         self._bounds = directory / "bounds.json"
         identity = {
-            "engine": engine,
             "trajectory_every": trajectory_every,
-            "numbers": _numbers(engine),
+            "numbers": _numbers(),
             "runs": [case.identity for case in cases],
         }
         try:
@@ -86,11 +83,9 @@ class Store:
         self.failures: dict[str, str] = {}
         for case in cases:
             content = _read(self._runs / case.identity / _OUTCOME)
-            with suppress(KeyError, TypeError):
-                results, timings = {**content["results"]}, {**content["timings"]}
-                self.outcomes[case.identity] = Outcome(results, timings, {})
-        bounds = _read(self._bounds)
-        self.bounds: dict[str, float] = bounds if isinstance(bounds, dict) else {}
+            if content:
+                self.outcomes[case.identity] = Outcome(**content, files={})
+        self.bounds: dict[str, float] = _read(self._bounds)
 
     def _open(self, grid: Path, identity: dict[str, Any]) -> None:
         configuration = self.directory / "configuration"
@@ -110,9 +105,7 @@ class Store:
             self._check(file, identity)
         else:
             shutil.copyfile(grid, configuration / "grid.yaml")
-            for case in self.cases:
-                for used in case.files:
-                    (configuration / used.name).write_bytes(used.content)
+            lay_out(contents(self.cases), configuration)
             _write(file, json.dumps(identity, indent=2) + "\n")
         self._runs.mkdir(exist_ok=True)
         for cut_short in self._runs.glob("*.part"):
@@ -132,11 +125,10 @@ class Store:
         """Refuse to continue a study that was begun with something else."""
         try:
             begun = json.loads(file.read_text(encoding="utf-8"))
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise ConfigurationError(f"is not valid JSON: {error}", file=file) from error
         for key, what in (
             ("runs", "another grid, or other files"),
-            ("engine", "another engine"),
             ("trajectory_every", "other trajectories, or none"),
             ("numbers", "other versions of the code or its packages"),
         ):
@@ -153,13 +145,11 @@ class Store:
             OSError: for instance on a full disk.
         """
         part, whole = self._runs / f"{case.identity}.part", self._runs / case.identity
-        about = json.dumps({"results": outcome.results, "timings": outcome.timings}, indent=2)
-        try:
-            for name, content in {**outcome.files, _OUTCOME: f"{about}\n".encode()}.items():
-                (part / name).parent.mkdir(parents=True, exist_ok=True)
+        about = _with_digest({"results": outcome.results, "timings": outcome.timings})
+        part.mkdir(exist_ok=True)
+        for name, content in {**outcome.files, _OUTCOME: about.encode()}.items():
+            with naming(part / name):
                 (part / name).write_bytes(content)
-        except OSError as error:  # an error of a write lacks the path
-            raise OSError(error.errno, error.strerror, str(part)) from error
         if whole.exists():  # a damaged one
             shutil.rmtree(whole)
         part.replace(whole)
@@ -168,7 +158,7 @@ class Store:
     def keep_bound(self, case: Case, bound: float) -> None:
         """Store the least possible total deviation (m3) of a case's problem."""
         self.bounds[case.problem] = bound
-        _write(self._bounds, json.dumps(self.bounds, indent=2) + "\n")
+        _write(self._bounds, _with_digest(self.bounds))
 
     def write_tables(self) -> list[dict[str, Any]]:
         """Write ``results.csv``, and separately ``timings.csv``, because times never repeat.
@@ -207,12 +197,11 @@ class _WithoutTexts(ast.NodeTransformer):
         return None if isinstance(node.value, ast.Constant) else node
 
 
-def _numbers(engine: str) -> dict[str, str]:
+def _numbers() -> dict[str, str]:
     """Return the versions of everything that affects a run's numbers; stored runs must match.
 
     For this package they are a digest of the relevant code, without comments and docstrings, and
-    the constants of the named forecast skills. With the engine ``ros``, graph and nodes are
-    relevant, too.
+    the constants of the named forecast skills.
     """
     package = Path(__file__).parent.parent
     digest = hashlib.sha256()
@@ -220,7 +209,7 @@ def _numbers(engine: str) -> dict[str, str]:
     parts += ["study/case_run.py", "recording/results_table.py"]
     # They read the numbers of sites, controllers and windows.
     parts += ["common/files.py", "common/parameter.py", "common/times.py"]
-    for part in [*parts, "graph", "nodes"] if engine == "ros" else parts:
+    for part in parts:
         path = package / part
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             code = ast.dump(_WithoutTexts().visit(ast.parse(file.read_bytes())))
@@ -233,16 +222,26 @@ def _numbers(engine: str) -> dict[str, str]:
     return {"code": digest.hexdigest()[:12], **others}
 
 
-def _read(file: Path) -> Any:
-    """Return the content of a JSON file; None if it is missing or damaged.
+def _with_digest(values: Mapping[str, Any]) -> str:
+    """Return values as JSON with their digest, which shows any later damage."""
+    text = json.dumps(values, sort_keys=True)
+    about = {**values, _DIGEST: hashlib.sha256(text.encode()).hexdigest()}
+    return json.dumps(about, indent=2) + "\n"
+
+
+def _read(file: Path) -> dict[str, Any]:
+    """Return the values that :func:`_with_digest` wrote; empty if the file is missing or damaged.
 
     Raises:
         ConfigurationError: it exists but cannot be read now.
     """
     try:
-        return json.loads(file.read_bytes())
-    except (FileNotFoundError, ValueError):
-        return None
+        text = file.read_text(encoding="utf-8")
+        values = {**json.loads(text)}
+        del values[_DIGEST]
+        return values if _with_digest(values) == text else {}
+    except (FileNotFoundError, ValueError, TypeError, KeyError, RecursionError):
+        return {}
     except OSError as error:
         raise ConfigurationError(
             f"cannot be read: {error.strerror}; the study was not changed", file=file
@@ -253,7 +252,8 @@ def _write(path: Path, text: str) -> None:
     """Replace a file as a whole: after a crash it is complete or as before."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.part")
-    part.write_text(text, encoding="utf-8")
+    with naming(part):
+        part.write_text(text, encoding="utf-8")
     part.replace(path)
 
 

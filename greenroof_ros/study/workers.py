@@ -1,64 +1,64 @@
-"""Workers that make runs: processes of this machine, or a Dask cluster."""
+"""The workers of a study's runs: processes of this machine.
+
+A Dask cluster's are in :mod:`greenroof_ros.study.cluster`.
+"""
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import multiprocessing
 import os
+import pickle
 import signal
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing import forkserver
-from multiprocessing.synchronize import Semaphore
+from pathlib import Path
 from typing import Any, NamedTuple
+from uuid import uuid4
 
-from greenroof_ros.common.errors import ConfigurationError, in_extra, with_extra
+from greenroof_ros.common.files import naming
 from greenroof_ros.common.processes import end_with
-from greenroof_ros.experiment.summary import versions
+from greenroof_ros.study.case_run import lay_out
 
 # Imported once by the fork server, not by each worker.
 _PRELOADED = [
     "greenroof_ros.study.case_run", "greenroof_ros.controllers.mpc",
     "greenroof_ros.controllers.lookahead", "osqp", "polars", "scipy.optimize",
 ]
-# Longest time for a worker to become ready.
-_START_S = 60
-_CONNECT_S = 10
-# A worker that its nanny restarts is back sooner.
-_NO_WORKER_S = 15.0
-# Time between two requests to a scheduler for its workers.
-_ASK_S = 2.0
 
 
-class WorkersGoneError(Exception):
-    """No worker is left; the message says what is gone."""
+class WorkersGoneError(BrokenExecutor):
+    """The workers cannot go on; the message says what is gone."""
 
 
 class Workers(NamedTuple):
     """The means to hand out runs."""
 
     submit: Callable[..., Future[Any]]
-    """schedules a function with its arguments, and returns the future"""
+    """schedules a function; its first argument will be the directory of the study's input files,
+    and the given arguments are the others"""
+    result: Callable[[Future[Any]], Any]
+    """returns what the function of a future returned, or raises what it raised"""
     check: Callable[[], None]
     """raises :class:`WorkersGoneError` if no worker is left"""
 
 
 @contextmanager
-def processes(jobs: int) -> Iterator[Workers]:
-    """Work in parallel processes; if one is killed, only its own task fails.
+def processes(jobs: int, files: Mapping[str, bytes]) -> Iterator[Workers]:
+    """Work in parallel processes of this machine.
 
     Args:
         jobs: number of processes.
+        files: contents of the study's input files, by name.
 
     Raises:
-        ConfigurationError: pebble is not installed.
+        WorkersGoneError: a process ended by itself, or was killed.
     """
-    with in_extra("study"):
-        from pebble import ProcessPool
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_PRELOADED)
     # A terminal's Ctrl-C also reaches the fork server, which would print a traceback. So the server
@@ -68,34 +68,48 @@ def processes(jobs: int) -> Iterator[Workers]:
         forkserver.ensure_running()
     finally:
         signal.signal(signal.SIGINT, before)
-    # A worker that is stopped does not delete its temporary files.
-    with tempfile.TemporaryDirectory(prefix="greenroof_ros-") as scratch:
-        started = context.Semaphore(0)
-        pool = ProcessPool(
-            max_workers=jobs, context=context, initializer=_prepare,
-            initargs=(scratch, os.getpid(), started),
-        )
-
-        def start() -> None:
-            pool.schedule(os.getpid)  # the first task starts all workers
-            for _ in range(jobs):
-                started.acquire(timeout=_START_S)
-
+    # A worker that is killed does not delete its temporary files.
+    with tempfile.TemporaryDirectory(prefix="greenroof_ros-") as name:
+        scratch = Path(name)
+        inputs = scratch / "inputs"
+        inputs.mkdir()
+        lay_out(files, inputs)
+        executor = ProcessPoolExecutor(jobs, context, _prepare, (name, os.getpid()))
         try:
-            # In a thread, which Ctrl-C does not interrupt: a worker that is ended before it is
-            # ready prints a traceback, or the pool does not know it and cannot end it.
-            with ThreadPoolExecutor(1) as starter:
-                starter.submit(start).result()
-            yield Workers(
-                submit=lambda function, *arguments: pool.schedule(function, args=arguments),
-                check=lambda: None,
-            )
+            task = partial(_to_file, inputs)
+            yield Workers(partial(executor.submit, task), _from_file, check=lambda: None)
+        except (BrokenProcessPool, EOFError, ConnectionError) as error:  # or as a worker starts
+            raise WorkersGoneError(
+                "a worker process was killed, perhaps because memory ran out; then use fewer --jobs"
+            ) from error
         finally:
-            pool.stop()
-            pool.join()
+            executor.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.kill()
+            executor.shutdown()
 
 
-def _prepare(scratch: str, study: int, started: Semaphore) -> None:
+def _to_file(directory: Path, function: Callable[..., Any], *arguments: Any) -> Path:
+    """Call a function in a worker, and return a file with its result.
+
+    If a worker is killed while it sends a large result to the executor, the executor waits for the
+    rest forever.
+    """
+    result = function(directory, *arguments)
+    path = Path(tempfile.gettempdir(), uuid4().hex)
+    with naming(path):
+        path.write_bytes(pickle.dumps(result))
+    return path
+
+
+def _from_file(future: Future[Path]) -> Any:
+    path = future.result()
+    result = pickle.loads(path.read_bytes())  # noqa: S301 - written by this study's own worker
+    path.unlink()
+    return result
+
+
+def _prepare(scratch: str, study: int) -> None:
     """Prepare a worker: its directory for temporary files, no warnings, and its end.
 
     Warnings of single runs would break the progress bar. The worker ends with the study itself,
@@ -104,91 +118,7 @@ def _prepare(scratch: str, study: int, started: Semaphore) -> None:
     Args:
         scratch: directory for temporary files, which the study deletes.
         study: process number of the study.
-        started: counts the workers that are ready.
     """
     end_with(study)
     tempfile.tempdir = scratch
     logging.getLogger("greenroof_ros").setLevel(logging.ERROR)
-    started.release()
-
-
-@contextmanager
-def cluster(address: str) -> Iterator[Workers]:
-    """Work on the workers of a Dask scheduler.
-
-    Args:
-        address: such as ``tcp://10.0.0.1:8786``.
-
-    Raises:
-        ConfigurationError: distributed is not installed, the scheduler does not answer or has no
-            worker, or the versions on a worker differ from this process's.
-        WorkersGoneError: the scheduler or all its workers disappeared during work.
-    """
-    try:
-        import dask
-
-        # Its log would repeat an error message in a hundred lines.
-        quiet = dict.fromkeys(("distributed", "distributed.client", "tornado.application"), 100)
-        dask.config.set({"logging": quiet})
-        from distributed import Client
-    except ImportError as error:
-        raise ConfigurationError(
-            f"needs distributed: {with_extra('dask')}", key="--scheduler"
-        ) from error
-    gone = WorkersGoneError(f"the Dask scheduler at {address} is gone")
-    try:
-        client = Client(address, timeout=_CONNECT_S)
-    except (OSError, ValueError, TypeError) as error:
-        raise ConfigurationError(
-            f"does not answer: {error}", key="--scheduler", value=address
-        ) from error
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=_CONNECT_S)
-            _check_versions(client.run(versions))
-        except asyncio.TimeoutError as error:  # in Python 3.10 not the built-in one
-            raise ConfigurationError(
-                "has no worker", key="--scheduler", value=address
-            ) from error
-        except (OSError, CancelledError) as error:
-            raise gone from error
-        executor = client.get_executor(pure=False, retries=0)
-        asked = seen = time.monotonic()
-
-        def check() -> None:
-            nonlocal asked, seen
-            now = time.monotonic()
-            if now - asked < _ASK_S:
-                return
-            asked = now
-            try:
-                there = client.nthreads()
-            except (OSError, RuntimeError) as error:  # the connection or the client failed
-                raise gone from error
-            if there:
-                seen = now
-            elif now - seen > _NO_WORKER_S:
-                raise WorkersGoneError(
-                    f"the Dask scheduler at {address} has had no worker for {_NO_WORKER_S:g} s"
-                )
-
-        try:
-            yield Workers(executor.submit, check)
-        except CancelledError as error:  # not by this process: the scheduler is gone
-            raise gone from error
-        finally:
-            # Cancels running tasks: after an interrupt nobody waits for their results.
-            executor.shutdown(wait=False)
-
-
-def _check_versions(workers: Mapping[str, Mapping[str, str]]) -> None:
-    """Refuse workers with other versions, which could compute other numbers."""
-    here = versions()
-    for address, theirs in workers.items():
-        for package in here.keys() | theirs.keys():
-            if theirs.get(package) != here.get(package):
-                raise ConfigurationError(
-                    f"its worker {address} has {package} {theirs.get(package, 'not at all')}, "
-                    f"this process {here.get(package, 'not at all')}; make them the same",
-                    key="--scheduler",
-                )

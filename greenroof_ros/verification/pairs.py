@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.times import hours_since_1970, to_people
 from greenroof_ros.forecast.choice import ForecastChoice
-from greenroof_ros.forecast.dressing import chosen_archive
 from greenroof_ros.forecast.models import make_model
+from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR, ISSUE_HOURS, PRECIPITATION
 from greenroof_ros.model.site import Site
 from greenroof_ros.verification.scores import Tally
@@ -22,9 +22,6 @@ from greenroof_ros.weather.series import Weather, refuse_between_hours
 
 Array = NDArray[np.float64]
 
-# Values of day N of previous runs are 24 N to 24 N + 5 h old. They stand for the leads 24 (N - 1)
-# to 24 N, whose middle is 24 N - 12.
-_OLDER_H = 14.5
 # How many forecasts are added in one batch.
 _AT_ONCE = 200
 # Decimals to which sums are rounded (mm). In binary numbers tenths of a millimetre do not add up to
@@ -55,11 +52,6 @@ class IssuedForecasts:
     count: int
     issues: Iterator[tuple[int, Array]]
 
-    @property
-    def older(self) -> float:
-        """By how much (h) they are on average older than their leads say."""
-        return _OLDER_H if self.finest_lead > 1 else 0.0
-
 
 def issued_forecasts(
     choice: ForecastChoice, weather: Weather, site: Site, horizon: int
@@ -81,7 +73,7 @@ def issued_forecasts(
     """
     if choice.file is None:
         return _modelled(choice, weather, site, horizon)
-    archive = chosen_archive(choice, site)
+    archive = read_archive(choice.file, site, choice.delay)
     refuse_between_hours(archive.verified, weather)
     first = weather.rain_from
     end = first + len(weather.precipitation) * HOUR

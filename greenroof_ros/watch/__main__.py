@@ -69,9 +69,9 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--allow-release", action="store_true",
-        help="allow the page to release the pump if it was stopped on a page or over "
-        "MQTT, and to clear the fault speed_not_followed once in 24 h; if the site file allows it, "
-        "also to ask for a dose on the page. The page then needs its token on this machine, too",
+        help="allow the page to release the pump, whoever holds it, and to clear the "
+        "fault speed_not_followed; if the site file allows it, also to ask for a dose. "
+        "The page then needs its token on this machine, too",
     )
     parser.add_argument(
         "--host", metavar="ADDRESS",

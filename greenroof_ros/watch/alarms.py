@@ -40,7 +40,7 @@ FOREIGN = "Reported by another device or program, not by the green roof: see its
 # With such a code the pump's state needs somebody at the pump, whatever caused it.
 _NEEDS_A_HAND = {
     *(code for code, interlock in INTERLOCKS.items() if interlock.kind == LATCHED),
-    "operator_stop", "page_stop", "record_unknown", "stands_unknown", "stop_not_followed",
+    "hold", "stands_unknown", "stop_not_followed",
 }
 # For each reason why the pump stands: the parts of its node that say more about it.
 _PARTS_OF_REASON = {

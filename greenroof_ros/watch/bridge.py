@@ -106,7 +106,7 @@ class Bridge:
 
     def _stop_pump(self) -> None:
         try:
-            say(f"stop, over MQTT: {self._feed.ask('stop')}")
+            say(f"stop, over MQTT: {self._feed.ask('stop', owner='MQTT')}")
             self._stop_until = -math.inf
         except StopFailedError as failure:
             say(f"stop, over MQTT: {failure}")
@@ -195,6 +195,7 @@ def state_of(store: Store, shown: Mapping[str, Any]) -> dict[str, Any]:
         "condition": (present[0]["code"] or UNKNOWN) if present else "none" if here else UNKNOWN,
         "problem": ON if serious else OFF if here else None,
         "can_stop": shown["stop"]["possible"],
+        "hold": shown["stop"]["hold"],
     }
 
 

@@ -12,13 +12,13 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
+from greenroof_ros.common.interface import command_for
 from greenroof_ros.watch import tiles, words
 from greenroof_ros.watch.account import ENTRIES, HOLDS_NS
 from greenroof_ros.watch.history import Gaps, stretch_of
@@ -240,11 +240,6 @@ def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
 LOCK_OUT = (
     "Anyone working on the pump must lock it out at the pump itself; this page does not."
 )
-# Who holds the pump off, by the names that the pump node uses.
-_OWNERS = {
-    "page": "a stop from a page or over MQTT", "service": "a stop by the service ~/stop",
-    "unknown state": "a stop or fault that may have been lost (see the alarm)",
-}
 _THEN = (
     "The pump then starts by itself when the controller asks for it and nothing else keeps it off, "
     "but not before its least time off has passed (least_off). "
@@ -257,36 +252,36 @@ _THEN = (
 def _stop(store: Store) -> dict[str, Any]:
     """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
 
-    It is stopped if an operator stopped it and it stands; the stop alone only says that it should
-    stand. ``call`` and ``release`` are the commands to stop and release it; empty if that would do
+    It is stopped if somebody holds it and it stands; the hold alone only says that it should stand.
+    ``call`` and ``release`` are the commands to hold and release it; empty if that would do
     nothing. Entries in ``_here`` say whether an action is allowed here, entries in ``_then`` what
     happens then. A request for a dose sends ``asked_at`` back: a delayed request is too old.
     """
     two = store.graph.two_pumps(store.wall)
     node = None if two else store.graph.pump(store.wall)
     values = {} if node is None else node.values
-    asked, gone = bool(values.get("stop")), store.gone(node)
+    hold, gone = "" if node is None else node.hold, store.gone(node)
     stands = not gone and values.get("stands") is True
-    stopped, warning = asked and stands, two
-    if asked and not stands and not gone:
+    stopped, warning = bool(hold) and stands, two
+    if hold and not stands and not gone:
         warning = (
             "Stop was accepted, but the pump still turns, or it is not known whether it is at "
             "rest. Stop it at its drive's panel if it is not at rest within seconds."
         )
     state = "" if node is None else (store.pump_says or "").partition(": ")[0]
     off = state in ("off", "held", "fault") and stands
-    call = "" if node is None else f"ros2 service call {node.name}/stop std_srvs/srv/SetBool"
     return {
         "possible": node is not None, "stopped": stopped, "node": node and node.name,
         "label": "The pump is held off" if stopped
         else "Keep the pump off" if off else "Stop the pump",
         "sentence": two or "There is no pump node that could be stopped from here."
-        if node is None else ("It was held off when last heard. " if asked and gone else "")
+        if node is None else ("It was held off when last heard. " if hold and gone else "")
         + ("The pump is held" if stopped else "Holds the pump")
         + " off until somebody releases it. " + LOCK_OUT,
         "warning": warning,
-        "call": f'{call} "{{data: true}}"' if call and not stopped else "",
-        "release": f'{call} "{{data: false}}"' if asked else "",
+        "call": "" if node is None or stopped else command_for(node.name, "hold"),
+        "release": "" if node is None or not hold else command_for(node.name, "release"),
+        "hold": None if node is None or gone else hold and f"{hold[0].upper()}{hold[1:]}.",
         **_allowed(None if gone or not store.allow_release else node, stands),
     }
 
@@ -298,19 +293,18 @@ def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
         node: the pump node, if it is heard and releasing is allowed; otherwise None.
         stands: whether the pump stands.
     """
-    values: Mapping[str, Any] = {} if node is None else node.values
-    by, greatest = values.get("stopped_by"), values.get("greatest_dose")
-    owners = [str(owner) for owner in by] if isinstance(by, list) else []
-    fault, refusal, no_dose = (
-        "" if node is None else node.text(key) for key in ("fault", "page_may_not_clear", "no_dose")
+    greatest = None if node is None else node.values.get("greatest_dose")
+    hold = "" if node is None else node.hold
+    fault, unknown, refusal, no_dose = (
+        "" if node is None else node.text(key)
+        for key in ("fault", "unknown", "no_clear", "no_dose")
     )
-    others = [owner for owner in owners if owner != "page"]
     doses = isinstance(greatest, (int, float))
     return {
-        "release_here": "page" in owners and stands,
-        "release_then": _then(others) + LOCK_OUT,
+        "release_here": bool(hold) and stands,
+        "release_then": _then(fault, unknown) + LOCK_OUT,
         "clear_here": bool(fault) and not refusal and stands,
-        "clear_then": f"The fault is cleared: {fault}. " + _then(owners) + LOCK_OUT,
+        "clear_then": f"The fault is cleared: {fault}. " + _then(hold, unknown) + LOCK_OUT,
         "no_clear": refusal if fault else "",
         "greatest_dose": greatest if doses else None,
         "dose_here": doses and not no_dose,
@@ -322,12 +316,10 @@ def _allowed(node: Node | None, stands: bool) -> dict[str, Any]:
     }
 
 
-def _then(owners: Sequence[str]) -> str:
-    """Return what the pump does if these owners of a stop remain."""
-    if not owners:
-        return _THEN
-    by = " and ".join(_OWNERS.get(owner, owner) for owner in owners)
-    return f"It stays off all the same: it is also held off by {by}. "
+def _then(*others: str) -> str:
+    """Return what the pump does then; the others are what else keeps it off, empty if it is not."""
+    remain = "; ".join(filter(None, others))
+    return f"It stays off all the same: {remain}. " if remain else _THEN
 
 
 # --- the water account ----------------------------------------------------------------------------

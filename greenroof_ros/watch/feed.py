@@ -19,6 +19,7 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -124,7 +125,7 @@ class Feed:
         self._awake = time.monotonic()
         self._said_at = 0.0
         self._problem, self._problem_until = "", 0.0
-        self._asked: list[tuple[str, dict[str, float], Future[str]]] = []
+        self._asked: list[tuple[str, dict[str, Any], Future[str]]] = []
         self._asking = threading.Lock()  # of that list
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
@@ -165,12 +166,13 @@ class Feed:
             self._looker.wake()
         self._thread.join(2.0)
 
-    def ask(self, action: str, **request: float) -> str:
+    def ask(self, action: str, **request: Any) -> str:
         """Hold the pump off, release it, clear its fault or give a dose; callable from any thread.
 
         Args:
             action: ``stop``, ``release``, ``clear`` or ``dose``.
-            request: for a dose, as :meth:`greenroof_ros.graph.looker.Looker.give_dose` takes it.
+            request: for a stop or a dose, as the methods hold_pump and give_dose of
+                :class:`greenroof_ros.graph.looker.Looker` take it.
 
         Returns:
             The pump node's answer.
@@ -507,7 +509,7 @@ class Feed:
         if (looker := self._looker) is None:
             return
         acts: dict[str, Callable[..., str]] = {
-            "stop": looker.stop_pump, "release": looker.release_pump, "clear": looker.clear_fault,
+            "stop": looker.hold_pump, "release": looker.release_pump, "clear": looker.clear_fault,
             "dose": looker.give_dose,
         }
         while self._asked:

@@ -124,6 +124,11 @@ class Node:
         return self.state in _LAST_WORDS
 
     @property
+    def hold(self) -> str:
+        """Who holds the pump, until when and why; empty if nobody does."""
+        return _hold_in(self.values)
+
+    @property
     def lockstep(self) -> bool:
         """Whether it acts in lockstep; nodes of a live graph do not number their ticks."""
         return "run_length" in self.values
@@ -315,9 +320,9 @@ class Registry:
         grown = [topic for topic, n in _counts(values).items() if n > counts.get(topic, 0)]
         if grown:
             node.refused_at, node.refused = wall, tuple(grown[:10])
-        stop, fault = bool(values.get("stop")), node.text("fault")
-        if bool(before.get("stop")) != stop:
-            self._say("a stop of the pump was asked for" if stop else "the stop was released")
+        hold, fault = node.hold, node.text("fault")
+        if _hold_in(before) != hold:
+            self._say(f"the pump is held: {hold}" if hold else "the hold has ended")
         if before.get("fault", "") != values.get("fault", ""):
             self._say(
                 f"the pump is off until it is reset: {fault}" if fault else "the fault was reset"
@@ -496,6 +501,13 @@ class Registry:
                 yield f"{name}: {part}", _trouble_of_part(node, part, said)
 
 
+def _hold_in(values: Mapping[str, Any]) -> str:
+    """Return the hold of the pump in a node's values, in words; empty if there is none."""
+    hold = values.get("hold")
+    said = hold.get("said") if isinstance(hold, dict) else None
+    return said if isinstance(said, str) else ""
+
+
 def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
     """Return the trouble that a part of a node reports."""
     level, code, gist = said.level, said.code, ""
@@ -505,7 +517,7 @@ def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
         if node.may_turn:
             level = ERROR  # it may flood the roof, whatever is commanded
             code = code if latched else "stands_unknown"
-        elif node.values.get("stop") and node.values.get("stands") is False and not latched:
+        elif node.hold and node.values.get("stands") is False and not latched:
             code = "stop_not_followed"
     elif code in ("drive_fault", "drive_warning"):
         gist = said.message  # it has the drive's number of the fault

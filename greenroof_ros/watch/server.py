@@ -1,8 +1,8 @@
 """The page over HTTP: its files, what is pushed to it, and the actions that it can request.
 
 Everybody who reaches the address may look, and may stop the pump; if there is a token, only with
-the token. A stop from a page or over MQTT may be released here if that was allowed, which needs a
-token. With it, a dose may also be given if the site file allows doses.
+the token. A hold may be released here if that was allowed, which needs a token. With it, a fault
+that needs nobody at the pump may also be cleared, and a dose given if the site file allows doses.
 
 Each path is a route, and none leads to a file. Another page in the same browser can do nothing: a
 request must name this host (not another name that leads here), and an action needs a header that
@@ -352,7 +352,8 @@ class _Site:
     ) -> tuple[bool, str]:
         """Ask the pump node, and return how that went; whoever asked may be gone by then."""
         try:
-            ok, sentence = True, await asyncio.to_thread(self._feed.ask, action, **given)
+            request = {"owner": "the page"} if action == "stop" else given
+            ok, sentence = True, await asyncio.to_thread(self._feed.ask, action, **request)
         except StopFailedError as failure:
             ok, sentence = False, str(failure)
         event = f"{action.capitalize()}, from {asker}: {sentence}"

@@ -304,7 +304,7 @@ def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     else:
         sentence = "commanded no pumping" if store.ended else "commands no pumping now"
     if not alarm and not store.ended:
-        sentence = "; ".join(filter(None, (_aim(store, plan, now), sentence, _trusted(store))))
+        sentence = "; ".join(filter(None, (_aim(store, plan, now), sentence)))
     return {
         "label": "Controller",
         "value": name or ("not recorded" if store.ended else words.UNKNOWN), "number": None,
@@ -324,21 +324,6 @@ def _aim(store: Store, plan: Plan | None, now: float | None) -> str:
         return said
     then = f"to {words.value_of('/controller/fill_to', later)} after {store.hour(begin)}"
     return f"{said}, and {then} if no rain has come" if said else f"fills {then} if no rain comes"
-
-
-def _trusted(store: Store) -> str:
-    """Return how far a controller trusts the forecast, and why not fully; empty if not known."""
-    share = store.known("/controller/trust")
-    if share is None:
-        return ""
-    if share == 1:
-        return "trusts the forecast"
-    if share == 0:
-        return "does not trust the forecast: lately a roof without one would have done better"
-    return (
-        f"leaves {words.value_of('/controller/trust', share)} of the room that the forecast asks "
-        "for: lately that would have done best"
-    )
 
 
 def _planned(store: Store, plan: Plan, now: float) -> str:

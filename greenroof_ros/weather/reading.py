@@ -65,7 +65,7 @@ def read_weather(
     """
     measured = _whole_hours(join([read_records(file, site) for file in files]))
     values = {
-        quantity: bridged(series, LONGEST_GAP.get(quantity, 0))
+        quantity: _bridged(series, LONGEST_GAP.get(quantity, 0))
         for quantity, series in measured.values.items()
     }
     if gaps == FILL:
@@ -130,7 +130,7 @@ def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list
     return files
 
 
-def bridged(series: Array, longest: int) -> Array:
+def _bridged(series: Array, longest: int) -> Array:
     """Return hourly values with gaps of at most ``longest`` hours bridged by a straight line."""
     filled = series.copy()
     for low, high in gaps(np.isnan(series)):

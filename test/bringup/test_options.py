@@ -104,8 +104,6 @@ WRONG = {
     f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
         "say whether there is frost; give it if a node of your own publishes /gauge/temperature",
-    f"{WEATHERED} --thermometer external --controller onoff --dressed d.csv":
-        "--dressed = 'd.csv': is for forecasts of --forecast FILE.csv",
     f"{WEATHERED} --forecast no.csv": "--forecast = 'no.csv': must be an existing file",
     f"{WEATHERED} --forecast {CHECKOUT}/package.xml": "package.xml': must be a FILE.csv, which is",
     f"{WEATHERED} --weather external --forecast forecast.csv":

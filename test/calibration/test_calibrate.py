@@ -14,6 +14,7 @@ from graphs import environment
 from refusals import refusal
 from twins import TWIN, record_rows, summed, write
 
+from greenroof_ros.calibrate import read_pump_data
 from greenroof_ros.calibration.site_file import edited_site_file
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.model.site import edited, read_site
@@ -102,6 +103,17 @@ def test_a_data_sheet_needs_no_record(fitted: Path, tmp_path: Path) -> None:
         "a_hat: -1e+06                 # s2/m5   fitted to points of the data sheet",
         "c_hat: 50                     # m       fitted to points of the data sheet",
     ]
+
+
+@pytest.mark.parametrize(("text", "pattern"), [
+    ("q,h\n0,50\n", r"line 1: .*'flow \[m3/s\],head \[m\]'"),
+    ("flow [m3/s],head [m]\n0,50\n4,46\n", r"line 3: flow \[m3/s\] = '4': .*in other units"),
+])
+def test_pump_data(tmp_path: Path, text: str, pattern: str) -> None:
+    """A header and a line that do not hold flows and heads."""
+    sheet = tmp_path / "p.csv"
+    sheet.write_text(text)
+    refusal(read_pump_data, sheet, match=f"p.csv, {pattern}")
 
 
 NEW = {"c_hat": (50.0, "new"), "z_veg": (0.04, "new"), "wilting_point": (0.05, "w"),

@@ -13,7 +13,7 @@ import pytest
 from graphs import alive, wait_for
 from places import CHECKOUT
 
-from greenroof_ros.common.processes import asked_to_end_with_this, notify
+from greenroof_ros.common.processes import LockedError, asked_to_end_with_this, notify, take_name
 
 TOO_LONG_S = 60
 
@@ -85,6 +85,57 @@ def test_who_is_not_asked_lives_on() -> None:
             stdout=subprocess.PIPE, check=False,
         )
         assert done.returncode == expected
+
+
+# --- locks --------------------------------------------------------------------------------------
+
+_HOLDER = """
+import sys, time
+from greenroof_ros.common.processes import take_name
+lock = take_name(sys.argv[1])
+print("locked", flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize("length", [1, 300])
+def test_a_lock_is_its_process_alone_until_that_ends(length: int, tmp_path: Path) -> None:
+    """By kill -9, too; and stopped (SIGSTOP) it still holds the lock. Long names are no others."""
+    name = f"test-{tmp_path}" + length * "x"
+    holder = subprocess.Popen(
+        [sys.executable, "-c", _HOLDER, name], stdout=subprocess.PIPE, cwd=CHECKOUT
+    )
+    try:
+        assert holder.stdout is not None and holder.stdout.readline() == b"locked\n"
+        holder.send_signal(signal.SIGSTOP)
+        for _ in range(2):
+            with pytest.raises(LockedError) as caught:
+                take_name(name)
+            assert caught.value.holder == holder.pid
+        take_name(name + "y").close()
+    finally:
+        holder.kill()
+        holder.communicate()
+    take_name(name).close()
+
+
+def test_another_users_lock_is_a_lock(tmp_path: Path) -> None:
+    """A process of the user nobody (65534) holds it; only root can start that."""
+    if os.getuid() != 0:
+        pytest.skip("only root can become another user")
+    code = _HOLDER.replace("lock =", "import os; os.setuid(65534); lock =")
+    name = f"test-{tmp_path}"
+    holder = subprocess.Popen(
+        [sys.executable, "-c", code, name], stdout=subprocess.PIPE, cwd=CHECKOUT,
+    )
+    try:
+        assert holder.stdout is not None and holder.stdout.readline() == b"locked\n"
+        with pytest.raises(LockedError) as caught:
+            take_name(name)
+        assert caught.value.holder == holder.pid
+    finally:
+        holder.kill()
+        holder.communicate()
 
 
 # --- systemd ------------------------------------------------------------------------------------

@@ -321,6 +321,18 @@ def test_without_a_forecast_it_fills_to_the_target_and_holds_it() -> None:
     assert plant.x2 == pytest.approx(PAPER_SITE.x2_star, abs=2e-5)
 
 
+def test_without_a_forecast_it_counts_on_the_rain_of_the_gauge() -> None:
+    """At the level it pumps what evaporates, as on the past day, less what the gauge measures."""
+    evaporates, plant, controller = 6e-6, Plant(PAPER_SITE, 57.0, PAPER_SITE.x2_star), lookahead()
+    controller.command(*plant.levels(), [DRY], [evaporates] * STEPS)
+    for rain in (0.0, evaporates / 2, evaporates / 3):
+        controller.gauge_rain = rain / PAPER_SITE.a2
+        for _ in range(10):
+            flow = plant.pump_flow(controller.command(*plant.levels(), [], []))
+            plant.step(controller.gauge_rain, plant.flows(controller.gauge_rain, evaporates, flow))
+        assert flow == pytest.approx(evaporates - rain, rel=1e-6)
+
+
 @pytest.mark.parametrize("gap", [None, (0, 0), (0, -1), (1, 0), (1, -1)])
 def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain(
     gap: tuple[int, int] | None

@@ -1,4 +1,4 @@
-"""The headline numbers of the README agree with its figure."""
+"""The headline numbers of the README agree with its figure, and with the file of both."""
 
 from __future__ import annotations
 
@@ -10,45 +10,50 @@ from real_seasons.inputs import ROOFS
 sys.path.append(str(CHECKOUT / "doc"))
 
 import worth
-from real_season_tables import ALL, DRESSED, ISSUED, SEASON, Number, numbers
+from real_season_tables import OVER_NO_RAIN, TOGETHER, Number, numbers
+
+README = " ".join((CHECKOUT / "README.md").read_text().split())
+PLACES = ("measured", "paper")
 
 
 def test_readme_says_what_its_figure_shows() -> None:
     """The figure and the README's percentages come from the same stored file."""
     assert (CHECKOUT / "doc" / "_static" / "worth.svg").read_text() == worth.drawing()
-    rows = [row for roof in ("measured", "paper") for row in worth.rows(roof)]
-    readme = " ".join((CHECKOUT / "README.md").read_text().split())
-    (target,) = {ROOFS[roof].target for roof in ("measured", "paper")}
-    assert f"from its target of {1000 * target:.1f} mm, in mm" in readme
-    shares = [100 * row.share.value for row in rows]
-    _, none, issued, dressed, perfect, plan, _, *paper = shares
-    low = rows[5].share.low
-    assert low is not None
-    bound = 100 * low
+    (target,) = {ROOFS[roof].target for roof in PLACES}
+    assert f"from its target of {1000 * target:.1f} mm, in mm" in README
+    shares = [100 * row.share.value for roof in PLACES for row in worth.rows(roof)]
+    _, none, issued, perfect, _, *paper = shares
     assert (
         f"Measured roof: lookahead without a forecast {none:.0f}, with issued forecasts "
-        f"{issued:.0f}, dressed {dressed:.0f}, perfect {perfect:.0f}, least possible {bound:.0f} "
-        f"to {plan:.0f}. The paper's roof: {', '.join(f'{share:.0f}' for share in paper)}."
-    ) in readme
-    assert f"without a forecast | {100 - none:.0f} % | {100 - paper[0]:.0f} % |" in readme
+        f"{issued:.0f}, perfect {perfect:.0f}. "
+        f"The paper's roof: {', '.join(f'{share:.0f}' for share in paper)}."
+    ) in README
+    assert f"without a forecast, 2024 | {100 - none:.0f} % | {100 - paper[0]:.0f} % |" in README
 
 
 def test_readme_says_what_forecasts_add() -> None:
-    """Over no forecast, with intervals: May to October, three services as one."""
-    issued, dressed = (
-        " | ".join(
-            gain(numbers()[roof, SEASON, ALL, "three", form, "over no rain"])
-            for roof in ("measured", "paper")
+    """Over no forecast, with intervals: May to October, three services as one; and perfect ones."""
+    issued = " | ".join(gain(numbers()[roof, TOGETHER, OVER_NO_RAIN]) for roof in PLACES)
+    assert f"| from there, by issued forecasts | {issued} |" in README
+    perfect = (100 * (1 - numbers()[roof, "perfect", OVER_NO_RAIN].value) for roof in PLACES)
+    said = " and ".join(f"{less:.0f}" for less in perfect)
+    assert f"Perfect forecasts reduced it by {said} % in 2024" in README
+
+
+def test_readme_says_what_the_target_is_worth() -> None:
+    """Less water at the site's own target, and less with perfect forecasts at the paper's."""
+    pumped, lower, perfect = (
+        numbers()[roof, forecast, "pumped (m³)"].value for roof, forecast in (
+            ("measured", "on/off"), ("measured, target 39 mm", "on/off"), ("measured", "perfect"),
         )
-        for form in (ISSUED, DRESSED)
     )
-    readme = " ".join((CHECKOUT / "README.md").read_text().split())
-    assert f"| from there, by issued forecasts | {issued} |" in readme
-    assert f"corrected by the rain of other weeks | {dressed} |" in readme
+    assert (
+        f"At 39 mm instead of 45.7 mm, on/off pumps {100 * (1 - lower / pumped):.0f} % less water "
+        f"onto the measured roof; even perfect forecasts save {100 * (1 - perfect / pumped):.0f} %."
+    ) in README
 
 
 def gain(ratio: Number) -> str:
     """Return how much less a ratio with its interval is than 1, such as ``3 % (-1 to 13 %)``."""
-    assert ratio.low is not None and ratio.high is not None
-    value, low, high = (100 * (1 - number) for number in (ratio.value, ratio.low, ratio.high))
+    value, low, high = (100 * (1 - number) for number in ratio)
     return f"{value:.0f} % ({high:.0f} to {low:.0f} %)"

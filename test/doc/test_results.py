@@ -11,8 +11,8 @@ from places import CHECKOUT
 from results.__main__ import TABLES
 from results.reduction import read, runs, seasons, seeds, write
 
-from greenroof_ros.study.case_run import run_case
-from greenroof_ros.study.grid import read_grid
+from greenroof_ros.study.case_run import lay_out, run_case
+from greenroof_ros.study.grid import contents, read_grid
 
 sys.path.append(str(CHECKOUT / "doc"))
 
@@ -56,7 +56,7 @@ def test_file_has_the_papers_runs(papers: Path) -> None:
 
 
 @pytest.mark.parametrize("controller", ["onoff", "lookahead"])
-def test_file_has_what_a_run_gives(controller: str) -> None:
+def test_file_has_what_a_run_gives(controller: str, tmp_path: Path) -> None:
     """A storm and a record in the tests' data, digit for digit."""
     cases = [
         case for case in read_grid(TABLES["windows"][0]) if case.controller.name == controller
@@ -65,9 +65,10 @@ def test_file_has_what_a_run_gives(controller: str) -> None:
         row for row in read(DOC / "results" / "windows.csv") if row["controller"] == controller
     ]
     assert len(cases) == len(kept) == 3
+    lay_out(contents(cases), tmp_path)
     for case, row in list(zip(cases, kept, strict=True))[1:]:
         assert (case.start, case.evapotranspiration) == (row["start"], row["evapotranspiration"])
-        results = run_case(case, "inprocess", None).results
+        results = run_case(tmp_path, case, None).results
         assert str(results["mean_deviation_mm"]) == row["mean_deviation_mm"]
 
 

@@ -14,14 +14,30 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from modbus_wire import Answer, Registers, SerialWire, Wire, crc, frame, script
+from modbus_wire import (
+    Answer,
+    Registers,
+    SerialWire,
+    Wire,
+    acs880,
+    crc,
+    frame,
+    over_serial,
+    script,
+)
 from simulators import until
 
 from greenroof_ros.drives.drive import Drive, DriveStatus
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.drives.modbus_line import DriveError, parse_drive_address
+from greenroof_ros.drives.modbus_line import (
+    DriveError,
+    ModbusLine,
+    Serial,
+    parse_drive_address,
+)
 
 Task = Callable[[Drive], Any]
+DRIVES = ("abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630")
 
 
 def talk(name: str, wire: str, task: Task, timeout_s: float = 0.3) -> Any:
@@ -144,19 +160,23 @@ STOPS = {
     "abb_acs880": """
 OFF1          : 06 0000 047E
 no speed      : 06 0001 0000
+confirmed?    : 03 0003 0001 -> 03 02 1231
 """,
     "danfoss_fc202": """
 ramp stop     : 06 C34F 043C
 no speed      : 06 C359 0000
+confirmed?    : 03 C417 0001 -> 03 02 0607
 """,
     "grundfos_cim500": """
 remote, off   : 06 0064 0001
 no speed      : 06 0067 0000
+confirmed?    : 03 00C8 0001 -> 03 02 0100
 """,
     # Disable operation: out of 'operation enabled' a shutdown (6) would coast (BBV51701 p. 10).
     "schneider_atv630": """
 disable       : 06 2135 0007
 rated speed?  : 06 219A 0000
+confirmed?    : 03 0C81 0001 -> 03 02 0250
 """,
 }
 # After the stop. The bit that acknowledges is 7 (ABB p. 437, Danfoss p. 277, Schneider p. 12), or 2
@@ -415,6 +435,49 @@ def test_a_write_is_not_taken_for_done(answer: Answer, kind: str, message: str) 
     with pytest.raises(DriveError, match=message) as raised:
         against(lambda _request: answer, Drive.stop)
     assert raised.value.kind == kind
+
+
+ECHO = "the line returns what was sent: switch off the adapter's local echo"
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_an_echo_confirms_no_stop(name: str) -> None:
+    """An RS-485 adapter with local echo and no drive behind it: the write's answer is the echo."""
+    with closing(SerialWire(lambda request: request)) as wire:
+        file = read_drive_file(find_drive_file(name))
+        drive = Drive(file, parse_drive_address(wire.line, "at"), 0.3)
+        drive.line.connect()
+        with closing(drive.line), pytest.raises(DriveError, match=ECHO):
+            drive.stop()
+        assert drive.stopped is False
+        assert len(wire.seen) > 1  # the stop was written all the same
+
+
+def test_an_echo_before_the_drives_answer_is_recognised_too() -> None:
+    drive = over_serial(acs880())
+    with (
+        closing(SerialWire(lambda request: request + drive(request))) as wire,
+        pytest.raises(DriveError, match=ECHO),
+    ):
+        talk("abb_acs880", wire.line, Drive.stop)
+
+
+@pytest.mark.parametrize("task", [Drive.stop, Drive.read, Drive.identify, run])
+def test_a_server_that_returns_what_is_sent_is_no_drive(task: Task) -> None:
+    """Over TCP: a gateway whose serial side echoes, or another service at that port."""
+    with pytest.raises(DriveError, match=ECHO):
+        against(lambda request: [(0.0, request)], task)
+
+
+def test_a_sensor_behind_an_echo_has_no_value() -> None:
+    with closing(SerialWire(lambda request: request)) as wire:
+        line = ModbusLine(
+            parse_drive_address(wire.line, "at"), port=502, device_id=1,
+            serial=Serial(9600, "none", 1, 1), timeout_s=0.3,
+        )
+        line.connect()
+        with closing(line), pytest.raises(DriveError, match=ECHO):
+            line.read(100, 1, inputs=True)
 
 
 def test_a_connection_without_an_answer_is_reset() -> None:

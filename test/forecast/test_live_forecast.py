@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -12,14 +11,7 @@ import numpy as np
 import pytest
 from paper import PAPER_SITE
 
-from greenroof_ros.common.times import hours_since_1970
-from greenroof_ros.forecast.dressing import Dressing, dressing_text, read_dressing
-from greenroof_ros.forecast.live_forecast import (
-    ForecastFile,
-    LiveDressing,
-    LiveForecast,
-    NoForecastError,
-)
+from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.records import Issue
 
@@ -127,100 +119,3 @@ def test_columns_that_may_be_left_out(file: Path) -> None:
     assert issue.temperature is not None and issue.temperature.tolist() == [15.0, 14.0, 13.0, 12.0]
     write(file, SIX, [0.0], temperature=None)
     assert np.isnan(live(file).at(SIX).temperature)
-
-
-def dressed(
-    directory: Path, all_members: bool = True, days: int = 100
-) -> tuple[LiveForecast, LiveDressing]:
-    """Write a forecast of 5 mm/h; return forecasts dressed by days when each issue came true."""
-    file, record = directory / "forecast.csv", directory / "dressed.csv"
-    issued = hours_since_1970(SIX) - 24 * 200 + 24 * np.arange(days)
-    fell = np.arange(1.0 * days)[:, None] / 10 * np.ones(3)
-    record.write_text(dressing_text(Dressing("given", (0, 3), issued, fell[:, :1] * 3, fell)))
-    write(file, SIX, [5.0, 5.0, 5.0])
-    dressing = LiveDressing(record, PAPER_SITE.tau)
-    forecasts = LiveForecast(ForecastFile(file), PAPER_SITE, 1.0, 7200.0, all_members, dressing)
-    return forecasts, dressing
-
-
-def test_a_dressed_forecast(tmp_path: Path) -> None:
-    """Members are what fell after similar issues; temperature and evapotranspiration are kept."""
-    forecasts, _ = dressed(tmp_path)
-    forecasts.file.look()
-    outlook = forecasts.at(SIX + timedelta(minutes=30))
-    # The ten nearest, two days apart, each scaled to the same mean rain: 5 mm/h.
-    assert np.array(outlook.rain)[:, 0] == pytest.approx([5e-3 / 3600] * 10)
-    assert outlook.temperature == 15.0
-    assert np.array(outlook.evapotranspiration)[0] == pytest.approx(2.0 / 1000 / 86400 * 68.8)
-
-
-def test_a_record_stands_for_a_forecast(tmp_path: Path) -> None:
-    """Without a usable issue, members are spells of the record, the same all day."""
-    forecasts, _ = dressed(tmp_path)
-    with pytest.raises(NoForecastError):
-        forecasts.at(SIX)
-    usual = 3.0 / 1000 / 86400 * 68.8  # 3 mm/day from the bed
-    rains = []
-    for hours in (0, 5, 24):
-        outlook = forecasts.of_record(SIX + timedelta(hours=hours), usual)
-        assert outlook is not None
-        assert np.array(outlook.evapotranspiration) == pytest.approx(
-            np.full(len(outlook.evapotranspiration), usual)
-        )
-        rains.append(np.array(outlook.rain))
-    spells = {round(day / 10, 1) for day in range(100)}
-    assert {round(value * 3.6e6, 1) for value in rains[0].ravel()} <= spells
-    assert np.array_equal(rains[0], rains[1])
-    assert not np.array_equal(rains[0], rains[2])
-    assert forecasts.of_record(SIX, None) is None
-    # A single member would be a draw of one spell.
-    forecasts, _ = dressed(tmp_path, all_members=False)
-    assert forecasts.of_record(SIX, usual) is None
-
-
-def test_a_live_site_learns(tmp_path: Path) -> None:
-    """The file has an issue and the hours after it; an hour without a working gauge is unknown."""
-    forecasts, dressing = dressed(tmp_path)
-    forecasts.file.look()
-    forecasts.at(SIX)
-    fell = []
-    for hour, (rain, gap) in enumerate([(2.0, 0), (4.0, 720), (8.0, 180), (0.0, 0)]):
-        for second in range(3600):
-            now = SIX + timedelta(hours=hour, seconds=second)
-            dressing.measure(now, rain / 3.6e6 if second >= gap else None)
-        dressing.close()
-        fell.append(read_dressing(tmp_path / "dressed.csv").fell[-1].tolist())
-    assert dressing.problem == ""
-    # Each hour is known when the next begins.
-    assert fell[1] == pytest.approx([2.0, math.nan, math.nan], nan_ok=True)
-    assert fell[2] == pytest.approx([2.0, math.nan, math.nan], nan_ok=True)
-    # Complete: the gap is bridged.
-    assert fell[3] == pytest.approx([2.0, 5.0, 8.0])
-
-
-def test_too_few_to_dress(tmp_path: Path) -> None:
-    """Then an issue is used as issued, it is still learned from, and this is reported."""
-    forecasts, dressing = dressed(tmp_path, days=5)
-    forecasts.file.look()
-    outlook = forecasts.at(SIX)
-    assert np.array(outlook.rain).shape[0] == 1
-    assert np.array(outlook.rain)[0, 0] == pytest.approx(5e-3 / 3600)
-    assert "are needed: add more months" in dressing.few
-    dressing.measure(SIX, 0.0)
-    dressing.measure(SIX + timedelta(hours=1), 0.0)
-    dressing.close()
-    assert len(read_dressing(tmp_path / "dressed.csv").issued) == 6
-
-
-def test_one_site_adds_to_a_file(tmp_path: Path) -> None:
-    """Another one reads it, reports this, and writes nothing; no issue, no file."""
-    _, dressing = dressed(tmp_path)
-    before = (tmp_path / "dressed.csv").read_bytes()
-    other = LiveDressing(tmp_path / "dressed.csv", PAPER_SITE.tau)
-    assert other.problem.startswith("nothing is added to it: ") and dressing.problem == ""
-    for hour in range(2):
-        other.measure(SIX + timedelta(hours=hour), 0.0)
-    other.close()
-    assert (tmp_path / "dressed.csv").read_bytes() == before
-    dressing.close()
-    LiveDressing(tmp_path / "dressed.csv", PAPER_SITE.tau).close()

@@ -12,8 +12,9 @@ from lookers import Peer, in_domain
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
-from std_srvs.srv import SetBool
+from rclpy.parameter import parameter_value_to_python
 
 from greenroof_ros.graph.looker import Looker, StopFailedError
 
@@ -26,23 +27,26 @@ def place(domain: int) -> Iterator[int]:
 
 
 class Pump(Peer):
-    """A pump node's stop service, with the answer that a test sets."""
+    """A pump node's service for a hold, with the answer that a test sets."""
 
     def __init__(self, domain: int) -> None:
         super().__init__(domain, "pump")
-        self.requests: list[bool] = []
-        self.success, self.words, self.answers_after = True, "held: an operator stopped it", 0.0
-        self.node.create_service(SetBool, "~/page_stop", self._on_stop)
+        self.requests: list[dict[str, Any]] = []
+        self.success, self.words, self.answers_after = True, "held: a hold by the page", 0.0
+        self.node.create_service(SetParametersAtomically, "~/hold", self._on_hold)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
         self._over = False
         self._thread = threading.Thread(target=self._spin)
         self._thread.start()
 
-    def _on_stop(self, request: Any, response: Any) -> Any:
-        self.requests.append(request.data)
+    def _on_hold(self, request: Any, response: Any) -> Any:
+        self.requests.append({
+            parameter.name: parameter_value_to_python(parameter.value)
+            for parameter in request.parameters
+        })
         time.sleep(self.answers_after)
-        response.success, response.message = self.success, self.words
+        response.result.successful, response.result.reason = self.success, self.words
         return response
 
     def _spin(self) -> None:
@@ -55,20 +59,23 @@ class Pump(Peer):
         super().close()
 
 
-def test_stop(place: int) -> None:
+def test_hold(place: int) -> None:
     """The pump node's message is returned; if it does not say that it holds, that is an error."""
     looker = Looker("", lambda *_: None)
     looker.prepare_stop("/pump")
     pump = Pump(place)
-    assert looker.stop_pump(20) == "held: an operator stopped it"
-    assert pump.requests == [True]
-    pump.success, pump.words = False, "held: an operator stopped it; but the disk is full"
+    assert looker.hold_pump("the page", timeout_s=20) == "held: a hold by the page"
+    assert looker.hold_pump("MQTT", "frost", 4e9, timeout_s=20)
+    assert pump.requests == [
+        {"owner": "the page", "reason": ""}, {"owner": "MQTT", "reason": "frost", "until": 4e9},
+    ]
+    pump.success, pump.words = False, "held: a hold by the page; but the disk is full"
     with pytest.raises(StopFailedError, match="the disk is full"):
-        looker.stop_pump(20)
+        looker.hold_pump("the page", timeout_s=20)
     pump.answers_after = 2.0
     began = time.monotonic()
     with pytest.raises(StopFailedError, match=r"did not answer within 0\.5 s"):
-        looker.stop_pump(0.5)
+        looker.hold_pump("the page", timeout_s=0.5)
     assert time.monotonic() - began < 2
     looker.close()
     pump.close()

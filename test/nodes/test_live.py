@@ -17,7 +17,6 @@ from itertools import pairwise
 from statistics import median
 from typing import Any
 
-import numpy as np
 import pytest
 from places import CONFIG
 from rcl_interfaces.srv import SetParameters
@@ -42,8 +41,6 @@ from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiA
 from test_diagnostics import check
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import hours_since_1970
-from greenroof_ros.forecast.dressing import Dressing, dressing_text
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
 from greenroof_ros.nodes import weather
@@ -446,57 +443,29 @@ def test_live_weather(site: Site) -> None:
         expect(1e-6, 0.0, ("forecast", OK))
 
 
-def test_live_weather_that_is_dressed(site: Site) -> None:
-    """An ensemble of what fell after such forecasts; without one, of past weather and a warning."""
-    file, record = site.cwd / "forecast.csv", site.cwd / "dressed.csv"
-    issued = hours_since_1970(datetime.now(UTC)) - 24 * 200 + 24 * np.arange(100)
-    fell = np.arange(100.0)[:, None] / 10 * np.ones(12)
-    record.write_text(dressing_text(Dressing("given", (0, 6, 12), issued, fell[:, :2] * 6, fell)))
-    steps = len(growing_steps(3.0)) - 1
-    forecast = site.listen("/forecast/precipitation")
-    with site.live(
-        "weather", forecast=file, dressed=record, all_members="true",
-        horizon=3.0, gauge_limit=1.0, recovery_time=0.3, issue_limit=5.0,
-    ):
-        by_record = "/weather: forecast", WARN, "the record of past weather"
-        site.until(site.says(*by_record), LATE, "the record")
-        write_forecast(file, timedelta(0), 5.0, 15.0)
-        dressed = 5e-3 / 3600
-        site.until(lambda: forecast and np.allclose(newest(forecast), dressed, 1e-6, 0), LATE, "it")
-        assert len(newest(forecast)) == 10 * steps
-        site.until(site.says("/weather: record of forecasts", OK), LATE, "that it is kept")
-        site.until(site.says(*by_record, "is older than"), LATE, "the record in its place")
-        site.during(2 * TAU)
-        assert len(np.unique(newest(forecast))) > 5 and len(newest(forecast)) == 10 * steps
-
-
 def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> None:
     """The forecast comes from a service, and is kept; the reason for a missing one is reported.
 
-    Without one, unknown_frost_may_pump makes frost 0. A useless record of forecasts is reported,
-    and does no harm.
+    Without one, unknown_frost_may_pump makes frost 0.
     """
     paper = read_site(CONFIG / "site.yaml")
     records = read_weather([default_weather()], paper, gaps=FILL)
     service = ForecastService(paper, records, records.first, 0)
     service.fault = "error"
     service.start()
-    file, record = site.cwd / "kept" / "forecast.csv", site.cwd / "dressed.csv"
-    record.write_text("issued\n")
+    file = site.cwd / "kept" / "forecast.csv"
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
     arrays = site.watcher.hear("/diagnostics", lambda message: message)
     part = "/weather: forecast service"
     options = {
         "forecast": file, "fetch": "ensemble", "fetch_url": f"{service.address}/v1/ensemble",
-        "horizon": 24.0, "all_members": "true", "dressed": record,
+        "horizon": 24.0, "all_members": "true",
     }
     with site.live("weather", **options, unknown_frost_may_pump="true"):
         site.until(site.says(part, WARN, "503 Service Unavailable"), LATE, "why there is none")
         site.until(site.says("/weather: forecast", ERROR, f"{file}: cannot be read"), LATE, "none")
         site.until(lambda: newest(frost) == 0.0, LATE, "no frost")
         site.until(site.says("/weather: frost", WARN, "may run anyway"), LATE, "a warning")
-        useless = "/weather: record of forecasts", WARN, "as they are issued", str(record)
-        site.until(site.says(*useless), LATE, "why")
         # It is ready after it has reported what it lacks, not before it has looked.
         for array in arrays:
             messages = {status.name: status.message for status in array.status}

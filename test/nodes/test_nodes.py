@@ -111,6 +111,10 @@ def test_who_sets_and_commands(domain: int, tmp_path: Path, observer: Observer) 
     for bad in (-1.0, 0.0, -5, math.nan, math.inf):
         refused = set_weight(observer, bad)
         assert not refused.successful and "weight" in refused.reason
+    wall = Parameter("use_sim_time", value=False).to_parameter_msg()
+    for node in ("plant", "mpc"):
+        answer = observer.call(SetParameters, f"/{node}/set_parameters", parameters=[wall])
+        assert not answer.results[0].successful and "use_sim_time" in answer.results[0].reason
     assert set_weight(observer, 0.01).successful
     assert set_weight(observer, 5).successful
     observer.publisher("/pump/command")
@@ -155,6 +159,12 @@ REFUSED = {
     "plant --ros-args -p initial_roof_volume:=250.0": ("at most 159.96 m3", "250 mm is 17.2 m3"),
     "plant --ros-args -p pump:=outside": ("pump", "outside", "external"),
     "plant --ros-args -p speed": ("-p speed",),
+    **{
+        f"{node} --ros-args -p live:=true -p use_sim_time:=true": ("use_sim_time", "must be false")
+        for node in (
+            "weather", "controller --controller mpc", "pump", "live_recorder", "sensor --of roof",
+        )
+    },
     "weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
     "recorder --ros-args -p directory:=.": ("directory", "exists"),
     # A level counts for 5 s (level_limit), which must cover two readings.

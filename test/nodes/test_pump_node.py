@@ -206,23 +206,21 @@ def ends_in_words(rig: PumpRig, node: subprocess.Popen[str], fault: str, *words:
     assert all(word in errors for word in ("FATAL", *words)), errors
 
 
-STOPPED = "held: an operator stopped it"
+STOPPED = "held: a hold by the operator"
 
 
 def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
     """It does not activate, a stop warns that it would be forgotten, and it recovers.
 
-    A fault that the other program recorded meanwhile counts, and so do the stop and the pause of
-    the parameter file. If this ended the node, the whole site would end with it.
+    A fault that the other program recorded meanwhile counts, and so does the stop. If this ended
+    the node, the whole site would end with it.
     """
     file = rig.cwd / "pump.json"
-    until = datetime.now().astimezone().replace(microsecond=0) + timedelta(hours=1)
-    paused = f"an operator paused it until {to_people(until)}"
     with closing(Ledger(file, time.time)) as holder:
         assert holder.why_not_kept(20.0) == ""
         words = f"process {os.getpid()} already uses it"
         before = file.read_bytes()
-        node = rig.start(state_file=file, pause_until=until.isoformat())
+        node = rig.start(state_file=file)
         rig.join()
         rig.tick_until(
             0.5, lambda: "not activated" in rig.state and words in rig.state, 60, "the refusal"
@@ -233,8 +231,7 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
         assert rig.state.startswith(STOPPED)
         assert file.read_bytes() == before
         holder.fault("burst pipe", "delivery")
-    rig.until_state(f"fault: burst pipe; an operator stopped it; {paused}", 20)
-    assert command(rig, "pause", "--end")[0] == 0
+    rig.until_state("fault: burst pipe; a hold by the operator", 20)
     assert rig.call(Trigger, "reset").success
     assert rig.drive.speed() == 0.0
     assert rig.call(SetBool, "stop", data=True).success
@@ -266,7 +263,7 @@ def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
     pipe.unlink()
     wait_for(lambda: rig.call(SetBool, "stop", data=True).success, 20, "the disk")
     os.close(reader)
-    assert b"an operator stopped it" in file.read_bytes()
+    assert b'"hold_owner": "the operator"' in file.read_bytes()
 
 
 def test_commands_that_must_not_pump(rig: PumpRig) -> None:
@@ -370,48 +367,96 @@ def test_quiet_hours_are_of_the_sites_time(rig: PumpRig) -> None:
     assert min(rig.flows[50:60]) > 0
 
 
-def test_a_pause_is_kept_over_restarts_and_ends_by_itself(rig: PumpRig) -> None:
+def test_a_hold_is_kept_over_restarts_and_ends_by_itself(rig: PumpRig) -> None:
+    """By the command, with its end and its reason; who releases it need not be its owner."""
     node = rig.start()
     rig.run()
     until = datetime.now().astimezone() + timedelta(hours=1)
     for wrong in ("2020-01-01T00:00", "tomorrow"):
-        code, output = command(rig, "pause", "--until", wrong)
+        code, output = command(rig, "hold", "--until", wrong)
         assert (code, wrong[:4] in output) == (2, True), output
+    assert command(rig, "hold", "--until", "2030-01-01", "--for", "1")[0] == 2
     rig.until_state("running")
-    code, output = command(rig, "pause", "--until", f"{until:%Y-%m-%dT%H:%M:%S}")
-    assert (code, output) == (0, f"the pump is paused until {to_people(until)}\n")
+    code, output = command(
+        rig, "hold", "--until", f"{until:%Y-%m-%dT%H:%M:%S}", "--reason", "painting",
+    )
+    held = f"held: a hold by the command line until {to_people(until)}: painting"
+    assert (code, output.startswith(held)) == (0, True), output
     rig.until_it_stands(4)
-    paused = f"held: an operator paused it until {to_people(until)}"
-    assert rig.state == paused
-    rig.until_code("pump", "paused")
+    assert rig.state == held
+    rig.until_code("pump", "hold")
+    report = rig.observer.values("/pump")["hold"]
+    assert (report["owner"], report["reason"]) == ("the command line", "painting")
+    assert report["until"] == int(until.timestamp())
     node.kill()
     node.wait()
     rig.start()
     rig.join()
     assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
-    assert rig.state.startswith(paused)
-    # Releasing a stop does not end a pause.
+    assert rig.state.startswith(held)
     assert rig.call(SetBool, "stop", data=False).success
-    assert rig.tick(0.5) == 0.0
-    assert command(rig, "pause", "--end") == (0, "the pause is over\n")
     rig.run()
-    soon = datetime.now().astimezone() + timedelta(seconds=15)
-    assert command(rig, "pause", "--until", f"{soon:%Y-%m-%dT%H:%M:%S}")[0] == 0
+    assert rig.observer.values("/pump")["hold"] is None
+    soon = time.time() + 15
+    assert command(rig, "hold", "--for", f"{15 / 3600:g}")[0] == 0
     rig.until_it_stands(10)
     rig.run()
-    assert datetime.now().astimezone() >= soon - timedelta(seconds=1)
+    assert time.time() >= soon - 1
+    assert command(rig, "hold")[0] == 0
+    rig.until_it_stands(10)
+    assert rig.state == "held: a hold by the command line"
+    code, output = command(rig, "release")
+    assert (code, "hold" in output) == (0, False), output
+    rig.run()
+
+
+@pytest.mark.parametrize("request_", [
+    {}, {"owner": ""}, {"owner": 7.0}, {"reason": "no owner"}, {"owner": "me", "because": "x"},
+    {"owner": "me", "until": 1.0}, {"owner": "me", "until": "tomorrow"},
+    {"owner": "me", "until": math.nan}, {"owner": "me", "until": 1e300},
+])
+def test_what_is_no_hold_is_refused(rig: PumpRig, request_: dict[str, Any]) -> None:
+    rig.start()
+    rig.run()
+    parameters = [
+        Parameter(name, value=value).to_parameter_msg() for name, value in request_.items()
+    ]
+    result = rig.call(SetParametersAtomically, "hold", parameters=parameters).result
+    assert not result.successful
+    assert "a hold needs an owner" in result.reason or "until = " in result.reason
+    rig.run()
+
+
+def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
+    """Neither a release nor the page clears it, and it is kept over a restart."""
+    file = rig.cwd / "pump.json"
+    file.with_name("pump.json.broken").write_bytes(b"torn")
+    for _ in range(2):
+        node = rig.start(state_file=file)
+        rig.join()
+        rig.until_code("pump", "record_unknown")
+        assert rig.call(SetBool, "stop", data=False).success
+        assert not rig.call(Trigger, "clear").success
+        assert [rig.tick(0.5) for _ in range(10)] == [0.0] * 10
+        assert "pump.json.broken is there" in rig.state
+        node.kill()
+        node.wait()
+    rig.start(state_file=file)
+    rig.join()
+    answer = rig.call(Trigger, "reset")
+    assert answer.success and "pump.json.broken is there" in answer.message
+    rig.run()
 
 
 def test_commands_without_a_graph_say_what_to_do(domain: int, tmp_path: Path) -> None:
     """A time in the past is refused first, since no graph would accept it."""
-    dose, pause, past = (
+    dose, release, past = (
         Process(domain, *words, cwd=tmp_path) for words in (
-            ("dose", "--volume", "0.2"), ("pause", "--end"),
-            ("pause", "--until", "2020-01-01T00:00"),
+            ("dose", "--volume", "0.2"), ("release",), ("hold", "--until", "2020-01-01T00:00"),
         )
     )
     assert (past.wait(10), "must be in the future" in past.stderr()) == (2, True)
-    for process in (dose, pause):
+    for process in (dose, release):
         assert process.wait(60) == 1
         assert process.stderr().startswith("error: /pump does not answer: ")
         assert (

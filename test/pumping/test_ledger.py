@@ -12,7 +12,9 @@ import time
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -21,6 +23,7 @@ from graphs import wait_for
 from paper import PAPER_SITE
 from pump_rig import Rig
 
+from greenroof_ros.common.times import to_people
 from greenroof_ros.pumping.ledger import Ledger, Record, state_directory
 from greenroof_ros.pumping.limits import settings_for
 from greenroof_ros.pumping.pump_control import PumpControl
@@ -84,11 +87,13 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
         ledger.switch(True)
     assert len(ledger.record.starts) == 3600
     ledger.fault(text, "delivery")
-    ledger.stop(text)
-    ledger.stop_on_page(True)
+    ledger.hold(text, text, clock.now + 60.5)
+    ledger.record = replace(ledger.record, unknown=text)
     assert ledger.why_not_kept(20.0) == ""
     again = read(file, clock)
-    assert (again.fault, again.operator_stop, again.page_stop) == (expected, expected, True)
+    assert (again.fault, again.hold_reason, again.unknown) == (expected, expected, expected)
+    assert expected.startswith(again.hold_owner) and again.hold_owner
+    assert again.hold_until == clock.now + 60.5
     assert (len(again.starts), file.stat().st_size) == (100, 8192)
     assert {path.name for path in file.parent.iterdir()} == {"pump.json", "pump.json.lock"}
 
@@ -96,7 +101,7 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
 def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     """It reports who has the file; when that ledger has gone, it takes over what was written.
 
-    A stop that was requested meanwhile counts, but not a release.
+    A hold that was requested meanwhile counts, but not a release.
     """
     file = tmp_path / "pump.json"
     first = Ledger(file, clock)
@@ -106,7 +111,7 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     assert not second.take()
     second.count_unseen(25.0, 0.001)
     first.fault("burst pipe", "delivery")
-    first.stop("an operator stopped it")
+    first.hold("the operator", "a leak")
     first.switch(False)
     assert first.why_not_kept() == ""
     problem = second.why_not_kept()
@@ -114,19 +119,18 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
         f"{file} cannot be written: process {os.getpid()} already uses it; end that process"
     )
     assert "--state, state_file" in problem
-    second.stop("")
+    second.release()
     second.count(100.0, 10.0, 1.0)
-    third.stop("stopped here")
+    third.hold("the page", until=clock.now + 60.0)
     third.fault("overload", "drive_fault")
-    third.stop_on_page(True)
     assert first.close() == ""
     assert second.take() and not second.take()
     assert (second.record.fault, second.record.fault_code) == ("burst pipe", "delivery")
-    assert second.record.operator_stop == "an operator stopped it"
+    assert second.record.hold == ("the operator", "a leak", None)
     assert (second.record.day_volume, second.close()) == (0, "")
     assert third.take()
     assert (third.record.fault, third.record.fault_code) == ("overload", "drive_fault")
-    assert (third.record.operator_stop, third.record.page_stop) == ("stopped here", True)
+    assert third.record.hold == ("the page", "", None)  # the operator's has no end
     assert third.close() == ""
 
 
@@ -185,11 +189,11 @@ def test_what_nobody_saw_counts_at_worst(
 
 
 def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
-    """Torn by a power cut: the other line counts, and the torn one could have been a stop."""
+    """Torn by a power cut: the other line counts, and the torn one could have had a hold."""
     file = tmp_path / "pump.json"
     for torn in range(2):
         ledger = Ledger(file, clock)
-        ledger.stop("")
+        ledger.release()
         ledger.count(1.0, 1.0, 0.5)
         ledger.close()
         before = ledger.record.day_volume
@@ -202,47 +206,167 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
         assert before - 0.5 <= again.record.day_volume <= before
         assert again.why_not_kept() == ""
         assert read(file, clock).unknown == unknown
-        again.stop("")
+        again.release()
+        assert again.record.unknown  # only a reset accepts that
+        again.clear_unknown()
         again.close()
         assert read(file, clock).unknown == ""
         file.unlink()
 
 
-def test_a_record_of_an_older_version_is_read(tmp_path: Path, clock: Clock) -> None:
-    """It had no codes; its fault and the day's use remain valid."""
-    old = {
-        "sequence": 2, "held": "look at it", "fault": "burst pipe", "elapsed": 60.0,
-        "day_run": 30.0, "day_volume": 0.2, "starts": [10.0], "on": False, "written_at": clock.now,
-    }
+def lines_of(**changes: Any) -> bytes:
+    """Return a file with right checksums; a change to ``...`` leaves its key out."""
+    whole = {
+        "hold_owner": "", "hold_reason": "", "hold_until": None, "unknown": "", "fault": "",
+        "fault_code": "", "elapsed": 60.0, "day_run": 30.0, "day_volume": 0.2, "starts": [10.0],
+        "on": False, "written_at": 1_800_000_000.0,
+    } | changes
     lines = b""
     for sequence in (1, 2):
-        text = json.dumps(old | {"sequence": sequence}).encode()
-        lines += (b"%08x " % zlib.crc32(text) + text).ljust(4095) + b"\n"
+        content = {"sequence": sequence, **whole}
+        text = json.dumps({key: value for key, value in content.items() if value is not ...})
+        lines += (b"%08x " % zlib.crc32(text.encode()) + text.encode()).ljust(4095) + b"\n"
+    return lines
+
+
+@pytest.mark.parametrize(("changes", "problem"), [
+    ({"starts": ...}, "it has no starts, as if another version had written it"),
+    ({"sequence": ...}, "it has no sequence, as if another version had written it"),
+    ({"off_until": 0}, "it has an unknown key off_until, as if another version had written it"),
+    ({"starts": None}, "starts must be a list of numbers"),
+    ({"starts": [1.0, "2"]}, "starts must be a list of numbers"),
+    ({"starts": {"1": 1}}, "starts must be a list of numbers"),
+    ({"elapsed": "60"}, "elapsed must be a number from 0 to 1e+11"),
+    ({"elapsed": math.nan}, "elapsed must be a number from 0 to 1e+11"),
+    ({"written_at": math.inf}, "written_at must be a number from 0 to 1e+11"),
+    ({"day_volume": -1e9}, "day_volume must be a number from 0 to 1e+11"),
+    ({"day_run": 10**400}, "day_run must be a number from 0 to 1e+11"),
+    ({"day_run": True}, "day_run must be a number from 0 to 1e+11"),
+    ({"on": 0}, "on must be true or false"),
+    ({"fault": None}, "fault must be text"),
+    ({"hold_owner": ["the page"]}, "hold_owner must be text"),
+    ({"hold_until": "tomorrow"}, "hold_until must be a number or null"),
+    ({"hold_until": 1e300}, "hold_until must be a number or null"),
+    ({"sequence": 1.0}, "sequence must be a whole number above 0"),
+    ({"sequence": 7}, "its sequence belongs to the other line"),
+])
+def test_a_wrong_key_is_an_unknown_state(
+    changes: dict[str, Any], problem: str, tmp_path: Path, clock: Clock
+) -> None:
+    """Even with a right checksum; the node starts, and says which key."""
     file = tmp_path / "pump.json"
-    file.write_bytes(lines)
-    record = Ledger(file, clock).record
-    assert (record.fault, record.fault_code, record.unknown) == ("burst pipe", "", "")
-    assert (record.operator_stop, record.page_stop) == ("look at it", False)  # then called held
+    file.write_bytes(lines_of())
+    assert (record := read(file, clock)).unknown == ""
     assert (record.day_run, record.day_volume, record.starts) == (30.0, 0.2, (10.0,))
+    file.write_bytes(lines_of(**changes))
+    assert problem in read(file, clock).unknown
+
+
+@pytest.mark.parametrize("text", ["[1]", "7", "[" * 4000])
+def test_what_is_no_record_is_an_unknown_state(text: str, tmp_path: Path, clock: Clock) -> None:
+    line = (b"%08x " % zlib.crc32(text.encode()) + text.encode()).ljust(4095) + b"\n"
+    file = tmp_path / "pump.json"
+    file.write_bytes(line * 2)
+    assert "it must be a table of keys" in read(file, clock).unknown
+
+
+@pytest.mark.parametrize("kept", [
+    {"stopped": "by somebody"}, {"stopped": True}, {"off_until": 1_900_000_000.0},
+    {"fault": "burst pipe", "fault_code": "delivery"}, {},
+])
+def test_a_file_of_an_older_version_keeps_the_pump_off(
+    kept: dict[str, Any], tmp_path: Path, clock: Clock
+) -> None:
+    """A stop under another key is not forgotten: the state is unknown until a person resets it."""
+    without = dict.fromkeys(("hold_owner", "hold_reason", "hold_until"), ...)
+    file = tmp_path / "pump.json"
+    file.write_bytes(lines_of(**without, **kept))
+    rig = Rig(file=file)
+    decision = rig.run(30, 1.0)
+    assert (decision.speed, list(decision.interlocks)) == (None, ["record_unknown"])
+    assert "it has no hold_owner, as if another version had written it" in decision.why
+    rig.ledger.close()
+    assert "as if another version had written it" in read(file, clock).unknown
+
+
+def a_link_to_nothing(file: Path) -> None:
+    file.symlink_to(file.parent / "unmounted" / "pump.json")
+
+
+def a_directory(file: Path) -> None:
+    file.mkdir()
+
+
+def a_loop(file: Path) -> None:
+    file.symlink_to(file)
+
+
+@pytest.mark.parametrize("make", [
+    lambda file: file.with_name("pump.json.new").write_bytes(lines_of()),
+    lambda file: file.with_name("pump.json.broken").write_bytes(b"torn"),
+    lambda file: file.with_name("pump.json.new").symlink_to("nowhere"),
+    lambda file: file.write_bytes(b""),
+    a_directory, a_link_to_nothing, a_loop,
+], ids=["new", "broken", "a link beside", "empty", "directory", "link to nothing", "loop of links"])
+def test_what_shows_that_a_file_existed_is_an_unknown_state(
+    make: Callable[[Path], Any], tmp_path: Path
+) -> None:
+    """No such state is a fresh start, also at the next start."""
+    file = tmp_path / "pump.json"
+    make(file)
+    for _ in range(2):
+        rig = Rig(file=file)
+        decision = rig.run(30, 1.0)
+        assert (decision.speed, list(decision.interlocks)) == (None, ["record_unknown"])
+        rig.ledger.close()
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+def test_a_file_of_another_owner_is_an_unknown_state() -> None:
+    """It can neither be read nor replaced."""
+    with TemporaryDirectory(dir="/tmp") as directory:
+        file = Path(directory) / "pump.json"
+        file.write_bytes(lines_of(hold_owner="the operator"))
+        file.chmod(0o600)
+        Path(directory).chmod(0o755)
+        said = subprocess.run(
+            [sys.executable, "-c", _READS, str(file)], check=True, text=True,
+            stdout=subprocess.PIPE,
+        ).stdout.splitlines()
+        assert said[0].startswith(f"{file} cannot be read (Permission denied)")
+        assert said[1].startswith(f"{file} cannot be written: ")
+
+
+_READS = """
+import os, sys, time
+from pathlib import Path
+from greenroof_ros.pumping.ledger import Ledger
+os.setuid(65534)  # nobody
+ledger = Ledger(Path(sys.argv[1]), time.time)
+print(ledger.record.unknown)
+print(ledger.why_not_kept(20.0))
+"""
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff" * 8192, b"[" * 100_000])
 def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
-    """Until somebody releases it, who must look at the pump first; then all is well."""
+    """Until somebody resets it, who must look at the pump first; then all is well."""
     file = tmp_path / "pump.json"
     file.write_bytes(content)
     rig = Rig(file=file)
     decision = rig.run(30, 1.0)
-    assert (decision.speed, decision.state) == (None, "held")
+    assert (decision.speed, decision.state) == (None, "fault")
     assert decision.why.startswith(f"{file} cannot be read (")
     assert ("it must be 8192 bytes long" in decision.why) == (len(content) != 8192)
-    assert decision.why.endswith("check the pump, then release it")
+    assert decision.why.endswith("check the pump, then reset it")
     assert rig.ledger.why_not_kept() == ""
-    assert (tmp_path / "pump.json.broken").read_bytes() == content
-    assert Rig(file=file).run(30, 1.0).state == "held"
-    rig.control.stop(True)
-    assert rig.step(1.0).why == f"an operator stopped it; {decision.why}"
-    rig.control.stop(False)
+    assert {path.name for path in tmp_path.iterdir()} == {"pump.json", "pump.json.lock"}
+    assert Rig(file=file).run(30, 1.0).state == "fault"
+    rig.ledger.hold("the operator")
+    assert rig.step(1.0).why == f"{decision.why}; a hold by the operator"
+    rig.ledger.release()
+    assert rig.step(1.0).why == decision.why
+    assert "cannot be read" in rig.control.reset()
     assert rig.run(30, 1.0).state == "running"
     rig.ledger.close()
     assert read(file, time.time).unknown == ""
@@ -253,7 +377,7 @@ def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
 
 
 def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
-    """A stop is recorded, because its space was reserved when the file was made.
+    """A hold is recorded, because its space was reserved when the file was made.
 
     If even that space is missing, this is reported, the control continues, and the file is made
     when there is room.
@@ -265,16 +389,16 @@ def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
         with pytest.raises(OSError, match="No space left"):
             (disk / "rubbish").write_bytes(b"x" * 100_000)
         for number in range(3):
-            ledger.stop(f"stop {number}")
+            ledger.hold("the page", f"reason {number}")
             ledger.fault(f"fault {number}", "delivery")
             assert ledger.why_not_kept() == ""
             again = read(disk / "before.json", clock)
-            assert (again.operator_stop, again.fault) == (f"stop {number}", f"fault {number}")
+            assert (again.hold_reason, again.fault) == (f"reason {number}", f"fault {number}")
         file = disk / "pump.json"
         rig = Rig(file=file)
-        rig.control.stop(True)
+        rig.ledger.hold("the operator")
         assert rig.step(1.0).state == "held"
-        rig.control.stop(False)
+        rig.ledger.release()
         assert rig.ledger.why_not_kept().startswith(
             f"{file} cannot be written: No space left on device; a restart would not know"
         )
@@ -294,7 +418,7 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
         "from greenroof_ros.pumping.ledger import Ledger\n"
         "ledger = Ledger(Path(sys.argv[1]), time.time)\n"
         "while True:\n"
-        "    ledger.stop('x' * 350)\n"
+        "    ledger.hold('the page', 'x' * 350)\n"
         "    ledger.why_not_kept()\n"
     )
     before = 0
@@ -307,37 +431,123 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
         os.kill(writer.pid, signal.SIGKILL)
         writer.wait()
         before = written(file)["sequence"]
-        assert read(file, time.time).operator_stop == "x" * 350
+        assert read(file, time.time).hold == ("the page", "x" * 350, None)
 
 
-def test_a_pause_is_kept_until_its_date(tmp_path: Path, clock: Clock) -> None:
-    """By the system clock, even while nobody runs; a release and a reset do not end it."""
+# Ends itself, as by a power cut, at the n-th time that it opens, makes or renames a file.
+_DIES = """
+import os, signal, sys, time
+from pathlib import Path
+from greenroof_ros.pumping.ledger import Ledger
+left = int(sys.argv[2])
+def die(event, arguments):
+    global left
+    if event in ("open", "os.rename", "os.mkdir", "os.link", "os.remove", "os.truncate"):
+        left -= 1
+        if left < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+sys.addaudithook(die)
+ledger = Ledger(Path(sys.argv[1]), time.time)
+ledger.why_not_kept(20.0)
+if sys.argv[3:]:
+    ledger.hold(sys.argv[3])
+    ledger.why_not_kept(20.0)
+ledger.close()
+"""
+
+
+def dies_at(number: int, file: Path, *owner: str) -> bool:
+    """Run a ledger that is killed at its n-th work on files; return whether it was."""
+    arguments = [sys.executable, "-c", _DIES, str(file), str(number), *owner]
+    code = subprocess.run(arguments, check=False).returncode
+    assert code in (0, -signal.SIGKILL)
+    return code != 0
+
+
+@pytest.mark.parametrize("content", [
+    b"torn", lines_of(hold_owner="the operator"),
+    lines_of(hold_owner="the operator")[:4096] + b"\xff" * 4096,
+], ids=["broken", "held", "half of it broken"])
+def test_killed_at_each_step_it_forgets_no_hold(
+    content: bytes, tmp_path: Path, clock: Clock
+) -> None:
+    """A start that makes, repairs or only writes its file; whatever is there then, it is off."""
+    for number in range(100):
+        directory = tmp_path / str(number)
+        directory.mkdir()
+        file = directory / "pump.json"
+        file.write_bytes(content)
+        killed = dies_at(number, file)
+        record = read(file, clock)
+        assert record.unknown or record.hold_owner == "the operator", number
+        if not killed:
+            break
+    assert number > 2 and not killed
+
+
+def test_killed_at_each_step_of_its_first_start(tmp_path: Path, clock: Clock) -> None:
+    """It then begins fresh, or knows that it was begun; a hold that was confirmed is there."""
+    for number in range(100):
+        file = tmp_path / str(number) / "pump.json"
+        killed = dies_at(number, file, "the page")
+        record = read(file, clock)
+        if not killed:
+            break
+        assert (record == Record()) or record.unknown or record.written_at
+    assert number > 3 and record.hold_owner == "the page"
+
+
+def test_a_hold_ends_at_its_end_or_when_it_is_released(tmp_path: Path, clock: Clock) -> None:
+    """By the system clock, even while nobody runs; a reset does not end it."""
     file = tmp_path / "state.json"
     ledger = Ledger(file, clock)
-    ledger.pause(clock.now + 3600)
-    ledger.stop("an operator stopped it")
-    ledger.stop("")
+    assert ledger.held == ""
+    ledger.hold("the command line", "painting", clock.now + 3600)
     ledger.fault("", "")
+    ledger.clear_unknown()
     assert ledger.close() == ""
     clock.now += 3599
     ledger = Ledger(file, clock)
-    assert ledger.paused
+    end = to_people(datetime.fromtimestamp(clock.now + 1).astimezone())
+    assert ledger.held == f"a hold by the command line until {end}: painting"
     clock.now += 1
-    assert not ledger.paused
-    # If a second ledger gets the file later, its own pause counts.
+    assert ledger.held == ""
+    # If a second ledger gets the file later, its own hold counts.
     later = Ledger(file, clock)
-    later.pause(clock.now + 60)
+    later.hold("the page", until=clock.now + 60)
     assert ledger.close() == ""
-    assert later.take() and later.paused
-    later.pause(0.0)
-    assert later.close() == ""
-    assert written(file)["pause_until"] == 0.0
+    assert later.take() and later.held
+    later.release()
+    assert (later.held, later.close()) == ("", "")
+    assert written(file)["hold_owner"] == ""
+
+
+@pytest.mark.parametrize(("first", "second", "end"), [
+    (None, None, None), (None, 60.0, None), (60.0, None, None), (60.0, 30.0, 60.0),
+    (60.0, 90.0, 90.0), (-1.0, 30.0, 30.0),
+])
+def test_a_later_request_never_shortens_a_hold(
+    first: float | None, second: float | None, end: float | None, clock: Clock
+) -> None:
+    """It replaces owner and reason; an end that has passed does not count."""
+    ledger = Ledger(None, clock)
+
+    def at(seconds: float | None) -> float | None:
+        return None if seconds is None else clock.now + seconds
+
+    ledger.hold("the operator", "a leak", at(first))
+    ledger.hold("the page", "", at(second))
+    assert ledger.record.hold == ("the page", "", at(end))
+    clock.now += 1e6
+    assert bool(ledger.held) == (end is None)
 
 
 def test_a_slow_disk_stops_nothing(tmp_path: Path) -> None:
     """With a pipe that nobody reads in place of the file: reported soon, and later an alarm."""
-    os.mkfifo(tmp_path / "pump.json.new")
     rig = Rig(file=tmp_path / "pump.json")
+    assert rig.ledger.why_not_kept(20.0) == ""
+    os.mkfifo(tmp_path / "pump.json.new")
+    (tmp_path / "pump.json").unlink()  # it is made again
     rig.run(30, 1.0)
     assert rig.decisions[-1].state == "running"
     began = time.monotonic()

@@ -144,7 +144,7 @@ def page_of(source: Path | Report, *further: Path) -> str:
 
 def figures_of(report: Report) -> dict[str, Figure]:
     """Return the figures by name."""
-    return {figure.name: figure for figure in make_figures(report, None)}
+    return {figure.name: figure for figure in make_figures(report)}
 
 
 def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:

@@ -15,7 +15,6 @@ from inputs import command, report_of, simulate, small_bag, write_bag, write_stu
 from places import CONFIG
 from refusals import refusal
 
-from greenroof_ros.report.pump_figures import read_pump_data
 from greenroof_ros.report.sources import find_runs
 
 
@@ -136,20 +135,8 @@ def test_sites(tmp_path: Path) -> None:
     refusal(find_runs, paths, CONFIG / "site.yaml", match="--site.*has its own sites")
 
 
-@pytest.mark.parametrize(("text", "pattern"), [
-    ("q,h\n0,50\n", r"line 1: .*'flow \[m3/s\],head \[m\]'"),
-    ("flow [m3/s],head [m]\n0,50\n4,46\n", r"line 3: flow \[m3/s\] = '4': .*in other units"),
-])
-def test_pump_data(tmp_path: Path, text: str, pattern: str) -> None:
-    """A header and a line that do not hold flows and heads."""
-    sheet = tmp_path / "p.csv"
-    sheet.write_text(text)
-    refusal(read_pump_data, sheet, match=f"p.csv, {pattern}")
-
-
 COMMANDS = {
     "": "in: has no metadata.yaml: it is being recorded, or was cut off; greenroof recover in",
-    "--pump-data nowhere.csv": "nowhere.csv: cannot be read: No such file",
     "--output mine": "--output = 'mine': exists and is not empty: x does not belong to a repor",
 }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import re
 import struct
@@ -28,15 +27,15 @@ from inputs import (
     trajectory_of,
     write_study,
 )
-from paper import PAPER_SITE, exact_flows, site_file, smooth_rates
+from paper import PAPER_SITE, site_file
 from refusals import refusal
 
 from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
 from greenroof_ros.report.__main__ import _former_report
 from greenroof_ros.report.bags import MOST_POINTS, near_hours, thin
-from greenroof_ros.report.figures import is_figure
+from greenroof_ros.report.drawing import value_axis
+from greenroof_ros.report.figures import is_figure, published_totals
 from greenroof_ros.report.groups import SEEDS, Report
-from greenroof_ros.report.pump_figures import pump_curve, pump_smoothing, read_pump_data
 from greenroof_ros.report.tables import make_tables
 from greenroof_ros.report.words import cautions, sentences
 
@@ -77,7 +76,6 @@ def test_results_are_the_tables(tmp_path: Path) -> None:
     text = page_of(report)
     for words in (
         "The command was above 1", "The pumps started more than 20 times in an hour",
-        "There was frost; nothing was pumped during it.",
     ):
         assert words in text
     assert re.search(r"pump starts \(1\)</th> <td [^>]*>31<", text)
@@ -133,62 +131,6 @@ def test_thinning_keeps_ends_and_extremes(values: list[float]) -> None:
     assert column[kept].max() == column.max() and column[kept].min() == column.min()
 
 
-def test_pump_curve(tmp_path: Path) -> None:
-    """Curve and head loss by Table I's numbers; they meet at the root of the quadratic.
-
-    Two points of a data sheet define a curve: 50 m at no flow and 46 m at 2 L/s give -1e6 and 50.
-    """
-    figure = pump_curve(PAPER_SITE, 1, "", None)
-    friction = (3.56 * 18.4 / 0.2 + 0.6) / (2 * 9.81 * (0.01 * np.pi) ** 2)
-    expected = {
-        "pump curve of the site": (55.2, -5.78e5),
-        "head loss, cistern at 0.75 m": (16 - 0.75, friction),
-        "head loss, cistern at 3 m": (16 - 3, friction),
-    }
-    assert {row["line"] for row in figure.data["pump-curve-1"]} == set(expected)
-    for row in figure.data["pump-curve-1"]:
-        head, slope = expected[row["line"]]
-        assert row["head"] == pytest.approx(
-            head + slope * (row["flow"] / 1000) ** 2, rel=1e-5, abs=1e-4
-        )
-    points = sorted(
-        (row["flow"], row["head"])
-        for rows in figure.panels[0].specification()["datasets"].values()
-        for row in rows if len(row) == 2
-    )
-    roots = [np.roots([friction + 5.78e5, 0, 16 - level - 55.2]).max() for level in (0.75, 3)]
-    assert [flow / 1000 for flow, _ in points] == pytest.approx(roots, rel=1e-9)
-    (tmp_path / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n")
-    figure = pump_curve(PAPER_SITE, 1, "", read_pump_data(tmp_path / "pump.csv"))
-    assert "a_hat = -1e+06 s2/m5, c_hat = 50 m" in figure.caption
-
-
-def test_pump_smoothing() -> None:
-    """Both models follow the paper's text, and the exact model's jumps are drawn vertically."""
-    figure = pump_smoothing(PAPER_SITE, 1, "")
-    for number, roof_sweep in ((1, False), (2, False), (3, True)):
-        rows = figure.data[f"pump-smoothing-1-{number}"]
-        for row in rows:
-            x1, x2 = (100.0, row["x"]) if roof_sweep else (row["x"], 0.0)
-            if row["model"].startswith("exact"):
-                expected = exact_flows(PAPER_SITE, x1, x2, 0.5)[1]
-            else:
-                pumping, resting = (
-                    smooth_rates(PAPER_SITE, x1, x2, u, 0.0, 0.0).real[1] for u in (0.5, 0.0)
-                )
-                expected = pumping - resting
-            assert row["q"] / 1000 == pytest.approx(expected, rel=1e-5, abs=1e-9)
-        exact = [row for row in rows if row["model"].startswith("exact")]
-        steps = np.abs(np.diff([row["q"] for row in exact]))
-        assert np.diff([row["x"] for row in exact])[steps.argmax()] < 1e-12
-    # On a measured roof the pumps' flow is the same, whatever its soil keeps.
-    measured = dataclasses.replace(
-        PAPER_SITE, field_capacity=0.2, wilting_point=0.01, depletion_fraction=0.5,
-        z_cap=PAPER_SITE.z_cap * 0.2,
-    )
-    assert pump_smoothing(measured, 1, "").data == figure.data
-
-
 def test_figures_of_single_runs(study: Path, simulated: list[Simulated]) -> None:
     """Weather from the file, lines from samples, totals at each setting, bars that add up."""
     figures = figures_of(report_of(study))
@@ -201,46 +143,47 @@ def test_figures_of_single_runs(study: Path, simulated: list[Simulated]) -> None
     assert rows[0]["t"] == datetime.fromisoformat("2021-07-07T02:00+00:00").timestamp() * 1000
 
     lines = figures["trajectories-1-1"]
-    assert len(lines.panels) == 6 and lines.columns == 2
+    assert len(lines.panels) == 8 and lines.columns == 2
     for example in simulated[:4]:
         name = example.row["controller"]
         label = example.row[f"parameter:{'weight' if name == 'mpc' else 'fraction'}"]
-        for quantity in ("command", "cistern", "roof"):
+        for quantity in ("command", "pump_flow", "cistern", "roof"):
             rows = [
                 row for row in lines.data[f"{quantity}-1-1-{name}"] if row["setting"] == label
             ]
             values = getattr(example.trajectory, quantity)
-            if quantity == "command":
+            if quantity in ("command", "pump_flow"):
                 values = np.append(values[:-1], values[-2])  # the last is not applied, nor drawn
+            if quantity == "pump_flow":
+                values = 1000 * values  # in L/s
             assert 100 < len(rows) <= MOST_POINTS
             ticks = [round(row["t"] * 3600) for row in rows]
             assert [row["v"] for row in rows] == pytest.approx(values[ticks], rel=1e-6, abs=1e-12)
             assert max(row["v"] for row in rows) == pytest.approx(values.max(), rel=1e-6)
 
+    panels = figures["total-deviation-1"].panels
+    assert [panel.title for panel in panels] == ["from low-low", "from high-low"]
     totals = {
-        (name, row["x"], row["initial"]): row["v"]
-        for name in ("mpc", "onoff")
-        for row in figures["total-deviation-1"].data[f"total-deviation-1-{name}"]
+        row["run"]: row["v"]
+        for drawn in figures["total-deviation-1"].data.values() for row in drawn
     }
     assert totals == pytest.approx({
-        (example.row["controller"],
-         float(example.row.get("parameter:weight") or example.row["parameter:fraction"]),
-         example.row["initial"]): example.row[TOTAL]
-        for example in simulated
+        f"{number:03}": example.row[TOTAL] for number, example in enumerate(simulated, start=1)
     }, rel=1e-6)
     # Deviation is the paper's fifth figure, after schematic, two of the pump, and weather.
-    assert "(paper: Fig. 5)" in figures["total-deviation-1"].caption
     assert "(Fig. 5)" in METRICS[0].meaning
 
     for tank in ("cistern", "roof"):
         sums: dict[str, float] = {}
-        for row in figures["water-balance-1"].data[f"balance-1-{tank}"]:
-            sums[row["run"]] = sums.get(row["run"], 0) + row["v"]
+        for initial in (1, 2):
+            for row in figures["water-balance-1"].data[f"balance-1-{tank}-{initial}"]:
+                run = f"{row['run']} {initial}"
+                sums[run] = sums.get(run, 0) + row["v"]
         changes = [np.ptp(getattr(example.trajectory, tank)[[0, -1]]) for example in simulated]
         assert sorted(map(abs, sums.values())) == pytest.approx(sorted(changes), abs=1e-5)
 
 
-PAPERS_TOTALS = {2: 9599.6557, 1.5: 9780.0045, 1: 9611.9628, 0.5: 9635.5272, 0.2: 9725.43}
+PAPERS_TOTALS = {"001": 9725.43, "002": 9635.5272}  # fractions 0.2 and 0.5
 
 
 @pytest.mark.parametrize(("columns", "site", "published"), [
@@ -253,7 +196,7 @@ PAPERS_TOTALS = {2: 9599.6557, 1.5: 9780.0045, 1: 9611.9628, 0.5: 9635.5272, 0.2
     ({"start": "2021-07-07T02:00-04:00"}, {}, {}),
 ])
 def test_published_totals_stand_beside_the_papers_own_runs(
-    tmp_path: Path, columns: dict[str, str], site: dict[str, Any], published: dict[float, float]
+    tmp_path: Path, columns: dict[str, str], site: dict[str, Any], published: dict[str, float]
 ) -> None:
     """Only for 12 h from its start, with its evapotranspiration, and on its site.
 
@@ -264,8 +207,10 @@ def test_published_totals_stand_beside_the_papers_own_runs(
         ({**row, "parameter:fraction": fraction}, None) for fraction in ("0.2", "0.5")
     ])
     site_file(study / "configuration", **site)
-    data = figures_of(report_of(study))["total-deviation-1"].data
-    assert {mark["x"]: mark["v"] for mark in data.get("published-1-onoff", [])} == published
+    report = report_of(study)
+    assert published_totals(report, report.single) == published
+    caption = figures_of(report)["total-deviation-1"].caption
+    assert ("Hollow: the authors' code" in caption) == bool(published)
 
 
 def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
@@ -293,7 +238,7 @@ def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
         "threshold 0.5", "threshold none", "005", "006"
     ]
     assert "trajectories-1-1" in figures_of(report)
-    assert [row["setting"] for row in report.best()] == ["all alike"] * 3  # their totals are equal
+    assert [row["setting"] for row in report.best()] == [""] * 3  # their totals are equal
 
 
 def test_a_controller_without_parameters(tmp_path: Path) -> None:
@@ -307,8 +252,8 @@ def test_a_controller_without_parameters(tmp_path: Path) -> None:
     assert first == "3 runs of mine, from low-low: 3 sets of conditions."
     assert second.count("(mine)") == 3
     assert [row["setting"] for row in report.best()] == [""] * 3
-    drawn = figures_of(report)["water-balance-1"].data["balance-1-roof"]
-    assert {row["run"] for row in drawn} == {"mine, low-low"}
+    drawn = figures_of(report)["water-balance-1"].data["balance-1-roof-1"]
+    assert {row["run"] for row in drawn} == {"mine"}
 
 
 def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
@@ -317,22 +262,20 @@ def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
     rows = [
         {**example.row, "bound_m3": bounds[example.row["initial"]]} for example in simulated
     ]
-    rows[0]["bound_m3"] = ""  # unknown
+    rows[1]["bound_m3"] = ""  # unknown
     report = study_of(tmp_path / "study", *rows)
     figures = figures_of(report)
     # Without trajectories there are the figures of results.
     assert list(figures) == [
         "total-deviation-1", "time-in-band-1", "energy-1", "pump-starts-1", "water-balance-1",
-        "pump-curve-1", "pump-smoothing-1",
     ]
-    drawn = figures["total-deviation-1"].data["bound-1"]
-    assert {row["initial"]: row["v"] for row in drawn} == bounds
+    for panel, bound in zip(figures["total-deviation-1"].panels, (200.0, 100.0), strict=True):
+        assert [{"v": bound}] in panel.specification()["datasets"].values()
     text = page_of(report)
     assert "No trajectory was kept" in text
     assert text.count("over the least possible (1)</button>") == 2
-    assert f">{simulated[1].row[TOTAL] / 200:.4f}<" in text
+    assert f">{simulated[0].row[TOTAL] / 200:.4f}<" in text
     assert ">unknown<" in text
-    assert "<strong>Least possible</strong>" in text
 
 
 def test_both_methods_stand_side_by_side(tmp_path: Path) -> None:
@@ -350,6 +293,23 @@ def test_both_methods_stand_side_by_side(tmp_path: Path) -> None:
             } == {"published", "fao56"}
 
 
+@pytest.mark.parametrize(("values", "kind", "domain"), [
+    ([7152, 9582, 9599, 9780], None, (6942, 9990)),  # about the values, not from 0
+    ([9.0, 10.0, 0.5], None, (0, 10.76)),  # not below 0
+    ([49929.66] * 3, None, (45935, 53925)),  # no height of 0
+    ([0, 0, 0], None, (0, 1)),
+    ([7152, 9582, 9599, 500_000], "log", (6502, 550_000)),
+    ([0, 1, 2, 500], "symlog", (0, 750)),  # starts of a pump
+])
+def test_a_large_value_flattens_no_panel(
+    values: list[float], kind: str | None, domain: tuple[float, float]
+) -> None:
+    """Linear, unless half of the values would share a tenth of the axis."""
+    scale = value_axis(values)["scale"].to_dict()
+    assert scale.get("type") == kind
+    assert scale["domain"] == pytest.approx(domain, rel=1e-3)
+
+
 # --- many seeds ----------------------------------------------------------------------------------
 
 
@@ -365,26 +325,21 @@ def test_seeds_belong_together(seeds: Report) -> None:
     (table,) = make_tables(seeds)
     cells = [[cell.text for cell in row] for row in table.rows]
     assert cells[2] == [
-        "on/off", "fraction 0.5", "25", "better", "2021-07-07 02:00-05:00", "12 h", "low-low",
+        "on/off fraction 0.5", "low-low", "2021-07-07 02:00-05:00, 12 h", "25", "better",
         "1013.00", "1024.20", "1025.00", "2.0260", "2.0484", "2.0500",
     ]
     # Controllers, then settings, then skills, each from the best or least.
-    assert [(row[1], row[3]) for row in cells[:6]] == [
-        (setting, skill) for setting in ("weight 0.01", "fraction 0.5", "fraction 2")
+    assert [(row[0], row[4]) for row in cells[:6]] == [
+        (name, skill) for name in ("MPC weight 0.01", "on/off fraction 0.5", "on/off fraction 2")
         for skill in ("better", "real")
     ]
     assert len(cells) == 24
     text = page_of(seeds)
-    assert "are one case for each controller" in text
     # 25 different numbers of ticks give one note.
     assert text.count("found no solution in some ticks") == 1
-    assert (
-        "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, published evapotranspiration, forecast "
-        "ensemble members 10 skill real, 25 seeds"
-    ) in text
 
     figures = figures_of(seeds)
-    assert list(figures) == ["forecast-errors", "pump-curve-1", "pump-smoothing-1"]
+    assert list(figures) == ["forecast-errors"]
     figure = figures["forecast-errors"]
     assert figure.panels[1].title == ["2021-07-07 02:00-05:00, 12 h", "from high-low"]
     assert {
@@ -415,7 +370,7 @@ def test_seeds_beside_other_runs(tmp_path: Path) -> None:
         "trajectories-1-1", "trajectories-2-1", "forecast-errors"
     ]
     text = page_of(report)
-    assert "Results of each run" in text and "over the least" not in text
+    assert "Deviation, each run" in text and "over the least" not in text
     warned = text.partition("The command was above 1")[2].partition("</li>")[0]
     assert "</summary>003, 004</details>" in warned
     words = "nly 2 seeds: with fewer than 10, the worst tenth is a single run"
@@ -494,8 +449,7 @@ def test_study(tmp_path: Path) -> None:
     report = write_study(tmp_path / "study", runs) / "report"
     (report / "figures").mkdir(parents=True)
     (report / "figures" / "energy-7.svg").touch()
-    (tmp_path / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n")
-    options = ("--force", "--water-price", "5", "--pump-data", "pump.csv")
+    options = ("--force", "--water-price", "5")
     done = command("study", *options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert str(report / "report.html") in done.stdout
@@ -503,19 +457,16 @@ def test_study(tmp_path: Path) -> None:
     text = (report / "report.html").read_text()
     for words in (
         "5 CAD/m³", "solver: &lt;gave up&gt;", "2 runs failed", "<td>not run</td>",
-        "fit to the data sheet",
     ):
         assert words in text
     names = {path.stem for path in (report / "figures").iterdir()}
-    assert names == {
-        "weather-1", "trajectories-1-1", "water-balance-1", "pump-curve-1", "pump-smoothing-1"
-    }
+    assert names == {"weather-1", "trajectories-1-1", "water-balance-1"}
     for name in names:
         svg = (report / "figures" / f"{name}.svg").read_text()
         assert svg.startswith("<svg") and "<text" in svg
         png = (report / "figures" / f"{name}.png").read_bytes()
         width, height = struct.unpack(">II", png[16:24])
-        assert png.startswith(b"\x89PNG") and width > 800 and height > 400
+        assert png.startswith(b"\x89PNG") and width > 800 and height > 300
     payload = json.loads(text.partition('id="payload">')[2].partition("</script>")[0])
     assert {panel["figure"] for panel in payload["panels"]} == names
 
@@ -535,7 +486,7 @@ def test_a_page_begins_with_what_came_out(tmp_path: Path, study: Path, seeds: Re
         lead = text.partition('class="lead">')[2].partition("</p>")[0]
         assert lead.startswith(first)
         assert len(re.findall(r"\.(?= [A-Z]|$)", lead)) == 3
-        order = ['<section id="results">', '<section id="figures">', '<section id="numbers">',
+        order = ['<section id="results">', '<section id="figures">',
                  '<section id="configuration">', "Made with greenroof_ros"]
         places = list(map(text.index, order))
         assert places == sorted(places)

@@ -17,6 +17,7 @@ from studies import GRID, begun, edited, grid, rows_of, store_of, stored, study
 import greenroof_ros
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.study import store as store_module
+from greenroof_ros.study.case_run import Outcome
 
 
 def test_bound_beside_each_run(papers: Path) -> None:
@@ -43,10 +44,19 @@ def finished(once: Once, tmp_path: Path) -> Path:
     return tmp_path
 
 
+# What may become of an outcome, as a replacement in its text.
+DAMAGE = [
+    (".*", "[1, 2]"), (".*", "[" * 100_000), ("\n}.*", ""),
+    (r'"results": {.*?}', '"results": {}'), (r'"total_deviation_m3": ', '\\g<0>1'),
+    (r'"mean_deviation_mm": [^,]*', '"mean_deviation_mm": "dry"'),
+    (r'"mean_deviation_mm": [^,]*', '"mean_deviation_mm": null'),
+]
+
+
 def test_killed_and_gone_on(finished: Path) -> None:
     """Killed at a random moment, twice: the same table, and no run is done twice.
 
-    Outcomes that a power cut left empty, missing or different are made again.
+    Outcomes and bounds that a power cut left empty, missing or different are made again.
     """
     seed = random.randrange(1000)
     chance = random.Random(seed)
@@ -73,14 +83,17 @@ def test_killed_and_gone_on(finished: Path) -> None:
     whole = (finished / "out" / "results.csv").read_bytes()
     assert (killed / "out" / "results.csv").read_bytes() == whole
 
-    empty, gone, other, *_ = sorted(stored(killed))
+    empty, gone, *others = sorted(stored(killed))
     (empty / "outcome.json").write_text("")
     (gone / "outcome.json").unlink()
-    (other / "outcome.json").write_text("[1, 2]")
-    (killed / "out" / "bounds.json").write_text("{")
+    bounds = killed / "out" / "bounds.json"
+    for run, (old, new) in zip(others, DAMAGE, strict=False):
+        file = run / "outcome.json"
+        file.write_text(re.sub(old, new, file.read_text(), count=1, flags=re.DOTALL))
+    bounds.write_text(re.sub(r"\d+\.\d+", '"much"', bounds.read_text()))
     again = study(killed, name, "--output", "out")
     assert again.returncode == 0, again.stderr
-    assert "9 of 12 runs are stored already" in again.stderr
+    assert f"{12 - 2 - len(DAMAGE)} of 12 runs are stored already" in again.stderr
     assert (killed / "out" / "results.csv").read_bytes() == whole
     assert again.stdout == result.stdout == (finished / "printed").read_text()
 
@@ -113,9 +126,8 @@ def test_killed_while_it_began(tmp_path: Path) -> None:
 
 
 def test_what_was_begun_is_not_mixed_with_something_else(finished: Path) -> None:
-    """Another grid, another engine, other versions."""
+    """Another grid, other trajectories, other versions."""
     before = (finished / "out" / "results.csv").read_bytes()
-    assert "begun with another engine" in refusal(finished, engine="ros")
     assert "begun with other trajectories, or none" in refusal(finished, trajectory_every=None)
     grid(finished, edited("hours: 0.25", "hours: 0.5"))
     assert "begun with another grid, or other files" in refusal(finished)
@@ -159,3 +171,24 @@ def test_what_decides_whether_a_run_still_counts(
         (package / name).write_text(f"{code}A = 1\n")
         assert "other versions of the code or its packages" in refusal(finished), name
         (package / name).write_text(code)
+
+
+@pytest.mark.parametrize("what", ["outcome", "bounds", "results"])
+def test_a_full_disk_is_named(tmp_path: Path, what: str) -> None:
+    """Whichever file it takes, the message has its path; /dev/full is a disk without room."""
+    grid(tmp_path, edited("hours: 0.25", "hours: 0.05"))
+    store = store_of(tmp_path)
+    full = {
+        "outcome": tmp_path / "out" / "runs" / f"{store.cases[0].identity}.part" / "outcome.json",
+        "bounds": tmp_path / "out" / ".bounds.json.part",
+        "results": tmp_path / "out" / ".results.csv.part",
+    }[what]
+    full.parent.mkdir(exist_ok=True)
+    full.symlink_to("/dev/full")
+    write = {
+        "outcome": lambda: store.keep(store.cases[0], Outcome({}, {}, {})),
+        "bounds": lambda: store.keep_bound(store.cases[0], 1.0),
+        "results": store.write_tables,
+    }[what]
+    with pytest.raises(OSError, match=re.escape(str(full))):
+        write()

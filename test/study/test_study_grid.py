@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +16,22 @@ from studies import CONFIG, GRID, WEATHER, edited, grid, record, run_here
 
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.study.__main__ import show
-from greenroof_ros.study.case_run import bound_case, run_case
-from greenroof_ros.study.grid import read_grid
+from greenroof_ros.study.case_run import bound_case, lay_out, run_case
+from greenroof_ros.study.grid import contents, read_grid
 
 SITE = f"site: {CONFIG / 'site.yaml'}"
 HOURS = "    hours: 0.25\n"
 # name: the grid, and the end of the place with what is wrong there
 WRONG = {
     "unknown-key": (GRID + "engine: ros\n", "line 14: engine = 'ros': is not a key here"),
-    "missing": (GRID[: GRID.index("weather")], "weather: is missing or empty"),
+    "missing": (GRID[: GRID.index("weather")], "weather: is missing or empty; it must be a list"),
+    "no-initial": (
+        re.sub("initial:.*\n", "", GRID), "initial: is missing or empty; it must be one of low-low"
+    ),
+    "no-controllers": (GRID[: GRID.index("controllers")], "parameters: mpc, onoff, anticipating_"),
+    "no-text": (edited("[published, fao56]", "5"), "evapotranspiration = 5: must be fao56, or pub"),
+    "no-skill": (GRID + "forecast: {model: errors, skill: 5}\n", "must be one of much_better, "),
+    "no-forecast": (GRID + "forecast: 5\n", "must be one of perfect, persistence, errors, "),
     "site-kind": (edited(SITE, "site: [10]"), "line 2: site: must be the name of a file, {file"),
     "site-value": (  # the error is in the grid, not in the copy of the site file with the value
         edited(SITE, "site: {file: site.yaml, tau: [1.0, 0.0]}"),
@@ -104,7 +112,8 @@ def test_window_of_several_files(tmp_path: Path) -> None:
         assert len(cases) == len(whole)
         assert {case.weather_name for case in cases} == {"2 files, part-1.csv to part-2.csv"}
         assert [file.name for file in cases[-1].files] == ["site.yaml", "part-1.csv", "part-2.csv"]
-    results = [run_case(some[-1], "inprocess", None).results for some in (cases, whole)]
+    lay_out(contents([*cases, *whole]), tmp_path)
+    results = [run_case(tmp_path, some[-1], None).results for some in (cases, whole)]
     assert results[0] == results[1]
 
 
@@ -202,7 +211,8 @@ def test_seconds_of_the_bound(tmp_path: Path) -> None:
     ten = read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 600\n"))[0]
     assert usual.identity == ten.identity and usual.problem != ten.problem
     # With larger blocks that are whole multiples it is never higher (Jensen's inequality).
-    assert 0 < bound_case(ten) <= bound_case(usual)
+    lay_out(contents([usual]), tmp_path)
+    assert 0 < bound_case(tmp_path, ten) <= bound_case(tmp_path, usual)
     # Less than a tick counts as no bound, and causes no division by it.
     assert read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 1.0e-10\n"))[0].bound_block == 0
 

@@ -1,9 +1,8 @@
-"""The command: scores of archives and models, their table, CSV and page; dressing; wrong use."""
+"""The command: scores of archives and models, their table, CSV and page; wrong use."""
 
 from __future__ import annotations
 
 import csv
-import json
 import os
 import subprocess
 from collections.abc import Iterable, Sequence
@@ -17,7 +16,6 @@ from commands import run_command
 from places import DATA
 from scipy import stats
 
-from greenroof_ros.forecast.dressing import read_dressing
 from greenroof_ros.formats.own_csv import write_forecasts
 from greenroof_ros.formats.records import Issue
 
@@ -209,87 +207,18 @@ def test_the_page_draws_everything_and_asks_for_nothing(tmp_path: Path) -> None:
         assert "124 issues of 5 members" in opened.inner_text("header")
 
 
-# --- dressing -------------------------------------------------------------------------------------
-
-DAYS = 100
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with a gauge's hours, and forecasts with twice their water, partly of other days.
-
-    The forecasts are previous runs of two days, dressed by dressed.csv.
-    """
-    directory = tmp_path_factory.mktemp("dressed")
-    rng = np.random.default_rng(3)
-    wet = np.repeat(rng.random(DAYS * 4) < 0.15, 6)
-    rain = np.round(wet * rng.gamma(0.7, 2.0, DAYS * 24), 1)
-    write_gauge(directory / "gauge.csv", rain)
-    write_previous_runs(directory / "archive.csv", {1: 2 * rain, 2: 2 * np.roll(rain, 3)})
-    printed = succeed(
-        directory, "verify", "--dress", "archive.csv", "--weather", "gauge.csv", "-o", "dressed.csv"
-    )
-    # Half a day after an issue a live site's default horizon still fits, however short it is.
-    assert "written: dressed.csv, 379 issues and 132 h after each" in printed
-    assert read_dressing(directory / "dressed.csv").edges[-1] == 48
-    (directory / "said.txt").write_text(printed)
-    return directory
-
-
-def test_what_dressing_is_worth(site: Path) -> None:
-    """Sums to the forecasts' end: issued ones have twice the water and a larger error.
-
-    Dressed ones are an archive of ten members, scored by lead like any other.
-    """
-    rows = [line.split() for line in (site / "said.txt").read_text().splitlines() if " h " in line]
-    assert [row[0] for row in rows[:2]] == ["12", "48"]
-    for row in rows[:2]:
-        issued, dressed, error, less, climate = map(float, row[4:])
-        assert issued == pytest.approx(2.0, abs=0.1)
-        assert dressed == pytest.approx(1.0, abs=0.1)
-        assert less < 0.6 * min(error, climate)
-    day = scores(
-        site, "archive.csv", "--dressed", "dressed.csv", "--weather", "gauge.csv", "--horizon", "24"
-    )[-1]
-    assert day["sum_hours"] == "24"
-    assert float(day["bias"]) == pytest.approx(1.0, abs=0.25)  # of one member
-
-
-def simulate(site: Path, hours: int, horizon: int, *arguments: str) -> str:
-    """Simulate some hours with dressed forecasts, and return the output."""
-    return succeed(
-        site, "simulate", "--weather", "gauge.csv", "--start", "2024-04-10T00:00", "--hours",
-        str(hours), "--controller", "lookahead", "--horizon", str(horizon), "--forecast",
-        "archive.csv", "--dressed", "dressed.csv", *arguments,
-    )
-
-
-def test_a_study_with_dressed_forecasts(site: Path) -> None:
-    """The study's deviation equals a single run's, and the table names the file."""
-    (site / "grid.yaml").write_text("""
-        site: site.yaml
-        weather: {file: gauge.csv, start: 2024-04-10T00:00, hours: 6}
-        initial: low-low
-        controllers: {lookahead: {horizon: 24.0, forecast: [
-          archive.csv, {model: archive.csv, dressed: dressed.csv}]}}
-    """)
-    succeed(site, "study", "grid.yaml", "--no-trajectories", "--output", "study")
-    plain, dressed = rows_of(site / "study" / "results.csv")
-    assert (plain["forecast_dressed"], dressed["forecast_dressed"]) == ("", "dressed.csv")
-    summary = json.loads(simulate(site, 6, 24, "--json"))
-    assert summary["forecast"] == {
-        "model": "file", "file": "archive.csv", "dressed": "dressed.csv",
-    }
-    deviation = summary["total_deviation_m3"]
-    assert float(dressed["total_deviation_m3"]) == deviation != float(plain["total_deviation_m3"])
-
-
-def test_members_that_are_shorter_than_the_horizon(site: Path) -> None:
-    """The run says both lengths, and that no rain is assumed in the rest."""
-    for horizon in (120, 240):
-        said = " ".join(simulate(site, 1, horizon).replace("│", " ").split())
-        short = "FORECAST 132 h is the longest issue, the horizon 240 h: no rain is assumed after"
-        assert (short in said) is (horizon == 240)
+def test_issues_that_are_shorter_than_the_horizon(tmp_path: Path) -> None:
+    """A run says both lengths, and that no rain is assumed in the rest."""
+    write_gauge(tmp_path / "gauge.csv", [0.0] * 240)
+    write_previous_runs(tmp_path / "archive.csv", {1: [0.0] * 240, 2: [0.0] * 240})
+    for horizon in (48, 49):
+        said = succeed(
+            tmp_path, "simulate", "--weather", "gauge.csv", "--start", "2024-03-04T00:00",
+            "--hours", "1", "--controller", "lookahead", "--horizon", str(horizon),
+            "--forecast", "archive.csv",
+        )
+        short = "FORECAST 48 h is the longest issue, the horizon 49 h: no rain is assumed after"
+        assert (short in " ".join(said.replace("│", " ").split())) is (horizon == 49)
 
 
 # --- wrong use ------------------------------------------------------------------------------------
@@ -302,16 +231,13 @@ WRONG = {
     "GEM --lead 6 --sums 6 --events 2":
         f"--lead = 6: must be a multiple of 24 h, the finest lead time of {GEM} (Open-Meteo,",
     "GEM": f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records: these cover",
-    "GEM --dressed JULY": f"{JULY}, line 1: 'Longitude (x)': the column must be 'issued': a file",
-    "errors --dress -o new.csv": "FORECASTS = 'errors': must be an archive with --dress: a",
-    "GEM --dress": "--output: must be given once with --dress: FILE.csv, for --d",
 }
 
 
 @pytest.mark.parametrize("arguments", WRONG)
 def test_wrong_use(tmp_path: Path, arguments: str) -> None:
     """One line that says what would be right, exit code 2, and nothing written."""
-    words = arguments.replace("GEM", str(GEM)).replace("JULY", str(JULY)).split()
+    words = arguments.replace("GEM", str(GEM)).split()
     done = run(tmp_path, "verify", *words, "--weather", str(JULY))
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"error: {WRONG[arguments]}")

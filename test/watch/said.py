@@ -18,7 +18,8 @@ from greenroof_ros.watch.wire import Status
 OK, WARN, ERROR, STALE = range(4)
 SECOND = 10**9
 START = 1_626_757_200 * SECOND  # 2021-07-20 05:00 UTC, a multiple of 20 s
-STOPPED = "an operator stopped it"
+HELD = "a hold by the operator"
+HOLD = {"owner": "the operator", "reason": "", "until": None, "said": HELD}
 
 
 def node(

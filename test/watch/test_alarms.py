@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from said import ERROR, OK, STALE, STOPPED, WARN, node, silent_sensor
+from said import ERROR, HELD, HOLD, OK, STALE, WARN, node, silent_sensor
 
 from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
@@ -282,13 +282,16 @@ def test_events_of_parameters() -> None:
     ]
 
 
-def test_events_of_a_stop_and_a_fault() -> None:
+def test_events_of_a_hold_and_a_fault() -> None:
     alarms = Alarms()
     overheat = "the drive reports: overheat"
-    for stop, fault in (("", ""), (STOPPED, ""), (STOPPED, ""), ("", ""), ("", overheat), ("", "")):
-        alarms.hear(0.0, 5.0, pump(stop=stop, fault=fault))
+    other = HOLD | {"said": "a hold by the page"}
+    for hold, fault in (
+        (None, ""), (HOLD, ""), (HOLD, ""), (other, ""), (None, ""), (None, overheat), (None, ""),
+    ):
+        alarms.hear(0.0, 5.0, pump(hold=hold, fault=fault))
     assert happened(alarms) == [
-        "a stop of the pump was asked for", "the stop was released",
+        f"the pump is held: {HELD}", "the pump is held: a hold by the page", "the hold has ended",
         "the pump is off until it is reset: the drive reports: overheat", "the fault was reset",
     ]
     for number in range(100):
@@ -325,8 +328,8 @@ def test_what_has_one_cause(cause: str, said: list[Status], chain: list[str]) ->
 @pytest.mark.parametrize(("code", "said", "advice"), [
     ("drive_lost", {"stands": False, "speed": None}, "Go and see"),
     ("drive_fault", {"stands": False, "speed": None}, "/pump/reset"),
-    ("operator_stop", {"stands": True, "stop": STOPPED}, "data: false"),
-    ("operator_stop", {"stands": False, "speed": 0.8, "stop": STOPPED}, "at its drive's panel"),
+    ("hold", {"stands": True, "hold": HOLD}, "greenroof release"),
+    ("hold", {"stands": False, "speed": 0.8, "hold": HOLD}, "at its drive's panel"),
 ])
 def test_a_state_of_the_pump_that_its_cause_does_not_tell(
     code: str, said: dict[str, Any], advice: str
@@ -361,20 +364,19 @@ def test_every_code_has_its_advice() -> None:
         for role in ("pump", "controller", "weather", "plant"):
             do, known = advise(code, role, "/site1/pump")
             assert known and do, code
-            assert "{" not in do.replace("{data: false}", ""), code
+            assert "{" not in do, code
         assert advise(code, "", "/camera") == (FOREIGN, False)
     for code, interlock in INTERLOCKS.items():
-        service = "/site1/pump/reset" if interlock.kind == LATCHED else "/site1/pump/stop"
-        if interlock.kind == LATCHED or code in ("operator_stop", "record_unknown"):
-            assert service in advise(code, "pump", "/site1/pump")[0]
+        if interlock.kind == LATCHED:
+            assert "/site1/pump/reset" in advise(code, "pump", "/site1/pump")[0]
+    assert "greenroof release --namespace site1" in advise("hold", "pump", "/site1/pump")[0]
     assert advise("of another version", "pump", "/pump") == (OTHER, False)
 
 
 def test_every_interlock_has_its_place() -> None:
     """It needs somebody at the pump, a part of the node says more, or its own text says all."""
     complete = {
-        "paused", "cistern_low", "quiet_hours", "longest_run", "daily_volume", "daily_run",
-        "two_pumps",
+        "cistern_low", "quiet_hours", "longest_run", "daily_volume", "daily_run", "two_pumps",
     }
     assert INTERLOCKS.keys() - _NEEDS_A_HAND - _PARTS_OF_REASON.keys() == complete
 
@@ -411,14 +413,13 @@ def test_the_order_of_alarms() -> None:
         *node("/weather", "weather", ("rain gauge", WARN, "/gauge/precipitation is older")),
         *node("/recorder", "recorder", ("recording", ERROR, "nothing is recorded: full")),
         *pump(("limits", WARN, "5 m3 are outstanding"),
-              ("pump", WARN, f"held: {STOPPED}", "operator_stop")),
+              ("pump", WARN, f"held: {HELD}", "hold")),
     ]))
     assert present(alarms) == [
         "/pump: pump", "/recorder: recording", "/mpc", "/weather: rain gauge", "/pump: limits",
         "/camera",
     ]
-    assert "data: false" in alarms.advice()
-    assert "/pump/stop" in alarms.advice()
+    assert "greenroof release" in alarms.advice()
 
 
 def test_values_that_are_refused_follow_from_a_second_controller() -> None:
@@ -448,14 +449,14 @@ def test_advice_is_on_what_is_new() -> None:
 def test_a_namespace_has_its_own_alarms() -> None:
     """Another graph's nodes are other devices, and never describe this graph's pump."""
     alarms = heard((0.0, [
-        *node("/site2/pump", "pump", ("pump", ERROR, "fault: burst"), flow=2.0, stop=STOPPED),
-        *node("/site1/pump", "pump", ("pump", WARN, "held", "operator_stop"), flow=1.0),
+        *node("/site2/pump", "pump", ("pump", ERROR, "fault: burst"), flow=2.0, hold=HOLD),
+        *node("/site1/pump", "pump", ("pump", WARN, "held", "hold"), flow=1.0),
     ]), namespace="/site1")
     there = alarms.registry.node("pump")
     assert there is not None
     assert (there.name, there.values["flow"], there.process) == ("/site1/pump", 1.0, "host 1")
     assert present(alarms) == ["/site1/pump: pump", "/site2/pump: pump"]
-    assert "/site1/pump/stop" in alarms.advice()
+    assert "greenroof release --namespace site1" in alarms.advice()
 
 
 def test_the_end_of_another_graph_is_no_alarm() -> None:
@@ -500,7 +501,7 @@ _STATUSES = st.builds(
     Status, _TEXTS, st.integers(-(2**70), 2**70) | st.sampled_from([0, 1, 2, 3]), _TEXTS,
     st.dictionaries(
         st.sampled_from([
-            "role", "refused", "stop", "fault", "warnings", "waiting", "parameter_changes",
+            "role", "refused", "hold", "fault", "warnings", "waiting", "parameter_changes",
             "failure", "parameter_change_count",
         ]) | _TEXTS, _TEXTS, max_size=8,
     ),

@@ -59,7 +59,7 @@ def test_at_a_live_site_an_alarm_comes_and_goes_and_a_stop_holds(
         )
         time.sleep(5.0)  # it commands again
         tile = document(port)["tiles"]["pump"]
-        assert (tile["state"], "on the page" in tile["why"]) == ("held", True)
+        assert (tile["state"], "a hold by the page" in tile["why"]) == ("held", True)
         assert rig.truth.speed < 0.005
         assert rig.watcher.stop(False)
         rig.until_running()

@@ -231,7 +231,7 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
     def refusal(feed: Feed) -> str:
         began = time.monotonic()
         with pytest.raises(StopFailedError) as refused:
-            feed.ask("stop")
+            feed.ask("stop", owner="the page")
         assert time.monotonic() - began < 15
         return str(refused.value)
 
@@ -311,7 +311,7 @@ def test_a_stop_is_answered_whatever_else_fails(domain: int) -> None:
         time.sleep(0.5)
         began = time.monotonic()
         with pytest.raises(StopFailedError, match="no pump node"):
-            feed.ask("stop")
+            feed.ask("stop", owner="the page")
         assert time.monotonic() - began < 15
 
 

@@ -17,7 +17,7 @@ from browsers import started_browser
 from graphs import wait_for
 from page_server import page_files, served
 from places import CONFIG
-from said import ERROR, SECOND, START, STOPPED, incident, node, store
+from said import ERROR, HELD, HOLD, SECOND, START, incident, node, store
 
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
@@ -693,16 +693,17 @@ def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:
     until_shown(page, "#stop-button:enabled")
     assert not page.locator("#lost").is_visible()
     assert not page.locator("#release").is_visible()
-    turns = f"held: {STOPPED}; the pump still turns, at 0.80 of its speed"
-    said[:] = pump(turns, stands=False, stop=STOPPED)
+    turns = f"held: {HELD}; the pump still turns, at 0.80 of its speed"
+    said[:] = pump(turns, stands=False, hold=HOLD)
     until_shown(page, "#stop-warning", "Stop it at its drive's panel")
     until_shown(page, "#stop-button:enabled", "Stop the pump")
-    said[:] = pump(f"held: {STOPPED}", stop=STOPPED)
+    said[:] = pump(f"held: {HELD}", hold=HOLD)
     until_shown(page, "#stop-button:disabled", "The pump is held off")
     page.wait_for_selector("#stop-warning", state="hidden")
     page.wait_for_selector("#answer", state="hidden")
     shown = until_shown(page, "#release-call").inner_text()
-    assert shown == 'ros2 service call /pump/stop std_srvs/srv/SetBool "{data: false}"'
+    assert shown == "greenroof release"
+    until_shown(page, "#hold", "A hold by the operator.")
     said[:] = pump()
     page.wait_for_selector("#release", state="hidden")
 
@@ -714,7 +715,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
     """
     watched = site_watched("loop")
     watched.allow_release = True
-    said = pump("held: stopped", stop="somebody stopped it on the page", stopped_by=["page"])
+    said = pump(f"held: {HELD}", hold=HOLD)
     with (
         saying(watched, said), served(watched, "secret") as port,
         opened(browser, port, hash_="#token=wrong") as page,
@@ -727,7 +728,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         assert page.context.cookies() == []
         page.said.clear()
         until_shown(page, "#release", "must lock it out at the pump itself")
-        assert not page.locator("#release-ros").is_visible()
+        assert not page.locator("#release-by-hand").is_visible()
         page.locator("#release-button").click()
         until_shown(page, "#ask", "starts by itself when the controller asks for it")
         page.locator("#ask-no").click()
@@ -737,9 +738,14 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         until_shown(page, "#answer.failed", "was not asked")
         assert posted(page) == ["release"]
         page.locator("#release-button").click()
-        said[:] = pump("held: stopped", stop="stopped", stopped_by=["page", "service"])
+        said[:] = pump(f"held: {HELD}", hold=HOLD, fault="a slow start", no_clear="")
         until_shown(page, "#answer.failed", "the situation has changed")
         assert not page.locator("#ask").is_visible()
+        page.locator("#clear-button").click()
+        until_shown(page, "#ask", "It stays off all the same: a hold by the operator.")
+        page.locator("#ask-yes").click()
+        until_shown(page, "#answer.failed", "was not asked")
+        assert posted(page) == ["release", "clear"]
         said[:] = pump("off: the command is 0", greatest_dose=0.5, no_dose="")
         page.wait_for_selector("#dose-button", state="visible")
         volume = page.locator("#dose-volume")

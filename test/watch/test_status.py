@@ -89,7 +89,7 @@ def test_a_run_that_is_well(domain: int, tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
     run = Process(
         domain, "bringup", "--controller", "onoff", "--hours", "2", "--speed", "2", "--cistern",
-        "19", "--roof", "4", "--namespace", "site1", "--output", "run", cwd=tmp_path,
+        "57", "--roof", "4", "--namespace", "site1", "--output", "run", cwd=tmp_path,
     )
     run.wait_for_ticks(1000)
     wait_for(lambda: status(domain, tmp_path, "--namespace", "site1")[0] == 0, 60, "a run")
@@ -103,7 +103,7 @@ def test_a_run_that_is_well(domain: int, tmp_path: Path) -> None:
     assert (values["status"], values["mode"], values["namespace"]) == (
         "well", "simulated", "/site1"
     )
-    assert values["cistern_level_m"] == pytest.approx(19 / PAPER_SITE.a1, rel=0.03)
+    assert values["cistern_level_m"] == pytest.approx(57 / PAPER_SITE.a1, rel=0.03)
     assert values["roof_level_m"] == pytest.approx(4 / PAPER_SITE.a2, rel=0.15)
     assert values["times_real_time"] == pytest.approx(2, rel=0.3)
     assert (values["controller"], values["pump"]) == ("onoff", "running")

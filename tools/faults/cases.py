@@ -269,6 +269,14 @@ def _sensors(repeats: int) -> Iterator[Case]:
             bound="undelivered", signs=_pump("delivery"), recovery="latches"), leak)
 
 
+def _state_files() -> Iterator[Case]:
+    """Yield the cases of a killed pump node whose state file is lost or broken meanwhile."""
+    for number, drive in enumerate(DRIVES):
+        for target in ("moved away", "unfinished", "torn", "without starts"):
+            yield Case(f"site:{drive}", "state file", target, number, Expected(
+                bound="drive", signs=_pump("record_unknown"), recovery="latches"))
+
+
 def _brokers(repeats: int) -> Iterator[Case]:
     """Yield the cases of sensors on MQTT and their broker."""
     level = Expected(bound="level", signs=_level("cistern", "input_silent"))
@@ -566,6 +574,7 @@ def all_cases() -> list[Case]:
         *_drive_alone(1),
         *_relay(2),
         *_sensors(2),
+        *_state_files(),
         *_brokers(4),
         *_dry(4),
         *_limits(2),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
 import threading
 import time
+import zlib
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from datetime import timedelta
@@ -106,6 +108,8 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             undo.callback(truth.inject_site, "none")
         case "forecast file":
             _forecast(rig, case, undo)
+        case "state file":
+            _state_file(rig, case.target)
         case "dry":
             assert isinstance(rig, SiteRig)
             wait(lambda: rig.levels()[0] <= rig.dry_level, 90, "an empty cistern")
@@ -235,6 +239,27 @@ def _forecast(rig: Rig, case: Case, undo: ExitStack) -> None:
     else:
         write_forecast(rig.forecast, timedelta(days=30), hours=48)
     undo.callback(write_forecast, rig.forecast, hours=48)
+
+
+def _state_file(rig: Rig, fault: str) -> None:
+    """Kill the pump node, and lose or break its state file before the supervisor restarts it."""
+    os.kill(rig.pids()["pump"], signal.SIGKILL)
+    file = rig.kept / "pump.json"
+    match fault:
+        case "moved away":
+            file.rename(file.with_name("pump.json.broken"))
+        case "unfinished":
+            file.rename(file.with_name("pump.json.new"))
+        case "torn":
+            file.write_bytes(file.read_bytes()[:5000])
+        case "without starts":
+            lines = b""
+            for line in file.read_bytes().splitlines():
+                content = json.loads(line.split(maxsplit=1)[1])
+                del content["starts"]
+                text = json.dumps(content).encode()
+                lines += (b"%08x " % zlib.crc32(text) + text).ljust(len(line)) + b"\n"
+            file.write_bytes(lines)
 
 
 def _second(rig: Rig, case: Case, undo: ExitStack) -> None:

@@ -38,6 +38,7 @@ _KINDS = {
     "forecast file": "the forecast file",
     "fails": "a forecast service that fails for six hours",
     "site": "a burst pipe, a closed valve, a leak",
+    "state file": "the pump node killed, and its state file lost or broken",
     "dry": "a cistern that runs empty",
     "stuck for ever": "a command that never changes",
     "full disk": "a full disk",

@@ -76,7 +76,7 @@ class Diagnosed:
                 if part == "pump" and level and not values["stands"]:
                     if values["speed"] is None:  # it is unknown whether the pump turns
                         level, code = "error", code if code in _LATCHED else "stands_unknown"
-                    elif values["stop"] and code not in _LATCHED:
+                    elif values["hold"] and code not in _LATCHED:
                         code = "stop_not_followed"
                 self._nodes[name].parts[part] = at, f"{level} {code}" if level else ""
             elif not part and status.message in STATES:

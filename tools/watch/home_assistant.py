@@ -129,7 +129,7 @@ def check(program: str, place: Path, domain: int) -> None:
                 "entity_id": f"button.{_OF_SITE}stop_the_pump",
             })
             wait_for(lambda: shown("sensor.pump") == "held", 60, "a held pump")
-            assert shown("sensor.condition") == "page_stop"
+            assert shown("sensor.condition") == "hold"
             bridge.process.kill()
             wait_for(
                 lambda: {state["state"] for state in home.states().values()} == {"unavailable"},

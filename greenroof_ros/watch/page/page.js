@@ -254,7 +254,8 @@ const showStop = (stop) => {
   setText(byId("stop-button"), stop.label);
   setText(byId("release-call"), stop.release);
   byId("release").hidden = !stop.release;
-  byId("release-ros").hidden = stop.release_here;
+  setText(byId("hold"), stop.hold ?? "");
+  byId("release-by-hand").hidden = stop.release_here;
   byId("release-button").hidden = !stop.release_here;
   byId("clear").hidden = !stop.clear_here && !stop.no_clear;
   setText(byId("no-clear"), stop.no_clear && `The fault is not cleared here: ${stop.no_clear}.`);

@@ -1,4 +1,4 @@
-"""Scores of forecasts, from services and from the package, by records."""
+"""Scores of forecasts, from services and from the package, to test the published skill."""
 
 from __future__ import annotations
 
@@ -21,8 +21,6 @@ ZONE = timezone(timedelta(hours=-5))
 DAYS = (1, 2, 3, 5)
 # Lengths of the sums (h), and for each the least sum that is an event (mm).
 SUMS = {1: 1.0, 6: 2.0, 12: 3.0, 24: 5.0}
-# Tip of Toronto's gauge (mm).
-TIP = 0.25
 NAMES = ("r", "POD", "FAR", "bias")
 
 

@@ -1,115 +1,27 @@
-"""How far the controllers that look ahead trust the level sensor and the forecast."""
+"""What waiting for forecast rain may cost."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from adversaries import TOGETHER, with_forecasts
-from numpy.typing import NDArray
 from paper import PAPER_SITE, deviation_of, lookahead, paper_run, rain_scaled, site_file
 from places import CONFIG, DATA
 
-from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
+from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.controllers.regret_budget import RegretBudget
-from greenroof_ros.controllers.roof_observer import RoofObserver
-from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.look_ahead import growing_steps
-from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import read_site
 
-Array = NDArray[np.float64]
-
 EMPTY_HOUR = 3600 * PAPER_SITE.x2_star  # m3 s
 STEPS = len(growing_steps(12)) - 1
-MEASURED = ("--site", str(CONFIG / "site_neubrandenburg.yaml"))
-
-
-# --- the sensor ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("options", [(), ("--cistern", "60", "--roof", "35"), MEASURED])
-def test_estimate_is_the_truth_where_model_and_sensor_are_exact(options: tuple[str, ...]) -> None:
-    """With rain, running pumps, a soil that drains, and one that percolates and dries."""
-    run = paper_run(
-        "--controller", "onoff", "--start", "2021-07-08T05:00", "--hours", "2", *options
-    )
-    estimate = RoofObserver(run.site, 300.0)
-    for tick in closed_loop(run, run.make_controller(), Metrics()):
-        x2 = estimate.correct(tick.roof_level)
-        assert x2 == pytest.approx(tick.x2, abs=1e-9)
-        estimate.predict(x2, tick.precipitation, tick.evapotranspiration, tick.flows.pump)
-
-
-def test_it_begins_with_the_mean() -> None:
-    """Each of the first n readings is equally good, so their mean is the best estimate."""
-    estimate = RoofObserver(PAPER_SITE, 300.0)
-    readings = 0.04 + 0.0005 * np.random.default_rng(2).standard_normal(300)
-    for number, reading in enumerate(readings, start=1):
-        x2 = estimate.correct(float(reading))
-        estimate.predict(x2, 0.0, 0.0, 0.0)
-        assert PAPER_SITE.roof_level(x2) == pytest.approx(readings[:number].mean(), abs=1e-12)
-
-
-@pytest.mark.parametrize("tau", [1.0, 10.0])
-def test_noise_of_any_size_is_noise(tau: float) -> None:
-    """It is averaged over 300 s: the error is only the average's, without jumps."""
-    site, noise = replace(PAPER_SITE, tau=tau), 0.005
-    estimate = RoofObserver(site, 300.0)
-    errors = []
-    for deviate in np.random.default_rng(3).standard_normal(43_200 // int(tau)):
-        x2 = estimate.correct(0.06 + noise * float(deviate))
-        estimate.predict(x2, 0.0, 0.0, 0.0)
-        errors.append(site.roof_level(x2) - 0.06)
-    gain = tau / 300
-    expected = noise * math.sqrt(gain / (2 - gain))
-    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(expected, rel=0.25)
-
-
-CONTROLLERS = {
-    "anticipating_onoff": lambda: AnticipatingOnOff(PAPER_SITE, 12, 10, 1.0, 300.0, math.inf, 0.0),
-    "lookahead": lambda: lookahead(observer_time_constant=300.0),
-}
-
-
-@pytest.mark.parametrize("kind", CONTROLLERS.values())
-def test_a_roof_that_filled_unseen_is_not_pumped_on(kind: Callable[..., Any]) -> None:
-    """Below its target before hours of frost, a millimetre above it afterwards."""
-    controller = kind()
-    steps = [0.0] * STEPS
-    assert controller.command(2.3, 0.0375, steps, steps) > 0
-    for _ in range(3600):
-        controller.skip()
-    for _ in range(100):
-        assert controller.command(2.3, 0.0467, steps, steps) == 0.0
-
-
-@pytest.mark.parametrize("kind", CONTROLLERS.values())
-@pytest.mark.parametrize("strength", [0.3, 3.0])
-def test_pumps_of_another_flow(kind: Callable[..., Any], strength: float) -> None:
-    """A driver obeys the commands, with pumps that deliver more or less than the model's.
-
-    Only the controller stops them. The roof ends near its target: at most a millimetre plus the
-    inflow during the fifteen seconds until the sensor is believed is too much.
-    """
-    controller = kind()
-    level, steps = 0.035, [0.0] * STEPS
-    full = maximum_pump_flow(PAPER_SITE, PAPER_SITE.cistern_volume(2.3)) / PAPER_SITE.a2
-    for _ in range(3600):
-        level += controller.command(2.3, level, steps, steps) * strength * full
-    slack = 0.001 + 15 * max(0.0, strength - 1) * full
-    assert PAPER_SITE.z_veg - 5e-4 < level < PAPER_SITE.z_veg + slack
-
-
-# --- the forecast -------------------------------------------------------------------------------
-
+# 21.6 mm, none of it in the first two hours.
+COMING = [3e-6 if 7200 <= begin < 14_400 else 0.0 for begin in growing_steps(12)[:-1]]
 
 BUDGET_H, SHARE = 6.0, 0.05
 
@@ -151,13 +63,32 @@ def test_an_adversary_costs_at_most_the_budget(
 
 def test_waiting_ends_with_the_budget(caplog: pytest.LogCaptureFixture) -> None:
     """Forecast rain never comes: in the end it acts as on/off, and says so once."""
-    rain = [3e-6 if 7200 <= begin < 14_400 else 0.0 for begin in growing_steps(12)[:-1]]
     for budget, pumps in ((72.0, False), (0.01, True)):
         controller = lookahead(waiting_budget=budget, waiting_share=0.0)
-        inputs = 2.3, 0.04, [rain], [0.0] * STEPS
+        inputs = 2.3, 0.04, [COMING], [0.0] * STEPS
         commands = [controller.command(*inputs) for _ in range(600)]
         assert any(commands) is pumps
     assert ["more than plain on/off" in message for message in caplog.messages] == [True]
+
+
+@pytest.mark.parametrize("name", ["anticipating_onoff", "lookahead"])
+def test_a_controller_that_is_made_again_goes_on_with_the_count(name: str) -> None:
+    """The first one ends its wait with the budget; the next one does not begin another wait."""
+    choice, inputs = find_controller(name), (2.3, 0.04, COMING, [0.0] * STEPS)
+    parameters = {"horizon": 12.0, "waiting_budget": 0.01, "waiting_share": 0.0}
+
+    def made() -> Any:
+        return choice.make(PAPER_SITE, {**choice.defaults(PAPER_SITE), **parameters})
+
+    first, afresh, again = made(), made(), made()
+    assert first.command(*inputs) == afresh.command(*inputs) == 0.0
+    assert [first.command(*inputs) for _ in range(600)][-1] > 0
+    again.learned = first.learned
+    assert again.learned == first.learned
+    with pytest.raises(KeyError):
+        again.learned = {"waiting_loss_m3_s": 0.0}
+    assert again.learned == first.learned
+    assert again.command(*inputs) > 0
 
 
 def test_a_low_outlet_limits_the_waiting_by_hand() -> None:
@@ -209,7 +140,7 @@ def test_the_count_on_a_measured_roof_is_what_onoff_has() -> None:
     assert lacks[-1] < 0.7 * max(lacks)
 
 
-def test_trust_comes_back() -> None:
+def test_forecasts_count_again() -> None:
     """When the roof is filled, and a tenth of on/off's cost has made up for the excess.
 
     That is 100 m3 s: on/off is 0.1 m3 off its target for 10,000 s.

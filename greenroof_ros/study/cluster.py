@@ -1,0 +1,146 @@
+"""The workers of a Dask cluster, for the runs of a study."""
+
+from __future__ import annotations
+
+import asyncio
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.experiment.summary import versions
+from greenroof_ros.study.case_run import lay_out
+from greenroof_ros.study.workers import Workers, WorkersGoneError
+
+with in_extra("dask"):
+    import dask
+
+    # Its log would repeat an error message in a hundred lines.
+    quiet = dict.fromkeys(("distributed", "distributed.client", "tornado.application"), 100)
+    dask.config.set({"logging": quiet})
+    from distributed import Client, WorkerPlugin, get_worker
+
+_CONNECT_S = 10
+# A worker that its nanny restarts is back sooner.
+_NO_WORKER_S = 15.0
+# Time between two requests to a scheduler for its workers.
+_ASK_S = 2.0
+# The longest wait for the workers to delete their files.
+_DELETE_S = 5.0
+
+
+class InputFiles(WorkerPlugin):
+    """Keeps a study's input files on a worker; Dask sends them to each worker once."""
+
+    def __init__(self, files: Mapping[str, bytes]) -> None:
+        """Take the contents by name."""
+        self._files = files
+
+    def setup(self, worker: Any) -> None:
+        """Write the files, before the worker gets its first run."""
+        self._directory = tempfile.TemporaryDirectory(dir=worker.local_directory)
+        self.path = Path(self._directory.name)
+        lay_out(self._files, self.path)
+
+    def teardown(self, worker: Any) -> None:
+        """Delete the files."""
+        self._directory.cleanup()
+
+
+def _on_worker(plugin: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function on a worker with the directory of the study's input files."""
+    files = get_worker().plugins[plugin]
+    assert isinstance(files, InputFiles)
+    return function(files.path, *arguments)
+
+
+@contextmanager
+def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
+    """Work on the workers of a Dask scheduler.
+
+    Args:
+        address: such as ``tcp://10.0.0.1:8786``.
+        files: contents of the study's input files, by name.
+
+    Raises:
+        ConfigurationError: the scheduler does not answer or has no worker, or the versions on a
+            worker differ from this process's.
+        WorkersGoneError: the scheduler or all its workers disappeared during work.
+    """
+    gone = WorkersGoneError(f"the Dask scheduler at {address} is gone")
+    try:
+        client = Client(address, timeout=_CONNECT_S)
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigurationError(
+            f"does not answer: {error}", key="--scheduler", value=address
+        ) from error
+    plugin = f"greenroof_ros-{client.id}"
+
+    def delete() -> None:
+        with suppress(Exception):  # the scheduler is gone, and a repeated command sends them again
+            client.unregister_worker_plugin(plugin)
+
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_CONNECT_S)
+            _check_versions(client.run(versions))
+            client.register_plugin(InputFiles(files), plugin)
+        except asyncio.TimeoutError as error:  # in Python 3.10 not the built-in one
+            raise ConfigurationError(
+                "has no worker", key="--scheduler", value=address
+            ) from error
+        except (OSError, CancelledError) as error:
+            raise gone from error
+        executor = client.get_executor(pure=False, retries=0)
+        asked = seen = time.monotonic()
+
+        def check() -> None:
+            nonlocal asked, seen
+            now = time.monotonic()
+            if now - asked < _ASK_S:
+                return
+            asked = now
+            try:
+                there = client.nthreads()
+            except (OSError, RuntimeError) as error:  # the connection or the client failed
+                raise gone from error
+            if there:
+                seen = now
+            elif now - seen > _NO_WORKER_S:
+                raise WorkersGoneError(
+                    f"the Dask scheduler at {address} has had no worker for {_NO_WORKER_S:g} s"
+                )
+
+        try:
+            task = partial(_on_worker, plugin)
+            yield Workers(
+                partial(executor.submit, task), lambda future: future.result(), check
+            )
+        except CancelledError as error:  # not by this process: the scheduler is gone
+            raise gone from error
+        finally:
+            # Cancels running tasks: after an interrupt nobody waits for their results.
+            executor.shutdown(wait=False)
+            # In a thread, because a worker or scheduler that hangs would never answer.
+            deleting = Thread(target=delete, daemon=True)
+            deleting.start()
+            deleting.join(_DELETE_S)
+
+
+def _check_versions(workers: Mapping[str, Mapping[str, str]]) -> None:
+    """Refuse workers with other versions, which could compute other numbers."""
+    here = versions()
+    for address, theirs in workers.items():
+        for package in here.keys() | theirs.keys():
+            if theirs.get(package) != here.get(package):
+                raise ConfigurationError(
+                    f"its worker {address} has {package} {theirs.get(package, 'not at all')}, "
+                    f"this process {here.get(package, 'not at all')}; make them the same",
+                    key="--scheduler",
+                )
