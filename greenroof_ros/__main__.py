@@ -36,7 +36,8 @@ GROUPS = {
         "dose": Command("dose", "let the pump deliver a volume once, now"),
     },
     "see what it does, or did": {
-        "watch": Command("watch.__main__", "show a run or a site, on a page or in the terminal"),
+        "watch": Command("watch.__main__", "show a run or a site, on a page in a browser"),
+        "status": Command("status", "say once how it is, with an exit code for scripts"),
         "bridge": Command("bridge", "publish a site on MQTT, for Home Assistant; with a stop"),
         "report": Command("report.__main__", "make figures and tables of runs, studies and bags"),
         "recover": Command("recover", "restore a bag after a crash or a full disk"),

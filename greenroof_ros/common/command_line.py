@@ -122,13 +122,20 @@ def _interrupt(*_: Any) -> NoReturn:
     raise _Interrupted
 
 
-def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
+def command(
+    main: Callable[[], int], *, failed: int | None = None
+) -> Callable[[], NoReturn]:
     """Turn a function into a command, which exits with the code that the function returns.
 
     A :class:`ConfigurationError` becomes one line on standard error and exit code 2, or 3 if
     another graph is in the way. A file or an output that cannot be written becomes one line and
     exit code 1, and Ctrl-C exit code 130. None of them leaves a traceback. If nobody reads the
     output any more, as after ``| head``, nothing is printed and the exit code is 1.
+
+    Args:
+        main: the function.
+        failed: the exit code instead of 1, 2 and 3 above, for a command whose own results have
+            these codes; None for none.
     """
 
     @functools.wraps(main)
@@ -142,20 +149,20 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
                     signal.signal(signal.SIGINT, _interrupt)
                 code: str | int | None = main()
             except SystemExit as end:  # by argparse: after --help, or on wrong usage
-                code = end.code
+                code = end.code and (failed or end.code)
             flush_output()
         except OutputError as error:
             if not error.quiet:
                 print(f"error: {error}", file=sys.stderr)
-            code = EXIT_FAILED
+            code = failed or EXIT_FAILED
         except (ConfigurationError, argparse.ArgumentError) as error:
             print(f"error: {error}", file=sys.stderr)
-            code = exit_code(error)
+            code = failed or exit_code(error)
         except OSError as error:
             # Of a copy, it is the second file that has no room.
             parts = (error.filename2 or error.filename, error.strerror or str(error))
             print("error:", ": ".join(filter(None, parts)), file=sys.stderr)
-            code = EXIT_FAILED
+            code = failed or EXIT_FAILED
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             code = EXIT_INTERRUPTED

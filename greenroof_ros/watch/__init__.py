@@ -1,1 +1,1 @@
-"""Shows people what a running graph does, on a page and in a terminal."""
+"""Shows people what a running graph does, on a page, over MQTT and in a few lines."""

@@ -1,4 +1,4 @@
-"""What the roof does, on a page or in a terminal: ``greenroof watch``."""
+"""What the roof does, on a page: ``greenroof watch``."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ and open http://localhost:8080 there.
 _EPILOG = """\
 examples:
   greenroof watch                       whatever runs here
-  greenroof watch --terminal            the same in this terminal, also over ssh
   greenroof watch --bag runs/a/bag      a run that has ended
   greenroof watch --namespace site1 --port 8081
   greenroof watch --host 0.0.0.0        for other machines: with a token
@@ -69,13 +68,9 @@ def make_parser() -> Parser:
         "nodes, otherwise the paper's, config/site.yaml)",
     )
     parser.add_argument(
-        "--terminal", action="store_true",
-        help="show it in this terminal instead of on a page; the space bar turns pages, q quits",
-    )
-    parser.add_argument(
         "--allow-release", action="store_true",
-        help="allow page and terminal to release the pump, whoever holds it, and to clear the "
-        "fault speed_not_followed; if the site file allows it, also to ask for a dose on the page. "
+        help="allow the page to release the pump, whoever holds it, and to clear the "
+        "fault speed_not_followed; if the site file allows it, also to ask for a dose. "
         "The page then needs its token on this machine, too",
     )
     parser.add_argument(
@@ -105,14 +100,6 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
     Raises:
         ConfigurationError: an option is wrong.
     """
-    if arguments.terminal:
-        of_the_page = {
-            "--host": arguments.host, "--port": arguments.port,
-            "--token-file": arguments.token_file,
-        }
-        for key, value in of_the_page.items():
-            if value is not None:
-                raise ConfigurationError("applies to the page, not to --terminal", key=key)
     bag: Path | None = arguments.bag
     if bag is not None and not (bag.is_dir() and any(bag.glob("*.mcap"))):
         raise ConfigurationError(
@@ -145,19 +132,10 @@ def main() -> int:
     os.nice(_GIVE_WAY)
     store = Store(arguments.namespace)
     store.allow_release = arguments.allow_release
-    what = {"bag": arguments.bag, "site_file": arguments.site}
-    if arguments.terminal:
-        from greenroof_ros.watch.terminal import run
-
-        with Feed(store, **what) as feed:
-            run(store, feed)
-        return EXIT_DONE
     try:
         from greenroof_ros.watch.server import serve
     except ModuleNotFoundError as error:
-        raise ConfigurationError(
-            f"needs {error.name}: {with_extra('watch')}; --terminal does not need it"
-        ) from error
+        raise ConfigurationError(f"needs {error.name}: {with_extra('watch')}") from error
     host, port = arguments.host or LOOPBACK, arguments.port
     # Releasing always needs a token: behind a proxy each request comes from this machine.
     needed = store.allow_release or not is_loopback(host)
@@ -167,7 +145,7 @@ def main() -> int:
     signals = Signals()
     with (
         suppress(InterruptedRun),
-        Feed(store, **what) as feed,
+        Feed(store, bag=arguments.bag, site_file=arguments.site) as feed,
     ):
         serve(
             store, feed, host=host, port=port, token=token, signals=signals,

@@ -1,4 +1,4 @@
-"""What page and terminal show, as data for JSON: the document, and the series of the charts.
+"""What page and status show, as data for JSON: the document, and the series of the charts.
 
 One function makes each of them from a store.
 
@@ -50,7 +50,7 @@ _HEADINGS = {
 
 
 def document(store: Store, wall: float) -> dict[str, Any]:
-    """Return everything that page and terminal show, below 100 kB, as plain texts.
+    """Return everything that page and status show, below 100 kB, as plain texts.
 
     Each part is made on its own: one that cannot be made is replaced, and a note says so.
 

@@ -94,7 +94,8 @@ class Feed:
     """Feeds a :class:`~greenroof_ros.watch.store.Store` while its context is entered."""
 
     def __init__(
-        self, store: Store, *, bag: Path | None = None, site_file: Path | None = None
+        self, store: Store, *, bag: Path | None = None, site_file: Path | None = None,
+        recording: bool = True,
     ) -> None:
         """Start with nothing.
 
@@ -102,6 +103,8 @@ class Feed:
             store: the store to feed.
             bag: the bag to read; None for the bag that the graph writes.
             site_file: the site file by which levels are judged; None for the graph's own.
+            recording: whether to read the bag that the graph writes; without it, only the present
+                is known.
 
         Raises:
             ConfigurationError: the site file is wrong.
@@ -110,6 +113,7 @@ class Feed:
         self._graph = store.alarms.registry
         self._bag = None if bag is None else bag.resolve()
         self._site_file = site_file
+        self._follows = recording
         self._topics = read_topics()
         self._run = 0
         self._lock = threading.Lock()  # of _recorded
@@ -119,6 +123,7 @@ class Feed:
         self._live: bool | None = None  # whether the graph shown, now or last, is live
         self._site: tuple[Path, int] | None = None  # file, and when it was written (ns)
         self._awake = time.monotonic()
+        self._said_at = 0.0
         self._problem, self._problem_until = "", 0.0
         self._asked: list[tuple[str, dict[str, Any], Future[str]]] = []
         self._asking = threading.Lock()  # of that list
@@ -262,7 +267,7 @@ class Feed:
                 self._read_beside(self._recorded.bag)
             self._say_now()  # before new values: an account has other rules on a live site
         self._judge_by(self._site_file or self._site_of_graph())
-        bag = self._bag or self._graph.bag()
+        bag = self._bag or (self._graph.bag() if self._follows else None)
         if bag is not None and (self._recorded is None or self._recorded.bag != bag):
             self._follow(bag)
         if self._looker is not None:
@@ -444,7 +449,12 @@ class Feed:
         return not read.problem and (read.more or now - recorded.grew < _WAIT_S)
 
     def _shows_samples(self, now: float) -> bool:
-        """Return whether the run is too fast to be heard in full, and no recording is here."""
+        """Return whether the run is too fast to be heard in full, and no recording is here.
+
+        If none is to be read, also while the run's speed is not known yet.
+        """
+        if not self._follows:
+            return self._running and not self._listens_since
         recorded = self._recorded is not None and not self._recorded.read.problem
         too_fast = not self._listens_since and (self._factor or 0.0) > FASTEST
         waited = now - self._waits_since > _FOUND_S
@@ -453,11 +463,12 @@ class Feed:
     # --- state of the graph ---------------------------------------------------------------------
 
     def _say(self) -> None:
-        if time.monotonic() - self._store.wall >= _SAY_S:
+        if time.monotonic() - self._said_at >= _SAY_S:
             self._say_now()
 
     def _say_now(self) -> None:
         now, mode, recorded = time.monotonic(), self._store.mode, self._recorded
+        self._said_at = now
         notes = [self._problem] if now < self._problem_until else []
         if self._no_ros:
             notes.append(f"Only the recording is shown: {self._no_ros}.")
@@ -468,7 +479,7 @@ class Feed:
         shown = self._shows_graph()
         if not shown and self._graph.mode(now) not in ("none", "ended"):
             notes.append(f"Another graph runs here; {self._bag} is shown.")
-        if self._shows_samples(now):
+        if self._follows and self._shows_samples(now):
             notes.append(
                 "Shows samples: the run is too fast to be heard in full, and there is no recording "
                 "of it here."

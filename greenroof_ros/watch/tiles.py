@@ -215,6 +215,8 @@ def _state(store: Store, said: str | None) -> tuple[str, str]:
     if pumped is None or pumped.value is None:
         if share is None:
             return "unknown", "neither flow nor command is known"
+        if store.mode in ("live", "loop"):
+            return "unknown", "nothing is heard from its node"
         return ("off", why) if share == 0 or why else ("running", "")
     rests = "it rested between two runs" if store.ended else "it rests between two runs"
     return ("running", "") if pumps_run(site, pumped.value) else ("off", why or rests)

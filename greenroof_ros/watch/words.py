@@ -1,4 +1,4 @@
-"""Numbers, times and sentences as an operator reads them: one place for page and terminal."""
+"""Numbers, times and sentences as an operator reads them: one place for page and status."""
 
 from __future__ import annotations
 

@@ -15,8 +15,9 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from commands import run_command
 from disks import disk_that_hangs, full_pipe, small_disk
-from graphs import Process, alive, free_ports, summary_of, wait_for
+from graphs import Process, alive, environment, free_ports, summary_of, wait_for
 from places import CONFIG, guarding
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -270,6 +271,36 @@ def test_a_live_site_with_drive_and_sensors(
     summary = summary_of(tmp_path / "run")
     assert summary["status"] == "failed" and "THE PUMP MAY BE RUNNING" in summary["reason"]
     assert (tmp_path / "run" / "pump.json").is_file()
+
+
+def test_its_status_is_an_alarm_while_a_dead_pump_node_is_not_replaced(
+    domain: int, tmp_path: Path, hardware: Hardware
+) -> None:
+    """A node that died earlier is never heard. Here bringup is suspended, and cannot replace it."""
+
+    def status() -> tuple[int, list[str]]:
+        done = run_command("status", cwd=tmp_path, env=environment(domain))
+        return done.returncode, done.stdout.splitlines()
+
+    def pump() -> str:
+        return next(line for line in status()[1] if line.startswith("Pump "))
+
+    with live(domain, tmp_path, *hardware.be_a_site(), code=1) as process:
+        hardware.begin()
+        hardware.until_it_pumps()
+        wait_for(lambda: status()[0] < 2, 60, "a site without alarms")
+        assert "running" in pump()
+        os.kill(process.process.pid, signal.SIGSTOP)
+        try:
+            os.kill(process.nodes()["pump"], signal.SIGKILL)
+            code, lines = status()
+        finally:
+            os.kill(process.process.pid, signal.SIGCONT)
+        assert code == 2, lines
+        assert len(lines) <= 15
+        assert any(line.startswith("Pump           unknown") for line in lines)
+        hardware.until_it_pumps()
+        wait_for(lambda: status()[0] < 2, 60, "the site as before")
 
 
 # Longer than a recorder waits for a flush (s), and for one that lasts.

@@ -1,21 +1,19 @@
-"""Pictures of page and terminal in each state: ``python tools/watch/pictures.py DIRECTORY``.
+"""Pictures of the page in each state: ``python tools/watch/pictures.py DIRECTORY``.
 
 Each state is a real graph: a simulation at full speed, a storm that an ensemble of forecasts
 predicts, a live site whose drive has a fault, one with a silent roof sensor, one whose pump was
 stopped on the page and one where it was released there, a run that ended while the page was open,
-and the recording of a run. The page is captured in Chromium, at three widths, light and dark; the
-terminal as text. ``doc/_static/`` has the storm, cut below its charts, and the fault, cut below its
-third alarm, both 1400 px wide and light.
+and the recording of a run. The page is captured in Chromium, at three widths, light and dark.
+``doc/_static/`` has the storm, cut below its charts, and the fault, cut below its third alarm, both
+1400 px wide and light.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -28,9 +26,6 @@ from browsers import started_browser
 from faults.rig import SiteRig
 from graphs import Process, bring_up, free_ports, own_domain, wait_for
 from places import DATA
-from rich.console import Console
-
-from greenroof_ros.watch.terminal import pages
 
 WIDTHS, SCHEMES, HEIGHT = (1400, 800, 400), ("light", "dark"), 900
 # A storm of 23 mm begins some hours after this time.
@@ -171,20 +166,6 @@ STATES: dict[str, Callable[[int, Path], Any]] = {
 }
 
 
-def _sent(address: str, name: str) -> dict[str, Any]:
-    """Return an event that the page receives, by its name in the stream."""
-    place, _, token = address.partition("#token=")
-    request = urllib.request.Request(
-        f"{place}events?hours=12", headers={"Authorization": f"Bearer {token}"}
-    )
-    with urllib.request.urlopen(request, timeout=30) as stream:
-        for line in stream:
-            if line.strip() == f"event: {name}".encode():
-                sent: dict[str, Any] = json.loads(stream.readline().removeprefix(b"data: "))
-                return sent
-    raise AssertionError(f"no {name}")
-
-
 def click(address: str, selectors: tuple[str, ...]) -> None:
     """Click on the page as slowly as a person who reads what appears."""
     with started_browser() as browser:
@@ -197,9 +178,6 @@ def click(address: str, selectors: tuple[str, ...]) -> None:
 
 def take(state: str, address: str, directory: Path) -> None:
     """Capture the pictures of a state."""
-    with (directory / f"{state}.txt").open("w") as file:
-        console = Console(width=80, height=24, no_color=True, file=file)
-        console.print(pages(_sent(address, "state"), _sent(address, "series"), console, 24)[0])
     with started_browser() as browser:
         for scheme in SCHEMES:
             for width in WIDTHS:

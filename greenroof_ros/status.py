@@ -1,0 +1,182 @@
+"""Say once how a run or a site is, with an exit code for scripts: ``greenroof status``."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from datetime import datetime, timezone
+from functools import partial
+from typing import Any
+
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, namespace
+from greenroof_ros.watch.document import document
+from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.words import SPACE, UNKNOWN
+
+WARNING, ALARM, NOTHING = 1, 2, 3
+_STATES = {EXIT_DONE: "well", WARNING: "warning", ALARM: "alarm", NOTHING: "nothing running"}
+
+# How long it listens at least, once it hears a node, and how long in all (s). Each node reports
+# four times a second, but the middleware may take seconds to find it.
+_SETTLED_S, _LONGEST_S = 2.0, 5.0
+_LOOK_S = 0.1
+_MOST_LINES = 15
+_TILES = "roof", "cistern", "pump", "rain", "controller"
+_LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not heard"}
+
+_DESCRIPTION = """\
+Say once how the run or the site in this ROS domain is: levels, pump, rain and forecast, controller
+and alarms, in at most 15 lines, with the words of the page of 'greenroof watch'. It only listens,
+for 2 s once it hears a node, and for 5 s if values are missing or nothing runs: each node reports
+four times a second, but may be found late.
+"""
+_EPILOG = """\
+examples:
+  greenroof status
+  ssh pi@roof greenroof status          from another machine
+  greenroof status --json --namespace site1
+
+exit codes, as monitoring plug-ins have them: 0 well, 1 warning, 2 alarm, 3 nothing is running, or
+the command failed or was used wrongly
+"""
+
+
+def make_parser() -> Parser:
+    """Return the command's parser."""
+    parser = Parser(
+        prog="greenroof status", usage="%(prog)s [options]", description=_DESCRIPTION,
+        epilog=_EPILOG,
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print it as JSON, with numbers in SI units",
+    )
+    parser.add_argument(
+        "--namespace", type=namespace, default="", metavar="NAME",
+        help="namespace of the graph, as passed to bringup (default: none)",
+    )
+    return parser
+
+
+@partial(command, failed=NOTHING)
+def main() -> int:
+    """Print the status, and return how serious it is."""
+    arguments = make_parser().parse_args()
+    store = Store(arguments.namespace)
+    with Feed(store, recording=False):
+        shown = _listen(store)
+        code = _judge(shown)
+        values = _values(store, shown, code)
+    if arguments.json:
+        text = json.dumps(values, indent=2, ensure_ascii=False)
+    else:
+        text = "\n".join(_lines(shown, code))
+    print(text.replace(SPACE, " "))
+    return code
+
+
+def _listen(store: Store) -> dict[str, Any]:
+    """Return the document when everything is known, or after the longest time."""
+    began, heard = time.monotonic(), None
+    while True:
+        time.sleep(_LOOK_S)
+        now = time.monotonic()
+        shown = document(store, now)
+        if shown["mode"] != "none" and heard is None:
+            heard = now
+        settled = heard is not None and now - heard >= _SETTLED_S and not _unknown(shown)
+        if settled or now - began >= _LONGEST_S:
+            return shown
+
+
+def _unknown(shown: Mapping[str, Any]) -> set[str]:
+    """Return the names of the tiles whose values are unknown."""
+    return {name for name in _TILES if shown["tiles"][name]["state"] == "unknown"}
+
+
+def _judge(shown: Mapping[str, Any]) -> int:
+    """Return the exit code: by the alarms, and by what is unknown although nobody reports it.
+
+    On a site that is an alarm: a node that died before this command began is never heard, and a
+    pump about which nothing is known may run. A level out of its range is no alarm by itself: a
+    controller that waits for rain lets the roof dry.
+    """
+    mode, tiles = shown["mode"], shown["tiles"]
+    unknown = _unknown(shown) - {"rain"}
+    if mode in ("none", "ended"):
+        return NOTHING
+    if tiles["summary"]["level"] == "error" or (unknown and mode in ("live", "loop")):
+        return ALARM
+    return WARNING if unknown or _present(shown) else EXIT_DONE
+
+
+def _lines(shown: Mapping[str, Any], code: int) -> list[str]:
+    """Return the status in words; a single line if nothing runs."""
+    tiles = shown["tiles"]
+    summary = tiles["summary"]
+    said = f"{summary['word']} {summary['sentence']}"
+    if code == NOTHING:
+        return [f"{said} {shown['advice']}"]
+    where = filter(None, (shown["heading"], shown["namespace"], shown["time"]["text"]))
+    lines = [said, f"What to do: {shown['advice']}", "; ".join(where)]
+    for name in _TILES:
+        tile = tiles[name]
+        why = tile.get("why", "")
+        sentence = "; ".join(filter(None, (
+            tile["sentence"], "" if why in tile["sentence"] else why,
+        )))
+        lines.append(f"{tile['label']:14} {tile['value']:14} {sentence}".rstrip())
+    lines += [*map(_alarm, _present(shown)), *shown["notes"]]
+    if (hidden := len(lines) - _MOST_LINES + 1) > 1:
+        lines[-hidden:] = [f"and {hidden} more: see 'greenroof watch', or --json"]
+    return lines
+
+
+def _present(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the present alarms."""
+    return [row for row in shown["alarms"] if row["over"] is None]
+
+
+def _alarm(row: Mapping[str, Any]) -> str:
+    follows = f"; follows from {row['follows']}" if row["follows"] else ""
+    return f"{_LEVELS[row['level']]}: {row['id']}: {row['what']}{follows}"
+
+
+def _values(store: Store, shown: Mapping[str, Any], code: int) -> dict[str, Any]:
+    """Return the status as data; None is *unknown*."""
+    tiles, now = shown["tiles"], shown["time"]["now"]
+    controller = tiles["controller"]["value"]
+    with store.lock:
+        forecast, factor, command = store.forecast, store.factor, store.known("/pump/command")
+    amount = None if forecast is None or now is None else forecast.amount(now)
+    return {
+        "status": _STATES[code],
+        "exit_code": code,
+        "summary": f"{tiles['summary']['word']} {tiles['summary']['sentence']}",
+        "advice": shown["advice"],
+        "mode": shown["mode"],
+        "namespace": shown["namespace"],
+        "time": None if now is None
+        else datetime.fromtimestamp(now, timezone.utc).isoformat(timespec="seconds"),
+        "times_real_time": factor,
+        "cistern_level_m": tiles["cistern"]["number"],
+        "roof_level_m": tiles["roof"]["number"],
+        "pump": tiles["pump"]["state"],
+        "pump_why": tiles["pump"]["why"],
+        "pump_flow_m3_s": tiles["pump"]["number"],
+        "command": command,
+        "controller": None if controller == UNKNOWN else controller,
+        "rain_m_s": tiles["rain"]["number"],
+        "forecast_rain_m": None if amount is None else amount.mean,
+        "forecast_reach_s": None if amount is None else amount.reach_s,
+        "alarms": [
+            {key: row[key] for key in ("code", "level", "id", "what", "do", "follows")}
+            for row in _present(shown)
+        ],
+        "notes": shown["notes"],
+    }
+
+
+if __name__ == "__main__":
+    main()
