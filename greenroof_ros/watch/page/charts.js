@@ -5,7 +5,7 @@ const { uPlot } = window;
 
 const HOUR = 3600_000;
 const AHEAD = 12; // hours
-const AXIS = 64; // width of an axis and its title (px), the same for all charts: their times line up
+const AXIS = 72; // width of an axis and its title (px), the same for all charts: their times line up
 const TOP = 10; // px above the plot, for the upper half of the axis's highest number
 const FEWEST = 60_000; // ms: the least that a zoom shows
 
