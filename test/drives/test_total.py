@@ -33,7 +33,7 @@ def published(
     Args:
         messages: to a gauge that says mm, in the order of their arrival.
         until: end of the integral (s).
-        suspended: for so long (s) the machine sleeps before the last message.
+        suspended: how long (s) the machine sleeps before the last message.
     """
     monkeypatch.setattr(total.time, "monotonic", lambda: Clock.now)
     monkeypatch.setattr(total, "boot_time", lambda: Clock.now + Clock.slept)
