@@ -30,7 +30,7 @@ Record = TypeVar("Record")
 # A whole number that a file may write in hexadecimal, such as 0x047E.
 Word = NewType("Word", int)
 
-_HEXADECIMAL = re.compile(r"0x[0-9A-Fa-f]{1,8}")
+_HEXADECIMAL = re.compile(r"0x[0-9A-Fa-f]{1,16}")
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ class Register:
     type: str = entry("how it is coded", choices=(*WIDTHS, "text"))
     meaning: str = entry("what its value means")
     source: str = entry("page or table of one of the sources, or 'none'")
-    word_order: str = entry("which half of 32 bits comes first", choices=WORD_ORDERS, default="")
+    word_order: str = entry("which word of several comes first", choices=WORD_ORDERS, default="")
     length: int = entry("text only: number of registers, two characters each", 0, 64, default=0)
     unit: str = entry("unit of the scaled value; empty: a plain word", choices=UNITS, default="")
     scale: float = entry("value = scale x raw", default=1.0)

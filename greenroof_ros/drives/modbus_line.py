@@ -31,7 +31,10 @@ if TYPE_CHECKING:
     from pymodbus.pdu import ModbusPDU
 
 # The number of registers that a value takes.
-WIDTHS = {"uint16": 1, "int16": 1, "uint32": 2, "int32": 2, "float32": 2}
+WIDTHS = {
+    "uint16": 1, "int16": 1, "uint32": 2, "int32": 2, "float32": 2, "uint64": 4, "int64": 4,
+    "float64": 4,
+}
 WORD_ORDERS = ("", "high first", "low first")
 # The maker and product that the drive simulator reports (function 43/14).
 SIMULATOR = ("greenroof_ros", "drive simulator")
@@ -421,16 +424,16 @@ def _serial_client(
 
 
 def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
-    """Yield a mistake in ``word_order``: missing for two words, or given for another type."""
-    if WIDTHS.get(kind) == 2 and not word_order:
+    """Yield a mistake in ``word_order``: missing for several words, or given for another type."""
+    if WIDTHS.get(kind, 1) > 1 and not word_order:
         yield "word_order", "must be 'high first' or 'low first'"
-    elif word_order and WIDTHS.get(kind) != 2:
-        yield "word_order", f"is for numbers of 32 bits, not for {kind}"
+    elif word_order and WIDTHS.get(kind, 1) == 1:
+        yield "word_order", f"is for numbers of 32 or 64 bits, not for {kind}"
 
 
 def limits(kind: str) -> tuple[float, float]:
     """Return the least and the greatest value of a register type."""
-    if kind == "float32":
+    if kind.startswith("float"):
         return -math.inf, math.inf
     bits = 16 * WIDTHS[kind]
     return (0, 2**bits - 1) if kind.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
@@ -453,7 +456,7 @@ def encode(value: float, kind: str, word_order: str = "") -> list[int]:
     """Return the registers for a number; integers are rounded and limited to their range."""
     from pymodbus.client.mixin import ModbusClientMixin
 
-    if kind != "float32":
+    if not kind.startswith("float"):
         low, high = limits(kind)
         value = int(min(max(round(value), low), high))
     return ModbusClientMixin.convert_to_registers(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, decode
@@ -13,16 +14,19 @@ class ModbusReader(DeviceThread[Reading]):
     """Reads a sensor once per period. It connects if needed, and again after every failure.
 
     A refused value, a failure, or a suspend of the machine empties the filter: the next value then
-    comes from new readings only.
+    comes from new readings only. The rise of a total remains.
     """
 
-    def __init__(self, sensor: ModbusSensor, unit: str, timeout_s: float = 0.5) -> None:
+    def __init__(
+        self, sensor: ModbusSensor, unit: str, timeout_s: float = 0.5, spread_s: float = math.inf
+    ) -> None:
         """Prepare the reader without connecting.
 
         Args:
             sensor: what to read.
             unit: of the quantity, for messages.
             timeout_s: longest wait for a connection, and for each answer (s).
+            spread_s: longest time over which a rise of a total is spread (s).
 
         Raises:
             ConfigurationError: there is no Modbus library.
@@ -30,8 +34,15 @@ class ModbusReader(DeviceThread[Reading]):
         super().__init__(f"{sensor.address}: reading", Reading(problem="not yet read"))
         self._sensor, self._timeout_s = sensor, timeout_s
         self._line = sensor.line(timeout_s)
-        self._readings = Readings(sensor, unit)
+        self._readings = Readings(sensor, unit, spread_s)
         self._due = time.monotonic()
+
+    @property
+    def snapshot(self) -> Reading:
+        """What is known now."""
+        with self._lock:
+            self._snapshot = self._readings.now(self._snapshot)
+            return self._snapshot
 
     def close(self) -> None:
         """End the thread; wait up to four timeouts for it to close the connection."""
@@ -53,7 +64,7 @@ class ModbusReader(DeviceThread[Reading]):
         except DriveError:
             line.close()  # a late answer must not be read as the next
             raise
-        bits = decode(registers, "uint32" if len(registers) == 2 else "uint16", sensor.word_order)
+        bits = decode(registers, f"uint{16 * len(registers)}", sensor.word_order)
         if bits == sensor.missing:
             raise line.error("answer", f"says 0x{bits:X}, which means 'no reading'")
         raw = decode(registers, sensor.type, sensor.word_order)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
+import math
+import re
 import threading
 import time
 import uuid
@@ -16,13 +18,16 @@ from greenroof_ros.drives.sensor_file import MqttSensor
 _LONGEST = 65_536
 # Messages are refused for this long after a suspend (s): they may have been waiting.
 _DEAF_S = 1.0
+# A number as text, which need not be JSON: "317.3988", 00317.3988, +5.0 or .5.
+_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*", re.ASCII | re.IGNORECASE)
+_WHOLE = re.compile(r"\s*[+-]?\d+\s*", re.ASCII)
 
 
 def read_number(payload: bytes, sensor: MqttSensor) -> float:
-    """Return the number in a message.
+    """Return the number in a message; a whole number stays one, however long.
 
     Args:
-        payload: JSON; a plain number is JSON, too.
+        payload: JSON, or a plain number.
         sensor: its description, which says where the number is.
 
     Raises:
@@ -30,44 +35,50 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
     """
     if len(payload) > _LONGEST:
         raise ValueError(f"a message of {len(payload)} bytes, which is more than {_LONGEST}")
-    try:
-        value = json.loads(payload)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"says {payload[:40]!r}, which is not JSON") from error
+    value: object = payload.decode(errors="replace")
+    if sensor.value or not _NUMBER.fullmatch(str(value)):
+        try:
+            value = json.loads(payload)
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"says {payload[:40]!r}, which is not JSON") from error
     try:
         for step in sensor.steps:
-            value = value[step]
+            value = value[step]  # type: ignore[index]
     except (LookupError, TypeError) as error:
         raise ValueError(f"says {payload[:80]!r}, which has no {sensor.value}") from error
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"says {str(value)[:40]!r}, which is not a number")
-    try:
-        return float(value)
-    except OverflowError as error:
-        raise ValueError("says a number that is too large") from error
+    text = str(value)
+    if isinstance(value, bool) or not (isinstance(value, float) or _NUMBER.fullmatch(text)):
+        raise ValueError(f"says {text[:40]!r}, which is not a number")
+    number = float(text)
+    if math.isinf(number) and not isinstance(value, float):
+        raise ValueError("says a number that is too large")
+    return int(text) if _WHOLE.fullmatch(text) else number
 
 
 class MqttReader:
     """Receives what a sensor publishes. The client reconnects by itself after each failure.
 
     A message is a reading of the moment when it arrives. A retained message is no reading: it may
-    be of any age. Each loss, refusal or suspend empties the filter.
+    be of any age. Each loss, refusal or suspend empties the filter; the rise of a total remains.
     """
 
-    def __init__(self, name: str, sensor: MqttSensor, unit: str) -> None:
+    def __init__(
+        self, name: str, sensor: MqttSensor, unit: str, spread_s: float = math.inf
+    ) -> None:
         """Prepare the reader without connecting.
 
         Args:
             name: of the quantity, for the client id.
             sensor: what to receive.
             unit: of the quantity, for messages.
+            spread_s: longest time over which a rise of a total is spread (s).
 
         Raises:
             ConfigurationError: there is no MQTT library, or a file for the login is wrong.
         """
         broker, self._topic = sensor.broker_and_topic()
         self._sensor = sensor
-        self._readings = Readings(sensor, unit)
+        self._readings = Readings(sensor, unit, spread_s)
         self._reading = Reading(problem=f"{sensor.address}: not yet connected", code="broker_lost")
         self._lock = threading.Lock()
         self._online = not sensor.available
@@ -84,6 +95,7 @@ class MqttReader:
             age = time.monotonic() - self._reading.read_at
             if not self._reading.problem and age > self._sensor.max_age:
                 self._lose(f"has sent nothing for {self._sensor.max_age:g} s")
+            self._reading = self._readings.now(self._reading)
             return self._reading
 
     def start(self) -> None:

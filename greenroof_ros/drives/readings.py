@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import statistics
-import time
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from greenroof_ros.common.times import suspended_time
 from greenroof_ros.drives.modbus_line import Known
 from greenroof_ros.drives.sensor_file import Sensor
+from greenroof_ros.drives.total import Total
 
 # After a suspend longer than this (s), earlier readings are too old.
 _SUSPEND_S = 1.0
@@ -22,7 +22,8 @@ class Reading(Known):
 
     Attributes:
         read_at: when the last attempt ended or the sensor was lost (s, `time.monotonic`).
-        value: in the unit of its topic; None after a failure, or after the first of two totals.
+        value: in the unit of its topic; None after a failure, or after the first of two totals;
+            but a rise of a total is published to its end.
         code: of the problem.
     """
 
@@ -38,22 +39,27 @@ class Readings:
     start of the movement sharp. Levels of tanks are slow enough for that delay.
     """
 
-    def __init__(self, sensor: Sensor, unit: str) -> None:
+    def __init__(self, sensor: Sensor, unit: str, spread_s: float = math.inf) -> None:
         """Start without readings.
 
         Args:
             sensor: how its readings are scaled, checked and filtered.
             unit: of the quantity, for messages.
+            spread_s: longest time over which a rise of a total is spread (s).
         """
         self._sensor, self._unit = sensor, unit
         self._values: deque[float] = deque(maxlen=sensor.median)
-        self._total: tuple[float, float] | None = None  # the last one, and its time (s)
+        self._total = Total(sensor, unit, spread_s) if sensor.counts else None
         self._suspended = suspended_time()
 
     def clear(self) -> None:
-        """Forget all readings: the next value then comes from new ones only."""
+        """Forget all readings: the next value then comes from new ones only.
+
+        A total is no such reading: its growth since then has come from the sky or through the pipe.
+        """
         self._values.clear()
-        self._total = None
+        if self._total is not None:
+            self._total.lose()
 
     def forget_after_suspend(self) -> bool:
         """Forget all if the machine was suspended since the last call; tell whether it was."""
@@ -76,11 +82,9 @@ class Readings:
         value = sensor.scale * raw + sensor.offset
         if not math.isfinite(value):
             raise ValueError(f"says {raw}, which is not a number")
-        if sensor.counts:
-            rate = self._rate(value)
-            if rate is None:
-                return None
-            value = rate
+        if self._total is not None:
+            self._total.add(raw)
+            return self._total.rate()
         if not sensor.low <= value <= sensor.high:
             raise ValueError(
                 f"says {value:.6g} {self._unit} (raw {raw:g}), which is not from {sensor.low:g} to "
@@ -89,9 +93,8 @@ class Readings:
         self._values.append(value)
         return statistics.median_low(self._values)
 
-    def _rate(self, total: float) -> float | None:
-        """Return the growth of a total per second since the previous one; None if not known."""
-        before, self._total = self._total, (total, time.monotonic())
-        if before is None or total < before[0] or self._total[1] == before[1]:
-            return None
-        return (total - before[0]) / (self._total[1] - before[1])
+    def now(self, reading: Reading) -> Reading:
+        """Return a reading with its present value: a total's changes between two readings, too."""
+        if self._total is None or (rate := self._total.rate()) == reading.value:
+            return reading
+        return replace(reading, value=rate)

@@ -43,11 +43,13 @@ class Quantity(NamedTuple):
         node: name of the node that publishes it.
         topic_name: in the interface, which has its unit and range.
         limit: the parameter for its greatest age.
+        spread_s: longest time over which a rise of its total is spread (s).
     """
 
     node: str
     topic_name: str
     limit: str
+    spread_s: float = math.inf
 
     @property
     def topic(self) -> Topic:
@@ -59,7 +61,7 @@ class Quantity(NamedTuple):
 QUANTITIES = {
     "cistern": Quantity("cistern_sensor", "/cistern/level", "level_limit"),
     "roof": Quantity("roof_sensor", "/roof/level", "level_limit"),
-    "flow_meter": Quantity("flow_meter", "/pump/meter", "flow_limit"),
+    "flow_meter": Quantity("flow_meter", "/pump/meter", "flow_limit", _LONGEST_AFTERFLOW_S / 2),
     "rain_gauge": Quantity("rain_gauge", "/gauge/precipitation", "gauge_limit"),
     "thermometer": Quantity("thermometer", "/gauge/temperature", "gauge_limit"),
 }
@@ -96,7 +98,7 @@ class ModbusSensor(Sensor):
         "input registers (function 4) or holding (3)", choices=("input", "holding")
     )
     type: str = entry("how the value is coded", choices=tuple(WIDTHS))
-    word_order: str = entry("which half of 32 bits comes first", choices=WORD_ORDERS, default="")
+    word_order: str = entry("which word of several comes first", choices=WORD_ORDERS, default="")
     missing: Word | None = entry("the raw value that says 'no reading'", default=None)
     period: float = entry(
         "time between two readings (s); at most half of the greatest age of the quantity", 0.05,
@@ -304,7 +306,7 @@ def _modbus_mistakes(
         yield "address", f"{str(error).rpartition(': ')[2]}; or mqtt://HOST[:PORT]/TOPIC"
     yield from coding_mistakes(sensor.type, sensor.word_order)
     if sensor.register + sensor.registers > 65536:
-        yield "register", "leaves no room for a second register"
+        yield "register", "leaves no room for all its registers"
     ends = sorted(sensor.scale * raw + sensor.offset for raw in limits(sensor.type))
     step, unit = abs(sensor.scale), quantity.topic.unit
     if not sensor.counts and (ends[0] > sensor.low + step or ends[1] < sensor.high - step):

@@ -73,13 +73,19 @@ class SensorNode(LinkedNode):
         self._part, self._level = ("sensor", ERROR) if section in TANKS else ("gauge", WARN)
         self.open_outputs(self._topic)
         self._value: float | None = None
+        self._newest: float | None = None
+        self._counts = sensor.counts
         self._started = self._published = time.monotonic()
         self.reports.hardware = str(sensor)
         self._reader: ModbusReader | MqttReader
         if isinstance(sensor, ModbusSensor):
-            self._reader, self._hangs_s = ModbusReader(sensor, unit), _PERIODS * sensor.period
+            self._reader, self._hangs_s = ModbusReader(
+                sensor, unit, spread_s=quantity.spread_s
+            ), _PERIODS * sensor.period
         else:
-            self._reader, self._hangs_s = MqttReader(quantity.node, sensor, unit), math.inf
+            self._reader, self._hangs_s = MqttReader(
+                quantity.node, sensor, unit, quantity.spread_s
+            ), math.inf
         self._reader.start()
 
     def on_idle(self) -> None:
@@ -91,9 +97,12 @@ class SensorNode(LinkedNode):
                 self._part, STALE, "the sensor is no longer read: the reader hangs",
                 "sensor_hangs",
             )
-        elif reading.read_at > self._published or (
+        elif reading.read_at > self._published or reading.value != self._newest or (
             math.isinf(reading.read_at) and now - self._started > _AWAITED_S
         ):
+            if self._counts and self._newest and reading.value is None:
+                self.publish(self._topic, 0.0)  # all that was due has been published
+            self._newest = reading.value
             self._published = reading.read_at
             self._value = reading.value
             if reading.value is not None:

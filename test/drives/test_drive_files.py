@@ -153,6 +153,9 @@ def test_no_addresses(text: str, message: str) -> None:
         ("int32", "high first", [0xFFFF, 0xFFFD], -3),
         # IEEE 754 textbook example: 0x3FC00000 is 1.5.
         ("float32", "high first", [0x3FC0, 0x0000], 1.5),
+        ("uint64", "low first", [0x0001, 0, 0, 0x0002], 2**49 + 1),
+        ("int64", "high first", [0xFFFF, 0xFFFF, 0xFFFF, 0xFFFD], -3),
+        ("float64", "high first", [0x3FF8, 0x0000, 0x0000, 0x0000], 1.5),
         ("text", "", [0x4142, 0x4300], "ABC"),
     ],
 )
@@ -163,6 +166,7 @@ def test_values_of_all_types(kind: str, order: str, words: list[int], value: obj
 @pytest.mark.parametrize(("kind", "low", "high"), [
     ("uint16", 0, 0xFFFF), ("int16", -0x8000, 0x7FFF),
     ("uint32", 0, 0xFFFF_FFFF), ("int32", -0x8000_0000, 0x7FFF_FFFF),
+    ("uint64", 0, 2**64 - 1), ("int64", -(2**63), 2**63 - 1),
 ])
 def test_a_type_has_its_own_limits(kind: str, low: int, high: int) -> None:
     assert limits(kind) == (low, high)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from graphs import free_ports
-from modbus_wire import Answer, Wire
+from modbus_wire import Answer, Registers, Wire
 from places import CONFIG
 from simulators import until
 
@@ -68,6 +68,14 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
         ("0BB8", {"scale": 0.001, "offset": -0.5, "kind": "holding"}, 2.5),
         ("FF9C", {"type": "int16", "scale": 0.01, "offset": 3.0}, 2.0),  # -100
         ("0000 4020", {"type": "float32", "word_order": "low first", "scale": 1.0}, 2.5),
+        ("0000 0000 0000 5A3C", {"type": "uint64", "word_order": "high first"}, 2.31),
+        ("FF9C FFFF FFFF FFFF", {"type": "int64", "word_order": "low first", "scale": 0.01,
+                                 "offset": 3.0}, 2.0),
+        ("4004 0000 0000 0000", {"type": "float64", "word_order": "high first", "scale": 1.0},
+         2.5),
+        ("8000 0000 0000 0000",
+         {"type": "uint64", "word_order": "high first", "missing": 2**63},
+         "says 0x8000000000000000, which means 'no reading'"),
         # A value that cannot be a level is refused with the reason.
         ("EA61", {}, "says 6.0001 m (raw 60001), which is not from 0 to 6 m"),
         ("FFFF", {"missing": 0xFFFF}, "says 0xFFFF, which means 'no reading'"),
@@ -129,6 +137,40 @@ def test_no_error_ends_the_reading_for_good() -> None:
         first = exchange.snapshot
         assert first.value is None
         until(lambda: exchange.snapshot.read_at > first.read_at)
+
+
+@pytest.mark.parametrize(("kind", "start"), [("uint64", 2**60), ("int64", -3), ("uint16", 65_533)])
+def test_all_water_of_a_counter_arrives_tip_by_tip(kind: str, start: int) -> None:
+    """Five tips of 0.2 mm: two at once, three at once after the sensor was lost for a while.
+
+    2**60 and 2**60 + 1 are equal as floats; the 16-bit counter rolls over.
+    """
+    width = 4 if "64" in kind else 1
+
+    def words(tips: int) -> dict[int, int]:
+        data = ((start + tips) % 2 ** (16 * width)).to_bytes(2 * width, "big")
+        return {16 + i: int.from_bytes(data[2 * i:2 * i + 2], "big") for i in range(width)}
+
+    gauge = Registers(words(0))
+    with closing(Wire(gauge)) as wire, closing(ModbusReader(sensor(
+        wire.at, type=kind, word_order="high first" if width > 1 else "", kind="holding",
+        counts=True, scale=0.0002, high=0.001,
+    ), "m/s", timeout_s=0.2)) as reader:
+        reader.start()
+        until(lambda: reader.snapshot.value == 0.0)
+        total, before, value = 0.0, time.monotonic(), 0.0
+        began, steps = before, [(0.1, 2), (1.0, None), (2.0, 5)]
+        while time.monotonic() - began < 5.0 or reader.snapshot.value:
+            if steps and time.monotonic() - began > steps[0][0]:
+                tips = steps.pop(0)[1]
+                gauge.silent = tips is None
+                gauge.values = gauge.values if tips is None else words(tips)
+            time.sleep(0.002)
+            now = time.monotonic()
+            total += value * (now - before)
+            before, value = now, reader.snapshot.value or 0.0
+            assert value <= 0.001
+    assert total == pytest.approx(0.001, rel=0.02)
 
 
 # --- the file -------------------------------------------------------------------------------------

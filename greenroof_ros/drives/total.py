@@ -1,0 +1,158 @@
+"""A running total, as of a tipping bucket or a water meter, as the rate at which it grows."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import defaultdict, deque
+
+from greenroof_ros.common.times import boot_time
+from greenroof_ros.drives.sensor_file import Sensor
+
+# A message may be repeated or overtaken for this long (s).
+_LATE_S = 2.0
+# A rise may exceed the greatest rate by what that rate brings in this time (s).
+_BURST_S = 60.0
+# Shortest time over which a rise is spread (s): several of the node's looks.
+_SHORTEST_S = 0.5
+# Widths of the counters that roll over.
+_BITS = (16, 32, 64)
+
+
+class Total:
+    """Spreads each rise of a total over as long as it took, never faster than the greatest rate.
+
+    The integral of `rate` over time, each value held until the next call, is the rise of the total.
+    Each call counts what the previous value has brought; what is still due stays due through a lost
+    connection or a suspend. A copy of a message therefore changes nothing, nor does its delay.
+    """
+
+    def __init__(self, sensor: Sensor, unit: str, longest_s: float) -> None:
+        """Start without a total.
+
+        Args:
+            sensor: its scale and greatest rate.
+            unit: of the rate, for messages.
+            longest_s: longest time over which a rise is spread (s).
+        """
+        self._sensor, self._unit, self._longest_s = sensor, unit, longest_s
+        self._burst_s = min(_BURST_S, longest_s)
+        self._lock = threading.Lock()
+        self._last: float | None = None  # the last raw total
+        self._at = 0.0  # when it came (s, `boot_time`)
+        self._former: float | None = None  # the total before a fall, until the next rise
+        self._odd: tuple[float, float] | None = None  # a refused total, and when it came
+        self._rises: deque[tuple[float, float]] = deque()  # recent: when, and the total before
+        self._growing = False  # whether the newest total continues an earlier one
+        self._rates: defaultdict[float, float] = defaultdict(float)  # by their end (s)
+        self._due = self._shown = 0.0
+        self._looked = time.monotonic()
+
+    def lose(self) -> None:
+        """Note that the sensor is lost: no rise since the last total is known, only what is due."""
+        with self._lock:
+            self._growing = False
+
+    def rate(self) -> float | None:
+        """Return the present rate; None if nothing is due and no growth is known."""
+        with self._lock:
+            now = time.monotonic()
+            self._due -= self._shown * (now - self._looked)
+            self._looked = now
+            for end in [end for end in self._rates if end <= now]:
+                del self._rates[end]
+            if self._due <= 0:
+                self._shown = 0.0
+            elif self._rates:
+                self._shown = min(sum(self._rates.values()), self._sensor.high)
+            else:  # the greatest rate, or a late look, left a remainder
+                self._shown = self._shown or self._sensor.high
+            return self._shown if self._shown or self._growing else None
+
+    def add(self, raw: float) -> None:
+        """Add a total.
+
+        Args:
+            raw: as the sensor says it; differences of whole numbers are exact.
+
+        Raises:
+            ValueError: it rose faster than the greatest rate allows; it changes nothing.
+        """
+        with self._lock:
+            now = boot_time()
+            if self._last is None:
+                self._start(raw, now)
+                return
+            while self._rises and now - self._rises[0][0] > _LATE_S:
+                self._rises.popleft()
+            gap = now - self._at
+            if self._former is not None and self._grew(self._former, raw, gap):
+                self._last = self._former  # the fall was a single wrong or late total
+            if self._grew(self._last, raw, gap):
+                self._rise(raw, self._sensor.scale * (raw - self._last), now)
+            elif self._sensor.scale * (raw - self._last) > 0:
+                self._refuse(raw, now)
+            elif self._rises and self._sensor.scale * (raw - self._rises[0][1]) >= 0:
+                pass  # a late message: its water has been counted
+            elif (wrapped := self._roll_over(raw, gap)) is not None:
+                self._rise(raw, wrapped, now)
+            else:  # the sensor has started again
+                former = self._former or self._last
+                self._start(raw, now)
+                self._former = former
+
+    def _allowed(self, gap: float) -> float:
+        """Return the greatest rise in a time (s)."""
+        return self._sensor.high * (self._burst_s + min(gap, self._longest_s))
+
+    def _grew(self, before: float, raw: float, gap: float) -> bool:
+        return 0 <= self._sensor.scale * (raw - before) <= self._allowed(gap)
+
+    def _roll_over(self, raw: float, gap: float) -> float | None:
+        """Return the rise of a counter that may have passed its end; None if it did not."""
+        if not (isinstance(raw, int) and isinstance(self._last, int)):
+            return None
+        rises = (self._sensor.scale * ((raw - self._last) % 2**bits) for bits in _BITS)
+        return next((rise for rise in rises if 0 < rise <= self._allowed(gap)), None)
+
+    def _start(self, raw: float, now: float) -> None:
+        self._last, self._at, self._growing = raw, now, False
+        self._former = self._odd = None
+        self._rises.clear()
+
+    def _rise(self, raw: float, rise: float, now: float) -> None:
+        gap, before = now - self._at, self._last
+        assert before is not None
+        self._last, self._at, self._growing, self._odd = raw, now, True, None
+        if not rise:
+            return
+        self._former = None
+        self._rises.append((now, before))
+        began = time.monotonic()
+        end = began + min(max(gap, _SHORTEST_S), self._longest_s)
+        # One of several tips at once shares the time of the first.
+        end = min(
+            (other for other in self._rates if end < other <= began + self._burst_s), default=end
+        )
+        self._rates[end] += rise / (end - began)
+        self._due += rise
+
+    def _refuse(self, raw: float, now: float) -> None:
+        """Refuse a rise, unless a later total confirms it: then the sensor has started again.
+
+        Raises:
+            ValueError: it is refused.
+        """
+        odd = self._odd
+        confirms = odd is not None and self._grew(odd[0], raw, now - odd[1])
+        if odd is not None and confirms and now - odd[1] > _LATE_S:
+            self._start(raw, now)
+            return
+        if not confirms:
+            self._odd = raw, now
+        assert self._last is not None
+        rise, amount = self._sensor.scale * (raw - self._last), self._unit.removesuffix("/s")
+        raise ValueError(
+            f"says {raw:g}, a total that rose by {rise:.6g} {amount} in {now - self._at:.1f} s, "
+            f"which is faster than {self._sensor.high:g} {self._unit}"
+        )

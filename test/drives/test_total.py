@@ -1,0 +1,164 @@
+"""Totals of gauges and meters: as much water is published as the total has risen by."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable
+
+import pytest
+
+from greenroof_ros.drives import total
+from greenroof_ros.drives.sensor_file import MqttSensor
+from greenroof_ros.drives.total import Total
+
+# Time between two looks of a sensor's node (s), and what they may add to the last rise (mm).
+LOOK_S = 0.05
+LOOK_MM = 1.01 * LOOK_S * 1e-4 / 0.001
+# When (s), and the total (mm); None for a lost connection.
+Messages = Iterable[tuple[float, float | None]]
+
+
+class Clock:
+    """A clock that a test sets; `slept` is the time in suspends."""
+
+    now = slept = 0.0
+
+
+def published(
+    monkeypatch: pytest.MonkeyPatch, messages: Messages, until: float, *, suspended: float = 0.0,
+    scale: float = 0.001, high: float = 1e-4, longest_s: float = float("inf"),
+) -> tuple[float, float, list[str]]:
+    """Return the integral of the published rate (mm), its greatest value and what was refused.
+
+    Args:
+        messages: to a gauge that says mm, in the order of their arrival.
+        until: end of the integral (s).
+        suspended: how long (s) the machine sleeps before the last message.
+    """
+    monkeypatch.setattr(total.time, "monotonic", lambda: Clock.now)
+    monkeypatch.setattr(total, "boot_time", lambda: Clock.now + Clock.slept)
+    Clock.now = Clock.slept = 0.0
+    sensor = MqttSensor(
+        address="mqtt://h/t", scale=scale, low=0.0, high=high, median=1, max_age=60.0, counts=True
+    )
+    gauge, waiting = Total(sensor, "m/s", longest_s), list(messages)
+    sum_m, highest, refused, rate = 0.0, 0.0, [], 0.0
+    for look in range(round(until / LOOK_S)):
+        sum_m += rate * (look * LOOK_S - Clock.now)
+        Clock.now = look * LOOK_S
+        while waiting and waiting[0][0] <= Clock.now:
+            Clock.slept = suspended if len(waiting) == 1 else 0.0
+            _, raw = waiting.pop(0)
+            try:
+                gauge.lose() if raw is None else gauge.add(raw)
+            except ValueError as error:
+                refused.append(str(error))
+                gauge.lose()
+        rate = gauge.rate() or 0.0
+        highest = max(highest, rate)
+    assert not waiting
+    return sum_m / 0.001, highest, refused
+
+
+def thrice(*messages: tuple[float, float]) -> list[tuple[float, float]]:
+    return [(at + late, raw) for at, raw in messages for late in (0.0, 0.05, 0.1)]
+
+
+@pytest.mark.parametrize(
+    ("messages", "risen"),
+    [
+        # Each message three times, as from a radio gauge.
+        (thrice((0, 17.4), (30, 18.4), (60, 19.6)), 2.2),
+        # Two tips within 0.3 s, and five.
+        ([(0, 17.0), (20, 17.2), (20.1, 17.6), (50, 18.0)], 1.0),
+        ([(0, 0.0), *((1 + 0.05 * tip, 0.2 * tip) for tip in range(6))], 1.0),
+        # A copy overtakes, once and often; a message comes late that was never seen.
+        ([(0, 17.0), (9, 17.2), (9.3, 17.4), (9.4, 17.2), (9.5, 17.4), (30, 17.6)], 0.6),
+        ([(0, 17.0), *((9 + 0.1 * i, raw) for i, raw in
+                       enumerate((17.2, 17.6, 17.4, 17.2, 17.6, 17.4, 17.6)))], 0.6),
+        # The gauge starts again: what fell before and after it counts, the fall does not.
+        ([(0, 17.4), (10, 17.8), (20, 0.0), (30, 0.2), (40, 0.6)], 1.0),
+        ([(0, 0.4), (10, 0.6), (20, 0.0), (30, 0.2), (40, 0.4), (50, 0.6), (60, 0.8)], 1.0),
+        # A single zero, and a single wrong total, once and thrice.
+        ([(0, 2.0), (10, 2.2), (20, 0.0), (30, 2.2), (40, 2.4)], 0.4),
+        ([(0, 17.0), (10, 17.2), (20, 900.0), (30, 17.4)], 0.4),
+        ([(0, 17.0), *thrice((10, 17.2), (20, 900.0), (30, 17.4))], 0.4),
+        # A new gauge, whose total is far higher: nothing of the jump counts.
+        ([(0, 17.0), (10, 17.2), (20, 900.0), (30, 900.0), (40, 900.4)], 0.6),
+        # Connections lost in a shower, and for an hour of rain.
+        ([(0, 17.0), (10, 18.0), (11, None), (40, 19.0), (50, 19.0)], 2.0),
+        ([(0, 17.0), (30, 17.2), (31, None), (3630, 57.2), (3660, 57.4)], 40.4),
+        # A storm goes faster than the sensor's greatest rate for a while.
+        ([(0, 17.0), (10, 23.0), (20, 24.0)], 7.0),
+    ],
+)
+def test_as_much_is_published_as_the_total_rises(
+    monkeypatch: pytest.MonkeyPatch, messages: Messages, risen: float
+) -> None:
+    sum_mm, highest, _ = published(monkeypatch, messages, 8000.0)
+    assert sum_mm == pytest.approx(risen, abs=LOOK_MM)
+    assert highest <= 1e-4
+
+
+def test_what_fell_during_a_suspend_is_published_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """3 mm in 600 s: over as long a time, at 5 um/s. The machine slept for 590 s of it."""
+    sum_mm, highest, _ = published(
+        monkeypatch, [(0, 17.0), (10, 20.0)], 700.0, suspended=590.0
+    )
+    assert sum_mm == pytest.approx(3.0, abs=0.001)
+    assert highest == pytest.approx(5e-6)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "tips"),
+    [
+        (65_534, 1, 3), (2**32 - 1, 4, 5), (2**64 - 1, 0, 1), (32_767, -32_767, 2),
+        (2**53, 2**53 + 1, 1),  # equal as floats
+        (2**53 + 1, 2**53, 0), (60_000, 1, 0), (65_535.0, 1.0, 0),  # no roll-over
+    ],
+)
+def test_a_counter_of_tips_passes_its_end(
+    monkeypatch: pytest.MonkeyPatch, before: float, after: float, tips: int
+) -> None:
+    messages = [(0.0, before), (30.0, after), (60.0, after)]
+    sum_mm, _, refused = published(monkeypatch, messages, 100.0, scale=0.0002)
+    assert (sum_mm, refused) == (pytest.approx(0.2 * tips, abs=LOOK_MM), [])
+
+
+def test_a_refused_total_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, _, refused = published(monkeypatch, [(0, 17.0), (10, 900.0)], 20.0)
+    assert refused == [
+        "says 900, a total that rose by 0.883 m in 10.0 s, which is faster than 0.0001 m/s"
+    ]
+
+
+def test_a_water_meter_shows_no_flow_of_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After an outage of an hour: a flow while the pump is at rest looks like a welded contact."""
+    options = {"scale": 0.001, "high": 0.01, "longest_s": 5.0}
+    messages = [(0, 0.0), (1, 3.0), (2, 6.0), (3600, 9006.0), (3603, 9006.0), (3604, 9009.0)]
+    sum_l, highest, refused = published(monkeypatch, messages, 3700.0, **options)
+    assert sum_l == pytest.approx(9.0, abs=0.2)
+    assert len(refused) == 1
+    assert highest == pytest.approx(0.003)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_water_vanishes_or_appears_however_the_messages_come(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """Tips at random; messages repeated, delayed, lost, overtaken; connections lost, too."""
+    dice = random.Random(seed)
+    at, tips, messages = 0.0, 400, [(0.0, 400)]
+    for _ in range(100):
+        at += dice.choice((0.1, 0.3, 5.0, 30.0, 60.0)) * dice.uniform(0.5, 1.5)
+        tips += dice.choice((0, 0, 1, 1, 2, 7))
+        if dice.random() < 0.9:
+            messages += [(at + dice.uniform(0, 0.5), tips) for _ in range(dice.randint(1, 3))]
+        if dice.random() < 0.1:
+            messages.append((at + 0.6, None))
+    messages.append((at + 1.0, tips))
+    messages.sort(key=lambda message: message[0])
+    sum_mm, highest, refused = published(monkeypatch, messages, at + 4000, scale=0.0002)
+    assert refused == []
+    assert sum_mm == pytest.approx(0.2 * (tips - 400), abs=LOOK_MM)
+    assert highest <= 1e-4
