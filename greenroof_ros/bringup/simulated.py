@@ -254,7 +254,9 @@ def _end(
     notes: dict[str, Any] = {
         "refused": refused,
         "parameter_changes": controller.get("parameter_changes", []),
+        "parameter_change_count": controller.get("parameter_change_count", 0),
         "incidents": log.as_dicts(),
+        "incident_count": log.count,
     }
     if status == summary.DONE:
         plant = last["plant"]

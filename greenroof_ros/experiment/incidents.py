@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
 from functools import partial
@@ -14,8 +14,11 @@ from typing import Any, NamedTuple
 
 from greenroof_ros.common.disk import DISK
 
-# The file's name in the directory of a run, beside the bag.
+# The file's name in the directory of a run, beside the bag, and its name once it is full.
 INCIDENTS = "incidents.jsonl"
+_OLDER = f"{INCIDENTS}.1"
+# Size at which the file is renamed, replacing the one before: over a thousand incidents (bytes).
+_FULL = 1_000_000
 # Number kept in memory and in the summary; all are counted.
 MOST = 200
 # Name of the part that stands for a node's own process.
@@ -128,30 +131,39 @@ class Incident:
 
 
 def read_incidents(directory: Path) -> list[Incident]:
-    """Return the incidents of a run with a drive, or of a live site, in the order of their numbers.
+    """Return the newest incidents of a run with a drive, or of a live site, in order of number.
 
-    Each line of the file is an incident as it was known when the line was written; the last line
-    with a number counts.
+    Each line of a file is an incident as it was known when the line was written; the last line with
+    a number counts. Of each file, the last 2 MB are read.
 
     Args:
-        directory: of the run. Without the file in it there was no incident.
+        directory: of the run. Without the files in it there was no incident.
 
     Raises:
         OSError: the file cannot be read.
         ValueError: a line is not an incident. An incomplete last line, cut by a crash, is ignored.
     """
-    path = directory / INCIDENTS
-    if not path.exists():
-        return []
     incidents: dict[int, Incident] = {}
-    *lines, _cut = path.read_text(encoding="utf-8").split("\n")
+    for path in (directory / _OLDER, directory / INCIDENTS):
+        if path.exists():
+            incidents |= {incident.number: incident for incident in _read(path)}
+    return sorted(incidents.values(), key=lambda incident: incident.number)
+
+
+def _read(path: Path) -> Iterator[Incident]:
+    """Yield the incident of each of the last lines of a file."""
+    with path.open("rb") as stream:
+        skipped = max(0, path.stat().st_size - 2 * _FULL)
+        stream.seek(skipped)
+        if skipped:
+            stream.readline()  # the rest of a line
+        *lines, _cut = stream.read().split(b"\n")
     for index, line in enumerate(lines, start=1):
         try:
-            incident = Incident(**json.loads(line))
+            yield Incident(**json.loads(line))
         except (ValueError, TypeError) as error:
-            raise ValueError(f"{path}, line {index}: is not an incident ({error})") from error
-        incidents[incident.number] = incident
-    return sorted(incidents.values(), key=lambda incident: incident.number)
+            place = f"line {index} of its last 2 MB" if skipped else f"line {index}"
+            raise ValueError(f"{path}, {place}: is not an incident ({error})") from error
 
 
 class IncidentLog:
@@ -208,11 +220,8 @@ class IncidentLog:
             ValueError: it is damaged.
         """
         assert self._file is not None
-        if not self._file.exists():
-            return
-        complete, _, cut = self._file.read_bytes().rpartition(b"\n")
-        if cut:  # by a crash
-            self._file.write_bytes(complete + b"\n" if complete else b"")
+        if self._file.exists():
+            _drop_cut_line(self._file)
         for incident in read_incidents(self._file.parent):
             self._before = incident.number
             if incident.ended is None:
@@ -286,15 +295,31 @@ class IncidentLog:
     def _keep(self, incident: Incident) -> None:
         self.changes += 1
         if self._file is not None:
-            DISK.do(partial(self._write, self._file, json.dumps(asdict(incident)) + "\n"))
+            DISK.do(partial(self._write, self._file, incident, tuple(self._open.values())))
 
-    def _write(self, file: Path, line: str) -> None:
-        """Write a line on the disk thread; a full disk stops nothing: the summary has it, too."""
+    def _write(self, file: Path, incident: Incident, lasting: Sequence[Incident]) -> None:
+        """Write an incident on the disk thread; if the file is full, begin a new one.
+
+        A new file begins with what still lasts, so that this is never lost. A full disk stops
+        nothing: the summary has the incident, too.
+        """
+        written = [incident]
         try:
+            if file.exists() and file.stat().st_size >= _FULL:
+                file.replace(file.with_name(_OLDER))
+                written = [*lasting, incident]
             with file.open("a", encoding="utf-8") as stream:
-                stream.write(line)
+                stream.writelines(f"{json.dumps(asdict(entry))}\n" for entry in written)
         except OSError as error:
             self._say(f"warning: {file}: {error.strerror}")
+
+
+def _drop_cut_line(file: Path) -> None:
+    """Remove the end of a file after its last complete line, which a crash has cut."""
+    with file.open("rb+") as stream:
+        start = max(0, file.stat().st_size - _FULL)
+        stream.seek(start)
+        stream.truncate(start + stream.read().rfind(b"\n") + 1)
 
 
 def with_incidents(text: str, count: int) -> str:

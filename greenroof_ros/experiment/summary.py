@@ -40,7 +40,7 @@ def build(
         wall_s: duration in wall time (s).
         solver: the controller's statistics; None if it has no solver.
         messages: number of messages of each topic in the bag.
-        happened: refused, parameter_changes and incidents, as for :func:`build_unfinished`.
+        happened: what happened during the run, as for :func:`build_unfinished`.
     """
     return {
         **build_unfinished(run, DONE, last_tick=run.steps, **happened),
@@ -62,8 +62,10 @@ def build_unfinished(
     reason: str | None = None,
     last_tick: int | None = None,
     refused: Mapping[str, int] | None = None,
-    parameter_changes: list[dict[str, Any]] | None = None,
-    incidents: list[dict[str, Any]] | None = None,
+    parameter_changes: Sequence[Mapping[str, Any]] = (),
+    parameter_change_count: int = 0,
+    incidents: Sequence[Mapping[str, Any]] = (),
+    incident_count: int = 0,
 ) -> dict[str, Any]:
     """Assemble the summary of an unfinished run: without metrics, which are of whole runs.
 
@@ -73,8 +75,10 @@ def build_unfinished(
         reason: why it ended.
         last_tick: the last tick that the plant reported.
         refused: number of values refused until then, by topic.
-        parameter_changes: parameters changed until then, with their tick.
-        incidents: losses during the run.
+        parameter_changes: the newest parameters changed until then, with their tick.
+        parameter_change_count: number of all changes.
+        incidents: the newest losses during the run.
+        incident_count: number of all losses.
     """
     repeats_from = run.forecast.repeats_from
     choice = run.forecast_choice
@@ -103,8 +107,10 @@ def build_unfinished(
         "filled_hours": run.series.filled_hours,
         "suspicious": run.series.suspicious,
         "refused": dict(refused or {}),
-        "parameter_changes": parameter_changes or [],
-        "incidents": incidents or [],
+        "parameter_changes": list(parameter_changes),
+        "parameter_change_count": parameter_change_count,
+        "incidents": list(incidents),
+        "incident_count": incident_count,
         "versions": versions(),
     }
 

@@ -80,6 +80,9 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     if refused:
         topics = ", ".join(f"{count} on {topic}" for topic, count in refused.items())
         yield "REFUSED", str(sum(refused.values())), f"values: {topics}"
+    left_out = summary["parameter_change_count"] - len(summary["parameter_changes"])
+    if left_out:
+        yield "CHANGED", f"{left_out} times", "before the newest changes, which follow"
     for change in summary["parameter_changes"]:
         tick = change["tick"]
         yield (
@@ -87,6 +90,9 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
             f"{_limit(change['before'])} -> {_limit(change['value'])} at "
             f"{hours_minutes(tick * summary['tau_s'])} (tick {tick})",
         )
+    left_out = summary["incident_count"] - len(summary["incidents"])
+    if left_out:
+        yield "INCIDENT", f"{left_out} times", "before the newest incidents, which follow"
     yield from map(_incident_row, summary["incidents"], repeat(summary["tau_s"]))
     if summary["frost_hours"]:
         yield (
@@ -181,6 +187,6 @@ def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
         console = Console()
         print_notes(console, summary)
         console.print(grid("Result", rows(summary)))
-        done = with_incidents(summary["status"], len(summary["incidents"]))
+        done = with_incidents(summary["status"], summary["incident_count"])
         console.print(f"{done}; written to {directory}", soft_wrap=True, highlight=False)
     flush_output(f"; the summary is in {directory / SUMMARY}")

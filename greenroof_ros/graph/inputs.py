@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,6 +26,8 @@ DISCOVERY_S = 1.0
 _UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 # How many messages of a topic can wait for a live recorder if it or the machine is busy.
 _RECORDED_DEPTH = 1000
+# The most nodes that a sentence names: a client may join again and again under new names.
+_NAMED = 5
 _GOOD = Verdict()
 
 
@@ -125,7 +127,7 @@ class Publishers:
         if count < 2 or len(self._known()) < 2:
             return ""
         return (
-            f"has {count} publishers ({', '.join(self.names())}), but must have one: end the "
+            f"has {count} publishers ({list_nodes(self.names())}), but must have one: end the "
             "other, or use another ROS_DOMAIN_ID or --namespace"
         )
 
@@ -157,7 +159,7 @@ class Publishers:
         names = sorted({call_node(info.node_name) for info in unheard})
         why = dict.fromkeys(word for info in unheard for word in lacks(info.qos_profile, needed))
         return (
-            f"has a publisher that cannot be heard ({', '.join(names)}): it {' and '.join(why)}, "
+            f"has a publisher that cannot be heard ({list_nodes(names)}): it {' and '.join(why)}, "
             f"but must be {requirements(self.topic.qos)}; change it, or end it"
         )
 
@@ -176,6 +178,12 @@ def call_node(name: str) -> str:
     if name == _UNKNOWN_NAME:
         return "a node of unknown name, perhaps because it was killed"
     return name
+
+
+def list_nodes(names: Sequence[str]) -> str:
+    """Return the names of nodes for a sentence: the first five, and how many more there are."""
+    more = [f"and {len(names) - _NAMED} more"] if len(names) > _NAMED else []
+    return ", ".join([*names[:_NAMED], *more])
 
 
 class Input:

@@ -343,13 +343,14 @@ class LinkedNode(NoClockSubscription, Node):
             self._report(now)
 
     def _warn(self, now: float) -> None:
-        """Log each publisher that is not heard, once; live, drop the warning when it has gone."""
+        """Log each publisher that is not heard, once; drop the warning when it has gone."""
         before = self._warnings
-        warnings = [sentence for publishers in self._heard if (sentence := publishers.warning(now))]
-        new = [sentence for sentence in warnings if sentence not in before]
-        self._warnings = warnings if self.live else [*before, *new]
-        for sentence in new:
-            self.get_logger().warning(sentence)
+        self._warnings = [
+            sentence for publishers in self._heard if (sentence := publishers.warning(now))
+        ]
+        for sentence in self._warnings:
+            if sentence not in before:
+                self.get_logger().warning(sentence)
 
     def finish(self) -> None:
         """Report from now on that the run is over for this node, with the node's summary."""
@@ -390,3 +391,5 @@ class LinkedNode(NoClockSubscription, Node):
         ]:
             left = max(0.0, until - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left))
+        while not self.reports.supervisor.send() and time.monotonic() < until:
+            time.sleep(LISTEN_S)

@@ -32,7 +32,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.graph.inputs import Input
+from greenroof_ros.graph.inputs import Input, list_nodes
 from greenroof_ros.graph.messages import LockstepError
 
 CLOCK, RUN = "/clock", "/run"
@@ -106,7 +106,7 @@ class Lockstep:
                 kind = LockstepError if self.tick else OccupiedError
                 raise kind(
                     f"{entry.name} came twice in tick {self.tick} "
-                    f"({', '.join(entry.publishers.names())}); another publisher, or nodes from "
+                    f"({list_nodes(entry.publishers.names())}); another publisher, or nodes from "
                     "an earlier run, are in this graph"
                 )
             entry.receive(message)

@@ -22,6 +22,9 @@ from greenroof_ros.graph.supervision import STARTING, SupervisorSocket
 # The levels of a diagnosis, as ROS tools know them.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+# The longest value on /diagnostics (characters). Only the supervisor gets longer ones, such as the
+# weeks of a run of decades: observers read no value above 20,000.
+_LONGEST = 16_000
 LEVELS = {OK: "OK", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
 
 
@@ -118,7 +121,10 @@ class Reports:
         name = self._node.get_fully_qualified_name()
         status = DiagnosticStatus(
             level=level, name=name, message=self.state, hardware_id=self._machine,
-            values=[KeyValue(key=key, value=json.dumps(value)) for key, value in values.items()],
+            values=[
+                KeyValue(key=key, value=text) for key, value in values.items()
+                if len(text := json.dumps(value)) <= _LONGEST
+            ],
         )
         parts = [
             DiagnosticStatus(

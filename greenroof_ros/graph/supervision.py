@@ -110,6 +110,7 @@ class SupervisorSocket:
         """Use the socket that the environment names, if there is one."""
         self.given = SOCKET in os.environ
         self._socket = int(os.environ[SOCKET]) if self.given else -1
+        self._unsent = self._next = b""  # the rest of a report, and the newest one after it
         if self.given:
             os.set_blocking(self._socket, False)
         self._ended = False
@@ -119,12 +120,21 @@ class SupervisorSocket:
     def report(self, report: Mapping[str, Any]) -> None:
         """Send a report to the supervisor, if there is one.
 
-        A stopped supervisor must not block the node: a report that does not fit is dropped; the
-        next one follows a moment later.
+        A stopped supervisor must not block the node: while a report waits, a newer one replaces it.
+        A report that is larger than the socket's buffer is sent in pieces, and always whole.
         """
         if self.given:
-            with contextlib.suppress(BlockingIOError, ConnectionError):
-                os.write(self._socket, f"{json.dumps(report)}\n".encode())
+            self._next = f"{json.dumps(report)}\n".encode()
+            self.send()
+
+    def send(self) -> bool:
+        """Send as much of the waiting reports as fits; return whether none is left."""
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            while self._unsent or self._next:
+                if not self._unsent:
+                    self._unsent, self._next = self._next, b""
+                self._unsent = self._unsent[os.write(self._socket, self._unsent):]
+        return not self._unsent
 
     def missing(self, now: float) -> str:
         """Return why the pump must not run; empty if it may.

@@ -143,7 +143,6 @@ class NodeProcess:
         self.heard = time.monotonic()
         *lines, self._cut = (self._cut + data).split(b"\n")
         for line in lines:
-            # A report that did not fit into a full socket is cut short; the next one follows.
             self.last = read_report(line) or self.last
 
     def log(self, data: bytes) -> None:

@@ -51,8 +51,8 @@ _FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
 # On/off takes over once a forecast has been missing for this multiple of recovery_time. A short
 # gap, as after a pause of the node itself, then starts no pump.
 _GIVEN_UP = 3
-# A live node keeps this many of the newest parameter changes; all are counted.
-_LIVE_CHANGES = 20
+# How many of the newest parameter changes are kept; all are counted.
+_CHANGES = 50
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 STATE_FILE = Parameter(
     "state_file", "", meaning="live: file that keeps what the controller has learned about its "
@@ -95,10 +95,8 @@ class ControllerNode(LinkedNode):
         live = declare(self, LIVE_PARAMETERS)
         self._controller = choice.make(site, self._values)
         self._tick = 0
-        # Limited, since a live site runs for months.
-        self._parameter_changes: deque[dict[str, Any]] = deque(
-            maxlen=_LIVE_CHANGES if self.live else None
-        )
+        # Limited, since each report has them, and a program may change a parameter in each tick.
+        self._parameter_changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES)
         self._parameter_change_count = 0
         self._shown: dict[str, float | None] = {}
         self._levels = Levels(site, live, self.subscribe)
@@ -321,8 +319,10 @@ class ControllerNode(LinkedNode):
 
     def progress(self) -> dict[str, Any]:
         """Return the parameter changes and, live, the values that bringup shows."""
-        count = {"parameter_change_count": self._parameter_change_count} if self.live else {}
-        return {"parameter_changes": list(self._parameter_changes), **count, **self._shown}
+        return {
+            "parameter_changes": list(self._parameter_changes),
+            "parameter_change_count": self._parameter_change_count, **self._shown,
+        }
 
     def summary(self) -> dict[str, Any]:
         """Return the solver's statistics."""

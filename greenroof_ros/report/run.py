@@ -34,6 +34,8 @@ NO_ERRORS = "none"
 PAPERS_CONTROLLERS = {"mpc": "MPC", "onoff": "on/off"}
 
 _PARAMETERS = "configuration/parameters.yaml"
+# The most changes of parameters that a run's label and notes list: the newest.
+_CHANGES = 10
 # How an unfinished run ended, as a sentence and in short, by the status in its summary.
 _NOT_DONE = {
     "failed": ("failed", "failed"),
@@ -329,8 +331,12 @@ def _understand(content: dict[str, Any], site: Site) -> Run:
     start = datetime.fromisoformat(content["start"]) if content.get("start") else None
     notes = notes_of({**row, "start": None if start is None else to_people(start)})
     changes, ticks = dict[str, str](), dict[str, list[str]]()
-    for change in content.get("parameter_changes") or []:
+    listed = content.get("parameter_changes") or []
+    left_out = int(content.get("parameter_change_count") or len(listed)) - _CHANGES
+    for change in listed[-_CHANGES:]:
         name, value = str(change["parameter"]), change["value"]
+        if name not in changes and change["before"] != given.get(name):  # earlier ones are left out
+            changes[name] = f" -> ... -> {parameter_text(change['before'])}"
         became = parameter_text(None if value is None else float(value))
         time = hours_minutes(change["tick"] * float(content["tau_s"]))
         changes[name] = f"{changes.get(name, '')} -> {became} at {time}"
@@ -342,6 +348,8 @@ def _understand(content: dict[str, Any], site: Site) -> Run:
         )
         for name, became in changes.items()
     ]
+    if left_out > 0:
+        notes.append(Note(f"{left_out} earlier changes of its parameters are left out"))
     exact_sensor = not (errors.get("roof_noise") or errors.get("roof_offset"))
     if not exact_sensor:
         of = "the results are of the true level" if "total_deviation_m3" in row else (

@@ -47,8 +47,10 @@ class Bridge:
 
     It publishes ``state``, ``alarms`` and ``availability``, and subscribes to ``stop``, all under
     ``greenroof/SITE/``. State and alarms are not retained: a later reader would mistake an old
-    value for a present one. They are sent on each change, and at least every 10 s. A retained stop
-    is ignored, since it would stop the pump at each connection; no stop is queued for this client.
+    value for a present one. They are sent on each change, and at least every 10 s. A stop
+    that the broker has kept (retained) is ignored, since it would stop the pump at each connection.
+    While connected, the bridge obeys every stop: MQTT 3.1.1 does not tell a subscriber whether the
+    sender asked to retain it, and a person's stop must count. No stop is queued for this client.
     """
 
     def __init__(self, store: Store, feed: Feed, broker: Broker, prefix: str) -> None:
@@ -163,7 +165,7 @@ class Bridge:
         elif payload != STOP.encode():
             say(f"{topic}: ignored, since it is not {STOP}")
         elif retained:
-            say(f"{topic}: ignored, since it is retained; a stop must not be")
+            say(f"{topic}: ignored, since it is retained; a stop must not be: clear the topic")
         else:
             self._stop.set()
 

@@ -336,12 +336,18 @@ class Registry:
     def _compare(self, wall: float, node: Node, before: dict[str, Any]) -> None:
         """Report changes in a node's values as events; note newly refused values as trouble."""
         values, name = node.values, node.name
-        for change in _new(before, values, "parameter_changes", "parameter_change_count"):
+        changes, left_out = _new_changes(before, values)
+        if left_out:
+            self._say(f"{name}: {left_out} changes of parameters before the next are not listed")
+        for change in changes:
             if isinstance(change, dict):
                 what, old, new = (change.get(key) for key in ("parameter", "before", "value"))
                 self._say(f"{name}: {what} was changed from {old} to {new}")
-        for warning in _new(before, values, "warnings", ""):
-            self._say(f"{name} warns: {sentence(str(warning))}")
+        known, warnings = before.get("warnings"), values.get("warnings")
+        if isinstance(known, list) and isinstance(warnings, list):
+            for warning in warnings[:_NEWEST]:
+                if warning not in known:
+                    self._say(f"{name} warns: {sentence(str(warning))}")
         counts = _counts(before)
         grown = [topic for topic, n in _counts(values).items() if n > counts.get(topic, 0)]
         if grown:
@@ -577,13 +583,14 @@ def _counts(values: Mapping[str, Any]) -> dict[str, int]:
     return {topic: count for topic, count in counts if isinstance(count, int)}
 
 
-def _new(before: Mapping[str, Any], values: Mapping[str, Any], key: str, count: str) -> list[Any]:
-    """Return the items appended to a list; the node may keep only the newest items in it."""
-    old, all_now = before.get(key), values.get(key)
-    if not isinstance(old, list) or not isinstance(all_now, list):
-        return []
-    first, last = before.get(count), values.get(count)
-    if not (isinstance(first, int) and isinstance(last, int)):
-        first, last = len(old), len(all_now)
-    added = max(0, last - first)
-    return all_now[-min(added, _NEWEST):] if added else []
+def _new_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[list[Any], int]:
+    """Return the parameter changes since a node's last report, and how many more are not listed.
+
+    The node keeps only the newest, and counts all.
+    """
+    kept = values.get("parameter_changes")
+    first, last = (known.get("parameter_change_count") for known in (before, values))
+    if not (isinstance(kept, list) and isinstance(first, int) and isinstance(last, int)):
+        return [], 0
+    new = kept[-min(last - first, _NEWEST):] if last > first else []
+    return new, max(0, last - first) - len(new)

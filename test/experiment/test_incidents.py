@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import time
+import tracemalloc
 from dataclasses import asdict
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -222,3 +223,65 @@ def test_the_numbers_of_a_start_go_on_from_the_file(tmp_path: Path) -> None:
     assert with_incidents("done", again.count) + again.numbers == (
         "done, with 2 incidents since this start (number 2 to 3)"
     )
+
+
+def test_a_flapping_sensor_fills_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two files keep the newest; numbers go on, and what lasts is kept whenever it began."""
+    monkeypatch.setattr(incidents, "_FULL", 20_000)
+    log = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
+    log.look(report_of("roof_sensor", drive="ERROR"))  # it lasts for all this time
+    for number in range(500):
+        for level in ("ERROR", "OK"):
+            log.look(report_of("pump", drive=level))
+        if number % 50 == 0:
+            assert DISK.wait(60)
+    assert DISK.wait(60)
+    assert (log.count, log.changes) == (501, 1001)
+    assert sorted(file.name for file in tmp_path.iterdir()) == [INCIDENTS, f"{INCIDENTS}.1"]
+    assert all(file.stat().st_size < 21_000 for file in tmp_path.iterdir())
+    lasting, *newest = read_incidents(tmp_path)
+    assert (lasting.number, lasting.ended) == (1, None)
+    assert [known.number for known in newest] == list(range(502 - len(newest), 502))
+    assert len(newest) > 50 and all(known.ended for known in newest)
+    second = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
+    second.go_on()
+    second.look(report_of("pump", drive="ERROR"))
+    assert DISK.wait(60)
+    lasting, *_, last = read_incidents(tmp_path)
+    assert (lasting.number, lasting.ended is None, last.number) == (1, False, 502)
+
+
+@pytest.mark.parametrize("cut", ["", '{"number": 3, "no'])
+def test_a_killed_change_of_files_loses_no_number(tmp_path: Path, cut: str) -> None:
+    """Between the renaming and the first line, or in that line."""
+    first = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
+    for level in ("ERROR", "OK", "ERROR"):
+        first.look(report_of("pump", drive=level))
+    assert DISK.wait(60)
+    (tmp_path / INCIDENTS).rename(tmp_path / f"{INCIDENTS}.1")
+    if cut:
+        (tmp_path / INCIDENTS).write_text(cut)
+    second = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
+    second.go_on()
+    second.look(report_of("pump", drive="ERROR"))
+    assert DISK.wait(60)
+    assert [(known.number, bool(known.ended)) for known in read_incidents(tmp_path)] == [
+        (1, True), (2, True), (3, False)
+    ]
+
+
+def test_a_file_of_any_size_is_read_in_bounded_memory(tmp_path: Path) -> None:
+    """As an earlier version may have left it: the newest incidents count, at a start, too."""
+    moment = "2026-11-23T20:55:01+00:00"
+    line = asdict(Incident(1, "pump", "drive", "gone", moment, moment))
+    with (tmp_path / INCIDENTS).open("w") as stream:
+        stream.writelines(f"{json.dumps(line | {'number': n})}\n" for n in range(1, 400_001))
+    assert (tmp_path / INCIDENTS).stat().st_size > 60_000_000
+    tracemalloc.start()
+    log = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
+    known = read_incidents(tmp_path)
+    assert known[-1].number == 400_000
+    log.go_on()
+    assert DISK.wait(600)
+    assert tracemalloc.get_traced_memory()[1] < 60_000_000
+    tracemalloc.stop()

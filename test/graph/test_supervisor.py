@@ -7,6 +7,7 @@ import json
 import os
 import resource
 import signal
+import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -418,3 +419,23 @@ def test_what_comes_for_a_permit(monkeypatch: pytest.MonkeyPatch, line: str) -> 
         assert problems == [fresh, fresh, late, late]
         end.write(b'{"inhibit": "", "at": 3701.0}\n')
         assert reader.missing(3701.0) == ""
+
+
+def test_a_report_of_any_size_arrives_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is larger than the socket's buffer; while the supervisor is stopped, the newest waits."""
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        monkeypatch.setenv(SOCKET, str(theirs.fileno()))
+        sender = SupervisorSocket()
+        weeks = [number / 7 for number in range(100_000)]
+        sender.report({"state": "ready", "weeks": weeks})
+        for tick in range(3):
+            sender.report({"state": "ready", "tick": tick})
+        sent = False
+        data = b""
+        while not sent or not data.endswith(b"\n"):
+            data += os.read(ours.fileno(), 1 << 18)
+            sent = sender.send()
+    first, second = map(read_report, data.splitlines())
+    assert first is not None and first["weeks"] == weeks
+    assert second is not None and second["tick"] == 2

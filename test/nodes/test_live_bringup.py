@@ -118,13 +118,13 @@ def test_a_site_is_kept_up_and_systemd_told(
         write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
         site.until(lambda: 0 < newest(commands) <= 0.4, 60, "mpc")
         site.until(lambda: "incident 1 is over, after " in process.stderr(), 60, "its end")
-        for number in range(25):
+        for number in range(55):
             weight = Parameter("weight", value=1.0 + number).to_parameter_msg()
             site.call(SetParameters, "/mpc/set_parameters", parameters=[weight])
         values = site.watcher.values
-        site.until(lambda: values("/mpc")["parameter_change_count"] == 25, 60, "the changes")
+        site.until(lambda: values("/mpc")["parameter_change_count"] == 55, 60, "the changes")
         values_kept = [change["value"] for change in values("/mpc")["parameter_changes"]]
-        assert values_kept == [6.0 + number for number in range(20)]
+        assert values_kept == [6.0 + number for number in range(50)]
         beats = systemd.times("WATCHDOG=1")
         # WatchdogSec of examples/greenroof.service.
         assert max(b - a for a, b in pairwise(beats)) < 10

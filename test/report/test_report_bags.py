@@ -471,6 +471,14 @@ def test_a_changed_parameter(tmp_path: Path) -> None:
     assert len(both.windows()) == 1  # each has a copy of the same site
     rows = figures_of(both)["trajectories-1-1"].data["command-1-1-mpc"]
     assert {row["setting"] for row in rows} == {"0.001", became}
+    newest = [
+        {"tick": tick, "parameter": "weight", "before": tick - 1.0, "value": float(tick)}
+        for tick in range(60, 110)
+    ]
+    path = ended_run(tmp_path / "many", parameter_changes=newest, parameter_change_count=3000)
+    text = page_of(path).replace("&gt;", ">")
+    assert ">MPC weight 0.001 -> ... -> 99 -> 100 at 00:01 -> " in text
+    assert "2990 earlier changes of its parameters are left out" in text
     limit = {"tick": 60, "parameter": "max_command", "before": None, "value": 1.0}
     path = ended_run(tmp_path / "limited", parameter_changes=[limit])
     assert report_of(path).single[0]["setting"] == "max_command none -> 1 at 00:01"

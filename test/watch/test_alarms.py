@@ -269,18 +269,25 @@ def test_values_that_are_refused() -> None:
 
 
 def test_events_of_parameters() -> None:
-    """For a run all changes are reported; live, the newest 20 and their count."""
+    """A node reports the newest changes and the number of all; the page counts what it missed."""
     alarms = Alarms()
     changes = [{"parameter": "w", "before": 1, "value": number} for number in range(25)]
-    for known in (1, 2, 2):
-        alarms.hear(0.0, 0.0, mpc(parameter_changes=changes[:known]))
-    assert happened(alarms) == ["/mpc: w was changed from 1 to 1"]
-    for known in (20, 20, 22, 25):
-        newest = changes[max(0, known - 20):known]
+    for known in (1, 2, 2, 5, 11, 25):
+        newest = changes[max(0, known - 10):known]
         alarms.hear(0.0, 0.0, mpc(parameter_changes=newest, parameter_change_count=known))
-    assert happened(alarms)[1:] == [
-        f"/mpc: w was changed from 1 to {number}" for number in range(2, 25)
+    assert happened(alarms) == [
+        *(f"/mpc: w was changed from 1 to {number}" for number in range(1, 11)),
+        "/mpc: 4 changes of parameters before the next are not listed",
+        *(f"/mpc: w was changed from 1 to {number}" for number in range(15, 25)),
     ]
+
+
+def test_events_of_warnings() -> None:
+    """Each new warning is one, although a warning that has gone makes room for it."""
+    alarms = Alarms()
+    for warnings in ([], ["a"], ["a"], ["b"], [], ["b"]):
+        alarms.hear(0.0, 0.0, mpc(warnings=warnings))
+    assert happened(alarms) == ["/mpc warns: a", "/mpc warns: b", "/mpc warns: b"]
 
 
 def test_events_of_a_hold_and_a_fault() -> None:

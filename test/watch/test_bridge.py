@@ -215,10 +215,23 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         before = len(heard.of(config))
         heard.say("homeassistant/status", "online")
         wait_for(lambda: len(heard.of(config)) > before, 10, "the discovery again")
-        heard.say(stop, "STOP")
+        # Sent retained while the bridge is connected, it is a stop like any other.
+        heard.say(stop, "STOP", retain=True)
         wait_for(lambda: state()["pump"] == "held", 30, "a pump that is held off")
         assert (state()["condition"], state()["hold"]) == ("hold", "A hold by MQTT.")
         wait_for(lambda: drive.speed() < 0.005, 30, "a pump that stands")
+        # The broker has kept it: to a bridge that connects again it is no stop.
+        end(bridge)
+        assert run_command(
+            "release", "--namespace", "site1", cwd=tmp_path, env=environment(domain)
+        ).returncode == 0
+        bridge = Process(
+            domain, "bridge", "--broker", broker.address, "--namespace", "site1", cwd=tmp_path
+        )
+        bridge.until_said("ignored, since it is retained")
+        wait_for(lambda: state()["hold"] == "" and state()["pump"] != "held", 30, "no hold")
+        time.sleep(3.0)
+        assert state()["hold"] == ""
         broker.pause()
         bridge.until_said("Keep alive timeout")
         broker.go_on()
