@@ -25,7 +25,7 @@ LONG = {
 def interrupted(directory: Path, words: str, after_s: float) -> tuple[int, str]:
     """Start a command, send SIGINT, and return exit code and standard error.
 
-    Python lists each import there when it is done. The time counts from the import of the package itself:
+    Python lists each import there when it is done. The time counts from the import of the package:
     before, Python starts, and no program can change what Ctrl-C does.
     """
     process = subprocess.Popen(
