@@ -225,6 +225,7 @@ class Issue:
         rain: mm/h, shape (members, hours).
         evapotranspiration: mm/day, shape (hours,); None if the file has none.
         temperature: of the air (degC), likewise.
+        available: when it arrived; None for the archive's delay after its nominal time.
     """
 
     issued: datetime
@@ -233,11 +234,17 @@ class Issue:
     rain: NDArray[np.float64]
     evapotranspiration: NDArray[np.float64] | None = None
     temperature: NDArray[np.float64] | None = None
+    available: datetime | None = None
 
     @property
     def hours(self) -> int:
         """Number of hours."""
         return len(self.rain[0])
+
+    @property
+    def order(self) -> tuple[datetime, datetime]:
+        """What issues are sorted by: nominal time, then arrival."""
+        return self.issued, self.available or self.issued
 
     def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
         """Return evapotranspiration some hours ahead (mm/day); None if the file has none.
@@ -286,7 +293,7 @@ def check_alike(earlier: Issue, later: Issue) -> None:
         ConfigurationError: it repeats it, or has other members or quantities.
     """
     wrong, when = "", to_minutes(later.issued)
-    if earlier.issued == later.issued:
+    if earlier.order == later.order:
         wrong = f"has the issue of {when}, which {earlier.file.name} has already"
     elif len(earlier.rain) != len(later.rain):
         wrong = (
