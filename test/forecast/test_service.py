@@ -273,3 +273,13 @@ def test_the_fetched_forecast_says_when_it_arrived(server, tmp_path):
     assert before <= issue.available <= _now()
     assert issue.issued == issue.available.replace(minute=0, second=0, microsecond=0)
     assert file.stem == f"{issue.available:%Y%m%d%H%M%S}"
+
+
+def test_the_services_wind_is_at_ten_metres_whatever_the_sites_is(server):
+    """A wind of 10 m taken for one of 2 m would be a third too fast in Penman-Monteith."""
+    for height in (2.0, 3.5):
+        low = replace(SITE, wind_height=height)
+        there, here = (
+            Service(site, url=f"{server.address}/v1/forecast").fetch(_now()) for site in (low, SITE)
+        )
+        assert np.array_equal(there.evapotranspiration, here.evapotranspiration)
