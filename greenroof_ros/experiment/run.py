@@ -78,7 +78,7 @@ class Run:
     def _short(self) -> Iterator[str]:
         """Yield a sentence if the run is shorter than the look-ahead: it may wait for later rain.
 
-        The rain is that of the records from the run's end to the end of the last look-ahead.
+        The rain is what the records have from the run's end to the end of the last look-ahead.
         """
         length = self.steps * self.site.tau
         if length >= self.look_ahead_s:
