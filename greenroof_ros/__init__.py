@@ -8,7 +8,7 @@ from typing import Any
 __version__ = "1.0.0"
 
 # Bash's exit code after Ctrl-C.
-EXIT_INTERRUPTED = 130
+INTERRUPTED = 130
 
 
 def end_interrupted(*_: Any) -> None:
@@ -18,7 +18,7 @@ def end_interrupted(*_: Any) -> None:
     :func:`greenroof_ros.common.command_line.command` replaces this handler.
     """
     os.write(2, b"interrupted\n")
-    os._exit(EXIT_INTERRUPTED)
+    os._exit(INTERRUPTED)
 
 
 # If this is imported as "python -m greenroof_ros..." or by the command, not as a library; a shell

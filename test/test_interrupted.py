@@ -25,8 +25,8 @@ LONG = {
 def interrupted(directory: Path, words: str, after_s: float) -> tuple[int, str]:
     """Start a command, send SIGINT, and return exit code and standard error.
 
-    Python lists each import there when it is done. The time counts from the import of the package:
-    before, Python starts, and no program can change what Ctrl-C does.
+    Python lists each import there when it is done. The time counts from the import of the package
+    itself: before, Python starts, and no program can change what Ctrl-C does.
     """
     process = subprocess.Popen(
         [sys.executable, "-m", "greenroof_ros", *words.split()], cwd=directory, text=True,

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros import EXIT_INTERRUPTED
-from greenroof_ros.common.command_line import namespace, within
+from greenroof_ros.common.command_line import EXIT_INTERRUPTED, namespace, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.controllers.registry import ControllerChoice

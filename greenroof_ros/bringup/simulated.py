@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros import EXIT_INTERRUPTED
 from greenroof_ros.bringup.drive import (
     EXTERNAL,
     add_graph_arguments,
@@ -26,6 +25,7 @@ from greenroof_ros.bringup.in_the_loop import drive_parameters, wait_for_drive
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
+    EXIT_INTERRUPTED,
     Parser,
     command,
 )

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
-from greenroof_ros import EXIT_INTERRUPTED, end_interrupted
+from greenroof_ros import INTERRUPTED, end_interrupted
 from greenroof_ros.common.errors import (
     ConfigurationError,
     OccupiedError,
@@ -33,6 +33,7 @@ EXIT_DONE = 0
 EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_OCCUPIED = 3
+EXIT_INTERRUPTED = INTERRUPTED
 
 
 def exit_code(error: Exception) -> int:

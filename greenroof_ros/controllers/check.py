@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+import traceback
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -86,16 +88,38 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
         ConfigurationError: the class cannot be imported, or lacks what every controller has.
     """
     _ = choice.kind
-    findings = []
+    findings, seen = [], set[str]()
     for name, check in _CHECKS.items():
         problem = ""
         try:
             check(_Trial(choice, site))
         except Exception as error:  # whatever a user's class raises
             known = isinstance(error, (_ProblemError, ConfigurationError))
-            problem = str(error) if known else f"raises {type(error).__name__}: {error}"
+            problem = str(error)
+            if not known:
+                problem = f"raises {type(error).__name__}: {error} ({_where(error, choice.kind)})"
+                if problem in seen:  # one fault mostly fails many checks
+                    problem = f"raises the same {type(error).__name__} as above"
+                seen.add(problem)
         findings.append(Finding(name, problem))
     return findings
+
+
+def _where(error: Exception, kind: Any) -> str:
+    """Return file, line and function of a user's class that raised an error.
+
+    That is the last place in its file. If there is none, as with a wrong number of arguments, it is
+    the method that the message names, otherwise the class.
+    """
+    file = inspect.getsourcefile(kind) or kind.__module__
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if frame.filename == file:
+            return f"{file}, line {frame.lineno}, in {frame.name}"
+    for name, method in inspect.getmembers(kind, inspect.isfunction):
+        if f"{name}()" in str(error):
+            code = method.__code__
+            return f"{code.co_filename}, line {code.co_firstlineno}, {name}"
+    return f"{file}, line {inspect.getsourcelines(kind)[1]}, {kind.__name__}"
 
 
 def _checked_command(controller: Controller, *inputs: Any) -> float:

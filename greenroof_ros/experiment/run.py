@@ -78,7 +78,7 @@ class Run:
     def _short(self) -> Iterator[str]:
         """Yield a sentence if the run is shorter than the look-ahead: it may wait for later rain.
 
-        It is the rain in the records between the run's end and the end of the last look-ahead.
+        The rain is what the records have from the run's end to the end of the last look-ahead.
         """
         length = self.steps * self.site.tau
         if length >= self.look_ahead_s:

@@ -187,9 +187,15 @@ class FileModel(ForecastModel):
         # forecasts must be as late: otherwise the controller would expect rain that in fact fell an
         # hour ago.
         delay = timedelta(hours=archive.delay + self._late)
-        self._known_from = [
-            -((weather.first - issue.issued - delay) // HOUR) for issue in archive.issues
+        late = self._late * HOUR
+        known_from = [
+            -((weather.first - (
+                issue.issued + delay if issue.available is None else issue.available + late
+            )) // HOUR)
+            for issue in archive.issues
         ]
+        # An issue that arrives after a later one is of no use: only the newest counts.
+        self._known_from = np.minimum.accumulate(known_from[::-1])[::-1].tolist()
         self.members = archive.members if all_members else 1
 
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:

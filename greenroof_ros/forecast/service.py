@@ -3,8 +3,9 @@
 The service has two interfaces for the same variables: *forecast*, with one series of each, and
 *ensemble*, with one of each member (``precipitation``, ``precipitation_member01``, ...). Their
 answers are read like files of the service (:mod:`greenroof_ros.formats.open_meteo`). An answer does
-not say which model run it is from. Here it counts as issued in the hour in which it arrived, so
-nothing is known too early. Data of Open-Meteo are under the licence CC BY 4.0.
+not say which model run it is from. Here it counts as issued in the hour in which it arrived, and as
+available from its arrival, so nothing is known too early. Data of Open-Meteo are under the licence
+CC BY 4.0.
 
 The service allows 600 requests a minute and 10,000 a day, one at a time; an ensemble of many
 variables counts as several. One an hour is far below that. The wait doubles with each failure, from
@@ -16,8 +17,9 @@ from __future__ import annotations
 import asyncio
 import tempfile
 import threading
+import time
 from dataclasses import replace
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 
@@ -126,8 +128,10 @@ class Service:
 
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
         try:
+            began = time.monotonic()
             tag, answer = asyncio.run(self._ask(now))
-            issue = _issue(answer, self._site, hour)
+            arrived = now + timedelta(seconds=time.monotonic() - began)
+            issue = replace(_issue(answer, self._site, hour), available=arrived)
             self._tag, self._answer = tag, answer
             return issue
         except asyncio.TimeoutError as error:
@@ -275,7 +279,7 @@ class Fetcher:
             text = f"{about}{write_forecasts([issue])}"
             replace_text(self._file, text)
             if self._archive is not None and not _says_the_same(self._kept, issue):
-                replace_text(self._archive / f"{issue.issued:%Y%m%d%H}.csv", text)
+                replace_text(self._archive / f"{issue.order[1]:%Y%m%d%H%M%S}.csv", text)
                 self._kept = issue
         except Exception as error:  # whatever failed, the next forecast is requested
             self.problem = str(error) or type(error).__name__

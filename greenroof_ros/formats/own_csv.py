@@ -47,7 +47,7 @@ _COMMENT = re.compile(r"\s*(#|$)")
 # The place of a weather file, in a comment at its head.
 _PLACE = re.compile(r"\b(latitude|longitude)\s*[:=]\s*([-+]?\d+(?:\.\d*)?)", re.IGNORECASE)
 _ENDS = {"latitude": 90.0, "longitude": 180.0}
-_OPTIONAL = {"member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
+_OPTIONAL = {"available", "member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
 
 
 def recognises(_file: Path, _head: bytes, /) -> bool:
@@ -128,7 +128,7 @@ def _columns(table: Table) -> tuple[dict[str, str], str]:
 
 
 def read_archive(files: Sequence[Path], _site: Site, /) -> Archive:
-    """Read files in this format; their issues are known from their time of issue."""
+    """Read files in this format; issues are known from their arrival, or else time of issue."""
     issues = [issue for file in files for issue in read_forecasts(file)]
     return Archive(files[0], "own format", issues, 0.0, issues)
 
@@ -137,12 +137,13 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
     """Read a file of forecasts, one issue after the other.
 
     Lines that start with ``#`` are comments. The first other line is the header: ``issued``,
-    ``time``, then ``member`` if there is more than one forecast per issue, ``precipitation
-    [mm/h]``, and ``evapotranspiration [mm/day]`` and ``temperature [degC]`` if the file has them
-    (only member 0's values are used). Each further line is the hour that starts at its ``time``, as
-    forecast at ``issued`` (ISO 8601 with the offset from UTC). The hours of each issue and member
-    are consecutive, and the first starts with the issue. All issues have the members 0, 1, 2 and so
-    on. What is missing is mended, see :func:`greenroof_ros.formats.records.mended`.
+    ``available`` if the time of its arrival is known, ``time``, then ``member`` if there is more
+    than one forecast per issue, ``precipitation [mm/h]``, and ``evapotranspiration [mm/day]`` and
+    ``temperature [degC]`` if the file has them (only member 0's values are used). Each further line
+    is the hour that starts at its ``time``, as forecast at ``issued`` (ISO 8601 with the offset
+    from UTC). The hours of each issue and member are consecutive, and the first starts with the
+    issue. All issues have the members 0, 1, 2 and so on. What is missing is mended, see
+    :func:`greenroof_ros.formats.records.mended`.
 
     Args:
         path: of the file.
@@ -153,7 +154,7 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
     table = read_table(path) if now is None else table_of(path, _newest(path, now))
-    columns = ["issued", "time", "member", *_FORECAST.values()]
+    columns = ["issued", "available", "time", "member", *_FORECAST.values()]
     optional = [column for column in columns if column in _OPTIONAL]
     table.require_header(
         [column for column in columns if column not in _OPTIONAL or column in table.header],
@@ -161,6 +162,9 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
         "out",
     )
     issued, times = table.times("issued"), table.times("time")
+    arrived: Sequence[datetime | None] = [None] * len(times)
+    if "available" in table.header:
+        arrived = table.times("available")
     members = [0.0] * len(times)
     if "member" in table.header:
         members = table.numbers("member", ("(whole)", 0.0, MOST_MEMBERS - 1.0)).tolist()
@@ -168,15 +172,22 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
         quantity: table.usable(column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0))
         for quantity, column in _FORECAST.items() if column in table.header
     }
-    rows_of: dict[datetime, dict[float, list[int]]] = {}  # rows by issue and member
-    for row, (issue, time, member) in enumerate(zip(issued, times, members, strict=True)):
-        last = next(reversed(rows_of), issue)
+    # Rows by issue, with its arrival, and member.
+    rows_of: dict[tuple[datetime, datetime | None], dict[float, list[int]]] = {}
+    for row, (issue, available, time, member) in enumerate(
+        zip(issued, arrived, times, members, strict=True)
+    ):
+        last, _ = next(reversed(rows_of), (issue, None))
+        if available is not None and available < issue:
+            raise table.refuse(
+                f"must not be before {to_minutes(issue)}, when it was issued", "available", row
+            )
         if issue < last:
             raise table.refuse(
                 f"must not be before {to_minutes(last)}, the issue above: issues must be in order "
                 "of time", "issued", row,
             )
-        rows = rows_of.setdefault(issue, {}).setdefault(member, [])
+        rows = rows_of.setdefault((issue, available), {}).setdefault(member, [])
         due = issue + len(rows) * HOUR
         table.check_due("time", row, time, due, "each forecast, from its issue on,")
         rows.append(row)
@@ -187,10 +198,11 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
                 values[PRECIPITATION][None, rows],
                 values[EVAPOTRANSPIRATION][rows] if EVAPOTRANSPIRATION in values else None,
                 values[TEMPERATURE][rows] if TEMPERATURE in values else None,
+                available=available,
             ))
             for member, rows in numbered.items()
         ))
-        for issue, numbered in rows_of.items()
+        for (issue, available), numbered in rows_of.items()
     ]
     issues[0] = replace(issues[0], notes=(*table.notes, *issues[0].notes))
     for earlier, later in itertools.pairwise(issues):
@@ -260,12 +272,16 @@ def write_forecasts(issues: Sequence[Issue]) -> str:
     quantities = [PRECIPITATION] + [
         name for name in (EVAPOTRANSPIRATION, TEMPERATURE) if getattr(issues[0], name) is not None
     ]
-    lines = [",".join(["issued", "time", "member", *(_FORECAST[name] for name in quantities)])]
+    arrivals = ["available"] if any(issue.available for issue in issues) else []
+    lines = [",".join(
+        ["issued", *arrivals, "time", "member", *(_FORECAST[name] for name in quantities)]
+    )]
     for issue in issues:
         times = [(issue.issued + hour * HOUR).isoformat() for hour in range(issue.hours)]
+        arrived = [issue.order[1].isoformat() for _ in arrivals]
         further = [getattr(issue, name).tolist() for name in quantities[1:]]
         lines += [
-            ",".join([times[0], time, str(member), *map(repr, values)])
+            ",".join([times[0], *arrived, time, str(member), *map(repr, values)])
             for member, rain in enumerate(issue.rain.tolist())
             for time, *values in zip(times, rain, *further, strict=True)
         ]

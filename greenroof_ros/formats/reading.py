@@ -79,7 +79,9 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
                 f"must have the format of {files[0].name}, like all files of an archive", file=file
             )
     archive: Archive = form.read_archive(files, site)
-    issues, notes = _alike(sorted(archive.issues, key=lambda issue: issue.issued))
+    issues, notes = _alike(sorted(archive.issues, key=lambda issue: issue.order))
+    if delay is not None:
+        issues = [replace(issue, available=None) for issue in issues]
     return replace(
         archive, source=source, issues=issues,
         verified=issues if archive.verified is archive.issues else archive.verified,

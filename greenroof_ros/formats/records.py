@@ -295,6 +295,7 @@ class Issue:
         rain: mm/h, shape (members, hours).
         evapotranspiration: mm/day, shape (hours,); None if the file has none.
         temperature: of the air (degC), likewise.
+        available: when it arrived; None for the archive's delay after its nominal time.
         given: number of members in the file, if some were left out; otherwise 0.
         notes: what could not be used as it is.
     """
@@ -305,6 +306,7 @@ class Issue:
     rain: NDArray[np.float64]
     evapotranspiration: NDArray[np.float64] | None = None
     temperature: NDArray[np.float64] | None = None
+    available: datetime | None = None
     given: int = 0
     notes: tuple[str, ...] = ()
 
@@ -312,6 +314,11 @@ class Issue:
     def hours(self) -> int:
         """Number of hours."""
         return len(self.rain[0])
+
+    @property
+    def order(self) -> tuple[datetime, datetime]:
+        """What issues are sorted by: nominal time, then arrival."""
+        return self.issued, self.available or self.issued
 
     @property
     def members(self) -> int:
@@ -430,7 +437,7 @@ def check_alike(earlier: Issue, later: Issue) -> None:
         ConfigurationError: it repeats it, or has other members or quantities.
     """
     wrong, when = "", to_minutes(later.issued)
-    if earlier.issued == later.issued:
+    if earlier.order == later.order:
         wrong = f"has the issue of {when}, which {earlier.file.name} has already"
     elif earlier.members != later.members:
         wrong = (

@@ -13,10 +13,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Column, Table
 
-from greenroof_ros import EXIT_INTERRUPTED
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
+    EXIT_INTERRUPTED,
     Parser,
     command,
     within,

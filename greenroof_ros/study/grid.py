@@ -493,7 +493,8 @@ class _Grid:
         files = {} if skill is None else {"skill": self._input(skill)}
         if path is not None and (path.is_dir() or path.suffix.lower() == ".nc"):
             archive = read_archive(path, site, choice.delay)
-            choice = replace(choice, delay=archive.delay)
+            if all(issue.available is None for issue in archive.issues):
+                choice = replace(choice, delay=archive.delay)
             files["file"] = self._input(
                 path, lambda _: write_forecasts(archive.issues).encode(), ".csv"
             )

@@ -92,7 +92,7 @@ def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: P
 
 
 # A live site with a weather node, and the rest external; and a drive.
-WEATHERED = "live --sensors external --pump external"
+WEATHERED = "live --controller mpc --sensors external --pump external"
 DRIVE = "--drive abb_acs880 --drive-at tcp://127.0.0.1:1"
 # Its sensors, among them a thermometer, so that no other one is needed.
 SENSED = f"live --sensors {CHECKOUT}/config/sensors_mqtt.yaml --controller onoff"

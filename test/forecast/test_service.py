@@ -21,6 +21,7 @@ from places import CONFIG
 from refusals import refusal
 
 from greenroof_ros.forecast import service as module
+from greenroof_ros.forecast.models import FileModel
 from greenroof_ros.forecast.service import (
     ATTRIBUTION,
     Fetcher,
@@ -28,7 +29,7 @@ from greenroof_ros.forecast.service import (
     ServiceError,
 )
 from greenroof_ros.formats.open_meteo import VARIABLES
-from greenroof_ros.formats.own_csv import read_forecasts
+from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import HOUR, PRECIPITATION, TEMPERATURE, Issue
 from greenroof_ros.model.site import read_site
@@ -261,3 +262,73 @@ def test_what_an_answer_lacks_is_noted_and_the_rest_is_used(server, change, note
     assert 0.5 < issue.evapotranspiration.mean() < 8
     assert (issue.temperature is None) == (note == "temperature has no value")
     assert any(note in text for text in issue.notes)
+
+
+def _kept_at(*arrivals: str) -> list[Issue]:
+    """Return issues of the hours in which they arrived, each with its number as its rain."""
+    issues = []
+    for number, arrival in enumerate(arrivals, 1):
+        available = datetime.fromisoformat(arrival)
+        issues.append(Issue(
+            available.replace(minute=0, second=0), Path("x"), None, np.full((1, 48), float(number)),
+            np.ones(48), np.ones(48), available,
+        ))
+    return issues
+
+
+@pytest.mark.parametrize(("arrivals", "known"), [
+    # At the start of each hour from 03:00 on, the number of the newest; 02:59 is known at 03:00.
+    (["02:10:00", "02:50:00", "04:59:59"], {3: 2.0, 4: 2.0, 5: 3.0}),
+    (["02:00:00", "03:00:01", "03:20:00"], {2: 1.0, 3: 1.0, 4: 3.0}),
+    (["01:59:00", "02:59:00", "03:01:00", "05:00:00"], {2: 1.0, 3: 2.0, 4: 3.0, 5: 4.0}),
+])
+def test_no_forecast_is_known_before_it_arrived(arrivals, known, tmp_path):
+    """And none replaces another of its hour: what is written is read again, issue by issue."""
+    issues = _kept_at(*(f"2021-07-07T{arrival}-05:00" for arrival in arrivals))
+    for issue in issues:
+        file = tmp_path / f"{issue.available:%Y%m%d%H%M%S}.csv"
+        file.write_text(write_forecasts([issue]))
+    whole = tmp_path.parent / f"{tmp_path.name}.csv"  # all in one file
+    whole.write_text(write_forecasts(issues))
+    for source in (tmp_path, whole):
+        archive = read_archive(source, SITE)
+        assert [issue.available for issue in archive.issues] == [
+            issue.available for issue in issues
+        ]
+        model = FileModel(archive, RECORDS, all_members=False)
+        first = RECORDS.first.hour
+        for hour, number in known.items():
+            assert model.known(hour - first, 3)[0][0, 1] == number, (hour, source)
+
+
+def test_a_delay_that_is_given_counts_instead(tmp_path):
+    (tmp_path / "a.csv").write_text(write_forecasts(_kept_at("2021-07-07T02:50:00-05:00")))
+    archive = read_archive(tmp_path / "a.csv", SITE, 4.0)
+    assert archive.delay == 4.0 and archive.issues[0].available is None
+
+
+def test_an_arrival_before_the_issue_is_refused(tmp_path):
+    file = tmp_path / "a.csv"
+    text = write_forecasts(_kept_at("2021-07-07T02:50:00-05:00"))
+    file.write_text(text.replace("T02:50", "T01:50"))
+    refusal(read_archive, file, SITE, match="line 2: available.*must not be before")
+
+
+def test_the_fetched_forecast_says_when_it_arrived(server, tmp_path):
+    before = _now()
+    Fetcher(_service(server), tmp_path / "f.csv", tmp_path / "kept", 1800).fetch()
+    (file,) = (tmp_path / "kept").iterdir()
+    (issue,) = read_forecasts(file)
+    assert before <= issue.available <= _now()
+    assert issue.issued == issue.available.replace(minute=0, second=0, microsecond=0)
+    assert file.stem == f"{issue.available:%Y%m%d%H%M%S}"
+
+
+def test_the_services_wind_is_at_ten_metres_whatever_the_sites_is(server):
+    """A wind of 10 m taken for one of 2 m would be a third too fast in Penman-Monteith."""
+    for height in (2.0, 3.5):
+        low = replace(SITE, wind_height=height)
+        there, here = (
+            Service(site, url=f"{server.address}/v1/forecast").fetch(_now()) for site in (low, SITE)
+        )
+        assert np.array_equal(there.evapotranspiration, here.evapotranspiration)

@@ -98,7 +98,8 @@ def test_a_site_is_kept_up_and_systemd_told(
     (tmp_path / "nodes.yaml").write_text(QUICK)
     write_forecast(tmp_path / "forecast.csv", timedelta(days=2000), 0.0, 12.0)
     options = (
-        "--sensors", "external", "--pump", "external", "--max-command", "0.4",
+        "--controller", "mpc", "--max-command", "0.4", "--sensors", "external",
+        "--pump", "external",
         "--forecast", "forecast.csv", "--bag-limit", "50", "--node-parameters", "nodes.yaml",
     )
     with live(domain, tmp_path, *options) as process:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from paper import PAPER_SITE, weather_of
-from places import CONFIG
+from places import CHECKOUT, CONFIG
 
 from greenroof_ros.common.times import parse_time
+from greenroof_ros.formats.reading import read_records
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.evapotranspiration import (
     evaporable,
@@ -210,3 +211,14 @@ def test_steps_of_any_length_keep_the_sums_of_whole_days(step_s: int) -> None:
     tolerance = 1e-3 if step_s < 300 else 1e-6
     assert steps.reshape(10, -1).sum(axis=1) == pytest.approx(quarters, rel=tolerance)
     assert over(300)[1][12 * 12:15 * 12].tolist() == [0.0] * 36
+
+
+def test_the_height_of_the_wind_is_the_records() -> None:
+    """Records of Environment Canada are of 10 m; others are at the height of the site file."""
+    file = CHECKOUT / "test" / "data" / "en_climate_hourly_07-2021.csv"
+    low = replace(TORONTO, wind_height=2.0)
+    records = read_records(file, TORONTO)
+    assert records.wind_height == 10.0
+    assert np.array_equal(fao56(records, low), fao56(records, TORONTO), equal_nan=True)
+    own = replace(records, wind_height=None)
+    assert np.nanmean(fao56(own, low)) > 1.02 * np.nanmean(fao56(own, TORONTO))
