@@ -203,7 +203,7 @@ def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
 
 
 def test_a_flapping_sensor_fills_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two files keep the newest; numbers go on, and what lasts is kept however long ago it began."""
+    """Two files keep the newest; numbers go on, and what lasts is kept whenever it began."""
     monkeypatch.setattr(incidents, "_FULL", 20_000)
     log = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
     log.look(report_of("roof_sensor", drive="ERROR"))  # it lasts for all this time
