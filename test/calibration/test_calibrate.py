@@ -232,7 +232,7 @@ def test_the_record_of_the_tutorial(tmp_path: Path) -> None:
     (tmp_path / "my_site.yaml").write_text(site[0])
     done = run_command(
         "calibrate", str(CHECKOUT / "examples" / "roof_2025.csv"), "--site", "my_site.yaml",
-        "-o", "fitted.yaml", cwd=tmp_path, env=environment(),
+        "-o", "fitted.yaml", cwd=tmp_path, env=environment(0),
     )
     assert done.returncode == 0, done.stderr
     fitted = read_site(tmp_path / "fitted.yaml")
