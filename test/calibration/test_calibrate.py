@@ -11,6 +11,7 @@ import pytest
 from browsers import drawn_page
 from commands import run_command
 from graphs import environment
+from places import CHECKOUT
 from refusals import refusal
 from twins import TWIN, record_rows, summed, write
 
@@ -221,3 +222,19 @@ def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
         ]
         assert "The crop_coefficient counts if evapotranspiration is computed" in words
         assert page.locator("canvas").count() == 8
+
+
+def test_the_record_of_the_tutorial(tmp_path: Path) -> None:
+    """The parameters with which its runoff was simulated, as its first lines say."""
+    page = (CHECKOUT / "doc" / "tutorials" / "your-site-and-weather.md").read_text()
+    site = re.search(r"^# my_site.yaml.*?(?=^```)", page, re.DOTALL | re.MULTILINE)
+    assert site
+    (tmp_path / "my_site.yaml").write_text(site[0])
+    done = run_command(
+        "calibrate", str(CHECKOUT / "examples" / "roof_2025.csv"), "--site", "my_site.yaml",
+        "-o", "fitted.yaml", cwd=tmp_path, env=environment(0),
+    )
+    assert done.returncode == 0, done.stderr
+    fitted = read_site(tmp_path / "fitted.yaml")
+    assert fitted.drainage_time == pytest.approx(900, rel=0.1)
+    assert fitted.crop_coefficient == pytest.approx(0.8, rel=0.1)
