@@ -17,8 +17,8 @@ CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 COMMANDS = (
     "bringup.__main__", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
     "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "hold",
-    "release", "dose", "calibrate", "verify", "bridge", "study.__main__", "report.__main__",
-    "watch.__main__",
+    "release", "dose", "status", "calibrate", "verify", "bridge", "study.__main__",
+    "report.__main__", "watch.__main__",
 )
 # Colcon calls one of these, and setup.cfg says where executables go. Pip calls neither, and would
 # put names such as `report` and `watch` on everybody's PATH.

@@ -106,9 +106,13 @@ def _judge(shown: Mapping[str, Any]) -> int:
     unknown = _unknown(shown) - {"rain"}
     if mode in ("none", "ended"):
         return NOTHING
-    if tiles["summary"]["level"] == "error" or (unknown and mode in ("live", "loop")):
+    blind = bool(unknown) or not shown["alarms_known"]
+    if (
+        tiles["summary"]["level"] == "error" or tiles["pump"]["state"] == "fault"
+        or (blind and mode in ("live", "loop"))
+    ):
         return ALARM
-    return WARNING if unknown or _present(shown) else EXIT_DONE
+    return WARNING if blind or _present(shown) else EXIT_DONE
 
 
 def _lines(shown: Mapping[str, Any], code: int) -> list[str]:

@@ -55,8 +55,8 @@ _GIVEN_UP = 3
 _CHANGES = 50
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 STATE_FILE = Parameter(
-    "state_file", "", meaning="live: file that keeps what the controller has learned about its "
-    "forecasts across restarts; empty: none",
+    "state_file", "", meaning="live: file that keeps what waiting for rain has cost so far "
+    "across restarts; empty: none",
 )
 # How often learned values are saved (s).
 _KEEP_S = 600.0
@@ -73,8 +73,8 @@ class ControllerNode(LinkedNode):
 
     On a live site a forecast that is missing, too old or refused does not stop the pump: on/off,
     with its defaults, commands until there is a good one. If on/off has pumped, the controller then
-    restarts, since its knowledge of the roof and its plan are outdated. What it has learned about
-    its forecasts is kept, also across restarts of the node, in ``state_file``.
+    restarts, since its knowledge of the roof and its plan are outdated. What
+    waiting for rain has cost is kept, also across restarts of the node, in ``state_file``.
     """
 
     def __init__(self, controller: str) -> None:

@@ -39,16 +39,16 @@ _NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
 _LAST_TICK, _LAST_NS = 2**40, 2**63
 # While all nodes have run for less than this (s), what is missing may still come: the site starts.
 _START_S = 60.0
-# Codes of what is missing then, without a drive's or a sensor's loss after it had been there.
+# Codes of what is missing then. What was good before is lost: that is an alarm.
 _MISSING = {
     "input_waiting", "input_silent", "input_refused", "input_recovering", "no_command",
     "command_unknown", "no_forecast", "forecast_missing", "forecast_not_fetched",
     "temperature_unknown", "gauge_bad", "frost_unknown", "cistern_level_unknown",
     "roof_level_unknown", "no_permit", "not_active", "drive_awaited", "drive_guards_later",
     "drive_not_ready", "drive_speed_unknown", "delivery_blind", "no_run", "waits",
-    "values_refused", "forecast_service_silent", "temperature_not_fetched",
+    "values_refused", "forecast_service_silent", "temperature_not_fetched", "drive_lost",
+    "sensor_lost", "broker_lost",
 }
-_NOT_THERE_YET = {"drive_lost", "sensor_lost", "broker_lost"}
 # A name that ROS allows for a node; the name becomes part of commands that are advised.
 _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _PLANT = "plant"
@@ -87,8 +87,7 @@ class Trouble:
     @property
     def is_missing(self) -> bool:
         """Whether it is something that has not come yet, if the site is starting."""
-        late = self.code in _NOT_THERE_YET and not self.was_good
-        return bool(self.role) and (self.code in _MISSING or late)
+        return bool(self.role) and self.code in _MISSING and not self.was_good
 
     @property
     def hides_pump(self) -> bool:

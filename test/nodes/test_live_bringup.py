@@ -286,7 +286,7 @@ def test_its_status_is_an_alarm_while_a_dead_pump_node_is_not_replaced(
     def pump() -> str:
         return next(line for line in status()[1] if line.startswith("Pump "))
 
-    with live(domain, tmp_path, *hardware.be_a_site(), code=1) as process:
+    with live(domain, tmp_path, *hardware.be_a_site()) as process:
         hardware.begin()
         hardware.until_it_pumps()
         wait_for(lambda: status()[0] < 2, 60, "a site without alarms")

@@ -23,7 +23,7 @@ SITE = f"site: {CONFIG / 'site.yaml'}"
 HOURS = "    hours: 0.25\n"
 # name: the grid, and the end of the place with what is wrong there
 WRONG = {
-    "unknown-key": (GRID + "engine: ros\n", "line 14: engine = 'ros': is not a key here"),
+    "unknown-key": (GRID + "workers: 4\n", "line 14: workers = 4: is not a key here"),
     "missing": (GRID[: GRID.index("weather")], "weather: is missing or empty; it must be a list"),
     "no-initial": (
         re.sub("initial:.*\n", "", GRID), "initial: is missing or empty; it must be one of low-low"
