@@ -102,7 +102,11 @@ def test_a_run_that_is_well(domain: int, tmp_path: Path) -> None:
     assert lines[1].startswith("What to do: ")
     assert re.match("Simulated run, [0-9.]+ times real time; /site1; 20", lines[2])
     assert [line[:14].strip() for line in lines[3:]] == TILES
-    values = data(domain, tmp_path, "--namespace", "/site1")
+    # On a busy machine the forecast can come after the first two seconds.
+    values = wait_for(
+        lambda: (seen := data(domain, tmp_path, "--namespace", "/site1"))["forecast_rain_m"]
+        is not None and seen, 60, "the forecast",
+    )
     assert (values["status"], values["mode"], values["namespace"]) == (
         "well", "simulated", "/site1"
     )
@@ -184,10 +188,12 @@ def test_a_drive_that_is_lost_or_has_a_fault_is_an_alarm(domain: int, tmp_path: 
         assert until(1, "running")["mode"] == "loop"
         drive.inject("refused")
         # In its first minute a site that this command has not heard before is still starting.
-        wait_for(lambda: "drive_lost" in {
-            alarm["code"] for alarm in data(domain, tmp_path, *namespace)["alarms"]
-        }, 90, "the loss")
-        assert until(2, "unknown")["pump_flow_m3_s"] is None
+        lost = wait_for(
+            lambda: (seen := data(domain, tmp_path, *namespace))["exit_code"] == 2
+            and "drive_lost" in {alarm["code"] for alarm in seen["alarms"]} and seen,
+            90, "the loss",
+        )
+        assert (lost["pump"], lost["pump_flow_m3_s"]) == ("unknown", None)
         drive.inject("none")
         until(1, "running")
         stop(domain, tmp_path)
