@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime, timezone
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.common.processes import Signals
@@ -30,6 +30,9 @@ from greenroof_ros.watch.home_assistant import (
 from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.words import UNKNOWN, display_of
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import MQTTMessageInfo
 
 # How often the state is checked, and how often it is sent even if unchanged (s): three times before
 # it expires in Home Assistant.
@@ -72,6 +75,7 @@ class Bridge:
         self._discovery = discovery(site, prefix)
         self._stop, self._again = threading.Event(), threading.Event()
         self._why, self._ending = "", False  # why there is no connection
+        self._availability = threading.Lock()  # in the order in which it is published
         self._sent: dict[str, str] = {}
         self._sent_at = 0.0
         self._stop_until = -math.inf  # until when a stop is tried (steady clock, s)
@@ -101,7 +105,7 @@ class Bridge:
                 self._publish_state()
         finally:
             self._ending = True
-            last = self._client.publish(f"{self._base}/availability", OFFLINE, retain=True)
+            last = self._publish_availability()
             with suppress(RuntimeError):  # there is no broker
                 last.wait_for_publish(_LAST_S)
             self._client.disconnect()
@@ -150,8 +154,18 @@ class Bridge:
         """Publish everything: the broker is there again, or Home Assistant has started."""
         for topic, text in self._discovery.items():
             self._client.publish(topic, text, retain=True)
-        self._client.publish(f"{self._base}/availability", ONLINE, retain=True)
+        self._publish_availability()
         self._again.set()
+
+    def _publish_availability(self) -> MQTTMessageInfo:
+        """Publish whether this bridge runs.
+
+        A bridge that connects while it ends is offline. It disconnects in an orderly way, so that
+        the broker would not publish its will.
+        """
+        with self._availability:
+            word = OFFLINE if self._ending else ONLINE
+            return self._client.publish(f"{self._base}/availability", word, retain=True)
 
     def _on_disconnect(self, why: str) -> None:
         if why != self._why and not self._ending:

@@ -56,7 +56,7 @@ def test_lifecycle(rig: PumpRig) -> None:
     assert rig.tick(0.5) == 0.0
     rig.until_said("drive", WARN, "not configured", f"127.0.0.1:{port}")
     rig.simulate(port=port)
-    wait_for(lambda: rig.change("configure"), 20, "the drive")
+    wait_for(lambda: rig.change("configure"), 30, "the drive")
     assert not rig.change("configure")
     assert rig.lifecycle_state() == "inactive"
     assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
@@ -69,11 +69,11 @@ def test_lifecycle(rig: PumpRig) -> None:
     assert rig.observer.diagnoses["/pump: drive"].hardware_id.startswith("ABB ACS880")
     assert rig.change("deactivate")
     rig.until_it_stands(5)
-    wait_for(lambda: rig.change("cleanup"), 20, "the end of the ramp")
+    wait_for(lambda: rig.change("cleanup"), 30, "the end of the ramp")
     assert rig.drive.speed() == 0.0  # it releases a drive only at rest
     assert rig.lifecycle_state() == "unconfigured"
     assert rig.tick(0.5) == 0.0
-    wait_for(lambda: rig.change("configure"), 20, "the drive")
+    wait_for(lambda: rig.change("configure"), 30, "the drive")
     # A failed cleanup is refused quickly, to be retried; finally the node is unconfigured.
     assert rig.change("activate")
     rig.run()
@@ -261,7 +261,7 @@ def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
     assert rig.state.startswith(STOPPED)
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
     pipe.unlink()
-    wait_for(lambda: rig.call(SetBool, "stop", data=True).success, 20, "the disk")
+    wait_for(lambda: rig.call(SetBool, "stop", data=True).success, 30, "the disk")
     os.close(reader)
     assert b'"hold_owner": "the operator"' in file.read_bytes()
 

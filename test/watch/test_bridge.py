@@ -162,14 +162,14 @@ def test_it_says_what_a_simulated_run_does_and_nothing_can_be_stopped(
         assert state_on(heard)["mode"] == "simulated" and not state_on(heard)["can_stop"]
         assert "pump" in state_on(heard)["plan"]
         with Talker(broker) as late:
-            wait_for(lambda: late.of("greenroof/roof/availability"), 10, "what is retained")
+            wait_for(lambda: late.of("greenroof/roof/availability"), 30, "what is retained")
             retained = {topic for _, topic, _, retained in late.heard if retained}
             assert retained == {"greenroof/roof/availability", *discovery("roof", "homeassistant")}
         heard.say("greenroof/roof/stop", "STOP")
         bridge.until_said("There is no pump node that could be stopped")
         bridge.process.kill()
         wait_for(
-            lambda: heard.last("greenroof/roof/availability") == "offline", 20, "the last will"
+            lambda: heard.last("greenroof/roof/availability") == "offline", 30, "the last will"
         )
         assert run.wait(120) == 0
 
@@ -201,7 +201,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         assert state()["hold"] == ""
         for wish in ("RELEASE", "", '{"data": false}', "stop"):
             heard.say(stop, wish)
-        wait_for(lambda: bridge.stderr().count("it is not STOP") >= 4, 10, "four refusals")
+        wait_for(lambda: bridge.stderr().count("it is not STOP") >= 4, 30, "four refusals")
         assert state()["pump"] == "running"
         before = len(heard.of(availability))
         broker.kill()
@@ -214,7 +214,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         config = next(iter(discovery("site1", "homeassistant")))
         before = len(heard.of(config))
         heard.say("homeassistant/status", "online")
-        wait_for(lambda: len(heard.of(config)) > before, 10, "the discovery again")
+        wait_for(lambda: len(heard.of(config)) > before, 30, "the discovery again")
         # Sent retained while the bridge is connected, it is a stop like any other.
         heard.say(stop, "STOP", retain=True)
         wait_for(lambda: state()["pump"] == "held", 30, "a pump that is held off")
@@ -236,7 +236,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         bridge.until_said("Keep alive timeout")
         broker.go_on()
         end(bridge)
-        wait_for(lambda: heard.last(availability) == "offline", 10, "its last word")
+        wait_for(lambda: heard.last(availability) == "offline", 30, "its last word")
 
 
 # --- the broker -----------------------------------------------------------------------------------

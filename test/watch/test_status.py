@@ -193,7 +193,8 @@ def test_a_drive_that_is_lost_or_has_a_fault_is_an_alarm(domain: int, tmp_path: 
             and "drive_lost" in {alarm["code"] for alarm in seen["alarms"]} and seen,
             90, "the loss",
         )
-        assert (lost["pump"], lost["pump_flow_m3_s"]) == ("unknown", None)
+        # Off as soon as the drive's own timeout must have stopped it.
+        assert lost["pump"] in ("unknown", "off") and lost["pump_flow_m3_s"] is None
         drive.inject("none")
         until(1, "running")
         stop(domain, tmp_path)
