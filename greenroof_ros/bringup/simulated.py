@@ -1,27 +1,16 @@
 """Run a simulated site as a ROS 2 graph, with or without a drive in the loop: ``greenroof run``.
 
-See :mod:`greenroof_ros.bringup.in_the_loop` for what a drive adds.
+See :mod:`greenroof_ros.live.in_the_loop` for what a drive adds.
 """
 
 from __future__ import annotations
 
 import argparse
 import shlex
-import signal
-from collections import Counter
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.bringup.drive import (
-    EXTERNAL,
-    add_graph_arguments,
-    bring_up,
-    chosen_drive,
-    own_parameters,
-    refuse,
-)
-from greenroof_ros.bringup.in_the_loop import drive_parameters, wait_for_drive
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -33,7 +22,7 @@ from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.standard_error import LINES, say
 from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.experiment import summary, summary_table
-from greenroof_ros.experiment.incidents import INCIDENTS, IncidentLog
+from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
@@ -42,13 +31,23 @@ from greenroof_ros.experiment.options import (
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
-from greenroof_ros.graph.supervision import FINISHED, PUMP, READY, RECORDER, ROLES
-from greenroof_ros.graph.supervisor import START_LIMIT_S, NodeFailed, NodeStart, Supervisor
+from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other_nodes
+from greenroof_ros.graph.states import PUMP, RECORDER
+from greenroof_ros.live.drive import (
+    EXTERNAL,
+    add_graph_arguments,
+    bring_up,
+    chosen_drive,
+    own_parameters,
+    refuse,
+)
+from greenroof_ros.live.in_the_loop import PUMP_NODE, DriveInLoop, drive_parameters
 from greenroof_ros.recording.bag_reader import count_ticks
 
+if TYPE_CHECKING:
+    from greenroof_ros.bringup.composition import Composition
+
 _NODES = "greenroof_ros.nodes"
-_SHOWN = ("tick", "cistern_level", "roof_level", "command")  # entries of the plant's report
 
 
 def make_parser() -> Parser:
@@ -56,8 +55,8 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof run",
         usage="%(prog)s [options]",
-        description="Start plant, weather, controller and recorder as ROS 2 nodes, each its own "
-        "process, run them in lockstep on simulated time, and end them. While it runs, "
+        description="Run plant, weather, controller and recorder as ROS 2 nodes of one process, "
+        "in lockstep on simulated time. While it runs, "
         "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.\n\n"
         "With --drive and --drive-at there is hardware in the loop: a drive instead of the "
         "simulated pump, in real time, or with the drive simulator at another --speed.\n\n"
@@ -94,7 +93,7 @@ def simulated_run(arguments: argparse.Namespace) -> Run:
 
 
 def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
-    """Create the run's directory, start, watch and end the nodes; return the exit code.
+    """Create the run's directory, run the nodes and write the summary; return the exit code.
 
     Raises:
         ConfigurationError: an option is wrong, a graph runs already, ROS 2 is missing, or the
@@ -102,26 +101,25 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         OSError: the summary cannot be written.
         OutputError: the summary cannot be printed.
     """
+    with importing_ros():
+        from greenroof_ros.bringup.composition import Composition
     drive = chosen_drive(arguments)
-    stop_drive = drive.stopper() if drive is not None else None
-    of_controller = ("--controller", run.controller.reference)
-    nodes = [
-        *([] if drive is None else [NodeStart(PUMP, f"{_NODES}.pump")]),
-        NodeStart("plant", f"{_NODES}.plant"),
-        NodeStart("weather", f"{_NODES}.weather"),
-        NodeStart(run.controller.name, f"{_NODES}.controller", of_controller),
-        *([] if arguments.no_record else [NodeStart(RECORDER, f"{_NODES}.recorder")]),
-    ]
-    own_files = own_parameters(arguments, nodes, run.controller)
     speed = arguments.speed
     if speed is None:  # real time with a drive, otherwise as fast as possible
         speed = 0.0 if drive is None else 1.0
     if drive is not None:
         drive.refuse_speed(speed, signals.check)
+    modules = {
+        "plant": f"{_NODES}.plant",
+        "weather": f"{_NODES}.weather",
+        run.controller.name: f"{_NODES}.controller",
+        **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
+        **({} if drive is None else {PUMP: PUMP_NODE}),
+    }
+    own_files = own_parameters(arguments, modules, run.controller)
     with only_bringup(arguments.namespace):
         refuse_other_nodes(
-            arguments.namespace, {*(node.name for node in nodes), RECORDER, *controller_names()},
-            signals.check,
+            arguments.namespace, {*modules, RECORDER, *controller_names()}, signals.check
         )
         directory = make_run_directory(arguments.output, run.controller.name)
         of_drive = {} if drive is None else drive_parameters(
@@ -137,142 +135,52 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
             },
             {} if drive is None else {PUMP: of_drive},
         )
-        (directory / "log").mkdir()
-        supervisor = Supervisor(
-            directory / "log", [parameters, *own_files], arguments.namespace, stop_drive,
-            lambda node, problem: say(f"{node}: {problem}"),
-        )
-        # LINES, because this loop gives the pump's permit and a hung terminal must not delay it.
-        progress = RunProgress(run.steps, run.site.tau, LINES)
-        log = IncidentLog(progress.say, directory / INCIDENTS)
-        status, reason, code = summary.DONE, "", EXIT_DONE
         summary.write(summary.build_unfinished(run, summary.RUNNING), directory)
+        progress = RunProgress(run.steps, run.site.tau, LINES)
+        graph = Composition(
+            run, [parameters, *own_files], arguments.namespace, record=not arguments.no_record,
+            signals=signals, progress=progress,
+        )
+        loop = DriveInLoop(
+            drive, of_drive, directory, [parameters, *own_files], arguments.namespace, signals,
+            progress,
+        ) if drive is not None else None
+        status, reason, code = summary.DONE, "", EXIT_DONE
         try:
-            with supervisor, progress:
-                for node in nodes:
-                    supervisor.start(node)
-                    if node.name == PUMP:
-                        wait_for_drive(supervisor, signals, str(of_drive["state_file"]), progress)
-                _watch(run, arguments.peer_limit, supervisor, signals, log, progress)
+            with progress, graph:
+                graph.spin(loop)
         except InterruptedRun as error:
-            signals.ignore()
-            say(str(error))
             status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
-        except NodeFailed as error:
-            signals.ignore()
-            say(f"error: {error}")
-            status, reason, code = summary.FAILED, error.reason, error.code
+            say(reason)
         except Exception as error:
-            signals.ignore()
-            why = f"{type(error).__name__}: {error}"
-            _end(run, directory, supervisor, log, summary.FAILED, why, as_json=False)
-            raise
-        if status != summary.FAILED:
-            _say_unclosed_bag(supervisor)
-        if supervisor.may_run:
+            status, reason, code = summary.FAILED, *graph.explain(error)
+            say(f"error: {reason}")
+        signals.ignore()
+        incidents = IncidentLog(say) if loop is None else loop.log
+        if loop is not None and loop.may_run:
             code = EXIT_FAILED
-        _end(run, directory, supervisor, log, status, reason, as_json=arguments.json)
-        return code or (EXIT_FAILED if log.count else EXIT_DONE)
-
-
-def _watch(
-    run: Run, limit: float, supervisor: Supervisor, signals: Signals, log: IncidentLog,
-    progress: RunProgress,
-) -> None:
-    """Watch the nodes until all have reported the end of the run.
-
-    Args:
-        run: the run.
-        limit: longest silence of a node once all are ready (s).
-        supervisor: the supervisor that started the nodes.
-        signals: checked ten times a second.
-        log: records incidents during the run.
-        progress: the progress bar.
-
-    Raises:
-        NodeFailed: a node ended or hangs.
-        InterruptedRun: a signal came.
-    """
-    waiting, running, tick = set(supervisor.nodes), set(supervisor.nodes), -1
-    while running:
-        signals.check()
-        supervisor.permit("waiting for nodes" if waiting - {RECORDER} else "")
-        supervisor.listen()
-        last = supervisor.last
-        waiting -= {name for name in last if last[name]["state"] in (READY, FINISHED)}
-        running -= {name for name in last if last[name]["state"] == FINISHED}
-        for report in last.values():
-            progress.warn(report["warnings"])
-        if waiting:
-            names = ", ".join(_missing(run, waiting, supervisor))
-            progress.waiting(f"waiting for {names}")
-        else:
-            before, tick = tick, _tick(supervisor)
-            if tick != before and last["plant"].keys() >= set(_SHOWN):
-                progress.show(*(last["plant"][name] for name in _SHOWN))
-            log.look(last, tick)
-        supervisor.check(START_LIMIT_S if waiting else limit)
-
-
-def _tick(supervisor: Supervisor) -> int:
-    """Return the tick that the plant has reached; -1 before the first."""
-    return int(supervisor.last.get("plant", {}).get("tick", -1))
-
-
-def _missing(run: Run, waiting: set[str], supervisor: Supervisor) -> list[str]:
-    """Return the nodes that are silent or awaited by others; if none, those that are not ready."""
-    names = {**ROLES, "controller": run.controller.name}
-    missing = {
-        names.get(role, role)
-        for report in supervisor.last.values() for role in report.get("waiting", [])
-    }
-    return sorted(missing | (waiting - supervisor.last.keys()) or waiting)
-
-
-def _say_unclosed_bag(supervisor: Supervisor) -> None:
-    """Print an error if the recorder had started and could not close its bag.
-
-    If its middleware locked up (SIGALRM), it had closed the bag before, or logged why it could not.
-    """
-    recorder = supervisor.nodes.get(RECORDER)
-    if recorder is not None and recorder.spoke and (
-        recorder.process.returncode not in (EXIT_DONE, -signal.SIGALRM)
-    ):
-        say(f"error: the recorder could not close its bag\n{supervisor.quoted(RECORDER)}")
+        _end(run, directory, graph, incidents, status, reason, as_json=arguments.json)
+        return code or (EXIT_FAILED if incidents.count else EXIT_DONE)
 
 
 def _end(
-    run: Run, directory: Path, supervisor: Supervisor, log: IncidentLog, status: str, reason: str,
-    *, as_json: bool,
+    run: Run, directory: Path, graph: Composition, log: IncidentLog, status: str, reason: str, *,
+    as_json: bool,
 ) -> None:
     """Write the summary; print it if the run is done, otherwise print how to open the bag."""
-    last = supervisor.last
-    refused: Counter[str] = Counter()
-    for report in last.values():
-        refused.update(report["refused"])
-    controller = last.get(run.controller.name, {})
     notes: dict[str, Any] = {
-        "refused": refused,
-        "parameter_changes": controller.get("parameter_changes", []),
-        "parameter_change_count": controller.get("parameter_change_count", 0),
-        "incidents": log.as_dicts(),
-        "incident_count": log.count,
+        "refused": graph.refused, **graph.parameter_changes,
+        "incidents": log.as_dicts(), "incident_count": log.count,
     }
     if status == summary.DONE:
-        plant = last["plant"]
-        result = summary.build(
-            run, plant["metrics"], plant["weeks"], wall_s=plant["wall_s"],
-            solver=controller["solver"], messages=last.get(RECORDER, {}).get("messages"), **notes,
-        )
+        result = summary.build(run, **graph.results, **notes)
         summary.write(result, directory)
         summary_table.show(result, directory, as_json=as_json)
         return
-    ticks = count_ticks(directory / "bag")
-    _say_what_is_in_bag(directory, ticks)
-    # A plant that was killed may have got further than it reported; the bag shows how far.
-    reached = max(_tick(supervisor), (ticks or 0) - 1)
+    _say_what_is_in_bag(directory, count_ticks(directory / "bag"))
+    tick = graph.tick
     result = summary.build_unfinished(
-        run, status, reason=reason, last_tick=reached if reached >= 0 else None, **notes
+        run, status, reason=reason, last_tick=tick if tick >= 0 else None, **notes
     )
     summary.write(result, directory)
 

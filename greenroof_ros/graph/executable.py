@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import os
-import signal
 import sys
 import textwrap
-import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import suppress
 from functools import partial
-from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
-import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from greenroof_ros.common.command_line import (
@@ -30,17 +22,10 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.graph.domain import (
-    TAKING_DOWN_S,
-    begin_to_listen,
-    choose_transport,
-    make_executor,
-)
-from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.messages import LockstepError
+from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
-from greenroof_ros.graph.peers import Peers
-from greenroof_ros.graph.supervision import PUMP
+from greenroof_ros.graph.spin import end_nodes, ros, spin
 from greenroof_ros.model.site import Site
 
 
@@ -53,8 +38,9 @@ class _Parser(argparse.ArgumentParser):
 
 
 def node_command(
-    make: Callable[..., LinkedNode], help_of: Callable[..., str], option: str = "",
+    make: Callable[..., Any], help_of: Callable[..., str], option: str = "",
     choices: Sequence[str] = (), value: str | None = None,
+    run: Callable[[Callable[[], Any]], int] | None = None,
 ) -> Callable[[], NoReturn]:
     """Return the executable of a node.
 
@@ -64,6 +50,7 @@ def node_command(
         option: the option that the node requires, such as ``--of``; empty for none.
         choices: allowed values of the option; empty for any.
         value: fixed value of the option; the command line then has no such option.
+        run: runs the node and returns the exit code; None for :func:`run_node`.
     """
 
     @command
@@ -84,7 +71,7 @@ def node_command(
             return EXIT_DONE
         if of == [None]:
             parser.error(": ".join(filter(None, (f"{option} is missing", " or ".join(choices)))))
-        return run_node(partial(make, *of))
+        return (run or run_node)(partial(make, *of))
 
     return main
 
@@ -166,10 +153,8 @@ def _about(parameter: Parameter) -> str:
 # --- the process ----------------------------------------------------------------------------------
 
 
-def run_node(make: Callable[[], LinkedNode]) -> int:
-    """Run one node until it is asked to stop, fails, or the run is over for all its nodes.
-
-    The process must end within 6 s of the return: a SIGALRM is pending.
+def run_node(make: Callable[[], SimulationNode]) -> int:
+    """Run one node of a simulated graph until its run is over, it is asked to stop, or it fails.
 
     Args:
         make: the node's class, or a function that returns the node.
@@ -178,71 +163,25 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
         An exit code: 0 if the run is over or the node was asked to stop, 1 if the node failed, 2 if
         arguments or parameters are wrong, 3 if there is another graph.
     """
-    choose_transport()
-    # Not rclpy's own handlers: after them nothing can be published, and a node that stops must
-    # still send its last report.
     signals = Signals()
-    try:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # rcl cannot parse the arguments
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        return EXIT_USAGE
-    code = EXIT_DONE
-    failure: str | None = None
-    node: LinkedNode | None = None
-    try:
-        node = make()
-        refuse_unknown(node, sys.argv)
-        if not node.live and node.role != PUMP:
-            _run_in_batches()
-        executor = SingleThreadedExecutor() if node.live else make_executor()
-        begin_to_listen(executor, node)
-        peers = None if node.live else Peers(node)
-        while peers is None or not peers.over:
-            signals.check()
-            executor.spin_once(timeout_sec=node.listen_s())
-            node.check()
-            if peers is not None:
-                peers.look(time.monotonic())
-    except ConfigurationError as error:
-        print(f"error: {error}", file=sys.stderr)
-        code, failure = exit_code(error), str(error)
-    except (LockstepError, OSError) as error:
-        code, failure = _failed(node, error)
-    except (InterruptedRun, ExternalShutdownException):
-        pass
-    finally:
-        if node is not None:
-            try:
-                node.on_stop()
-            except OSError as error:
-                code, failure = _failed(node, error)
-            node.flush(failure)
-        # Everything has been sent and written. From here the kernel ends a process that locks up.
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(TAKING_DOWN_S)
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
+    with ros(sys.argv):
+        code, failure, node = EXIT_DONE, None, None
+        try:
+            node = make()
+            refuse_unknown(node, sys.argv)
+            spin([node], partial(_check_alone, node, signals))
+        except (ConfigurationError, LockstepError, OSError) as error:
+            usage = isinstance(error, ConfigurationError)
+            code, failure = exit_code(error) if usage else EXIT_FAILED, str(error)
+            print(f"error: {error}", file=sys.stderr)
+        except InterruptedRun:
+            pass
+        finally:
+            if node is not None:
+                end_nodes([node], failure)
     return code
 
 
-def _run_in_batches() -> None:
-    """Give the process batch scheduling, so that it preempts no other process when it wakes up.
-
-    A node that wakes a peer then goes on until it has sent everything. Being preempted by each peer
-    that it wakes would cost a third more processor time per tick. Not for a live node or one that
-    runs a drive: they must be on time even beside a process that computes for hours.
-    """
-    for thread in Path("/proc/self/task").iterdir():
-        with suppress(ProcessLookupError):  # it has just ended
-            os.sched_setscheduler(int(thread.name), os.SCHED_BATCH, os.sched_param(0))
-
-
-def _failed(node: LinkedNode | None, error: Exception) -> tuple[int, str]:
-    """Log the error that ends the node, or print it if there is no node; return code and reason."""
-    if node is None:
-        print(f"error: {error}", file=sys.stderr)
-    else:
-        node.get_logger().fatal(str(error))
-    return EXIT_FAILED, str(error)
+def _check_alone(node: SimulationNode, signals: Signals) -> bool:
+    signals.check()
+    return node.over

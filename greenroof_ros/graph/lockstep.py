@@ -8,9 +8,8 @@ every node except the recorder, which only counts:
 2. *act*: no input is awaited; from here on all are, for the next tick (:meth:`Lockstep.act`);
 3. *publish*: the node publishes its own messages of the tick, one on each topic.
 
-Only inputs without a callback are awaited. Readers that are discovered late get earlier messages,
-since topics are transient local and 64 deep, and the plant is at most 32 ticks ahead of the
-recorder. These end a run:
+Readers that are discovered late get earlier messages, since topics are transient local and 64 deep,
+and the plant is at most 32 ticks ahead of the recorder. These end a run:
 
 - a message that does not come within the peer limit (before the first answers: the start limit);
   the plant watches this, and names the topics that it waits for;
@@ -20,23 +19,22 @@ recorder. These end a run:
   tick's own message comes; after the last tick, any message is one too many. A message that only
   the recorder misses shows in its count.
 
-:mod:`greenroof_ros.graph.peers` finds second publishers and a plant that has gone. No timer or
-sleep delays a tick. Wall clocks only end a run that hangs, and stop the pump node's drive.
+The plant publishes ``/run`` before the first tick: N, with which every node knows its last tick. No
+timer or sleep delays a tick. Wall clocks only end a run that hangs, and stop the pump node's drive.
 """
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.graph.inputs import Input, list_nodes
+from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import LockstepError
+from greenroof_ros.graph.publishers import list_nodes
 
 CLOCK, RUN = "/clock", "/run"
-PLANT = "plant"
 
 
 class RunIdentity(NamedTuple):
@@ -65,44 +63,36 @@ class Lockstep:
         run: the run that the node takes part in; None before the plant has published it.
         tick: the tick on which the node acts next.
         awaited: names of the inputs without a message of this tick yet.
-        due_in: time until the node must check the clock (s); infinite, except in a plant
-            that keeps a pace.
     """
 
-    def __init__(self, role: str, act: Callable[[], None], finish: Callable[[], None]) -> None:
+    def __init__(self, act: Callable[[], None], finish: Callable[[], None]) -> None:
         """Begin before the run.
 
         Args:
-            role: the node's role in the interface.
             act: makes the node act.
-            finish: reports that the run is over for the node.
+            finish: called when the node has acted on the last tick.
         """
         self.run: RunIdentity | None = None
         self.tick = 0
-        self.due_in = math.inf
         self.awaited: set[str] = set()
         self._of_tick: set[str] = set()  # names of the inputs that the node acts on
-        self._role, self._act, self._finish = role, act, finish
+        self._act, self._finish = act, finish
 
-    def receiver(
-        self, entry: Input, callback: Callable[[Any], None] | None
-    ) -> Callable[[bytes], None]:
+    def receiver(self, entry: Input, *, tolerates_second: bool) -> Callable[[bytes], None]:
         """Make the node wait for an input; return the receiver of its messages.
 
         Args:
             entry: the input.
-            callback: gets the values instead, and the node does not wait for them; None for none.
+            tolerates_second: whether a second message in a tick does not end the run.
         """
-        if callback is not None:
-            return entry.hand_on_to(callback)
         name, awaited = entry.topic.name, self.awaited
         self._of_tick.add(name)
         awaited.add(name)
 
         def receive(message: bytes) -> None:
-            """Take a message, and act if it was the last one awaited."""
+            """Keep a message, and act if it was the last one awaited."""
             second = name not in awaited
-            if second and not entry.tolerates_second:
+            if second and not tolerates_second:
                 kind = LockstepError if self.tick else OccupiedError
                 raise kind(
                     f"{entry.name} came twice in tick {self.tick} "
@@ -125,7 +115,7 @@ class Lockstep:
             self.awaited.clear()  # any further message is one too many
             self._finish()
 
-    def hear_run(self, values: array[float]) -> None:
+    def join(self, values: array[float]) -> None:
         """Join the run that the plant has published.
 
         Raises:
@@ -148,8 +138,9 @@ class Lockstep:
             if early:
                 raise LockstepError(f"{min(early)} came twice in tick {over} (after the last)")
             self.awaited.clear()
+            self._finish()
 
     @property
     def is_over(self) -> bool:
         """Whether the node has acted on the last tick; False in the plant, which counts itself."""
-        return self.run is not None and self.tick > self.run.last_tick and self._role != PLANT
+        return self.run is not None and self.tick > self.run.last_tick

@@ -1,4 +1,4 @@
-"""Report a node's state on /diagnostics and to its supervisor."""
+"""Report a node's state on /diagnostics."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.messages import qos_profile
-from greenroof_ros.graph.supervision import STARTING, SupervisorSocket
+from greenroof_ros.graph.states import STARTING
 
 # The levels of a diagnosis, as ROS tools know them.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
-# The longest value on /diagnostics (characters). Only the supervisor gets longer ones, such as the
-# weeks of a run of decades: observers read no value above 20,000.
+# The longest value on /diagnostics (characters): observers read no value above 20,000, such as the
+# weeks of a run of decades.
 _LONGEST = 16_000
 LEVELS = {OK: "OK", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
 
@@ -67,11 +67,10 @@ class Reports:
         numbers: measured or counted values of the node's parts, by name; None if unknown.
         hardware: the device that the parts belong to; empty for the machine.
         publisher: publishes the reports.
-        supervisor: the socket to the node's supervisor, if there is one.
     """
 
     def __init__(self, node: Node, role: str) -> None:
-        """Open the topic and, if the node has a supervisor, the socket to it.
+        """Open the topic.
 
         Args:
             node: the node.
@@ -87,7 +86,6 @@ class Reports:
         self._machine = socket.gethostname()
         self._process = f"{self._machine} {os.getpid()}"  # changes at a restart
         self._began = time.monotonic()
-        self.supervisor = SupervisorSocket()
         topic = read_topics()["/diagnostics"]
         profile = qos_profile(topic.qos)
         self.publisher = node.create_publisher(DiagnosticArray, topic.graph_name, profile)
@@ -98,8 +96,8 @@ class Reports:
         self.diagnoses[part] = _dated(before, level, message, code, cause)
         return self.diagnoses[part] != before
 
-    def say(self, values: dict[str, Any]) -> None:
-        """Publish the node's state with these values, and send it to the supervisor.
+    def publish(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Publish the node's state with these values; return all, with the parts' diagnoses.
 
         The level is ERROR if they have a failure, and WARN if they have warnings. A node that waits
         for its peers is OK, with a code that says so. The stamp is the node's time, or the system's
@@ -145,7 +143,7 @@ class Reports:
             }
             for part, diagnosis in self.diagnoses.items()
         }
-        self.supervisor.report({"state": self.state, **values, "diagnoses": diagnoses})
+        return {"state": self.state, **values, "diagnoses": diagnoses}
 
 
 def _dated(

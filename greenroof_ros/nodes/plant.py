@@ -10,18 +10,23 @@ from __future__ import annotations
 import math
 import secrets
 import time
+from collections.abc import Collection, Iterable
 from functools import partial
 from typing import Any
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+
 from greenroof_ros.common.errors import OccupiedError
+from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.graph.executable import node_command, node_help
-from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import LockstepError
+from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.supervision import FINISHED
+from greenroof_ros.graph.states import PLANT
 from greenroof_ros.model.initial_state import check_volumes, default_state
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
@@ -32,6 +37,8 @@ from greenroof_ros.model.site import Site
 _AHEAD = 32
 # If a tick is late by more than this (s), the delay is not made up.
 _LATE_S = 1.0
+# A clock that a step of the system's does not move.
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 # A run's identity has this many bits: a double holds it exactly.
 _IDENTITY_BITS = 53
 
@@ -62,12 +69,12 @@ def parameters(site: Site) -> list[Parameter]:
     ]
 
 
-class PlantNode(LinkedNode):
+class PlantNode(SimulationNode):
     """Simulates the plant, and paces the ticks."""
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
-        super().__init__("plant", "plant", live=False)
+        super().__init__("plant", PLANT)
         site = self.declare_site()
         self._site = site
         values = declare(self, parameters(site))
@@ -92,6 +99,8 @@ class PlantNode(LinkedNode):
         self._written = 0
         self._running = False
         self._paused = False  # the tick waits for the pace or the recorder
+        self._pace = self.create_timer(_LATE_S, self._publish_if_due, clock=_STEADY)
+        self._pace.cancel()
         self._wall_s = 0.0
         self._began = self._waiting_since = time.monotonic()
 
@@ -108,12 +117,13 @@ class PlantNode(LinkedNode):
         else:
             self.open_outputs("/pump/flow")
         if self._record:
-            self.subscribe("/recorder/written", self._on_written)
+            self.listen("/recorder/written", self._on_written)
         identity = float(secrets.randbits(_IDENTITY_BITS))
         self.publish(RUN, RunIdentity(identity, self._run_length, self._speed).values)
 
     def _on_written(self, ticks: float) -> None:
         self._written = int(ticks)
+        self._publish_if_due()
 
     def _behind(self) -> bool:
         """Whether the recorder is as far behind as allowed."""
@@ -194,6 +204,7 @@ class PlantNode(LinkedNode):
         else:
             self._paused = True
             self._waiting_since = time.monotonic()
+            self._publish_if_due()
         self._publish_flows(flows)
 
     def _publish_flows(self, flows: Flows) -> None:
@@ -202,36 +213,48 @@ class PlantNode(LinkedNode):
         if not self._external:
             self.publish("/pump/flow", flows.pump)
 
-    def on_idle(self) -> None:
-        """Start the run once all nodes are there, publish a waiting tick, and check timeouts."""
-        now, self.lockstep.due_in = time.monotonic(), math.inf
-        if self.reports.state == FINISHED:
+    def _publish_if_due(self) -> None:
+        """Publish a tick that waited, if its time has come and the recorder is not far behind."""
+        self._pace.cancel()
+        if not self._paused or self._behind():
+            return
+        pause = self._pause()
+        if pause:
+            self._pace.timer_period_ns = math.ceil(1e9 * pause)
+            self._pace.reset()
+        else:
+            self._publish_tick()
+
+    def on_timer(self, now: float) -> None:
+        """Start the run once all nodes are there, and check timeouts.
+
+        Raises:
+            LockstepError: a node is missing, or does not answer.
+        """
+        if self.finished:
             return
         if not self._running:
-            if self.ready:
+            if not (absent := self.absent()):
                 self._running = True
                 self._began = now
                 self._publish_tick()
             elif now - self._began > self._start_limit:
                 raise LockstepError(
-                    f"no start within {self._start_limit:g} s: "
-                    f"{self.inputs.say(self.inputs.absent())}"
+                    f"no start within {self._start_limit:g} s: {self.describe(absent)}"
                 )
             return
         if self._paused and not self._behind():
-            pause = self._pause()
-            if pause:
-                self.lockstep.due_in = pause
-            else:
-                self._publish_tick()
-            return
+            return  # the tick waits for its time
         # Nodes that have not answered yet may still be joining: seconds on a busy machine.
         answered = self._tick and (self._written or not self._paused)
         limit = self._limit if answered else max(self._limit, self._start_limit)
         if now - self._waiting_since > limit:
             missing = "/recorder/written from recorder"
             if not self._paused:
-                missing = self.inputs.causes(self.lockstep.awaited)
+                awaited = self.by_role([name for name in self.inputs
+                                        if name in self.lockstep.awaited])
+                causes = root_causes(awaited, self.interface.values())
+                missing = self.describe({role: awaited[role] for role in awaited if role in causes})
             raise LockstepError(f"tick {self._tick}: no message within {limit:g} s on {missing}")
 
     def progress(self) -> dict[str, Any]:
@@ -250,6 +273,23 @@ class PlantNode(LinkedNode):
             "metrics": self._metrics.results(), "weeks": self._metrics.weekly_deviations(),
             "wall_s": self._wall_s,
         }
+
+
+def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
+    """Return the silent roles that do not wait for another silent role; if there are none, all.
+
+    Args:
+        roles: the roles from which nothing comes.
+        topics: the interface's topics, which determine which role waits for which.
+    """
+    waiting = {
+        role
+        for topic in topics
+        for role in roles
+        if topic.per_tick and role in topic.subscribers
+        and any(publisher in roles and publisher != role for publisher in topic.publishers)
+    }
+    return set(roles) - waiting or set(roles)
 
 
 main = node_command(PlantNode, partial(

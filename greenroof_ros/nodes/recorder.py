@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from dataclasses import replace
 from functools import partial
@@ -14,10 +13,11 @@ from greenroof_ros.common.interface import recorded_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import DEFAULT, find_controller
 from greenroof_ros.graph.executable import node_command, node_help
-from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import LockstepError, decode_clock
+from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare
+from greenroof_ros.graph.states import RECORDER
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import BagWriter
 
@@ -33,7 +33,7 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     ]
 
 
-class RecorderNode(LinkedNode):
+class RecorderNode(SimulationNode):
     """Writes complete ticks, in the order of the interface, with their simulated time.
 
     The k-th message of a topic belongs to tick k. The bag has the topics' full names, including the
@@ -42,7 +42,7 @@ class RecorderNode(LinkedNode):
 
     def __init__(self) -> None:
         """Declare the parameters, make the bag and open the topics."""
-        super().__init__("recorder", "recorder", live=False)
+        super().__init__(RECORDER, RECORDER)
         values = declare(self, parameters())
         directory = values["directory"]
         self._limit = values["peer_limit"]
@@ -55,7 +55,6 @@ class RecorderNode(LinkedNode):
             replace(topic, name=self.resolve_topic_name(topic.graph_name))
             for topic in topics
         ]
-        self.inputs.names["controller"] = controller.name
         try:
             self._bag = BagWriter(Path(directory), self._in_bag)
         except FileExistsError:
@@ -63,7 +62,6 @@ class RecorderNode(LinkedNode):
                 "exists; the recorder never overwrites a bag", key="directory", value=directory
             ) from None
         self._closed = False
-        self._looked_at = 0.0
         self._ending_since: float | None = None
         self.open_outputs("/recorder/written")
         self._queues: dict[str, deque[bytes]] = {topic.name: deque() for topic in topics}
@@ -75,7 +73,6 @@ class RecorderNode(LinkedNode):
         """Queue a message of a topic, and write each tick that is now complete."""
         queue.append(message)
         while all(self._every_queue):
-            self.acted = True
             now = decode_clock(self._queues[CLOCK][0])
             try:
                 self._bag.write_tick(now, [queue.popleft() for queue in self._every_queue])
@@ -85,6 +82,7 @@ class RecorderNode(LinkedNode):
             if self._bag.safe == self._bag.written:
                 self._report_written()
             self.set_time(now)
+            self._end_if_complete()
 
     def progress(self) -> dict[str, Any]:
         """Return the bag's absolute path."""
@@ -93,22 +91,37 @@ class RecorderNode(LinkedNode):
     def _report_written(self) -> None:
         self.publish("/recorder/written", float(self._bag.safe))
 
-    def on_idle(self) -> None:
-        """Close the bag after the last tick; fail if that stays incomplete beyond the limit."""
-        now = time.monotonic()
-        if self._closed or self.run_length is None or now - self._looked_at < LISTEN_S:
+    @property
+    def acted(self) -> bool:
+        """Whether it has written a tick."""
+        return self._bag.written > 0
+
+    def _end_if_complete(self) -> None:
+        """Close the bag once it has the last tick, and nothing is left over."""
+        run = self.lockstep.run
+        if self.finished or run is None or self._bag.written <= run.last_tick:
             return
-        self._looked_at = now
-        came = {name: self._bag.written + len(queue) for name, queue in self._queues.items()}
-        ticks = self.run_length + 1
-        if max(came.values()) < ticks:
-            return
-        if self._ending_since is None:
-            self._ending_since = now
-        if self._bag.written == ticks and max(came.values()) == ticks:
+        if not any(self._every_queue):
             self._close()
             self._report_written()
             self.finish()
+
+    def on_timer(self, now: float) -> None:
+        """Fail if the last tick stays incomplete beyond the limit.
+
+        Raises:
+            LockstepError: a topic lacks messages, or has too many.
+        """
+        run = self.lockstep.run
+        if self.finished or run is None:
+            return
+        self._end_if_complete()  # /run may have come after the last tick
+        ticks = round(run.last_tick) + 1
+        came = {name: self._bag.written + len(queue) for name, queue in self._queues.items()}
+        if self.finished or max(came.values()) < ticks:
+            return
+        if self._ending_since is None:
+            self._ending_since = now
         elif now - self._ending_since > self._limit:
             wrong = ", ".join(
                 f"{name}: {count}" for name, count in came.items() if count != ticks

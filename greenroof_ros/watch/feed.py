@@ -27,7 +27,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.summary import site_file_of
 from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
-from greenroof_ros.graph.supervision import RECORDER
+from greenroof_ros.graph.states import RECORDER
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.alarms import read_beside

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.graph.supervision import ENDED, FINISHED, PUMP, RECORDER, STARTING, STATES
+from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, RECORDER, STARTING, STATES
 from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.wire import Status
 from greenroof_ros.watch.words import plain, sentence
@@ -115,7 +115,7 @@ class Node:
         name: fully qualified.
         role: as in the interface.
         process: the operating-system process: its machine and number.
-        state: one of :mod:`greenroof_ros.graph.supervision`.
+        state: one of :mod:`greenroof_ros.live.supervision`.
         values: what else it reports; a number that is not finite is None.
         began: when it was first heard.
         heard: when it was last heard.

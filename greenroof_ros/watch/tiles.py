@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.graph.supervision import PUMP
+from greenroof_ros.graph.states import PUMP
 from greenroof_ros.model.metrics import NEAR_TARGET
 from greenroof_ros.model.plant import pumps_run
 from greenroof_ros.model.site import Site

@@ -17,9 +17,9 @@ from modbus_wire import Wire, acs880
 from places import CHECKOUT
 
 from greenroof_ros.bringup import in_the_loop, live
-from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters
-from greenroof_ros.bringup.live_site import LiveSite
-from greenroof_ros.bringup.live_site import make_parser as live_site_parser
+from greenroof_ros.live.drive import DriveChoice, chosen_drive, own_parameters
+from greenroof_ros.live.live_site import LiveSite
+from greenroof_ros.live.live_site import make_parser as live_site_parser
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import take_lock
@@ -27,7 +27,7 @@ from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.lock import DriveLock
-from greenroof_ros.graph.supervisor import NodeFailed, NodeStart
+from greenroof_ros.live.supervisor import NodeFailed, NodeStart
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 

@@ -842,7 +842,7 @@ def test_the_waits_fit_into_the_longer_ones_of_pump_control_bringup_and_service(
     Then the pump node's end; the supervisor's stop, perhaps after another one; the other nodes.
     """
     from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
-    from greenroof_ros.graph.supervisor import ENDING_S, KILLING_S, PUMP_ENDING_S
+    from greenroof_ros.live.supervisor import ENDING_S, KILLING_S, PUMP_ENDING_S
 
     assert exchange.UNREAD_S == exchange.RUNS_ON_S + exchange.LONGEST_WAIT_S == 15
     assert exchange.STILL_S < exchange.RUNS_ON_S < exchange.RUNS_ON_S + exchange.SEEN_S < 15

@@ -21,7 +21,7 @@ from std_msgs.msg import Float64  # noqa: E402
 
 from greenroof_ros.common.interface import read_topics  # noqa: E402
 from greenroof_ros.graph.domain import begin_to_listen  # noqa: E402
-from greenroof_ros.graph.lifecycle import (  # noqa: E402
+from greenroof_ros.live.lifecycle import (  # noqa: E402
     INACTIVE,
     UNCONFIGURED,
     Lifecycle,

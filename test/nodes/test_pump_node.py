@@ -34,7 +34,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.times import to_people
 from greenroof_ros.drives.exchange import Snapshot
-from greenroof_ros.nodes.pump import _Drive
+from greenroof_ros.live.pump import _Drive
 from greenroof_ros.pumping.ledger import Ledger
 
 

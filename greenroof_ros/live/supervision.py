@@ -11,14 +11,7 @@ import os
 from collections.abc import Callable, Mapping
 from typing import Any
 
-# The states of a node: it waits for its peers; they are there; the run is over; the process ends.
-STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "ended")
-
-# How to name the node of a role if its node name is not known.
-ROLES = {"controller": "the controller", "pump": "the pump driver"}
-
-# Nodes that a supervisor treats specially.
-PUMP, RECORDER = "pump", "recorder"
+from greenroof_ros.graph.states import STATES
 
 # Environment variable with the file descriptor of a node's end of the socket to its supervisor. The
 # node writes its reports to it, one JSON object per line, with the key "state". The pump node reads

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from greenroof_ros.bringup.drive import (
+from greenroof_ros.live.drive import (
     EXTERNAL,
     DriveChoice,
     add_graph_arguments,
@@ -23,8 +23,8 @@ from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.drives.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
-from greenroof_ros.graph.supervision import PUMP, RECORDER
-from greenroof_ros.graph.supervisor import NodeStart
+from greenroof_ros.graph.states import PUMP, RECORDER
+from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.model.site import read_site
 
 # Largest size of one file of the bag (MB); a tenth of the bag's limit if that is smaller.
@@ -134,7 +134,7 @@ class LiveSite:
         if self.sensed is not None:
             for section in self.sensed.by_section:
                 yield NodeStart(
-                    QUANTITIES[section].node, "greenroof_ros.nodes.sensor", ("--of", section),
+                    QUANTITIES[section].node, "greenroof_ros.live.sensor", ("--of", section),
                     {"sensors_file": str(copies["sensors"])},
                 )
         if self.weather:
@@ -159,12 +159,12 @@ class LiveSite:
         if self.drive is not None:
             drive = replace(self.drive, file=copies["drive"])
             yield NodeStart(
-                PUMP, "greenroof_ros.nodes.pump", (),
+                PUMP, "greenroof_ros.live.pump", (),
                 {**common, **drive.parameters(state / "pump.json")},
             )
         if self.bag_limit is not None:
             yield NodeStart(
-                RECORDER, "greenroof_ros.nodes.live_recorder", (),
+                RECORDER, "greenroof_ros.live.recorder", (),
                 {
                     "directory": str(state / "bag"),
                     "file_limit": min(_BAG_FILE_MB, self.bag_limit / 10),

@@ -6,7 +6,7 @@ import argparse
 import re
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +20,8 @@ from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.placed import Placed, place_drive
 from greenroof_ros.experiment.run_directory import writable
 from greenroof_ros.graph.domain import importing_ros
-from greenroof_ros.graph.supervision import PUMP
-from greenroof_ros.graph.supervisor import NodeStart, StopDrive
+from greenroof_ros.graph.states import PUMP
+from greenroof_ros.live.supervisor import StopDrive
 from greenroof_ros.pumping.ledger import state_directory
 from greenroof_ros.watch.beside import watcher
 
@@ -304,13 +304,13 @@ def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
 
 
 def own_parameters(
-    arguments: argparse.Namespace, nodes: Sequence[NodeStart], controller: ControllerChoice
+    arguments: argparse.Namespace, modules: Mapping[str, str], controller: ControllerChoice
 ) -> list[Path]:
     """Return the file given by ``--node-parameters``, in a list; an empty list if there is none.
 
     Args:
         arguments: the command line.
-        nodes: the nodes that bringup starts.
+        modules: the module of each node that bringup runs, by the node's name.
         controller: the graph's controller.
 
     Raises:
@@ -324,6 +324,6 @@ def own_parameters(
     refuse((not file.is_file(), "--node-parameters", str(file), "must be an existing file"))
     with importing_ros():
         from greenroof_ros.graph.parameters import refuse_unknown_in
-    modules = {f"{arguments.namespace}/{node.name}": node.module for node in nodes}
-    refuse_unknown_in(file, modules, controller, _OF_BRINGUP)
+    named = {f"{arguments.namespace}/{name}": module for name, module in modules.items()}
+    refuse_unknown_in(file, named, controller, _OF_BRINGUP)
     return [file]

@@ -98,7 +98,7 @@ class Levels:
         Args:
             site: the site with the tanks.
             values: values of the node's :func:`live_parameters`.
-            subscribe: opens an input: :meth:`greenroof_ros.graph.link.LinkedNode.subscribe`.
+            subscribe: opens an input: :meth:`greenroof_ros.live.node.LiveNode.subscribe`.
         """
         self._site = site
         self._rules = [

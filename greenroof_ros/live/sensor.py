@@ -1,6 +1,6 @@
 """The node of a sensor: publishes its readings.
 
-``python -m greenroof_ros.nodes.sensor --of cistern`` publishes /cistern/level, and likewise for
+``python -m greenroof_ros.live.sensor --of cistern`` publishes /cistern/level, and likewise for
 each section of ``config/sensors.yaml``: once per period for a sensor on Modbus, at each message for
 a sensor on MQTT. A bad reading is not published, and /diagnostics says why; the last value then
 becomes too old for its readers.
@@ -25,8 +25,8 @@ from greenroof_ros.drives.sensor_file import (
     read_sensors,
 )
 from greenroof_ros.graph.executable import node_command, node_help
-from greenroof_ros.graph.link import LinkedNode
-from greenroof_ros.graph.live import LIMITS
+from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.engine import LIMITS
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, STALE, WARN
 from greenroof_ros.model.site import Site
@@ -46,7 +46,7 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     return [sensors, *limits]
 
 
-class SensorNode(LinkedNode):
+class SensorNode(LiveNode):
     """Publishes the readings of a sensor."""
 
     def __init__(self, section: str) -> None:

@@ -15,8 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
-from greenroof_ros.bringup.drive import EXTERNAL, bring_up, own_parameters
-from greenroof_ros.bringup.live_site import LiveSite, make_parser
+from greenroof_ros.live.drive import EXTERNAL, bring_up, own_parameters
+from greenroof_ros.live.live_site import LiveSite, make_parser
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.common.disk import DISK, Newest
 from greenroof_ros.common.errors import OccupiedError
@@ -42,8 +42,8 @@ from greenroof_ros.experiment.incidents import (
 from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
-from greenroof_ros.graph.supervision import PUMP
-from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed
+from greenroof_ros.graph.states import PUMP
+from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.model.site import edited
 
 # How often systemd is notified (s), and how far each notice extends the start timeout (us).
@@ -72,7 +72,8 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     """
     state: Path = arguments.state or Path("live")
     nodes = list(site.nodes(state, state / "configuration"))
-    own_files = own_parameters(arguments, nodes, site.controller)
+    modules = {node.name: node.module for node in nodes}
+    own_files = own_parameters(arguments, modules, site.controller)
     with (
         only_bringup(arguments.namespace),
         _state_directory(state) as state,

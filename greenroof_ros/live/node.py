@@ -2,7 +2,7 @@
 
 ``msg_defs/topics.yaml`` defines what each node publishes and subscribes to. A node acts on one of
 two triggers: fresh inputs in a simulation (:mod:`greenroof_ros.graph.lockstep`), or the steady
-clock on a live site (:mod:`greenroof_ros.graph.live`).
+clock on a live site (:mod:`greenroof_ros.live.engine`).
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from rclpy.time import Time
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_live_topics, read_topics
 from greenroof_ros.graph.inputs import DISCOVERY_S, Input, Inputs, Publishers
-from greenroof_ros.graph.live import Live
+from greenroof_ros.live.engine import Live
 from greenroof_ros.graph.lockstep import PLANT, RUN, Lockstep
 from greenroof_ros.graph.messages import LockstepError, decoder, encoder, message_class, qos_profile
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.rclpy_internals import NoClockSubscription
 from greenroof_ros.graph.reports import ERROR, OK, WARN, Reports
-from greenroof_ros.graph.supervision import ENDED, FINISHED, READY, STARTING
+from greenroof_ros.graph.states import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.input_rules import LevelRule
 
@@ -43,7 +43,7 @@ _FLUSH_S = 1.0
 _REPORT_S = 0.25
 
 
-class LinkedNode(NoClockSubscription, Node):
+class LiveNode(NoClockSubscription, Node):
     """A node of a graph, simulated or live.
 
     A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, by their names in

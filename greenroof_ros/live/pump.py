@@ -37,7 +37,7 @@ from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snap
 from greenroof_ros.drives.placed import place_drive
 from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.inputs import Input
-from greenroof_ros.graph.lifecycle import (
+from greenroof_ros.live.lifecycle import (
     ACTIVE,
     INACTIVE,
     UNCONFIGURED,
@@ -45,8 +45,8 @@ from greenroof_ros.graph.lifecycle import (
     RefusedError,
     transition,
 )
-from greenroof_ros.graph.link import LinkedNode
-from greenroof_ros.graph.live import LIMITS, PAUSE_S, Levels, live_parameters
+from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.engine import LIMITS, PAUSE_S, Levels, live_parameters
 from greenroof_ros.graph.lockstep import CLOCK, RunIdentity
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
@@ -264,12 +264,12 @@ class _Drive:
         return f"the drive's own communication timeout{why}{repair}"
 
 
-class PumpNode(Lifecycle, LinkedNode):
+class PumpNode(Lifecycle, LiveNode):
     """Runs the pump as commanded, unless an interlock is active."""
 
     def __init__(self) -> None:
         """Declare the parameters, and open topics and services."""
-        LinkedNode.__init__(self, "pump", "pump")
+        LiveNode.__init__(self, "pump", "pump")
         self._site = site = self.declare_site()
         values = declare(self, parameters(site))
         self._drive = _Drive(values, self.get_name())

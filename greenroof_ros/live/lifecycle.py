@@ -59,7 +59,7 @@ def transition(
 
 
 class Lifecycle(LifecycleNodeMixin):
-    """Mixin of a node, beside :class:`greenroof_ros.graph.link.LinkedNode`.
+    """Mixin of a node, beside :class:`greenroof_ros.live.node.LiveNode`.
 
     Topics do not depend on the state: none falls silent. A node overrides ``on_configure`` and the
     other callbacks of rclpy with a :func:`transition`.

@@ -18,7 +18,7 @@ from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.executable import node_command, node_help
-from greenroof_ros.graph.link import LinkedNode
+from greenroof_ros.live.node import LiveNode
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import LiveBag
@@ -43,7 +43,7 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     ]
 
 
-class LiveRecorderNode(LinkedNode):
+class LiveRecorderNode(LiveNode):
     """Records the topics of a live graph, and /diagnostics, under their full names.
 
     The disk thread writes. This node's own thread receives and reports, and waits for no disk.

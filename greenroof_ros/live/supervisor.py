@@ -34,7 +34,8 @@ from greenroof_ros.common.times import boot_time
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.drives.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.graph.domain import LEASE
-from greenroof_ros.graph.supervision import PUMP, READY, RECORDER, SOCKET, read_report, read_socket
+from greenroof_ros.graph.states import PUMP, READY, RECORDER
+from greenroof_ros.live.supervision import SOCKET, read_report, read_socket
 
 # How long to wait after asking a process to end before killing it (s). The pump node gets longer:
 # it waits until the pump is at rest, for as long as the speed falls.
@@ -288,9 +289,9 @@ class Supervisor:
         """The last report of each node that has reported."""
         return {name: node.last for name, node in self.nodes.items() if node.last}
 
-    def listen(self) -> None:
-        """Read the nodes' reports and output; wait at most a tenth of a second."""
-        self._read(0.1)  # may find nothing if this process was paused in it
+    def listen(self, seconds: float = 0.1) -> None:
+        """Read the nodes' reports and output; wait at most this long (s)."""
+        self._read(seconds)  # may find nothing if this process was paused in it
         now = time.monotonic()
         if now - self._looked > _PAUSE_S:
             self.awake_since = now

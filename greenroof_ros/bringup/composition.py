@@ -1,0 +1,176 @@
+"""The nodes of a simulated run, composed in this process."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from greenroof_ros.common.command_line import EXIT_FAILED, exit_code
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.processes import Signals
+from greenroof_ros.experiment.progress import RunProgress
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.graph.messages import LockstepError
+from greenroof_ros.graph.node import SimulationNode
+from greenroof_ros.graph.spin import end_nodes, ros, spin
+from greenroof_ros.graph.states import RECORDER
+from greenroof_ros.nodes.controller import ControllerNode
+from greenroof_ros.nodes.plant import PlantNode
+from greenroof_ros.nodes.recorder import RecorderNode
+from greenroof_ros.nodes.weather import WeatherNode
+
+if TYPE_CHECKING:
+    from greenroof_ros.live.in_the_loop import DriveInLoop
+
+# How often the progress is shown: each of this many checks of the wall clock.
+_SHOWN_EVERY = 4
+
+
+class Composition:
+    """Plant, weather, controller and recorder of one run, as nodes of this process.
+
+    Used in a ``with`` statement; whatever ends the run, the bag is closed at its end.
+
+    Attributes:
+        refused: how many values the nodes refused, by topic.
+        tick: the tick that the plant has reached; -1 before the first.
+    """
+
+    def __init__(
+        self, run: Run, parameters: Sequence[Path], namespace: str, *, record: bool,
+        signals: Signals, progress: RunProgress,
+    ) -> None:
+        """Make no node yet.
+
+        Args:
+            run: what is simulated.
+            parameters: ROS 2 parameter files; later files override earlier ones.
+            namespace: such as ``/site1``; empty for none.
+            record: whether there is a recorder.
+            signals: end the run.
+            progress: shows the run.
+        """
+        self._run, self._record, self._signals = run, record, signals
+        self._progress = progress
+        # rcl's own log files would grow in the user's home.
+        self._arguments = [
+            "greenroof", "--ros-args", "--disable-external-lib-logs", "--disable-stdout-logs",
+        ]
+        for file in parameters:
+            self._arguments += ["--params-file", str(file)]
+        if namespace:
+            self._arguments += ["-r", f"__ns:={namespace}"]
+        self._nodes: dict[str, SimulationNode] = {}
+        self._failure: str | None = None
+        self._checks = 0
+        self._ends = ExitStack()
+
+    def __enter__(self) -> Composition:
+        """Return the composition, after ROS was initialised."""
+        self._ends.enter_context(ros(self._arguments))
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, *_: object) -> None:
+        """End the nodes, and shut ROS down."""
+        with self._ends:
+            end_nodes(list(self._nodes.values()), None if error is None else str(error))
+
+    def spin(self, drive: DriveInLoop | None) -> None:
+        """Make the nodes, and run them to the end of the run.
+
+        Args:
+            drive: a drive in the loop instead of the simulated pump; None for none.
+
+        Raises:
+            InterruptedRun: a signal came.
+            LockstepError: the graph cannot go on.
+            ConfigurationError: a parameter is wrong.
+            NodeFailed: the pump node ended or hangs.
+            OSError: a node cannot go on, for instance on a full disk.
+        """
+        with ExitStack() as ends:
+            if drive is not None:
+                ends.enter_context(drive)
+            run = self._run
+            self._nodes["plant"] = PlantNode()
+            self._nodes["weather"] = WeatherNode()
+            self._nodes[run.controller.name] = ControllerNode(run.controller.reference)
+            if self._record:
+                self._nodes[RECORDER] = RecorderNode()
+
+            def over() -> bool:
+                self._signals.check()
+                if drive is not None:
+                    drive.check(self.tick)
+                self._show()
+                return all(node.finished for node in self._nodes.values())
+
+            spin(list(self._nodes.values()), over)
+
+    def _show(self) -> None:
+        """Show the progress, and new warnings of the nodes."""
+        self._checks += 1
+        if self._checks % _SHOWN_EVERY:
+            return
+        for node in self._nodes.values():
+            self._progress.warn(node.warnings)
+        plant = self._nodes["plant"]
+        if not plant.acted:
+            missing = ", ".join(map(plant.call, plant.absent()))
+            self._progress.waiting(f"waiting for {missing}" if missing else "starting")
+            return
+        shown = plant.progress()
+        self._progress.show(
+            shown["tick"], shown["cistern_level"], shown["roof_level"], shown["command"]
+        )
+
+    # --- results ----------------------------------------------------------------------------
+
+    @property
+    def tick(self) -> int:
+        """The tick that the plant has reached; -1 before the first."""
+        plant = self._nodes.get("plant")
+        return plant.progress()["tick"] if plant is not None and plant.acted else -1
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """How many values the nodes refused, by topic."""
+        refused: Counter[str] = Counter()
+        for node in self._nodes.values():
+            refused.update({
+                name: entry.refused for name, entry in node.inputs.items() if entry.refused
+            })
+        return refused
+
+    @property
+    def parameter_changes(self) -> dict[str, Any]:
+        """The changes of the controller's parameters during the run, and their number."""
+        controller = self._nodes.get(self._run.controller.name)
+        if controller is None:
+            return {"parameter_changes": [], "parameter_change_count": 0}
+        return controller.progress()
+
+    @property
+    def results(self) -> dict[str, Any]:
+        """The numbers of a run that is done, for its summary."""
+        controller = self._nodes[self._run.controller.name].summary()
+        recorder = self._nodes[RECORDER].summary() if self._record else {"messages": None}
+        return {**self._nodes["plant"].summary(), **controller, **recorder}
+
+    def explain(self, error: Exception) -> tuple[str, int]:
+        """Return why a run failed, in a sentence, and the exit code.
+
+        Raises:
+            Exception: the error itself, if it is none that ends a run.
+        """
+        if isinstance(error, ConfigurationError):
+            return str(error), exit_code(error)
+        if isinstance(error, (LockstepError, OSError)):
+            return str(error), EXIT_FAILED
+        code = getattr(error, "code", None)  # of a process
+        if code is None:
+            raise error
+        return str(error), code

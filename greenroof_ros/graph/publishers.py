@@ -1,0 +1,110 @@
+"""The publishers of a topic, as ROS knows them: who they are, and whether they can be heard."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.node import Node
+
+from greenroof_ros.common.interface import Qos, Topic
+from greenroof_ros.graph.messages import lacks, requirements
+
+# A node's name and its other endpoints are discovered up to this long after its publisher (s).
+DISCOVERY_S = 1.0
+# The name that ROS reports for a node whose name has not been discovered yet.
+_UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
+# The most nodes that a sentence names: a client may join again and again under new names.
+_NAMED = 5
+
+
+class Publishers:
+    """The publishers of a topic; reports a second one, and one whose messages cannot arrive.
+
+    All publishers that ROS knows count. ROS is polled for them, since a middleware event can lock
+    up rclpy's fast executor while a peer's liveliness changes (rmw_fastrtps, pull request 890). ROS
+    knows of a publisher before its first message arrives.
+
+    Attributes:
+        topic: the topic in the interface.
+        full_name: the topic's full name in ROS, with its namespace.
+        required: the quality of service that a publisher must offer to be heard.
+    """
+
+    def __init__(self, node: Node, topic: Topic, required: Qos) -> None:
+        """Prepare for a subscription.
+
+        Args:
+            node: the subscribing node.
+            topic: the topic in the interface.
+            required: the quality of service of the subscription.
+        """
+        self.topic = topic
+        self.full_name: str = node.resolve_topic_name(topic.graph_name)
+        self.required = required
+        self._node = node
+        self._names: list[str] = []
+
+    @property
+    def count(self) -> int:
+        """How many publishers there are."""
+        return self._node.count_publishers(self.full_name)
+
+    @property
+    def heard(self) -> int:
+        """How many publishers can be heard: their quality of service fits."""
+        return len(self._known()) - len(self._unheard())
+
+    def names(self) -> list[str]:
+        """Return the names of the publishers' nodes; if all have gone, the last known names."""
+        self._names = sorted({call_node(info.node_name) for info in self._known()}) or self._names
+        return self._names
+
+    def second(self) -> str:
+        """Return that there is a second publisher, as a clause; empty if there is none."""
+        count = self.count
+        if count < 2 or len(self._known()) < 2:
+            return ""
+        return (
+            f"has {count} publishers ({list_nodes(self.names())}), but must have one: end the "
+            "other, or use another ROS_DOMAIN_ID or --namespace"
+        )
+
+    def unheard(self) -> str:
+        """Return which publishers cannot be heard, and why, as a clause; empty if all can.
+
+        DDS does not connect a publisher to a subscription that requests more than it offers, and
+        reports only one of the mismatched policies. The profiles of both are known: list them all.
+        """
+        unheard = self._unheard()
+        if not unheard:
+            return ""
+        names = sorted({call_node(info.node_name) for info in unheard})
+        offered = [lacks(info.qos_profile, self.topic.qos) for info in unheard]
+        why = dict.fromkeys(word for words in offered for word in words)
+        return (
+            f"has a publisher that cannot be heard ({list_nodes(names)}): it {' and '.join(why)}, "
+            f"but must be {requirements(self.topic.qos)}; change it, or end it"
+        )
+
+    def _known(self) -> list[Any]:
+        return list(self._node.get_publishers_info_by_topic(self.topic.graph_name))
+
+    def _unheard(self) -> list[Any]:
+        return [info for info in self._known() if lacks(info.qos_profile, self.required)]
+
+
+def call_node(name: str) -> str:
+    """Return how to name a node in a message.
+
+    A node that joined just before another was killed may discover its topics but never its name.
+    """
+    if name == _UNKNOWN_NAME:
+        return "a node of unknown name, perhaps because it was killed"
+    return name
+
+
+def list_nodes(names: Sequence[str]) -> str:
+    """Return the names of nodes for a sentence: the first five, and how many more there are."""
+    more = [f"and {len(names) - _NAMED} more"] if len(names) > _NAMED else []
+    return ", ".join([*names[:_NAMED], *more])

@@ -1,0 +1,102 @@
+"""Runs nodes of a simulated graph in this process, with one executor, as ROS 2's containers do."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.graph.domain import (
+    TAKING_DOWN_S,
+    begin_to_listen,
+    choose_transport,
+    make_executor,
+)
+from greenroof_ros.graph.node import SimulationNode
+
+# How often the wall clock, the signals and the ends of the nodes are checked (s).
+_CHECK_S = 0.05
+
+
+@contextmanager
+def ros(arguments: Sequence[str]) -> Iterator[None]:
+    """Initialise ROS for the nodes of this process, and shut it down at the end.
+
+    The process must end within 6 s of the exit: a SIGALRM is pending.
+
+    Args:
+        arguments: the command line, with ROS arguments.
+
+    Raises:
+        ConfigurationError: rcl cannot parse the arguments.
+    """
+    choose_transport()
+    try:
+        # Not rclpy's own handlers: after them nothing can be published, and a node that stops must
+        # still send its last report.
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise ConfigurationError(" ".join(str(error).split())) from error
+    try:
+        yield
+    finally:
+        # Everything has been sent and written. From here the kernel ends a process that locks up.
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(TAKING_DOWN_S)
+        rclpy.try_shutdown()
+
+
+def spin(nodes: Sequence[SimulationNode], over: Callable[[], bool]) -> None:
+    """Run nodes until they are over.
+
+    The loop over messages is in the executor, since one in Python would cost a seventh of a tick.
+    In between, 20 times a second, everything is checked that depends on the wall clock.
+
+    Args:
+        nodes: the nodes.
+        over: called 20 times a second; returns whether to end, and can raise to end with an error.
+
+    Raises:
+        LockstepError: the graph cannot go on.
+        ConfigurationError: the set-up is wrong.
+        OSError: a node cannot go on, for instance on a full disk.
+    """
+    executor, failed = make_executor(), Future()
+    for node in nodes:
+        node.on_failure = partial(failed.set_result, None)
+        begin_to_listen(executor, node)
+    while not over():
+        # With a timeout, since without one rclpy's fast executor fires no timers.
+        executor.spin_until_future_complete(failed, timeout_sec=_CHECK_S)
+        now = time.monotonic()
+        for node in nodes:
+            if node.failure is not None:
+                raise node.failure
+            node.check(now)
+
+
+def end_nodes(nodes: Sequence[SimulationNode], failure: str | None) -> None:
+    """End nodes: let each close what is open, report its end, and leave the graph.
+
+    Args:
+        nodes: the nodes.
+        failure: the error that ended them; None if there was none.
+    """
+    for node in nodes:
+        try:
+            node.on_stop()
+        except OSError as error:
+            failure = failure or str(error)
+            print(f"error: {error}", file=sys.stderr)
+    for node in nodes:
+        node.end(failure)
+    for node in nodes:
+        node.destroy_node()

@@ -1,0 +1,1 @@
+"""A real site: its nodes, drives and sensors, and the supervisor that keeps it running."""

@@ -1,0 +1,377 @@
+"""The controller node, for any controller: levels and forecasts in, one command out.
+
+On a live site on/off replaces a controller that needs a forecast while it has none.
+
+``python -m greenroof_ros.nodes.controller --controller NAME`` runs a registered controller, or any
+class as ``package.module:Class``; the node is named after it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter as RosParameter
+
+from greenroof_ros.common.disk import Kept
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.interface import optional_topics
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.times import from_epoch_ns, to_people
+from greenroof_ros.controllers.decide import NoCommandError, decide
+from greenroof_ros.controllers.onoff import FRACTION, OnOff
+from greenroof_ros.controllers.protocol import (
+    knows_time,
+    learned_by,
+    set_gauge_rain,
+    set_learned,
+    set_time,
+)
+from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
+from greenroof_ros.graph.executable import node_command, node_help
+from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
+from greenroof_ros.graph.lockstep import CLOCK
+from greenroof_ros.graph.parameters import LIVE, declare, site_file
+from greenroof_ros.graph.reports import ERROR, OK, WARN
+from greenroof_ros.model.plant import pump_flow
+
+# Needed inputs. In a live graph the forecasts may be missing, and two more inputs are optional.
+_INPUTS = (
+    "/cistern/level", "/roof/level", "/forecast/precipitation", "/forecast/evapotranspiration",
+    "/weather/frost",
+)
+_FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
+# On/off takes over once a forecast has been missing for this multiple of recovery_time. A short
+# gap, as after a pause of the node itself, then starts no pump.
+_GIVEN_UP = 3
+# How many of the newest parameter changes are kept; all are counted.
+_CHANGES = 50
+LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
+STATE_FILE = Parameter(
+    "state_file", "", meaning="live: file that keeps what waiting for rain has cost so far "
+    "across restarts; empty: none",
+)
+# How often learned values are saved (s).
+_KEEP_S = 600.0
+
+
+def parameters(choice: ControllerChoice | None) -> list[Parameter]:
+    """Return the parameters of a controller's node; without a controller, the common ones."""
+    of_class = [] if choice is None else choice.kind.parameters
+    return [LIVE, site_file(), STATE_FILE, *of_class, *LIVE_PARAMETERS]
+
+
+class ControllerNode(LiveNode):
+    """Runs one controller in the graph; commands 0 in frost, in quiet hours and on bad inputs.
+
+    On a live site a forecast that is missing, too old or refused does not stop the pump: on/off,
+    with its defaults, commands until there is a good one. If on/off has pumped, the controller then
+    restarts, since its knowledge of the roof and its plan are outdated. What
+    waiting for rain has cost is kept, also across restarts of the node, in ``state_file``.
+    """
+
+    def __init__(self, controller: str) -> None:
+        """Declare the controller's parameters and open the topics.
+
+        Args:
+            controller: a registered name, or ``package.module:Class``.
+
+        Raises:
+            ConfigurationError: there is no such controller.
+        """
+        choice = find_controller(controller)
+        _ = choice.kind  # fail before a node is made
+        super().__init__(choice.name, "controller")
+        self._choice = choice
+        self._site = site = self.declare_site()
+        self._values = declare(self, choice.parameters_on(site))
+        live = declare(self, LIVE_PARAMETERS)
+        self._controller = choice.make(site, self._values)
+        self._tick = 0
+        # Limited, since each report has them, and a program may change a parameter in each tick.
+        self._parameter_changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES)
+        self._parameter_change_count = 0
+        self._shown: dict[str, float | None] = {}
+        self._levels = Levels(site, live, self.subscribe)
+        self._cistern, self._roof = self._levels.cistern, self._levels.roof
+        self._rain, self._evapotranspiration = (
+            self.subscribe(name, optional=self.live)
+            for name in ("/forecast/precipitation", "/forecast/evapotranspiration")
+        )
+        self._frost = self.subscribe("/weather/frost")
+        self._time_ns, self._quiet = 0, False
+        if self.live:
+            self._without_forecast = OnOff(site, FRACTION.default)
+            self._give_up_after = _GIVEN_UP * live[RECOVERY.name]
+            self._missing_since = math.inf  # forecast missing since (steady clock, s)
+            self._without_since = ""  # when on/off took over, in words; empty if not
+            self._without_pumped = False
+            self._flow = self.subscribe(_FLOW, optional=True)
+            self._gauge = self.subscribe(_GAUGE, optional=True)
+            self._kept = self._learned_before(declare(self, [STATE_FILE])[STATE_FILE.name])
+            self._kept_at = time.monotonic()
+        else:
+            # With quiet hours, a tick must wait for its time.
+            self._tick_time = self.subscribe(CLOCK, None if site.quiet else self.set_time)
+        self._optional = list(optional_topics(choice.outputs))
+        self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
+        self.add_on_set_parameters_callback(self._on_parameters)
+
+    def on_inputs(self) -> None:
+        """Publish the command and the controller's optional outputs."""
+        allowed = self.good and not self._frost.value
+        if self._site.quiet is not None:
+            if not self.live:
+                self.set_time(self._tick_time.value)
+            self._time_ns = self.get_clock().now().nanoseconds
+            self._quiet = self._site.quiet.quiet_at(self._time_ns)
+            allowed = allowed and (not self._quiet or knows_time(self._controller))
+        if self.live:
+            allowed = self._command_live(allowed)
+        else:
+            self.publish("/pump/command", self._decide(allowed))
+        self._tick += 1
+        for topic, attribute in self._optional:
+            value = getattr(self._controller, attribute) if allowed else topic.undecided
+            self.publish(topic.name, value)
+
+    def _decide(self, allowed: bool) -> float:
+        usable = allowed and self._rain.good and self._evapotranspiration.good
+        if self._site.quiet is not None:
+            set_time(self._controller, self._time_ns)
+        if self.live:
+            set_gauge_rain(self._controller, self._measured_rain())
+        return decide(
+            self._controller, allowed, self._cistern.value, self._roof.value,
+            self._rain_forecast() if usable else (),
+            self._evapotranspiration.value if usable else (), self._quiet,
+        )
+
+    def _command_live(self, allowed: bool) -> bool:
+        """Publish the command: the controller's, or on/off's without a forecast; 0 on bad inputs.
+
+        Args:
+            allowed: whether it may pump.
+
+        Returns:
+            Whether the controller decided.
+        """
+        if self._without_pumped and allowed and not self._forecast_problem():
+            learned = learned_by(self._controller)
+            self._controller = self._choice.make(self._site, self._values)
+            if learned is not None:
+                set_learned(self._controller, learned)
+            self._without_pumped = False
+        try:
+            command, decides = self._decide_or_refuse(allowed)
+        except ConfigurationError as error:
+            self.diagnose("command", ERROR, str(error), "controller_failed")
+            command, decides = 0.0, False
+        else:
+            if "command" in self.reports.diagnoses:
+                now = "commands again" if decides else "is idle"
+                self.diagnose("command", OK, f"the controller {now}")
+        self._say_forecast()
+        self._keep_learned(_KEEP_S)
+        cistern, roof = self._cistern.value, self._roof.value
+        if allowed and self._without_since:
+            command = self._without_forecast.command(cistern, roof, (), ())
+            self._without_pumped = self._without_pumped or command > 0
+        if command and (self._quiet or not self.good):
+            command = 0.0
+        self.publish("/pump/command", command)
+        self._expect(command)
+        self._shown = {
+            "command": command,
+            "cistern_level": cistern if self._cistern.good else None,
+            "roof_level": roof if self._roof.good else None,
+        }
+        return decides
+
+    def _learned_before(self, file: str) -> Kept | None:
+        """Give the controller what it had learned; return the file, or None if none is kept.
+
+        If the file cannot be understood, the node warns and the controller begins from the start.
+        """
+        if not file or learned_by(self._controller) is None:
+            return None
+        memory = Kept(Path(file))
+        try:
+            learned = memory.read()
+            if learned:
+                set_learned(self._controller, learned)
+        except (ConfigurationError, KeyError) as error:
+            self.get_logger().warning(f"learned values are lost: {file}: {error}")
+        return memory
+
+    def _keep_learned(self, every: float) -> None:
+        """Save what the controller has learned, if the last time was at least ``every`` s ago."""
+        now = time.monotonic()
+        if self._kept is None or now - self._kept_at < every:
+            return
+        self._kept_at = now
+        learned = learned_by(self._controller)
+        if self._kept.problem:
+            warning = f"learned values of {self.get_name()} are not saved: {self._kept.problem}"
+            self.get_logger().warning(warning)
+        if learned is not None:
+            self._kept.write(learned)
+
+    def on_stop(self) -> None:
+        """Save what the controller has learned."""
+        if self.live and self._kept is not None:
+            self._keep_learned(0.0)
+            self._kept.close()
+
+    def _decide_or_refuse(self, allowed: bool) -> tuple[float, bool]:
+        """Return a command, and whether the controller decided; refuse a forecast it cannot use.
+
+        Raises:
+            ConfigurationError: the controller cannot command.
+        """
+        decides = allowed and not self._forecast_problem()
+        try:
+            return self._decide(decides), decides
+        except NoCommandError:
+            raise
+        except ConfigurationError as error:
+            self._rain.refuse(str(error))
+        decides = allowed and not self._forecast_problem()
+        return self._decide(decides), decides
+
+    def _expect(self, command: float) -> None:
+        """Set the expected change of the levels in a tick, from the gauge's rain and the flow.
+
+        The flow is the pump's, or follows from the command if none was ever heard. If it is not
+        good now, it counts as 0: the pump may be at rest, and a still level is then not frozen.
+        Snow reaches no tank before it melts, so what falls in frost does not count.
+        """
+        site, flow = self._site, self._flow.value if self._flow.good else 0.0
+        if not self._flow.heard:
+            cistern, roof = self._cistern.value, self._roof.value
+            volumes = site.cistern_volume(cistern), site.roof_volume(roof)
+            flow = pump_flow(site, *volumes, min(command, 1.0))
+        self._levels.expect(flow, 0.0 if self._frost.value else self._measured_rain())
+
+    def _measured_rain(self) -> float:
+        """Return the gauge's rain (m/s); 0 without a good reading."""
+        rain: float = self._gauge.value if self._gauge.good else 0.0
+        return rain
+
+    def _forecast_problem(self) -> str:
+        """Return what is wrong with the forecasts; empty if the controller can decide."""
+        return self._bad_forecasts() if self._choice.needs_forecast else ""
+
+    def _bad_forecasts(self) -> str:
+        return "; ".join(
+            forecast.problem for forecast in (self._rain, self._evapotranspiration)
+            if not forecast.good
+        )
+
+    def _say_forecast(self) -> None:
+        """Report what is wrong with the forecasts, and let on/off command if that lasts.
+
+        A controller that can do without a forecast continues to command; if the site never had a
+        forecast, nothing is reported then.
+        """
+        needs = self._choice.needs_forecast
+        if not needs and not (self._choice.uses_forecast and self._rain.heard):
+            return
+        problem = self._bad_forecasts()
+        if not problem:
+            self._missing_since, self._without_since = math.inf, ""
+            self.diagnose("forecast", OK, "the forecast is good")
+            return
+        now = time.monotonic()
+        self._missing_since = min(self._missing_since, now)
+        if not needs:
+            problem = f"it commands without a forecast: {problem}"
+        elif not self._without_since and now - self._missing_since >= self._give_up_after:
+            wall = from_epoch_ns(self.get_clock().now().nanoseconds)
+            self._without_since = to_people(wall.replace(microsecond=0))
+        if self._without_since:
+            problem = f"on/off commands since {self._without_since}, without a forecast: {problem}"
+        bad = self._evapotranspiration if self._rain.good else self._rain
+        self.diagnose("forecast", WARN, problem, "no_forecast", bad.verdict.code)
+
+    def _rain_forecast(self) -> Any:
+        """Return the forecast of rain in the shape that the controller takes.
+
+        Raises:
+            ConfigurationError: it has several members, and the controller takes one.
+        """
+        rain = self._rain.value
+        if self._choice.ensemble:
+            return np.atleast_2d(rain)
+        if isinstance(rain, np.ndarray):
+            raise ConfigurationError(
+                f"has {len(rain)} members, but {self.get_name()} takes one; set all_members of "
+                "the weather node to false", key=self._rain.name,
+            )
+        return rain
+
+    def progress(self) -> dict[str, Any]:
+        """Return the parameter changes and, live, the values that bringup shows."""
+        return {
+            "parameter_changes": list(self._parameter_changes),
+            "parameter_change_count": self._parameter_change_count, **self._shown,
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Return the solver's statistics."""
+        return {"solver": self._controller.statistics()}
+
+    def _on_parameters(self, changes: list[RosParameter]) -> SetParametersResult:
+        may_change = {
+            parameter.name for parameter in self._choice.kind.parameters if parameter.may_change
+        }
+        for name, value in (
+            (parameter.name, parameter.value) for parameter in changes
+            if parameter.name in may_change
+        ):
+            before, self._values[name] = self._values[name], value
+            setattr(self._controller, name, value)
+            self._parameter_change_count += 1
+            self._parameter_changes.append({
+                "tick": self._tick, "parameter": name,
+                "before": _finite(before), "value": _finite(value),
+            })
+            self.get_logger().info(f"{name} is {value:g} from tick {self._tick} on")
+        return SetParametersResult(successful=True)
+
+
+def _finite(value: float) -> float | None:
+    """Return a parameter's value for a summary, in which null means no limit."""
+    return value if math.isfinite(value) else None
+
+
+def _help(controller: str | None) -> str:
+    choice = None if controller is None else find_controller(controller)
+    name, declared = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
+    start = f"-p {declared[0].name}:={declared[0].default}" if declared else "--params-file FILE"
+    return node_help(
+        f"controller --controller {name}", "controller",
+        f"{__doc__}\nRegistered controllers: {', '.join(controller_names())}.",
+        lambda _: parameters(choice), f"--ros-args {start}",
+        () if choice is None else choice.outputs,
+    )
+
+
+_executable = partial(node_command, ControllerNode, _help, "--controller")
+main = _executable()
+# The executables of this package's controllers.
+mpc = _executable(value="mpc")
+onoff = _executable(value="onoff")
+anticipating_onoff = _executable(value="anticipating_onoff")
+lookahead = _executable(value="lookahead")
+
+
+if __name__ == "__main__":
+    main()
