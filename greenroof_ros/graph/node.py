@@ -173,7 +173,7 @@ class SimulationNode(GraphNode):
                 raise kind(f"{entry.name} {publishers.second()}")
 
     def _note_warnings(self, now: float) -> None:
-        """Note each publisher that has not been heard for the discovery time, and refused values."""
+        """Note each publisher that stays unheard for the discovery time, and refused values."""
         for publishers in self._waits_for:
             problem = "" if self.acted else publishers.unheard()
             name = publishers.full_name
@@ -213,7 +213,7 @@ class SimulationNode(GraphNode):
 
     @property
     def over(self) -> bool:
-        """Whether a node that runs alone may end: the run is over, and all that it published arrived.
+        """Whether a node that runs alone may end: the run is over, and all messages have arrived.
 
         The plant leaves first: until then a node may still need this node's messages.
 
