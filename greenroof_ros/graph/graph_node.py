@@ -179,6 +179,11 @@ class GraphNode(NoClockSubscription, Node):
         self.on_failure()
 
     @property
+    def acted(self) -> bool:
+        """Whether the node has acted."""
+        raise NotImplementedError
+
+    @property
     def ready(self) -> bool:
         """Whether every input has had a publisher."""
         return self.reports.state != STARTING

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 from rclpy.node import Node
@@ -81,12 +80,11 @@ class Publishers:
         if not unheard:
             return ""
         names = sorted({call_node(info.node_name) for info in unheard})
-        required = replace(self.required, lease_s=self.topic.qos.lease_s)
-        offered = [lacks(info.qos_profile, required) for info in unheard]
+        offered = [lacks(info.qos_profile, self.required) for info in unheard]
         why = dict.fromkeys(word for words in offered for word in words)
         return (
             f"has a publisher that cannot be heard ({list_nodes(names)}): it {' and '.join(why)}, "
-            f"but must be {requirements(self.topic.qos)}; change it, or end it"
+            f"but must be {requirements(self.required)}; change it, or end it"
         )
 
     def _known(self) -> list[Any]:

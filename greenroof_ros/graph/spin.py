@@ -49,10 +49,14 @@ def ros(arguments: Sequence[str]) -> Iterator[None]:
     try:
         yield
     finally:
-        # Everything has been sent and written. From here the kernel ends a process that locks up.
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(TAKING_DOWN_S)
+        _limit_teardown()
         rclpy.try_shutdown()
+
+
+def _limit_teardown() -> None:
+    """Let the kernel end this process if it locks up; everything has been sent and written."""
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(TAKING_DOWN_S)
 
 
 def spin(nodes: Sequence[SimulationNode], over: Callable[[], bool]) -> None:
@@ -102,6 +106,7 @@ def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
             print(f"error: {error}", file=sys.stderr)
     for node in nodes:
         node.end(failure)
+    _limit_teardown()
     for node in nodes:
         node.destroy_node()
     return failure

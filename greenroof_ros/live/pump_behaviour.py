@@ -174,11 +174,6 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
     # --- to override ------------------------------------------------------------------------------
 
-    @property
-    def acted(self) -> bool:
-        """Whether the node has acted."""
-        raise NotImplementedError
-
     def elapsed(self, now: float) -> float:
         """Return the time since the last call (s), by the clock of the pump control.
 

@@ -130,11 +130,12 @@ class SupervisorSocket:
                 self._unsent = self._unsent[os.write(self._socket, self._unsent):]
         return not self._unsent
 
-    def flush(self, seconds: float) -> None:
-        """Send all waiting reports; give up after this long (s)."""
+    def flush(self, seconds: float) -> bool:
+        """Send the waiting reports for at most this long (s); return whether none is left."""
         until = time.monotonic() + seconds
-        while not self._send() and time.monotonic() < until:
+        while not (sent := self._send()) and time.monotonic() < until:
             time.sleep(0.05)
+        return sent
 
     def missing(self, now: float) -> str:
         """Return why the pump must not run; empty if it may.

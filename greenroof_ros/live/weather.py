@@ -273,8 +273,8 @@ class WeatherNode(LiveNode):
 
 
 main = live_command(WeatherNode, partial(
-    node_help, "live.weather", "weather", __doc__, parameters, "--ros-args -p forecast:=forecast.csv",
-    live=True,
+    node_help, "live.weather", "weather", __doc__, parameters,
+    "--ros-args -p forecast:=forecast.csv", live=True,
 ))
 
 
