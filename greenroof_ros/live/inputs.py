@@ -82,10 +82,10 @@ class LivePublishers(Publishers):
     def second(self) -> str:
         """Return that there is a second publisher, or with a lease one that cannot be heard.
 
-        It may be trying to stop the pump, even if its messages do not arrive. If only one of two is
-        known, the middleware miscounted after a lease ran out on a busy machine.
+        If only one of two is known, the middleware miscounted after a lease ran out on a busy
+        machine.
         """
-        if self._unfit_since > -math.inf or (not self._by_lease and self.count > 1):
+        if self._unfit_since > -math.inf:
             if unheard := self.unheard():
                 return unheard
             if time.monotonic() - self._unfit_since > DISCOVERY_S:

@@ -656,9 +656,12 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
 
 def second_publisher(entry: Input) -> str:
-    """Return that an input has a second publisher, as a sentence; empty if it has none."""
+    """Return that an input has a second publisher, as a sentence; empty if it has none.
+
+    If one of them cannot be heard, it is named: it may be trying to stop the pump.
+    """
     second = entry.publishers.second()
-    return f"{entry.name} {second}" if second else ""
+    return f"{entry.name} {entry.publishers.unheard() or second}" if second else ""
 
 
 def _hold_of(request: SetParametersAtomically.Request) -> dict[str, Any]:
