@@ -118,7 +118,19 @@ class DriveInLoop:
         self.log.look(supervisor.last, tick)
         for report in supervisor.last.values():
             self._progress.warn(report["warnings"])
-        supervisor.check(START_LIMIT_S)
+        self._check_node()
+
+    def _check_node(self) -> None:
+        """Check that the pump node runs; print its last lines if it does not.
+
+        Raises:
+            NodeFailed: it ended or hangs.
+        """
+        try:
+            self._supervisor.check(START_LIMIT_S)
+        except NodeFailed as error:
+            self._progress.say(error.last_lines)
+            raise NodeFailed(error.reason, "", error.code) from error
 
     def _wait(self) -> None:
         supervisor, progress = self._supervisor, self._progress
@@ -136,7 +148,7 @@ class DriveInLoop:
                 if part in diagnoses and diagnoses[part]["level"] != "OK"
             )
             progress.waiting(f"waiting for the drive: {trouble or 'the pump node starts'}")
-            supervisor.check(START_LIMIT_S)
+            self._check_node()
             if time.monotonic() > until:
                 raise NodeFailed(
                     f"the drive cannot be run, after {_DRIVE_LIMIT_S:g} s: {trouble}; check its "

@@ -227,10 +227,10 @@ def texts_in(tree: ast.AST) -> set[str]:
 
 
 def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
-    """In each call of ``diagnose`` and ``say``, code and cause follow the problem."""
-    positions = {"diagnose": slice(3, 5), "say": slice(3, 6)}
+    """In each call of ``diagnose`` and ``diagnose_problem``, code and cause follow the problem."""
+    positions = {"diagnose": slice(3, 5), "diagnose_problem": slice(3, 6)}
     texts, reported = set[str](), set[str]()
-    for room in ("graph", "nodes", "bringup", "watch", "pumping", "drives"):
+    for room in ("graph", "live", "watch", "pumping", "drives"):
         for file in (PACKAGE / room).glob("*.py"):
             tree = ast.parse(file.read_text(encoding="utf-8"))
             texts |= texts_in(tree)
