@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -77,6 +78,7 @@ class Composition:
         """End the nodes, and shut ROS down."""
         with self._ends:
             end_nodes(list(self._nodes.values()), None if error is None else str(error))
+        signal.alarm(0)  # the summary is not written yet
 
     def spin(self, drive: DriveInLoop | None) -> None:
         """Make the nodes, and run them to the end of the run.

@@ -103,6 +103,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """
     with importing_ros():
         from greenroof_ros.bringup.composition import Composition
+        from greenroof_ros.graph.spin import end_soon
     drive = chosen_drive(arguments)
     speed = arguments.speed
     if speed is None:  # real time with a drive, otherwise as fast as possible
@@ -160,6 +161,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         if loop is not None and loop.may_run:
             code = EXIT_FAILED
         _end(run, directory, graph, incidents, status, reason, as_json=arguments.json)
+        end_soon()
         return code or (EXIT_FAILED if incidents.count else EXIT_DONE)
 
 

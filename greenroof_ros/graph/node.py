@@ -10,6 +10,7 @@ import math
 import time
 import traceback
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,7 +25,7 @@ from rclpy.publisher import Publisher
 from rclpy.time import Time
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
-from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.common.interface import Qos, Topic, read_topics
 from greenroof_ros.graph.inputs import Input, accepted
 from greenroof_ros.graph.lockstep import CLOCK, RUN, Lockstep
 from greenroof_ros.graph.messages import LockstepError, decoder, encoder, message_class, qos_profile
@@ -197,7 +198,7 @@ class SimulationNode(NoClockSubscription, Node):
 
     def _input(self, name: str) -> Input:
         topic = self.interface[name]
-        self.inputs[name] = Input(Publishers(self, topic, topic.qos))
+        self.inputs[name] = Input(Publishers(self, topic, _required(topic)))
         return self.inputs[name]
 
     def _open(
@@ -214,8 +215,8 @@ class SimulationNode(NoClockSubscription, Node):
                 self.fail(error)
 
         self.create_subscription(
-            message_class(topic.type), topic.graph_name, guarded, qos_profile(topic.qos), raw=True,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            message_class(topic.type), topic.graph_name, guarded, qos_profile(_required(topic)),
+            raw=True, event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
 
     # --- running ----------------------------------------------------------------------------
@@ -255,6 +256,7 @@ class SimulationNode(NoClockSubscription, Node):
 
     def finish(self) -> None:
         """Report from now on that the run is over for this node, with the node's summary."""
+        self._note_warnings(time.monotonic())
         self._final = self.summary()
         self.reports.state = FINISHED
         self._report()
@@ -290,7 +292,7 @@ class SimulationNode(NoClockSubscription, Node):
                 raise kind(f"{entry.name} {publishers.second()}")
 
     def _note_warnings(self, now: float) -> None:
-        """Note each publisher that has not been heard for the discovery time, and refused values."""
+        """Note publishers that have not been heard for the discovery time, and refused values."""
         for publishers in self._waits_for:
             problem = "" if self.acted else publishers.unheard()
             name = publishers.full_name
@@ -300,7 +302,7 @@ class SimulationNode(NoClockSubscription, Node):
             elif now - since >= DISCOVERY_S:
                 self._warn(f"{name} {problem}")
         for entry in self.inputs.values():
-            if entry.refused and not entry.good:
+            if entry.refused:
                 self._warn(
                     f"refused a value on {entry.name}: it {accepted(entry.topic)}; it acts as 0, "
                     "and further ones are only counted"
@@ -352,7 +354,7 @@ class SimulationNode(NoClockSubscription, Node):
 
     @property
     def over(self) -> bool:
-        """Whether a node that runs alone may end: the run is over, and all that it published arrived.
+        """Whether a node that runs alone may end: its run is over, and its messages have arrived.
 
         The plant leaves first: until then a node may still need this node's messages.
 
@@ -399,3 +401,8 @@ class SimulationNode(NoClockSubscription, Node):
             **self.progress(), **waiting, "refused": refused, "warnings": self.warnings,
             **self._final,
         })
+
+
+def _required(topic: Topic) -> Qos:
+    """Return what a publisher must offer: in a simulation there is no liveliness lease."""
+    return replace(topic.qos, lease_s=math.inf)

@@ -80,11 +80,11 @@ class Publishers:
         if not unheard:
             return ""
         names = sorted({call_node(info.node_name) for info in unheard})
-        offered = [lacks(info.qos_profile, self.topic.qos) for info in unheard]
+        offered = [lacks(info.qos_profile, self.required) for info in unheard]
         why = dict.fromkeys(word for words in offered for word in words)
         return (
             f"has a publisher that cannot be heard ({list_nodes(names)}): it {' and '.join(why)}, "
-            f"but must be {requirements(self.topic.qos)}; change it, or end it"
+            f"but must be {requirements(self.required)}; change it, or end it"
         )
 
     def _known(self) -> list[Any]:

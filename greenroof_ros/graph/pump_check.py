@@ -23,9 +23,9 @@ from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.interface import Qos, read_topics
 from greenroof_ros.common.standard_error import ProgressLines
 from greenroof_ros.graph.domain import choose_transport, make_executor
-from greenroof_ros.graph.inputs import call_node
 from greenroof_ros.graph.lockstep import RUN, RunIdentity
 from greenroof_ros.graph.messages import encoder, lacks, message_class, qos_profile, requirements
+from greenroof_ros.graph.publishers import call_node
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.site import Site
 

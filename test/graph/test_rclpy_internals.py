@@ -21,14 +21,14 @@ from std_msgs.msg import Float64  # noqa: E402
 
 from greenroof_ros.common.interface import read_topics  # noqa: E402
 from greenroof_ros.graph.domain import begin_to_listen  # noqa: E402
+from greenroof_ros.graph.messages import qos_profile  # noqa: E402
+from greenroof_ros.graph.rclpy_internals import NoClockSubscription, waiting_in  # noqa: E402
 from greenroof_ros.live.lifecycle import (  # noqa: E402
     INACTIVE,
     UNCONFIGURED,
     Lifecycle,
     transition,
 )
-from greenroof_ros.graph.messages import qos_profile  # noqa: E402
-from greenroof_ros.graph.rclpy_internals import NoClockSubscription, waiting_in  # noqa: E402
 
 
 class Small(Lifecycle, Node):

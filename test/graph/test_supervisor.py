@@ -20,11 +20,11 @@ import pytest
 from graphs import alive, wait_for
 from places import CHECKOUT
 
-from greenroof_ros.live.site_run import _Start, values_of
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.graph import supervisor
+from greenroof_ros.live.site_run import _Start, values_of
 from greenroof_ros.live.supervision import SOCKET, SupervisorSocket, read_report
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart, Supervisor
 
