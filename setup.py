@@ -10,7 +10,11 @@ NAME = "greenroof_ros"
 SHARE = Path("share") / NAME
 
 # What ``ros2 run greenroof_ros NAME`` starts in a workspace: the nodes ...
-NODES = ("plant", "weather", "controller", "recorder", "live_recorder", "pump", "sensor")
+NODES = {
+    **{name: f"nodes.{name}" for name in ("plant", "weather", "controller", "recorder")},
+    **{f"live_{name}": f"live.{name}" for name in ("weather", "controller", "recorder")},
+    **{name: f"live.{name}" for name in ("sensor", "pump", "loop_pump")},
+}
 # ... the node of one of this package's controllers, without ``--controller`` ...
 CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 # ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
@@ -24,7 +28,7 @@ COMMANDS = (
 # put names such as `report` and `watch` on everybody's PATH.
 IN_WORKSPACE = not {"install", "develop"}.isdisjoint(sys.argv)
 EXECUTABLES = [
-    *(f"{name} = {NAME}.nodes.{name}:main" for name in NODES),
+    *(f"{name} = {NAME}.{module}:main" for name, module in NODES.items()),
     *(f"{name} = {NAME}.nodes.controller:{name}" for name in CONTROLLERS),
     *(f"{name.split('.')[0]} = {NAME}.{name}:main" for name in COMMANDS),
 ]

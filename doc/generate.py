@@ -402,7 +402,7 @@ def interlocks() -> str | None:
     if importlib.util.find_spec("rclpy") is None:
         return None
     from greenroof_ros.graph.parameters import default_site
-    from greenroof_ros.nodes import pump, weather
+    from greenroof_ros.live import pump, weather
 
     meanings, site = read_conditions(), default_site()
     limits = {entry.name: entry for node in (weather, pump) for entry in node.parameters(site)}
@@ -595,20 +595,21 @@ def nodes() -> str | None:
     if importlib.util.find_spec("rclpy") is None:
         return None
     from greenroof_ros.graph.parameters import default_site, type_name
-    from greenroof_ros.nodes import (
-        controller,
-        live_recorder,
-        plant,
-        pump,
-        recorder,
-        sensor,
-        weather,
-    )
+    from greenroof_ros.live import controller as live_controller
+    from greenroof_ros.live import loop_pump, pump, sensor
+    from greenroof_ros.live import recorder as live_recorder
+    from greenroof_ros.live import weather as live_weather
+    from greenroof_ros.nodes import controller, plant, recorder, weather
 
     site = default_site()
-    modules = (plant, weather, recorder, live_recorder, pump, sensor)
-    declared = {node.__name__.rpartition(".")[2]: node.parameters(site) for node in modules}
-    declared["controllers"] = controller.parameters(None)
+    declared = {
+        "plant": plant.parameters(site), "weather": weather.parameters(site),
+        "recorder": recorder.parameters(site), "controllers": controller.parameters(None),
+        "live_weather": live_weather.parameters(site),
+        "live_controller": live_controller.parameters(None),
+        "live_recorder": live_recorder.parameters(site), "sensor": sensor.parameters(site),
+        "pump": pump.parameters(site), "loop_pump": loop_pump.parameters(site),
+    }
     of_nodes: dict[tuple[str, ...], list[str]] = {}
     for node, parameters in declared.items():
         for parameter in parameters:
@@ -619,14 +620,17 @@ def nodes() -> str | None:
             of_nodes.setdefault(row, []).append(node)
     settings = {f"`{parameter.name}`" for parameter in pump_parameters(site)}
     header = ("parameter", "type", "default", "range", "meaning, unit")
-    shared = [(*row, ", ".join(nodes)) for row, nodes in of_nodes.items() if len(nodes) > 1]
+    shared = [
+        (*row, ", ".join(nodes)) for row, nodes in of_nodes.items()
+        if len(nodes) > 1 and row[0] not in settings
+    ]
     return "\n".join([
         "### several nodes\n\n" + markdown((*header, "nodes"), shared),
         *(
             f"### {node}\n\n"
             + markdown(header, (
                 row for row, nodes in of_nodes.items()
-                if nodes == [node] and not (node == "pump" and row[0] in settings)
+                if nodes == [node]
             ))
             for node in declared
         ),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from graphs import Process, bring_up, own_domain
@@ -12,6 +13,9 @@ from hypothesis import settings
 from inherited import no_state_of_the_user, pytest_configure
 from places import Once
 from studies import study
+
+if TYPE_CHECKING:
+    from ros_rig import Observer, Site
 
 __all__ = ["no_state_of_the_user", "pytest_configure"]
 
@@ -75,6 +79,22 @@ def unused_domain() -> Iterator[int]:
 def domain(unused_domain: int) -> int:
     """The same domain, for graphs."""
     return unused_domain
+
+
+@pytest.fixture
+def observer(domain: int, tmp_path: Path) -> Iterator[Observer]:
+    from ros_rig import Observer
+
+    observer = Observer(domain, tmp_path)
+    yield observer
+    observer.close()
+
+
+@pytest.fixture
+def site(observer: Observer) -> Site:
+    from ros_rig import Site
+
+    return Site(observer)
 
 
 @pytest.fixture(autouse=True)

@@ -184,8 +184,8 @@ class Process:
             except OSError:
                 continue
             for word in words:
-                if word.startswith("greenroof_ros.nodes."):
-                    name = word.removeprefix("greenroof_ros.nodes.").removeprefix("live_")
+                if word.startswith(("greenroof_ros.nodes.", "greenroof_ros.live.")):
+                    name = word.rpartition(".")[2].removeprefix("loop_")
                     if name == "sensor":
                         name = QUANTITIES[words[words.index('--of') + 1]].node
                     processes[name] = int(pid)

@@ -67,9 +67,13 @@ class PumpRig:
         return str(self.observer.values(f"/pump: {part}").get("code", ""))
 
     def start(
-        self, address: str = "", *, popen: dict[str, Any] | None = None, **parameters: object,
+        self, address: str = "", *, popen: dict[str, Any] | None = None, live: bool = False,
+        **parameters: object,
     ) -> subprocess.Popen[Any]:
-        """Start the node, by default with the simulated drive; its state file is kept."""
+        """Start the node, in the loop or live, by default with the simulated drive.
+
+        Its state file is kept.
+        """
         settings = {
             "drive": guarding("abb_acs880", self.cwd),
             "address": address or self.drive.address, "autostart": "true", "exchange_period": 0.05,
@@ -79,7 +83,8 @@ class PumpRig:
         if self._nodes:
             self._open()
         self._nodes += 1
-        return self.observer.start("pump", popen=popen, **settings)
+        module = "live.pump" if live else "live.loop_pump"
+        return self.observer.start(module, popen=popen, **settings)
 
     def leave(self) -> None:
         """Remove all publishers."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -22,7 +24,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from greenroof_ros.common.files import read_yaml
-from greenroof_ros.common.interface import read_live_topics, read_topics
+from greenroof_ros.common.interface import read_conditions, read_live_topics, read_topics
 from greenroof_ros.graph.messages import message_class, qos_profile
 
 OK, WARN, ERROR, STALE = b"\x00", b"\x01", b"\x02", b"\x03"
@@ -49,6 +51,36 @@ def ros_arguments(**parameters: object) -> list[str]:
     settings = [f"{name}:={value}" for name, value in parameters.items() if value is not None]
     words = [word for setting in settings for word in ("-p", setting)]
     return ["--ros-args", *words] if words else []
+
+
+HERE = socket.gethostname()
+
+
+def check_diagnostics(arrays: list[DiagnosticArray]) -> None:
+    """Check in every message what tools rely on: each name belongs to one thing only.
+
+    This also holds for tools that show names without slashes, or make codes of them.
+    """
+    names = set()
+    for array in arrays:
+        assert array.header.stamp.sec > 0
+        assert array.status
+        for status in array.status:
+            names.add(status.name)
+            assert re.fullmatch(r"(/\w+)+(: \w[\w ]*)?", status.name)
+            assert status.hardware_id == HERE
+            assert status.level in (OK, WARN, ERROR, STALE)
+            assert status.message
+            values = {entry.key: entry.value for entry in status.values}
+            assert len(values) == len(status.values)
+            # A status that is not OK, or waits, has a code; a node's own values are JSON.
+            code, since = (values.get(key, "").strip('"') for key in ("code", "since"))
+            waits = ": " not in status.name and status.level == OK and status.message == "starting"
+            has_code = code in read_conditions() and bool(since)
+            assert has_code == (status.level != OK or waits), status
+            assert (code == "peers_awaited") == waits
+    codes = {re.sub(r"\W+", "_", name).strip("_").upper() for name in names}
+    assert len(codes) == len(names) and "" not in codes
 
 
 class Observer:
@@ -84,8 +116,8 @@ class Observer:
     def start(
         self, command: str, *, popen: dict[str, Any] | None = None, **parameters: object
     ) -> subprocess.Popen[Any]:
-        """Start a node beside it: its module, with arguments."""
-        words = [*f"greenroof_ros.nodes.{command}".split(), *ros_arguments(**parameters)]
+        """Start a node beside it: its module in the package, with arguments."""
+        words = [*f"greenroof_ros.{command}".split(), *ros_arguments(**parameters)]
         process = subprocess.Popen(
             [sys.executable, "-m", *words], cwd=self.cwd,
             **{"env": environment(self.domain), **(popen or {})},
@@ -189,7 +221,7 @@ class Site:
         """Start a node with a tick of 0.2 s in a live graph, and end it; it must end well."""
         file = self.cwd / "site.yaml"
         file.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", f"tau: {TAU} "))
-        process = self.watcher.start(command, **{"live": "true", "site_file": file, **parameters})
+        process = self.watcher.start(f"live.{command}", **{"site_file": file, **parameters})
         try:
             yield process
         finally:

@@ -21,9 +21,10 @@ from greenroof_ros.common.command_line import (
     exit_code,
 )
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.interface import read_live_topics, read_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
@@ -45,7 +46,7 @@ class _Parser(argparse.ArgumentParser):
 def node_command(
     make: Callable[..., Any], help_of: Callable[..., str], option: str = "",
     choices: Sequence[str] = (), value: str | None = None,
-    run: Callable[[Callable[[], Any]], int] | None = None,
+    spin: Callable[[Any, Callable[[], None]], None] | None = None,
 ) -> Callable[[], NoReturn]:
     """Return the executable of a node.
 
@@ -55,7 +56,8 @@ def node_command(
         option: the option that the node requires, such as ``--of``; empty for none.
         choices: allowed values of the option; empty for any.
         value: fixed value of the option; the command line then has no such option.
-        run: runs the node and returns the exit code; None for :func:`run_node`.
+        spin: runs the node and calls its second argument, which can raise, 20 times a second; None
+            for a node of a simulated graph.
     """
 
     @command
@@ -76,7 +78,7 @@ def node_command(
             return EXIT_DONE
         if of == [None]:
             parser.error(": ".join(filter(None, (f"{option} is missing", " or ".join(choices)))))
-        return (run or run_node)(partial(make, *of))
+        return run_node(partial(make, *of), spin or spin_alone)
 
     return main
 
@@ -89,21 +91,21 @@ def node_help(
     example: str,
     outputs: Collection[str] = (),
     *,
-    always_live: bool = False,
+    live: bool = False,
 ) -> str:
     """Return the text of a node's ``--help``.
 
     Args:
-        module: its module, and the arguments that it requires.
+        module: its module in this package, and the arguments that it requires.
         role: its role in the interface.
         purpose: what it does; a module docstring.
         parameters: returns all parameters that it declares for a site.
         example: the arguments in the example.
         outputs: the optional topics that it publishes.
-        always_live: whether it is only for live graphs.
+        live: whether it is a node of a live site.
     """
-    start = f"python -m greenroof_ros.nodes.{module}"
-    topics = [topic for topic in read_topics().values() if topic.live or not always_live]
+    start = f"python -m greenroof_ros.{module}"
+    topics = read_live_topics() if live else read_topics()
     sections = {
         "parameters, after --ros-args as -p NAME:=VALUE or by --params-file FILE": [
             (parameter.name, _about(parameter), parameter.description)
@@ -112,13 +114,12 @@ def node_help(
         **{
             heading: [
                 (topic.name, f"{topic.type}{topic.unit and ', unit '}{topic.unit}", topic.meaning)
-                for topic in topics if role in roles(topic)
+                for topic in topics.values() if role in roles(topic)
                 and (heading != "publishes" or not topic.optional or topic.name in outputs)
             ]
             for heading, roles in {
-                "publishes": lambda topic: (*topic.publishers, *topic.live_publishers),
+                "publishes": lambda topic: topic.publishers,
                 "subscribes to": lambda topic: topic.subscribers,
-                "in a live graph also to": lambda topic: topic.live_subscribers,
             }.items()
         },
     }
@@ -158,11 +159,14 @@ def _about(parameter: Parameter) -> str:
 # --- the process ----------------------------------------------------------------------------------
 
 
-def run_node(make: Callable[[], SimulationNode]) -> int:
-    """Run one node of a simulated graph until its run is over, it is asked to stop, or it fails.
+def run_node(
+    make: Callable[[], GraphNode], spin: Callable[[Any, Callable[[], None]], None]
+) -> int:
+    """Run one node until its run is over, it is asked to stop, or it fails.
 
     Args:
         make: the node's class, or a function that returns the node.
+        spin: see :func:`node_command`.
 
     Returns:
         An exit code: 0 if the run is over or the node was asked to stop, 1 if the node failed, 2 if
@@ -174,7 +178,7 @@ def run_node(make: Callable[[], SimulationNode]) -> int:
         try:
             node = make()
             refuse_unknown(node, sys.argv)
-            spin([node], _Alone(node, signals).over)
+            spin(node, signals.check)
         except (ConfigurationError, LockstepError, OSError) as error:
             usage = isinstance(error, ConfigurationError)
             code, failure = exit_code(error) if usage else EXIT_FAILED, str(error)
@@ -182,16 +186,21 @@ def run_node(make: Callable[[], SimulationNode]) -> int:
         except InterruptedRun:
             pass
         finally:
-            if node is not None:
-                end_nodes([node], failure)
+            if node is not None and end_nodes([node], failure) is not None:
+                code = code or EXIT_FAILED
     return code
+
+
+def spin_alone(node: SimulationNode, check: Callable[[], None]) -> None:
+    """Run a node of a simulated graph until its run is over; see :func:`node_command`."""
+    spin([node], _Alone(node, check).over)
 
 
 class _Alone:
     """Whether a node that runs alone is over; until its run begins, it logs whom it waits for."""
 
-    def __init__(self, node: SimulationNode, signals: Signals) -> None:
-        self._node, self._signals = node, signals
+    def __init__(self, node: SimulationNode, check: Callable[[], None]) -> None:
+        self._node, self._check = node, check
         self._missing: list[str] = []
         self._log_at = math.inf
 
@@ -202,7 +211,7 @@ class _Alone:
             InterruptedRun: a signal came.
             LockstepError: the plant has ended before the run.
         """
-        self._signals.check()
+        self._check()
         if not self._node.acted:
             self._log_missing(time.monotonic())
         return self._node.over

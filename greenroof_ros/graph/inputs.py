@@ -47,6 +47,16 @@ class Input:
         """Whether the newest value may be acted on."""
         return not self.refusal
 
+    @property
+    def code(self) -> str:
+        """The code of a refusal; empty if the newest value may be acted on."""
+        return "input_refused" if self.refusal else ""
+
+    @property
+    def problem(self) -> str:
+        """Why the newest value must not be acted on, as a sentence."""
+        return f"{self.name} {self.refusal}"
+
     def receive(self, message: bytes) -> None:
         """Keep the value of a message, or 0 if the value must be refused."""
         value = self._decode(message)

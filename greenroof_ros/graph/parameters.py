@@ -36,11 +36,6 @@ _KINDS = {
 }
 _SECTION = "ros__parameters"
 
-LIVE = Parameter(
-    "live", False, meaning="act on steady time, as on a site with sensors; otherwise in lockstep, "
-    "as in a simulation",
-)
-
 
 def site_file() -> Parameter:
     """Return the parameter that names the site file; all nodes of a run have the same value."""

@@ -66,6 +66,7 @@ class Reports:
         diagnoses: diagnoses of the node's parts, by name.
         numbers: measured or counted values of the node's parts, by name; None if unknown.
         hardware: the device that the parts belong to; empty for the machine.
+        urgent: whether a diagnosis has changed since the last report.
         publisher: publishes the reports.
     """
 
@@ -80,6 +81,7 @@ class Reports:
         self.diagnoses: dict[str, Diagnosis] = {}
         self.numbers: dict[str, Mapping[str, float | None]] = {}
         self.hardware = ""
+        self.urgent = False
         self._own: Diagnosis | None = None  # the node's own
         self._node = node
         self._role = role
@@ -90,11 +92,50 @@ class Reports:
         profile = qos_profile(topic.qos)
         self.publisher = node.create_publisher(DiagnosticArray, topic.graph_name, profile)
 
-    def diagnose(self, part: str, level: bytes, message: str, code: str, cause: str) -> bool:
-        """Set the diagnosis of a part, and return whether it has changed."""
+    def diagnose(
+        self, part: str, level: bytes, message: str, code: str = "", cause: str = "", *,
+        log: bool = True,
+    ) -> None:
+        """Set the diagnosis of a part; a change is logged, and reported soon.
+
+        Args:
+            part: the part's name.
+            level: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
+            message: a sentence.
+            code: a code of :mod:`greenroof_ros.common.interface`; empty if the part is well.
+            cause: the code of the cause; empty if unknown.
+            log: false for a message that changes too often to be logged.
+        """
         before = self.diagnoses.get(part)
         self.diagnoses[part] = _dated(before, level, message, code, cause)
-        return self.diagnoses[part] != before
+        if not log or self.diagnoses[part] == before:
+            return
+        self.urgent = True
+        logger = self._node.get_logger()
+        if level == WARN:
+            logger.warning(message)
+        elif level != OK:
+            logger.error(message)
+        elif before is not None:
+            logger.info(message)
+
+    def diagnose_problem(
+        self, part: str, problem: str, well: str, code: str, level: bytes = ERROR, cause: str = ""
+    ) -> None:
+        """Set the diagnosis of a part to a problem, or to OK if there is none.
+
+        Args:
+            part: the part's name.
+            problem: a sentence; empty if there is no problem.
+            well: the sentence to report if there is no problem.
+            code: the problem's code; see :meth:`diagnose`.
+            level: the problem's level; likewise.
+            cause: the code of its cause; likewise.
+        """
+        if problem:
+            self.diagnose(part, level, problem, code, cause)
+        else:
+            self.diagnose(part, OK, well)
 
     def publish(self, values: dict[str, Any]) -> dict[str, Any]:
         """Publish the node's state with these values; return all, with the parts' diagnoses.
@@ -103,6 +144,7 @@ class Reports:
         for its peers is OK, with a code that says so. The stamp is the node's time, or the system's
         until simulated time begins: tools take 0 for a missing stamp.
         """
+        self.urgent = False
         level, code = OK, ""
         if "failure" in values:
             level, code = ERROR, "node_failed"

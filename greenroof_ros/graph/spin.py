@@ -20,6 +20,7 @@ from greenroof_ros.graph.domain import (
     choose_transport,
     make_executor,
 )
+from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.node import SimulationNode
 
 # How often the wall clock, the signals and the ends of the nodes are checked (s).
@@ -79,7 +80,7 @@ def spin(nodes: Sequence[SimulationNode], over: Callable[[], bool]) -> None:
             node.check(now)
 
 
-def end_nodes(nodes: Sequence[SimulationNode], failure: str | None) -> None:
+def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
     """End nodes: let each close what is open, report its end, and leave the graph.
 
     From here the process must end within 6 s, since a SIGALRM is pending: bringup cancels it.
@@ -87,6 +88,9 @@ def end_nodes(nodes: Sequence[SimulationNode], failure: str | None) -> None:
     Args:
         nodes: the nodes.
         failure: the error that ended them; None if there was none.
+
+    Returns:
+        The first error, also one of the end; None if there was none.
     """
     for node in nodes:
         try:
@@ -99,6 +103,7 @@ def end_nodes(nodes: Sequence[SimulationNode], failure: str | None) -> None:
     end_soon()
     for node in nodes:
         node.destroy_node()
+    return failure
 
 
 def end_soon() -> None:

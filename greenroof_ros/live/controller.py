@@ -1,8 +1,8 @@
-"""The controller node, for any controller: levels and forecasts in, one command out.
+"""The controller node of a live site, for any controller: levels and forecasts in, commands out.
 
-On a live site on/off replaces a controller that needs a forecast while it has none.
+On/off replaces a controller that needs a forecast while it has none.
 
-``python -m greenroof_ros.nodes.controller --controller NAME`` runs a registered controller, or any
+``python -m greenroof_ros.live.controller --controller NAME`` runs a registered controller, or any
 class as ``package.module:Class``; the node is named after it.
 """
 
@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,15 +33,15 @@ from greenroof_ros.controllers.protocol import (
     set_time,
 )
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
-from greenroof_ros.graph.executable import node_command, node_help
-from greenroof_ros.live.node import LiveNode
-from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
-from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.parameters import LIVE, declare, site_file
+from greenroof_ros.graph.executable import node_help
+from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
+from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
+from greenroof_ros.live.executable import live_command
+from greenroof_ros.live.node import LiveNode
 from greenroof_ros.model.plant import pump_flow
 
-# Needed inputs. In a live graph the forecasts may be missing, and two more inputs are optional.
+# The inputs; without the forecasts, the flow or the gauge it still commands.
 _INPUTS = (
     "/cistern/level", "/roof/level", "/forecast/precipitation", "/forecast/evapotranspiration",
     "/weather/frost",
@@ -55,7 +54,7 @@ _GIVEN_UP = 3
 _CHANGES = 50
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 STATE_FILE = Parameter(
-    "state_file", "", meaning="live: file that keeps what waiting for rain has cost so far "
+    "state_file", "", meaning="file that keeps what waiting for rain has cost so far "
     "across restarts; empty: none",
 )
 # How often learned values are saved (s).
@@ -65,13 +64,13 @@ _KEEP_S = 600.0
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     """Return the parameters of a controller's node; without a controller, the common ones."""
     of_class = [] if choice is None else choice.kind.parameters
-    return [LIVE, site_file(), STATE_FILE, *of_class, *LIVE_PARAMETERS]
+    return [site_file(), STATE_FILE, *of_class, *LIVE_PARAMETERS]
 
 
 class ControllerNode(LiveNode):
-    """Runs one controller in the graph; commands 0 in frost, in quiet hours and on bad inputs.
+    """Runs one controller; commands 0 in frost, in quiet hours and on bad inputs.
 
-    On a live site a forecast that is missing, too old or refused does not stop the pump: on/off,
+    A forecast that is missing, too old or refused does not stop the pump: on/off,
     with its defaults, commands until there is a good one. If on/off has pumped, the controller then
     restarts, since its knowledge of the roof and its plan are outdated. What
     waiting for rain has cost is kept, also across restarts of the node, in ``state_file``.
@@ -102,24 +101,20 @@ class ControllerNode(LiveNode):
         self._levels = Levels(site, live, self.subscribe)
         self._cistern, self._roof = self._levels.cistern, self._levels.roof
         self._rain, self._evapotranspiration = (
-            self.subscribe(name, optional=self.live)
+            self.subscribe(name, optional=True)
             for name in ("/forecast/precipitation", "/forecast/evapotranspiration")
         )
         self._frost = self.subscribe("/weather/frost")
+        self._flow = self.subscribe(_FLOW, optional=True)
+        self._gauge = self.subscribe(_GAUGE, optional=True)
         self._time_ns, self._quiet = 0, False
-        if self.live:
-            self._without_forecast = OnOff(site, FRACTION.default)
-            self._give_up_after = _GIVEN_UP * live[RECOVERY.name]
-            self._missing_since = math.inf  # forecast missing since (steady clock, s)
-            self._without_since = ""  # when on/off took over, in words; empty if not
-            self._without_pumped = False
-            self._flow = self.subscribe(_FLOW, optional=True)
-            self._gauge = self.subscribe(_GAUGE, optional=True)
-            self._kept = self._learned_before(declare(self, [STATE_FILE])[STATE_FILE.name])
-            self._kept_at = time.monotonic()
-        else:
-            # With quiet hours, a tick must wait for its time.
-            self._tick_time = self.subscribe(CLOCK, None if site.quiet else self.set_time)
+        self._without_forecast = OnOff(site, FRACTION.default)
+        self._give_up_after = _GIVEN_UP * live[RECOVERY.name]
+        self._missing_since = math.inf  # forecast missing since (steady clock, s)
+        self._without_since = ""  # when on/off took over, in words; empty if not
+        self._without_pumped = False
+        self._kept = self._learned_before(declare(self, [STATE_FILE])[STATE_FILE.name])
+        self._kept_at = time.monotonic()
         self._optional = list(optional_topics(choice.outputs))
         self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
         self.add_on_set_parameters_callback(self._on_parameters)
@@ -128,15 +123,10 @@ class ControllerNode(LiveNode):
         """Publish the command and the controller's optional outputs."""
         allowed = self.good and not self._frost.value
         if self._site.quiet is not None:
-            if not self.live:
-                self.set_time(self._tick_time.value)
             self._time_ns = self.get_clock().now().nanoseconds
             self._quiet = self._site.quiet.quiet_at(self._time_ns)
             allowed = allowed and (not self._quiet or knows_time(self._controller))
-        if self.live:
-            allowed = self._command_live(allowed)
-        else:
-            self.publish("/pump/command", self._decide(allowed))
+        allowed = self._command(allowed)
         self._tick += 1
         for topic, attribute in self._optional:
             value = getattr(self._controller, attribute) if allowed else topic.undecided
@@ -146,15 +136,14 @@ class ControllerNode(LiveNode):
         usable = allowed and self._rain.good and self._evapotranspiration.good
         if self._site.quiet is not None:
             set_time(self._controller, self._time_ns)
-        if self.live:
-            set_gauge_rain(self._controller, self._measured_rain())
+        set_gauge_rain(self._controller, self._measured_rain())
         return decide(
             self._controller, allowed, self._cistern.value, self._roof.value,
             self._rain_forecast() if usable else (),
             self._evapotranspiration.value if usable else (), self._quiet,
         )
 
-    def _command_live(self, allowed: bool) -> bool:
+    def _command(self, allowed: bool) -> bool:
         """Publish the command: the controller's, or on/off's without a forecast; 0 on bad inputs.
 
         Args:
@@ -172,13 +161,13 @@ class ControllerNode(LiveNode):
         try:
             command, decides = self._decide_or_refuse(allowed)
         except ConfigurationError as error:
-            self.diagnose("command", ERROR, str(error), "controller_failed")
+            self.reports.diagnose("command", ERROR, str(error), "controller_failed")
             command, decides = 0.0, False
         else:
             if "command" in self.reports.diagnoses:
                 now = "commands again" if decides else "is idle"
-                self.diagnose("command", OK, f"the controller {now}")
-        self._say_forecast()
+                self.reports.diagnose("command", OK, f"the controller {now}")
+        self._diagnose_forecast()
         self._keep_learned(_KEEP_S)
         cistern, roof = self._cistern.value, self._roof.value
         if allowed and self._without_since:
@@ -226,7 +215,7 @@ class ControllerNode(LiveNode):
 
     def on_stop(self) -> None:
         """Save what the controller has learned."""
-        if self.live and self._kept is not None:
+        if self._kept is not None:
             self._keep_learned(0.0)
             self._kept.close()
 
@@ -275,7 +264,7 @@ class ControllerNode(LiveNode):
             if not forecast.good
         )
 
-    def _say_forecast(self) -> None:
+    def _diagnose_forecast(self) -> None:
         """Report what is wrong with the forecasts, and let on/off command if that lasts.
 
         A controller that can do without a forecast continues to command; if the site never had a
@@ -287,7 +276,7 @@ class ControllerNode(LiveNode):
         problem = self._bad_forecasts()
         if not problem:
             self._missing_since, self._without_since = math.inf, ""
-            self.diagnose("forecast", OK, "the forecast is good")
+            self.reports.diagnose("forecast", OK, "the forecast is good")
             return
         now = time.monotonic()
         self._missing_since = min(self._missing_since, now)
@@ -299,7 +288,7 @@ class ControllerNode(LiveNode):
         if self._without_since:
             problem = f"on/off commands since {self._without_since}, without a forecast: {problem}"
         bad = self._evapotranspiration if self._rain.good else self._rain
-        self.diagnose("forecast", WARN, problem, "no_forecast", bad.verdict.code)
+        self.reports.diagnose("forecast", WARN, problem, "no_forecast", bad.code)
 
     def _rain_forecast(self) -> Any:
         """Return the forecast of rain in the shape that the controller takes.
@@ -318,15 +307,11 @@ class ControllerNode(LiveNode):
         return rain
 
     def progress(self) -> dict[str, Any]:
-        """Return the parameter changes and, live, the values that bringup shows."""
+        """Return the parameter changes, and the values that bringup shows."""
         return {
             "parameter_changes": list(self._parameter_changes),
             "parameter_change_count": self._parameter_change_count, **self._shown,
         }
-
-    def summary(self) -> dict[str, Any]:
-        """Return the solver's statistics."""
-        return {"solver": self._controller.statistics()}
 
     def _on_parameters(self, changes: list[RosParameter]) -> SetParametersResult:
         may_change = {
@@ -357,20 +342,14 @@ def _help(controller: str | None) -> str:
     name, declared = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
     start = f"-p {declared[0].name}:={declared[0].default}" if declared else "--params-file FILE"
     return node_help(
-        f"controller --controller {name}", "controller",
+        f"live.controller --controller {name}", "controller",
         f"{__doc__}\nRegistered controllers: {', '.join(controller_names())}.",
         lambda _: parameters(choice), f"--ros-args {start}",
-        () if choice is None else choice.outputs,
+        () if choice is None else choice.outputs, live=True,
     )
 
 
-_executable = partial(node_command, ControllerNode, _help, "--controller")
-main = _executable()
-# The executables of this package's controllers.
-mpc = _executable(value="mpc")
-onoff = _executable(value="onoff")
-anticipating_onoff = _executable(value="anticipating_onoff")
-lookahead = _executable(value="lookahead")
+main = live_command(ControllerNode, _help, "--controller")
 
 
 if __name__ == "__main__":

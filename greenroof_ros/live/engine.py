@@ -1,4 +1,4 @@
-"""A live graph: a node acts every tick of the steady clock, on the newest value of each input.
+"""Sample and hold: a node acts every tick of the steady clock, on the newest value of each input.
 
 There is no plant and no clock topic. A node does not wait for an input that is missing, late or
 wrong: it learns which inputs are not good, by the rules of
@@ -12,18 +12,14 @@ import struct
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from rclpy.node import Node
-
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
-from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.reports import ERROR, OK, WARN
+from greenroof_ros.live.inputs import LiveInput
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.input_rules import (
-    InputRules,
     LevelRule,
-    Verdict,
     Wetting,
     cistern_reach,
     expected_movement,
@@ -37,22 +33,22 @@ PAUSE_S = 1.0
 _FIRST_S = 1.0
 
 RECOVERY = Parameter(
-    "recovery_time", 10.0, "s", 0.0, 86400.0, "live: how long an input that was not good must be "
+    "recovery_time", 10.0, "s", 0.0, 86400.0, "how long an input that was not good must be "
     "good before it counts again",
 )
 _FROZEN_MOVEMENT = Parameter(
-    "frozen_movement", 0.01, "", 1e-6, 10.0, "live: a level is frozen if it shows no change while "
+    "frozen_movement", 0.01, "", 1e-6, 10.0, "a level is frozen if it shows no change while "
     "pump and rain must have moved it by this much (m); above the sensor's resolution",
 )
 _JUMP_TOLERANCE = Parameter(
-    "jump_tolerance", 0.02, "", 1e-6, 10.0, "live: how far apart two values of a level may be, "
+    "jump_tolerance", 0.02, "", 1e-6, 10.0, "how far apart two values of a level may be, "
     "beyond what water can do between them (m); at least 10 times the sensor's noise (standard "
     "deviation)",
 )
 
 
 def _limit(name: str, default: float, most: float, quantity: str) -> Parameter:
-    return Parameter(name, default, "s", 0.1, most, f"live: greatest age of {quantity}")
+    return Parameter(name, default, "s", 0.1, most, f"greatest age of {quantity}")
 
 
 _LEVEL = _limit("level_limit", 5.0, 60.0, "a level")
@@ -76,14 +72,14 @@ LIMITS = {
 
 
 def live_parameters(topics: Iterable[str]) -> list[Parameter]:
-    """Return the parameters, except ``live``, of a node that acts on these topics when live."""
+    """Return the parameters of a live node that acts on these topics."""
     limits = dict.fromkeys(LIMITS[topic] for topic in topics)
     of_levels = [_FROZEN_MOVEMENT, _JUMP_TOLERANCE] if _LEVEL in limits else []
     return [*limits, RECOVERY, *of_levels]
 
 
 class Levels:
-    """The levels of both tanks as inputs; in a live graph checked for what water can do.
+    """The levels of both tanks as inputs, checked for what water can do.
 
     Attributes:
         cistern: the cistern's level.
@@ -91,7 +87,7 @@ class Levels:
     """
 
     def __init__(
-        self, site: Site, values: Mapping[str, Any], subscribe: Callable[..., Input]
+        self, site: Site, values: Mapping[str, Any], subscribe: Callable[..., LiveInput]
     ) -> None:
         """Open both inputs.
 
@@ -126,27 +122,27 @@ class Levels:
             rule.expect(movement, tau)
 
 
-class Live:
-    """Makes a node act every period of the steady clock; the node goes on if a peer ends.
+class SampleAndHold:
+    """Makes a node act every period of the steady clock; it goes on if a peer ends.
 
     This clock (CLOCK_BOOTTIME) also runs during a suspend: earlier inputs are then too old.
 
     Attributes:
-        has_begun: whether a node with a period has acted; always true without a period.
+        inputs: the node's inputs.
+        has_begun: whether a node with a period has acted, or acts; always true without a period.
     """
 
     def __init__(
-        self, node: Node, act: Callable[[], None], diagnose: Callable[[str, bytes, str, str], None]
+        self, act: Callable[[], None], diagnose: Callable[[str, bytes, str, str], None]
     ) -> None:
         """Begin without a period.
 
         Args:
-            node: the node.
             act: makes the node act.
             diagnose: reports a part's state: the part's name, a level, a sentence and a code.
         """
-        self._node, self._act, self._diagnose = node, act, diagnose
-        self._inputs: list[Input] = []
+        self._act, self._diagnose = act, diagnose
+        self.inputs: list[LiveInput] = []
         self._period = math.inf
         self._due = math.inf
         self.has_begun = True
@@ -159,23 +155,15 @@ class Live:
         self._due = boot_time() + min(period, _FIRST_S)
 
     def receiver(
-        self, entry: Input, level: LevelRule | None, callback: Callable[[Any], None] | None
+        self, entry: LiveInput, callback: Callable[[Any], None] | None
     ) -> Callable[[bytes], None]:
-        """Judge an input by the rules of a live graph; return the receiver of its messages.
+        """Judge an input from now on; return the receiver of its messages.
 
         Args:
             entry: the input.
-            level: the additional rule for a level; None for another input.
             callback: called with each value; None for none.
         """
-        node = self._node
-        limit = LIMITS[entry.topic.name].name
-        entry.rules = InputRules(
-            boot_time(), node.get_parameter(limit).value,
-            node.get_parameter(RECOVERY.name).value, limit_name=limit, level=level,
-        )
-        self._inputs.append(entry)
-        entry.judge()
+        self.inputs.append(entry)
 
         def on_message(message: bytes) -> None:
             now = boot_time()
@@ -187,8 +175,8 @@ class Live:
                 entry.receive(message)
             except (LockstepError, ValueError, struct.error) as error:
                 entry.refused += 1
-                entry.verdict = Verdict("input_refused", f"was refused: {error}")
-            entry.rules.came(now, entry.value, entry.verdict.why)
+                entry.refusal = f"was refused: {error}"
+            entry.rules.came(now, entry.value, entry.refusal)
             entry.judge()
             if callback is not None:
                 callback(entry.value)
@@ -197,15 +185,20 @@ class Live:
 
     def judge(self) -> None:
         """Judge all inputs at the present time."""
-        for entry in self._inputs:
+        for entry in self.inputs:
             entry.judge()
+
+    @property
+    def needed(self) -> list[LiveInput]:
+        """The inputs without which the node does not act."""
+        return [entry for entry in self.inputs if not entry.optional]
 
     @property
     def due_in(self) -> float:
         """The time until the node acts next (s)."""
         return max(0.0, self._due - boot_time())
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Act if the period has passed; periods that were missed in a pause are skipped."""
         now = boot_time()
         self._note_pause(now)
@@ -214,9 +207,9 @@ class Live:
         self._due += (math.floor((now - self._due) / self._period) + 1) * self._period
         before = suspended_time()
         self.judge()
-        self._say()
-        self._act()
+        self._diagnose_inputs()
         self.has_begun = True
+        self._act()
         # The time that a node takes to decide is no pause: that must not make its inputs too old.
         # A suspend while it decides is a pause.
         slept = suspended_time() - before
@@ -227,13 +220,13 @@ class Live:
         passed, self._looked = now - self._looked, now
         if passed > PAUSE_S:
             self._deaf_until = now + PAUSE_S
-            for entry in self._inputs:
+            for entry in self.inputs:
                 entry.rules.paused(passed)
                 entry.judge()
 
-    def _say(self) -> None:
+    def _diagnose_inputs(self) -> None:
         """Report which of the required inputs are not good, and why."""
-        needed = [entry for entry in self._inputs if not entry.optional]
+        needed = self.needed
         bad = [entry for entry in needed if not entry.good]
         if not bad:
             if needed:

@@ -8,16 +8,16 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.live.drive import DriveChoice
 from greenroof_ros.common.command_line import EXIT_FAILED
 from greenroof_ros.common.processes import Signals
 from greenroof_ros.common.standard_error import say
 from greenroof_ros.experiment.incidents import INCIDENTS, IncidentLog
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.graph.states import PUMP
+from greenroof_ros.live.drive import DriveChoice
 from greenroof_ros.live.supervisor import START_LIMIT_S, NodeFailed, NodeStart, Supervisor
 
-PUMP_NODE = "greenroof_ros.live.pump"
+PUMP_NODE = "greenroof_ros.live.loop_pump"
 # How long a drive may take to be ready (s): an ABB's timeout is effective only from 30 s after
 # power-up.
 _DRIVE_LIMIT_S = 60.0
@@ -139,13 +139,14 @@ class DriveInLoop:
             supervisor.check(START_LIMIT_S)
             if time.monotonic() > until:
                 raise NodeFailed(
-                    f"the drive cannot be run, after {_DRIVE_LIMIT_S:g} s: {trouble}; check its power "
-                    "and cable, and the address of --drive-at", "", EXIT_FAILED,
+                    f"the drive cannot be run, after {_DRIVE_LIMIT_S:g} s: {trouble}; check its "
+                    "power and cable, and the address of --drive-at", "", EXIT_FAILED,
                 )
         hold = report.get("hold") or {}
         kept_off = report.get("fault") or report.get("unknown") or hold.get("said")
         if kept_off:
             progress.say(
-                f"warning: {self._state_file} keeps the pump off: {kept_off}; a fault is cleared by the "
-                "service /pump/reset, a hold by greenroof release; another drive needs --state DIR"
+                f"warning: {self._state_file} keeps the pump off: {kept_off}; a fault is cleared "
+                "by the service /pump/reset, a hold by greenroof release; another drive needs "
+                "--state DIR"
             )

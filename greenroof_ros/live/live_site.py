@@ -7,13 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from greenroof_ros.live.drive import (
-    EXTERNAL,
-    DriveChoice,
-    add_graph_arguments,
-    chosen_drive,
-    refuse,
-)
 from greenroof_ros.common.command_line import Parser, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
@@ -24,6 +17,13 @@ from greenroof_ros.drives.sensor_file import QUANTITIES, ModbusSensor, Sensors, 
 from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.graph.states import PUMP, RECORDER
+from greenroof_ros.live.drive import (
+    EXTERNAL,
+    DriveChoice,
+    add_graph_arguments,
+    chosen_drive,
+    refuse,
+)
 from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.model.site import read_site
 
@@ -130,7 +130,7 @@ class LiveSite:
             place: directory with the copies of :meth:`files`, each in a subdirectory of its name.
         """
         copies = {name: place / name / file.name for name, file in self.files().items()}
-        common = {"live": True, "site_file": str(copies["site"])}
+        common = {"site_file": str(copies["site"])}
         if self.sensed is not None:
             for section in self.sensed.by_section:
                 yield NodeStart(
@@ -139,7 +139,7 @@ class LiveSite:
                 )
         if self.weather:
             yield NodeStart(
-                "weather", "greenroof_ros.nodes.weather", (),
+                "weather", "greenroof_ros.live.weather", (),
                 {
                     **common,
                     **self.fetched(state),
@@ -148,7 +148,7 @@ class LiveSite:
                 },
             )
         yield NodeStart(
-            self.controller.name, "greenroof_ros.nodes.controller",
+            self.controller.name, "greenroof_ros.live.controller",
             ("--controller", self.controller.reference),
             {
                 **common, **self.parameters,

@@ -17,9 +17,10 @@ from typing import Any
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.graph.executable import node_command, node_help
-from greenroof_ros.live.node import LiveNode
+from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
+from greenroof_ros.live.executable import live_command
+from greenroof_ros.live.node import LiveNode
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import LiveBag
 
@@ -43,7 +44,7 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     ]
 
 
-class LiveRecorderNode(LiveNode):
+class RecorderNode(LiveNode):
     """Records the topics of a live graph, and /diagnostics, under their full names.
 
     The disk thread writes. This node's own thread receives and reports, and waits for no disk.
@@ -51,7 +52,7 @@ class LiveRecorderNode(LiveNode):
 
     def __init__(self) -> None:
         """Declare the parameters, read the existing bag and open the topics."""
-        super().__init__("recorder", "recorder", live=True)
+        super().__init__("recorder", "recorder")
         values = declare(self, parameters())
         file, total = values["file_limit"], values["total_limit"]
         if total < 2 * file:
@@ -79,16 +80,15 @@ class LiveRecorderNode(LiveNode):
         if not DISK.do(write, len(message)):
             self._unwritten += 1
 
-    def on_idle(self) -> None:
+    def on_timer(self, now: float) -> None:
         """Flush if it is due, and report the state of the recording."""
-        now = time.monotonic()
         if now - self._looked_at > _LOOK_S:
             self._looked_at = now
             DISK.do(partial(self._bag.look, now))
         problem = self._bag.problem
         if DISK.late:
             problem = f"{self._bag.directory}: the disk does not respond; messages wait in memory"
-        self.say(
+        self.reports.diagnose_problem(
             "recording", problem and f"nothing is recorded: {problem}",
             f"recording to {self._bag.directory}", "not_recorded",
         )
@@ -109,9 +109,9 @@ class LiveRecorderNode(LiveNode):
             self.get_logger().error(problem or self._bag.problem)
 
 
-main = node_command(LiveRecorderNode, partial(
-    node_help, "live_recorder", "recorder", __doc__, parameters,
-    "--ros-args -p directory:=/var/lib/greenroof/bag -p total_limit:=2000.0", always_live=True,
+main = live_command(RecorderNode, partial(
+    node_help, "live.recorder", "recorder", __doc__, parameters,
+    "--ros-args -p directory:=/var/lib/greenroof/bag -p total_limit:=2000.0", live=True,
 ))
 
 

@@ -24,11 +24,12 @@ from greenroof_ros.drives.sensor_file import (
     default_sensors,
     read_sensors,
 )
-from greenroof_ros.graph.executable import node_command, node_help
-from greenroof_ros.live.node import LiveNode
-from greenroof_ros.live.engine import LIMITS
+from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, STALE, WARN
+from greenroof_ros.live.engine import LIMITS
+from greenroof_ros.live.executable import live_command
+from greenroof_ros.live.node import LiveNode
 from greenroof_ros.model.site import Site
 
 # After this many periods without a reading, good or bad, the reader of a device counts as hung.
@@ -59,7 +60,7 @@ class SensorNode(LiveNode):
             ConfigurationError: the file is wrong, or has no such section.
         """
         quantity = QUANTITIES[section]
-        super().__init__(quantity.node, quantity.node, live=True)
+        super().__init__(quantity.node, quantity.node)
         values = declare(self, parameters())
         file = Path(values["sensors_file"])
         sensor = read_sensors(file, values).by_section.get(section)
@@ -88,12 +89,12 @@ class SensorNode(LiveNode):
             ), math.inf
         self._reader.start()
 
-    def on_idle(self) -> None:
+    def on_timer(self, now: float) -> None:
         """Publish each new good reading; report why a reading is bad."""
-        reading, now = self._reader.snapshot, time.monotonic()
+        reading = self._reader.snapshot
         if now - max(reading.read_at, self._started) > self._hangs_s:
             self._value = None
-            self.diagnose(
+            self.reports.diagnose(
                 self._part, STALE, "the sensor is no longer read: the reader hangs",
                 "sensor_hangs",
             )
@@ -110,7 +111,7 @@ class SensorNode(LiveNode):
                 self._value = max(reading.value, self._lowest)
                 self.publish(self._topic, self._value)
             self.reports.numbers[self._part] = {"value": self._value}
-            self.say(
+            self.reports.diagnose_problem(
                 self._part, reading.problem, "the sensor is read", reading.code, self._level
             )
 
@@ -125,13 +126,13 @@ class SensorNode(LiveNode):
 
 def _help(section: str | None) -> str:
     return node_help(
-        f"sensor --of {section or 'SECTION'}", QUANTITIES[section or TANKS[0]].node,
+        f"live.sensor --of {section or 'SECTION'}", QUANTITIES[section or TANKS[0]].node,
         f"{__doc__}\nSECTION is {', '.join(QUANTITIES)}.", parameters,
-        "--ros-args -p sensors_file:=my_sensors.yaml",
+        "--ros-args -p sensors_file:=my_sensors.yaml", live=True,
     )
 
 
-main = node_command(SensorNode, _help, "--of", tuple(QUANTITIES))
+main = live_command(SensorNode, _help, "--of", tuple(QUANTITIES))
 
 
 if __name__ == "__main__":

@@ -15,8 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
-from greenroof_ros.live.drive import EXTERNAL, bring_up, own_parameters
-from greenroof_ros.live.live_site import LiveSite, make_parser
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.common.disk import DISK, Newest
 from greenroof_ros.common.errors import OccupiedError
@@ -43,6 +41,8 @@ from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.states import PUMP
+from greenroof_ros.live.drive import EXTERNAL, bring_up, own_parameters
+from greenroof_ros.live.live_site import LiveSite, make_parser
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.model.site import edited
 

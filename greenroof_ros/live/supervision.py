@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -118,9 +119,9 @@ class SupervisorSocket:
         """
         if self.given:
             self._next = f"{json.dumps(report)}\n".encode()
-            self.send()
+            self._send()
 
-    def send(self) -> bool:
+    def _send(self) -> bool:
         """Send as much of the waiting reports as fits; return whether none is left."""
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while self._unsent or self._next:
@@ -128,6 +129,13 @@ class SupervisorSocket:
                     self._unsent, self._next = self._next, b""
                 self._unsent = self._unsent[os.write(self._socket, self._unsent):]
         return not self._unsent
+
+    def flush(self, seconds: float) -> bool:
+        """Send the waiting reports for at most this long (s); return whether none is left."""
+        until = time.monotonic() + seconds
+        while not (sent := self._send()) and time.monotonic() < until:
+            time.sleep(0.05)
+        return sent
 
     def missing(self, now: float) -> str:
         """Return why the pump must not run; empty if it may.

@@ -144,7 +144,7 @@ def _help(controller: str | None) -> str:
     name, declared = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
     start = f"-p {declared[0].name}:={declared[0].default}" if declared else "--params-file FILE"
     return node_help(
-        f"controller --controller {name}", "controller",
+        f"nodes.controller --controller {name}", "controller",
         f"{__doc__}\nRegistered controllers: {', '.join(controller_names())}.",
         lambda _: parameters(choice), f"--ros-args {start}",
         () if choice is None else choice.outputs,

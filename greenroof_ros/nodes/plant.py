@@ -293,7 +293,7 @@ def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
 
 
 main = node_command(PlantNode, partial(
-    node_help, "plant", "plant", __doc__, parameters,
+    node_help, "nodes.plant", "plant", __doc__, parameters,
     "--ros-args -p record:=true -p run_length:=3600",
 ))
 

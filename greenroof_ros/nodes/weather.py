@@ -169,7 +169,8 @@ class WeatherNode(SimulationNode):
 
 
 main = node_command(WeatherNode, partial(
-    node_help, "weather", "weather", __doc__, parameters, "--ros-args -p forecast:=persistence",
+    node_help, "nodes.weather", "weather", __doc__, parameters,
+    "--ros-args -p forecast:=persistence",
 ))
 
 

@@ -53,7 +53,7 @@ class Interlock(NamedTuple):
         return (self.by or _CLEARS[self.kind]) + (" or the page" if self.on_page else "")
 
 
-_CONTROL, _LIMITS, _NODE = "pump_control", "limits", "nodes/pump"
+_CONTROL, _LIMITS, _NODE = "pump_control", "limits", "live/pump_behaviour"
 _FOLLOWING = "follow_time, follow_tolerance, drive_ramp"
 _OF_LEVEL = "level_limit, frozen_movement, jump_tolerance, recovery_time"
 _AT_PANEL = "somebody at the drive's panel"

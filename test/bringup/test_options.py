@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from commands import run_command
@@ -16,18 +17,20 @@ from graphs import environment
 from modbus_wire import Wire, acs880
 from places import CHECKOUT
 
-from greenroof_ros.bringup import in_the_loop, live
-from greenroof_ros.live.drive import DriveChoice, chosen_drive, own_parameters
-from greenroof_ros.live.live_site import LiveSite
-from greenroof_ros.live.live_site import make_parser as live_site_parser
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.processes import take_lock
+from greenroof_ros.common.processes import Signals, take_lock
 from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.lock import DriveLock
-from greenroof_ros.live.supervisor import NodeFailed, NodeStart
+from greenroof_ros.experiment.progress import RunProgress
+from greenroof_ros.experiment.run_directory import write_parameters
+from greenroof_ros.live import in_the_loop, site_run
+from greenroof_ros.live.drive import DriveChoice, chosen_drive, own_parameters
+from greenroof_ros.live.live_site import LiveSite
+from greenroof_ros.live.live_site import make_parser as live_site_parser
+from greenroof_ros.live.supervisor import NodeFailed
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 
@@ -145,12 +148,12 @@ def test_a_serial_line_of_a_sensor_and_the_drive(
     ).startswith("--drive-at = '/dev/ttyS0,1': is also the serial line of the sensor roof")
 
 
-NODES = [
-    NodeStart(name, f"greenroof_ros.nodes.{module}") for name, module in {
-        "plant": "plant", "weather": "weather", "onoff": "controller", "pump": "pump",
-        "recorder": "live_recorder", "roof_sensor": "sensor",
+NODES = {
+    name: f"greenroof_ros.{module}" for name, module in {
+        "plant": "nodes.plant", "weather": "live.weather", "onoff": "live.controller",
+        "pump": "live.pump", "recorder": "live.recorder", "roof_sensor": "live.sensor",
     }.items()
-]
+}
 
 
 def parameters(file: Path) -> list[Path]:
@@ -256,7 +259,7 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
     """Two bringups must not write into one directory; with another domain they would not notice."""
     (tmp_path / "live").mkdir()
     with take_lock(tmp_path / "live" / "bringup.lock"):
-        done = run_command("bringup.live", *NOBODY, cwd=tmp_path, env=environment(0))
+        done = run_command("live.site_run", *NOBODY, cwd=tmp_path, env=environment(0))
     assert done.returncode == 3
     assert done.stderr == (
         "error: --state = 'live': belongs to a running bringup; end it, or use another directory\n"
@@ -264,21 +267,26 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
 
 
 def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(
-    monkeypatch: pytest.MonkeyPatch
+    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the pump node's message and what to check; without a log."""
+    pytest.importorskip("rclpy")
+    for name, value in environment(domain).items():
+        monkeypatch.setenv(name, value)
     assert in_the_loop._DRIVE_LIMIT_S == 60.0
-    monkeypatch.setattr(in_the_loop, "_DRIVE_LIMIT_S", 0.1)
-    report = {"diagnoses": {"drive": {"level": "WARN", "message": "cannot connect"}}}
-    silent: Any = SimpleNamespace(check=lambda *_: None, say=lambda _: None, waiting=lambda _: None)
-    supervisor: Any = SimpleNamespace(
-        permit=lambda _: None, listen=lambda: None, check=lambda _: None, last={"pump": report}
+    monkeypatch.setattr(in_the_loop, "_DRIVE_LIMIT_S", 10.0)
+    choice = DriveChoice(find_drive_file("abb_acs880"), "gateway://127.0.0.1:1")
+    values = in_the_loop.drive_parameters(choice, tmp_path, 1.0, 1.0)
+    file, signals = write_parameters(tmp_path, {"pump": values}), SimpleNamespace(check=int)
+    loop = in_the_loop.DriveInLoop(
+        choice, values, tmp_path, [file], "", cast(Signals, signals), RunProgress(1, 1.0),
     )
-    with pytest.raises(NodeFailed) as failed:
-        in_the_loop.wait_for_drive(supervisor, silent, "pump.json", silent)
-    assert (failed.value.code, str(failed.value)) == (
-        1, "the drive cannot be run, after 0.1 s: cannot connect; check its power and cable, and "
-        "the address of --drive-at"
+    with pytest.raises(NodeFailed) as failed, loop:
+        pass
+    assert failed.value.code == 1
+    assert re.fullmatch(
+        r"the drive cannot be run, after 10 s: no connection to the drive: .*127\.0\.0\.1:1.*; "
+        r"check its power and cable, and the address of --drive-at", str(failed.value)
     )
 
 
@@ -289,7 +297,7 @@ def test_a_mistake_is_said_with_its_traceback(capfd: pytest.CaptureFixture[str])
     supervisor: Any = SimpleNamespace(may_run="")
     with pytest.raises(ValueError, match="a mistake") as caught:
         raise ValueError("a mistake")
-    assert live._end(record, supervisor, caught.value) == 1
+    assert site_run._end(record, supervisor, caught.value) == 1
     assert LINES.wait(60)
     assert written == [("failed", "ValueError: a mistake")]
     first, second, *_, last = capfd.readouterr().err.splitlines()

@@ -2,53 +2,21 @@
 
 from __future__ import annotations
 
-import re
-import socket
 import time
 from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray
 from graphs import Process
 from places import CONFIG
 from rcl_interfaces.msg import ParameterType
-from ros_rig import ERROR, OK, STALE, WARN, Observer
+from ros_rig import OK, Observer, check_diagnostics
 from rosgraph_msgs.msg import Clock
 from test_nodes import parameter
 
 from greenroof_ros.common.files import read_yaml
-from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.controllers.registry import BUILT_IN
 from greenroof_ros.drives.sensor_file import QUANTITIES
 
-HERE = socket.gethostname()
 SENSORS = [quantity.node for quantity in QUANTITIES.values()]
-
-
-def check(arrays: list[DiagnosticArray]) -> None:
-    """Check in every message what tools rely on: each name belongs to one thing only.
-
-    This also holds for tools that show names without slashes, or make codes of them.
-    """
-    names = set()
-    for array in arrays:
-        assert array.header.stamp.sec > 0
-        assert array.status
-        for status in array.status:
-            names.add(status.name)
-            assert re.fullmatch(r"(/\w+)+(: \w[\w ]*)?", status.name)
-            assert status.hardware_id == HERE
-            assert status.level in (OK, WARN, ERROR, STALE)
-            assert status.message
-            values = {entry.key: entry.value for entry in status.values}
-            assert len(values) == len(status.values)
-            # A status that is not OK, or waits, has a code; a node's own values are JSON.
-            code, since = (values.get(key, "").strip('"') for key in ("code", "since"))
-            waits = ": " not in status.name and status.level == OK and status.message == "starting"
-            has_code = code in read_conditions() and bool(since)
-            assert has_code == (status.level != OK or waits), status
-            assert (code == "peers_awaited") == waits
-    codes = {re.sub(r"\W+", "_", name).strip("_").upper() for name in names}
-    assert len(codes) == len(names) and "" not in codes
 
 
 def test_every_node_has_its_group() -> None:
@@ -97,7 +65,7 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
 
     observer.until(ended, 120, "the end of the run")
     assert process.wait(300) == 0, process.stderr()
-    check(arrays)
+    check_diagnostics(arrays)
     assert observer.diagnoses.keys() == set(names)
     assert {status.level for array in arrays for status in array.status} == {OK}
     plant = observer.values("/site1/plant")

@@ -44,8 +44,10 @@ def test_bad_command_acts_as_zero_and_is_counted(observer: Observer) -> None:
     publisher = observer.publisher("/pump/command")
     observer.hear("/roof/level", lambda _: publisher.publish(Float64(data=next(bad))))
     flows = observer.hear("/pump/flow")
-    plant = observer.start("plant", popen={"stderr": subprocess.PIPE, "text": True}, run_length=20)
-    observer.start("weather")
+    plant = observer.start(
+        "nodes.plant", popen={"stderr": subprocess.PIPE, "text": True}, run_length=20
+    )
+    observer.start("nodes.weather")
     observer.until(lambda: "metrics" in observer.values("/plant"), 60, "the end of the run")
     # The report can come before the last flow, which is another topic.
     observer.until(lambda: len(flows) >= 21, 60, "the last flow")
@@ -64,7 +66,7 @@ def test_bad_level_or_frost_stops_the_pump(observer: Observer) -> None:
         name: observer.publisher(name)
         for name in ("/cistern/level", "/roof/level", *FORECASTS, "/weather/frost")
     }
-    observer.start("controller --controller mpc")
+    observer.start("nodes.controller --controller mpc")
     observer.until(
         lambda: all(publisher.get_subscription_count() for publisher in publish.values()), 60, "mpc"
     )
@@ -160,33 +162,36 @@ def test_thousands_of_changes_stop_no_run(
 DRIVE = "--ros-args -p drive:=abb_acs880 -p address:=tcp://127.0.0.1:1"
 # The message by command; the sites and sensors are made below.
 REFUSED = {
-    "plant --nonsense": ("--nonsense",),
-    "controller --controller pid --help": ("pid", "mpc", "package.module:Class"),
-    "controller --controller mpc --ros-args -p weight:=-1.0": ("weight", "-1.0", "1e-09"),
-    "controller --controller mpc --ros-args -p weight:=heavy": ("weight", "heavy", "number"),
-    "plant --ros-args -p initial_roof_volume:=250.0": ("at most 159.96 m3", "250 mm is 17.2 m3"),
-    "plant --ros-args -p pump:=outside": ("pump", "outside", "external"),
-    "plant --ros-args -p speed": ("-p speed",),
+    "nodes.plant --nonsense": ("--nonsense",),
+    "nodes.controller --controller pid --help": ("pid", "mpc", "package.module:Class"),
+    "nodes.controller --controller mpc --ros-args -p weight:=-1.0": ("weight", "-1.0", "1e-09"),
+    "nodes.controller --controller mpc --ros-args -p weight:=heavy": ("weight", "heavy", "number"),
+    "nodes.plant --ros-args -p initial_roof_volume:=250.0":
+        ("at most 159.96 m3", "250 mm is 17.2 m3"),
+    "nodes.plant --ros-args -p pump:=outside": ("pump", "outside", "external"),
+    "nodes.plant --ros-args -p speed": ("-p speed",),
     **{
-        f"{node} --ros-args -p live:=true -p use_sim_time:=true": ("use_sim_time", "must be false")
+        f"live.{node} --ros-args -p use_sim_time:=true": ("use_sim_time", "must be false")
         for node in (
-            "weather", "controller --controller mpc", "pump", "live_recorder", "sensor --of roof",
+            "weather", "controller --controller mpc", "pump", "recorder", "sensor --of roof",
         )
     },
-    "weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
-    "recorder --ros-args -p directory:=.": ("directory", "exists"),
+    "nodes.weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
+    "live.weather --ros-args -p forecast:=perfect":
+        ("forecast", "perfect", "must be a FILE.csv"),
+    "nodes.recorder --ros-args -p directory:=.": ("directory", "exists"),
     # A level counts for 5 s (level_limit), which must cover two readings.
-    "sensor --of cistern --ros-args -p sensors_file:=sensors.yaml":
+    "live.sensor --of cistern --ros-args -p sensors_file:=sensors.yaml":
         ("line 22: cistern.period = 2.6: must be at most 2.5 s",),
-    "sensor --of cistern --ros-args -p sensors_file:=sensors_mqtt.yaml -p level_limit:=4.0":
+    "live.sensor --of cistern --ros-args -p sensors_file:=sensors_mqtt.yaml -p level_limit:=4.0":
         ("line 16: cistern.max_age = 5.0: must be at most 4 s, level_limit",),
-    "sensor --of rain_gauge --ros-args -p sensors_file:=gauge.yaml":
+    "live.sensor --of rain_gauge --ros-args -p sensors_file:=gauge.yaml":
         ("gauge.yaml: rain_gauge: is missing",),
-    "sensor --of cistern --ros-args -p sensors_file:=login.yaml":
+    "live.sensor --of cistern --ros-args -p sensors_file:=login.yaml":
         ("/no/greenroof/broker.yaml: ",),
-    f"pump {DRIVE} -p live:=true -p site_file:=slow.yaml -p command_limit:=3.0":
+    f"live.pump {DRIVE} -p site_file:=slow.yaml -p command_limit:=3.0":
         ("command_limit of pump = 3.0: must be more than tau of the",),
-    f"pump {DRIVE} -p folow_time:=9.0":
+    f"live.pump {DRIVE} -p folow_time:=9.0":
         ("folow_time of pump = '9.0': there is no such parameter; the closest is follow_time",),
 }
 
@@ -202,7 +207,7 @@ def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
         ("sensors_mqtt.yaml", "login.yaml", "# login: /etc", "login: /no"),
     ):
         (tmp_path / name).write_text((CONFIG / file).read_text().replace(old, new))
-    done = run_command(*f"nodes.{command}".split(), cwd=tmp_path, env=environment(domain))
+    done = run_command(*command.split(), cwd=tmp_path, env=environment(domain))
     assert done.returncode == 2, done.stderr
     # The parameters are known only after the node exists, which may have logged something.
     (line,) = [line for line in done.stderr.splitlines() if not line.startswith("[INFO]")]
@@ -215,9 +220,9 @@ def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
 
 def help_of(cwd: Path, command: str) -> str:
     """Return a node's help, which starts no node: with a domain above 232 none can be made."""
-    done = run_command(*f"nodes.{command} --help".split(), cwd=cwd, env=environment(1000))
+    done = run_command(*f"{command} --help".split(), cwd=cwd, env=environment(1000))
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith(f"usage: python -m greenroof_ros.nodes.{command.split()[0]} ")
+    assert done.stdout.startswith(f"usage: python -m greenroof_ros.{command.split()[0]} ")
     assert list(cwd.iterdir()) == []  # the recorder makes no bag
     return done.stdout
 
@@ -252,13 +257,17 @@ def parameters_of(watcher: Observer, node: str) -> dict[str, str]:
 
 def test_help_is_what_the_nodes_have(domain: int, tmp_path: Path, observer: Observer) -> None:
     """It lists the parameters of each node, started by the help's example; help starts none."""
-    for command in ("live_recorder", "controller", "sensor"):
+    for command in ("nodes.controller", "live.controller", "live.sensor"):
         assert "[--ros-args ...]" in help_of(tmp_path, command)
     weights = re.findall(r"^    (\w+):", (CONFIG / "mpc.yaml").read_text(), re.MULTILINE)
-    of_mpc = section(help_of(tmp_path, "controller --controller mpc"), "parameters")
+    of_mpc = section(help_of(tmp_path, "nodes.controller --controller mpc"), "parameters")
     assert set(weights) < of_mpc.keys()
-    for node in ("plant", "weather", "pump", "recorder"):
-        text = help_of(tmp_path, node)
+    for module in (
+        "nodes.plant", "nodes.weather", "live.weather", "live.pump", "live.loop_pump",
+        "nodes.recorder",
+    ):
+        text = help_of(tmp_path, module)
+        node = module.rpartition(".")[2].removeprefix("loop_")
         line = text.splitlines()[-1].split()
         assert line[0] == "python"
         started = subprocess.Popen(

@@ -6,12 +6,12 @@ doc/reference/interlocks.md and doc/reference/live-inputs.md give the same figur
 from __future__ import annotations
 
 from greenroof_ros.drives.exchange import FIRST_WAIT_S, RUNS_ON_S, SEEN_S, SILENCE_MARGIN_S
-from greenroof_ros.graph import supervision
+from greenroof_ros.live import supervision
 from greenroof_ros.live.engine import LIMITS
+from greenroof_ros.live.pump import parameters as parameters_of_pump
 from greenroof_ros.live.supervisor import ENDING_S, PERMIT_S, SILENT_S
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
-from greenroof_ros.live.pump import parameters as parameters_of_pump
 from greenroof_ros.recording.bag_writer import FLUSH_S
 
 # The simulated drive of the campaign: time from rated speed to rest, and its own timeout (s).

@@ -268,8 +268,7 @@ def _second(rig: Rig, case: Case, undo: ExitStack) -> None:
     if case.fault == "second controller":
         topic = "/pump/command"
         node = Process(
-            domain, "nodes.controller", "--controller", "mpc", "--ros-args", "-p", "live:=true",
-            cwd=rig.directory,
+            domain, "live.controller", "--controller", "mpc", cwd=rig.directory,
         )
     else:
         topic = "/pump/flow"

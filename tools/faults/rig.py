@@ -361,7 +361,7 @@ class SiteRig(Rig):
 
     def bring_up(self) -> Process:
         wait(lambda: self.truth.samples, 10, "no speed of the drive")
-        return Process(self.domain, "bringup.live", *self._options, cwd=self.directory)
+        return Process(self.domain, "live.site_run", *self._options, cwd=self.directory)
 
     def levels(self) -> tuple[float, float]:
         """Return the true levels of cistern and roof (m)."""
@@ -480,7 +480,7 @@ class PlayedRig(Rig):
     def bring_up(self) -> Process:
         self.players = Players(self.watcher, self.truth, self.site, self.topics)
         return Process(
-            self.domain, "bringup.live", "--controller", CONTROLLER,
+            self.domain, "live.site_run", "--controller", CONTROLLER,
             "--site", str(self.site_file), "--sensors", "external", "--weather", "external",
             *self._pump(), "--state", str(self.kept), "--restarts", "1000",
             "--node-parameters", str(self.parameters), cwd=self.directory,
@@ -507,17 +507,17 @@ class FlowRig(PlayedRig):
 
 
 def pump_node(
-    rig: Rig, *more: str, domain: int | None = None, live: bool = True
+    rig: Rig, *more: str, domain: int | None = None, module: str = "live.pump"
 ) -> Process:
     """Start a pump node by itself at a rig's drive."""
     options = {
         **{name: str(value).lower() for name, value in rig.pump_parameters.items()},
-        "live": str(live).lower(), "site_file": rig.site_file, "drive": rig.drive_file,
+        "site_file": rig.site_file, "drive": rig.drive_file,
         "address": rig.drive_at, "autostart": "true",
         "state_file": rig.directory / f"pump-{len(more)}-{domain}.json",
     }
     return Process(
-        rig.domain if domain is None else domain, "nodes.pump", "--ros-args",
+        rig.domain if domain is None else domain, module, "--ros-args",
         *(word for name, value in options.items() for word in ("-p", f"{name}:={value}")), *more,
         cwd=rig.directory,
     )
@@ -552,7 +552,7 @@ class RelayedRig(Rig):
 
     def bring_up(self) -> Process:
         self.players = Relay(self.watcher, RELAYED)
-        self.started.add(pump_node(self, live=False).process.pid)
+        self.started.add(pump_node(self, module="live.loop_pump").process.pid)
         site, ticks = f"site_file:={self.site_file}", "run_length:=7200"
         self._node("weather", site, ticks)
         self._node("controller", site, arguments=("--controller", CONTROLLER))

@@ -25,7 +25,7 @@ def test_the_published_rain_adds_up_to_the_rise_of_the_total(
         came: list[tuple[float, float]] = observer.hear(
             "/gauge/precipitation", lambda message: (time.monotonic(), message.data)
         )
-        observer.start("sensor --of rain_gauge", sensors_file=file)
+        observer.start("live.sensor --of rain_gauge", sensors_file=file)
         with Talker(broker) as talker:
 
             def first() -> bool:

@@ -36,18 +36,15 @@ from ros_rig import (
     WARN,
     Observer,
     Site,
+    check_diagnostics,
     newest,
-    policies,
     write_forecast,
 )
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
-from test_diagnostics import check
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.sensor_file import QUANTITIES
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
-from greenroof_ros.nodes import weather
 from greenroof_ros.simulators.forecast_service import ForecastService
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import FILL
@@ -77,10 +74,8 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
     with site.live(
         "controller --controller onoff", fraction=0.5, level_limit=1.5,
         recovery_time=recovery, frozen_movement=3e-4, jump_tolerance=0.02,
-    ) as process:
+    ):
         site.until(lambda: newest(commands) == 0.5, LATE, "a command")
-        # A live node must be on time, whatever else computes; a node of a simulation need not.
-        assert policies(process.pid) == {os.SCHED_OTHER}
         assert site.watcher.values("/onoff")["site"] == str(site.cwd / "site.yaml")
         for change, level, *words in (
             ({"/roof/level": math.nan}, ERROR, "/roof/level was refused", "0 to 100 m"),
@@ -127,14 +122,7 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
         gaps = [after - before for before, after in pairwise(times)]
         assert median(gaps) == pytest.approx(TAU, rel=0.5)
         assert "/onoff: forecast" not in site.diagnoses
-    check(arrays)
-
-
-@pytest.mark.parametrize("forecast", ["perfect", "forecast.nc"])
-def test_a_live_weather_node_reads_no_other_forecast_than_csv(forecast: str) -> None:
-    """Only a CSV file is read again whenever it is replaced."""
-    with pytest.raises(ConfigurationError, match=r"must be a FILE.csv in a live graph, or empty"):
-        weather._forecast({"forecast": forecast, "live": True})
+    check_diagnostics(arrays)
 
 
 # Bad rain forecasts, and what is reported: too long, an impossible value far ahead, none.
@@ -424,7 +412,7 @@ def test_the_noise_of_a_sensor_at_zero_counts_as_zero(observer: Observer, sectio
             f"{name}:{sensor}{number}\n  {AT_ZERO[name][0]}\n"
             for number, name in enumerate({"cistern": 0, "roof": 0, section: 0})
         ))
-        observer.start(f"sensor --of {section}", sensors_file=file)
+        observer.start(f"live.sensor --of {section}", sensors_file=file)
         observer.until(lambda: len(values) > len(read), LATE, "values")
     assert {float(f"{value:.6g}") for value in values} == set(published)
 

@@ -23,7 +23,7 @@ from places import CHECKOUT
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.experiment.incidents import IncidentLog
-from greenroof_ros.graph import supervisor
+from greenroof_ros.live import supervisor
 from greenroof_ros.live.site_run import _Start, values_of
 from greenroof_ros.live.supervision import SOCKET, SupervisorSocket, read_report
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart, Supervisor
@@ -435,7 +435,7 @@ def test_a_report_of_any_size_arrives_whole(monkeypatch: pytest.MonkeyPatch) -> 
         data = b""
         while not sent or not data.endswith(b"\n"):
             data += os.read(ours.fileno(), 1 << 18)
-            sent = sender.send()
+            sent = sender.flush(0.0)
     first, second = map(read_report, data.splitlines())
     assert first is not None and first["weeks"] == weeks
     assert second is not None and second["tick"] == 2

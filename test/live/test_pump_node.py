@@ -28,13 +28,13 @@ from pump_node_rig import PumpRig
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from ros_rig import ERROR, LATE, OK, STALE, SUSPENDED, WARN, Observer, policies
+from ros_rig import ERROR, LATE, OK, STALE, SUSPENDED, WARN, Observer
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.times import to_people
 from greenroof_ros.drives.exchange import Snapshot
-from greenroof_ros.live.pump import _Drive
+from greenroof_ros.live.pump_drive import PumpDrive
 from greenroof_ros.pumping.ledger import Ledger
 
 
@@ -121,11 +121,11 @@ GUARDS = Snapshot(timeout_known=True, timeout_s=3.0)
 def test_a_timeout_that_does_not_guard(
     make: str, address: str, snapshot: Snapshot, changes: dict[str, object], words: str | None
 ) -> None:
-    drive = _Drive({
+    drive = PumpDrive({
         "drive": make, "address": address, "exchange_period": 0.1, "drive_timeout_limit": 10.0,
-        "local_settings_stop_the_pump": False, "live": True, "broker_login": "",
-        "broker_authority": "", **changes,
-    }, "pump")
+        "local_settings_stop_the_pump": False, "broker_login": "", "broker_authority": "",
+        **changes,
+    }, "pump", seeks_simulator=False)
     problem = drive.timeout_problem(snapshot)
     assert problem == "" if words is None else words in problem
 
@@ -188,7 +188,6 @@ def test_what_the_drive_file_says(rig: PumpRig) -> None:
 def test_after_an_unexpected_error_the_motor_stands(rig: PumpRig) -> None:
     node = rig.start()
     rig.run()
-    assert policies(node.pid) == {os.SCHED_OTHER}  # it must be on time, also in the loop
     rig.send_nonsense()
     assert node.wait(120) == 1
     assert rig.drive.speed() == 0.0
@@ -203,7 +202,7 @@ def ends_in_words(rig: PumpRig, node: subprocess.Popen[str], fault: str, *words:
     node.terminate()
     _, errors = node.communicate(timeout=120)
     assert node.returncode in (1, -signal.SIGALRM)
-    assert all(word in errors for word in ("FATAL", *words)), errors
+    assert all(word in errors for word in ("error: ", *words)), errors
 
 
 STOPPED = "held: a hold by the operator"
@@ -554,7 +553,7 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
     rig.simulate()  # the drive is not suspended
     monkeypatch.setenv("PYTHONPATH", str(rig.cwd))
     rig.start(
-        live="true", site_file=site, level_limit=1.0, frost_limit=1.0,
+        live=True, site_file=site, level_limit=1.0, frost_limit=1.0,
         command_limit=1.0, recovery_time=0.3, averaging_time=1.0,
     )
     inputs = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}
@@ -580,7 +579,7 @@ def test_live(rig: PumpRig) -> None:
     site = rig.cwd / "site.yaml"
     site.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 "))
     rig.start(
-        live="true", site_file=site, level_limit=1.0, frost_limit=1.0, command_limit=1.0,
+        live=True, site_file=site, level_limit=1.0, frost_limit=1.0, command_limit=1.0,
         flow_limit=1.0, recovery_time=0.3,
     )
     levels = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}

@@ -1,0 +1,238 @@
+"""A node with the topics of the interface, which reports its state; simulated or live.
+
+``msg_defs/topics.yaml`` defines what each node publishes and subscribes to.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.interface import Topic
+from greenroof_ros.graph.inputs import Input
+from greenroof_ros.graph.messages import LockstepError, encoder, message_class, qos_profile
+from greenroof_ros.graph.parameters import declare, site_file
+from greenroof_ros.graph.rclpy_internals import NoClockSubscription
+from greenroof_ros.graph.reports import Reports
+from greenroof_ros.graph.states import ENDED, STARTING
+from greenroof_ros.model.site import Site, read_site
+
+# How long an ending node waits for its readers at most (s): a killed reader stays matched.
+FLUSH_S = 1.0
+
+
+class GraphNode(NoClockSubscription, Node):
+    """A node with topics of the interface; a subclass makes it act.
+
+    Attributes:
+        role: its role in the interface: its name, or ``controller``.
+        failure: the error after which the node cannot go on; None if there is none.
+        on_failure: called when there is such an error.
+        inputs: the topics that it acts on, by name in the interface.
+        interface: every topic of the graph, by name.
+        reports: reports the node's state.
+        warnings: what is wrong with its inputs, in sentences.
+    """
+
+    def __init__(
+        self, name: str, role: str, interface: Mapping[str, Topic], *, simulated: bool
+    ) -> None:
+        """Join the graph.
+
+        Args:
+            name: the node's name.
+            role: its role in the interface: its name, or ``controller``.
+            interface: every topic of the graph, by name.
+            simulated: whether the graph is simulated; ``use_sim_time`` is then true.
+
+        Raises:
+            ConfigurationError: ROS arguments or a parameter file are wrong.
+        """
+        try:
+            super().__init__(name)
+        except RuntimeError as error:  # from rcl
+            raise ConfigurationError(" ".join(str(error).split())) from error
+        self.role = role
+        self._fix_time_source(simulated)
+        self.failure: Exception | None = None
+        self.on_failure: Callable[[], None] = lambda: None
+        self.interface = interface
+        self.inputs: dict[str, Input] = {}
+        self.warnings: list[str] = []
+        self.reports = Reports(self, role)
+        # Each topic's publisher, and the encoder of its messages.
+        self._outputs: dict[str, tuple[Publisher, Callable[[Any], bytes]]] = {}
+        self._final: dict[str, Any] = {}
+        self._site_file: dict[str, str] = {}
+
+    def _fix_time_source(self, simulated: bool) -> None:
+        """Set ``use_sim_time`` as the kind of graph needs it, and refuse every later change.
+
+        On simulated time a live node would wait for a clock that nobody publishes.
+
+        Raises:
+            ConfigurationError: a live node was started with ``use_sim_time`` true.
+        """
+        if not simulated and self.get_parameter("use_sim_time").value:
+            raise ConfigurationError(
+                "must be false: a live site runs on the steady clock",
+                key=f"parameter use_sim_time of {self.get_name()}", value="true",
+            )
+        self.set_parameters([Parameter("use_sim_time", Parameter.Type.BOOL, simulated)])
+        kind = "simulated" if simulated else "live"
+        reason = f"use_sim_time must be {str(simulated).lower()}: this node is in a {kind} graph"
+
+        def refuse_change(changes: list[Parameter]) -> SetParametersResult:
+            changed = any(
+                change.name == "use_sim_time" and change.value is not simulated
+                for change in changes
+            )
+            return SetParametersResult(successful=not changed, reason=reason if changed else "")
+
+        self.add_on_set_parameters_callback(refuse_change)
+
+    # --- to override ------------------------------------------------------------------------
+
+    def on_timer(self, now: float) -> None:
+        """Do what is due by the wall clock; called 20 times a second."""
+
+    def on_stop(self) -> None:
+        """Close what is open; called once at the end, whatever the reason."""
+
+    def progress(self) -> dict[str, Any]:
+        """Return the node's additions to each of its reports."""
+        return {}
+
+    # --- topics -----------------------------------------------------------------------------
+
+    def declare_site(self) -> Site:
+        """Declare the parameter ``site_file``, and read the site.
+
+        From then on each report has the absolute path of the file, as ``site``, so that observers
+        can read the same site.
+
+        Raises:
+            ConfigurationError: the file, or a value in it, is wrong.
+        """
+        file = Path(declare(self, [site_file()])["site_file"])
+        self._site_file = {"site": str(file.resolve())}
+        return read_site(file)
+
+    def open_outputs(self, *names: str) -> None:
+        """Open topics of the interface for :meth:`publish`."""
+        for name in names:
+            topic = self.interface[name]
+            publisher = self.create_publisher(
+                message_class(topic.type), topic.graph_name, qos_profile(topic.qos),
+                event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            )
+            self._outputs[name] = publisher, encoder(topic.type, topic.dimensions)
+
+    def publish(self, name: str, value: Any) -> None:
+        """Publish a value on a topic that :meth:`open_outputs` has opened."""
+        publisher, encode = self._outputs[name]
+        publisher.publish(encode(value))
+
+    def open_subscription(
+        self, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile,
+        events: SubscriptionEventCallbacks | None = None,
+    ) -> None:
+        """Pass each serialised message of a topic to a callback, and keep its error."""
+
+        def guarded(message: bytes) -> None:
+            """Keep an error for the run: the executor would print it with a traceback."""
+            try:
+                callback(message)
+            except Exception as error:
+                self.fail(error)
+
+        self.create_subscription(
+            message_class(topic.type), topic.graph_name, guarded, profile, raw=True,
+            event_callbacks=events or SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+
+    # --- running ----------------------------------------------------------------------------
+
+    def fail(self, error: Exception) -> None:
+        """Note the error that ends the run; only the first counts."""
+        if self.failure is not None:
+            return
+        if not isinstance(error, (LockstepError, ConfigurationError, OSError)):
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            error = LockstepError(
+                f"{self.get_name()}: {type(error).__name__}: {error} ({place.filename}, line "
+                f"{place.lineno})"
+            )
+        self.failure = error
+        self.on_failure()
+
+    @property
+    def acted(self) -> bool:
+        """Whether the node has acted."""
+        raise NotImplementedError
+
+    @property
+    def ready(self) -> bool:
+        """Whether every input has had a publisher."""
+        return self.reports.state != STARTING
+
+    def absent(self) -> dict[str, list[str]]:
+        """Return the inputs without a publisher that can be heard, by missing role."""
+        return self.by_role(
+            [name for name, entry in self.inputs.items() if not entry.publishers.heard]
+        )
+
+    def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
+        """Return some of the inputs, by the role that should publish them.
+
+        If the interface names two roles (plant or pump driver), it is the first that publishes none
+        of this node's other inputs, or else the last.
+        """
+        present = {self.role} | {
+            entry.topic.publishers[0] for name, entry in self.inputs.items() if name not in names
+        }
+        roles: dict[str, list[str]] = {}
+        for name in names:
+            candidates = self.inputs[name].topic.publishers
+            role = next((role for role in candidates if role not in present), candidates[-1])
+            roles.setdefault(role, []).append(name)
+        return roles
+
+    # --- ending -----------------------------------------------------------------------------
+
+    def end(self, failure: str | None) -> None:
+        """Report that the node ends, and wait until its readers have everything, 1 s at most.
+
+        Args:
+            failure: the error that ended it; None if there was none.
+        """
+        self.reports.state = ENDED
+        if failure is not None:
+            self._final["failure"] = failure
+        self.report_state()
+        until = time.monotonic() + FLUSH_S
+        outputs = [publisher for publisher, _ in self._outputs.values()]
+        for publisher in (*outputs, self.reports.publisher):
+            left = max(0.0, until - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=left))
+
+    def report_state(self, **values: Any) -> dict[str, Any]:
+        """Report the node's state with further values, and return all values of the report."""
+        waiting = {} if self.ready else {"waiting": list(self.absent())}
+        refused = {name: entry.refused for name, entry in self.inputs.items() if entry.refused}
+        return self.reports.publish({
+            **self._site_file, **values, **self.progress(), **waiting, "refused": refused,
+            "warnings": self.warnings, **self._final,
+        })

@@ -1,0 +1,107 @@
+"""The pump node of a simulated run with a drive in the loop.
+
+It acts in lockstep with the plant, once command, levels and frost of a tick have arrived, and runs
+a drive. :mod:`greenroof_ros.live.pump_behaviour` says what it does, and which services it has.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.times import boot_time
+from greenroof_ros.drives.drive import no_real_time
+from greenroof_ros.graph.executable import node_command, node_help
+from greenroof_ros.graph.lockstep import CLOCK
+from greenroof_ros.graph.node import SimulationNode
+from greenroof_ros.graph.parameters import declare
+from greenroof_ros.live import pump_behaviour
+from greenroof_ros.live.pump_behaviour import (
+    COMMAND_LIMIT,
+    PumpBehaviour,
+    PumpInputs,
+    common_parameters,
+)
+from greenroof_ros.model.site import Site
+
+
+def parameters(site: Site) -> list[Parameter]:
+    """Return the node's parameters."""
+    return [*common_parameters(site), COMMAND_LIMIT]
+
+
+class LoopPumpNode(PumpBehaviour, SimulationNode):
+    """Runs a drive in place of the simulated pump."""
+
+    def __init__(self) -> None:
+        """Declare the parameters, and open topics and services.
+
+        Raises:
+            ConfigurationError: a parameter, or the drive file, is wrong.
+        """
+        SimulationNode.__init__(self, "pump", "pump")
+        site = self.declare_site()
+        values = declare(self, parameters(site))
+        self._simulated = self._stepped = 0.0  # simulated time (s), counted from 0
+        command = self.subscribe("/pump/command", tolerates_second=True)
+        cistern, roof, frost = (
+            self.subscribe(name) for name in ("/cistern/level", "/roof/level", "/weather/frost")
+        )
+        self.listen(CLOCK, self.set_time)
+        PumpBehaviour.__init__(
+            self, site, values, PumpInputs(command, cistern, roof, frost), simulated=True
+        )
+
+    def on_inputs(self) -> None:
+        """Decide on the inputs of a tick, and publish the flow."""
+        self._refuse_other_speed()
+        self._commanded = boot_time()
+        self._simulated += self._site.tau
+        self._step(self._commanded)
+        self.publish("/pump/flow", self._decision.flow)
+
+    def on_timer(self, now: float) -> None:
+        """Check the speed of the run, and what every pump node checks."""
+        self._refuse_other_speed()
+        super().on_timer(now)
+
+    def elapsed(self, now: float) -> float:
+        """Return the simulated time since the last call (s)."""
+        dt, self._stepped = self._simulated - self._stepped, self._simulated
+        return dt
+
+    def missing_run(self) -> str:
+        """Return why the drive must not run before /run gives the speed; empty if it may.
+
+        Levels without a plant are invented and may change at any speed. Only the drive simulator,
+        once it is known to be that, may run on them.
+        """
+        why = self._drive.snapshot.no_simulator
+        if self.lockstep.run is not None or why == "":
+            return ""
+        return (
+            "no plant has published its speed (/run), and "
+            f"{why or 'it is not known yet whether the drive is the drive simulator'}"
+        )
+
+    def _refuse_other_speed(self) -> None:
+        """Refuse a run that is not in real time, unless the drive is the drive simulator.
+
+        Raises:
+            ConfigurationError: it is another drive.
+        """
+        run = self.lockstep.run
+        if run is not None and run.speed != 1:
+            self._drive.exchange.only_simulator()
+            if why := self._drive.snapshot.no_simulator:
+                raise no_real_time(why, "the plant's speed", run.speed)
+
+
+main = node_command(LoopPumpNode, partial(
+    node_help, "live.loop_pump", "pump", f"{__doc__}\n{pump_behaviour.__doc__}", parameters,
+    "--ros-args -p drive:=danfoss_fc202 -p address:=gateway://127.0.0.1:5020 -p autostart:=true",
+))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,695 @@
+"""What a pump node does: it turns /pump/command into orders to a drive (Modbus) or relay (MQTT).
+
+It is a lifecycle node. *configure* connects to the drive and reads its nameplate and its own
+communication timeout; *activate* lets the pump run, unless that timeout is off, too long or
+unreadable; *deactivate* ramps down; *cleanup* stops and disconnects. ``~/stop`` (std_srvs/SetBool)
+with true holds the pump: it stays off, whatever is commanded, also after a restart; with false it
+ends any hold. ``~/hold`` (rcl_interfaces/SetParametersAtomically) holds it for an ``owner``, with
+a ``reason`` and an end, ``until`` (s since 1970), if they are given. ``~/reset``
+(std_srvs/Trigger), for a person at the pump, clears a latched fault and an unknown state;
+``~/clear``, for the page, clears only a fault that needs nobody there (speed_not_followed). If the
+site file allows it, ``~/dose`` (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and
+``asked_at``, the present time in s since 1970) delivers a volume once, or says why not. /pump/flow
+is published once per tick in every state. In between, the drive can be stopped by wall time.
+/pump/state says why the pump is at rest.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import parameter_value_to_python
+from std_srvs.srv import SetBool, Trigger
+
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.times import boot_time, suspended_time
+from greenroof_ros.drives.drive import DriveStatus
+from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
+from greenroof_ros.drives.exchange import RESET_S, UNREAD_S
+from greenroof_ros.graph.inputs import Input
+from greenroof_ros.graph.parameters import site_file
+from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
+from greenroof_ros.live.engine import LIMITS, PAUSE_S
+from greenroof_ros.live.lifecycle import (
+    ACTIVE,
+    INACTIVE,
+    UNCONFIGURED,
+    Lifecycle,
+    RefusedError,
+    transition,
+)
+from greenroof_ros.live.node import SupervisedNode
+from greenroof_ros.live.pump_drive import PumpDrive
+from greenroof_ros.model.site import Site
+from greenroof_ros.pumping.dose import DONE
+from greenroof_ros.pumping.ledger import MOST, Ledger, state_directory
+from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
+from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
+
+COMMAND_LIMIT = LIMITS["/pump/command"]
+# Longest wait of *configure* and *cleanup* for the drive (s): no command is handled meanwhile, and
+# a supervisor takes a longer silence for a failure.
+_WAIT_S = 1.0
+# How long a suspend of the machine is reported (s).
+_SAID_S = 60.0
+# How often the node tries to start by itself, and how often it reports on the drive (s).
+_AGAIN_S, _LOOK_S = 0.5, 0.2
+
+_OWN = (
+    Parameter("drive", "", meaning="make of drive, a file of config/drives, or a file's path"),
+    Parameter(
+        "address", "", meaning="address of the drive: tcp://HOST:PORT if it has its own Ethernet "
+        "port, gateway://HOST:PORT for a gateway to its serial port, or /dev/tty... for a serial "
+        "line; append a comma and its device id if that differs from its file's, such as "
+        "gateway://HOST:PORT,17; or of a relay: mqtt://HOST[:PORT]/DEVICE (its topic at a "
+        "broker), mqtts:// for TLS",
+    ),
+    Parameter(
+        "broker_login", "", meaning="relay only: YAML file with the broker's username and "
+        "password; empty: the broker needs none",
+    ),
+    Parameter(
+        "broker_authority", "", meaning="relay only: file of trusted certificates (PEM); empty: "
+        "the system's",
+    ),
+    Parameter(
+        "exchange_period", 0.1, "s", 0.02, 1.0, "time between two rounds of requests to the drive",
+    ),
+    Parameter("autostart", False, meaning="configure and activate by itself, with retries"),
+    Parameter(
+        "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "greatest communication timeout that the "
+        "drive itself may have",
+    ),
+    Parameter(
+        "activate_without_drive_timeout", False, meaning="activate although the drive itself "
+        "would run on when this machine fails: DANGEROUS",
+    ),
+    Parameter(
+        "local_settings_stop_the_pump", False, meaning="confirms that somebody has set the pump "
+        "to stop when the bus connection ends, and has seen it stop; needed if the setting cannot "
+        "be read",
+    ),
+    Parameter(
+        "state_file", "", meaning="file that keeps a hold, a fault and the day's use across "
+        "restarts; empty: greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
+    ),
+)
+
+
+def common_parameters(site: Site) -> list[Parameter]:
+    """Return the parameters of every pump node."""
+    return [site_file(), *_OWN, *pump_parameters(site)]
+
+
+class PumpInputs(NamedTuple):
+    """The inputs of a pump node."""
+
+    command: Input
+    cistern: Input
+    roof: Input
+    frost: Input
+    meter: Input | None = None
+
+
+class PumpBehaviour(Lifecycle, SupervisedNode):
+    """Runs the pump as commanded, unless an interlock is active; a subclass says when to act."""
+
+    def __init__(
+        self, site: Site, values: Mapping[str, Any], inputs: PumpInputs, *, simulated: bool
+    ) -> None:
+        """Open topics and services; the node itself must be initialised already.
+
+        Args:
+            site: the site.
+            values: values of the node's parameters.
+            inputs: the node's inputs.
+            simulated: whether the plant is simulated.
+
+        Raises:
+            ConfigurationError: a parameter, or the drive file, is wrong.
+        """
+        self._site = site
+        self._drive = PumpDrive(values, self.get_name(), seeks_simulator=simulated)
+        self._without_timeout: bool = values["activate_without_drive_timeout"]
+        self._autostart: bool = values["autostart"]
+        self._command_limit: float = values[COMMAND_LIMIT.name]
+        settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
+        settings["least_speed"] = max(settings["least_speed"], self._drive.placed.file.least_speed)
+        self._settings = PumpSettings(**settings)
+        own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
+        self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
+        # Time after which a drive that is not heard is at rest (s).
+        self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
+        if self._without_timeout:
+            self._drive_stops_after = math.inf
+        self._ledger = Ledger(self._state_file, time.time)
+        self._begin()
+        self._decision = Decision(
+            None, "off", "not started", {}, 0.0, "", "", stands=False, turns_at=None,
+            flow_known=False, blind_for=0.0,
+        )
+        self._state = ""
+        self._reasons: tuple[object, ...] = ()  # as `on_timer` last saw them
+        self._watched = time.monotonic()
+        self._resetting_until = 0.0
+        self._tried = self._looked_at = -math.inf
+        self._commanded, self._timed_at = -math.inf, boot_time()
+        self._suspended, self._suspend_seen = suspended_time(), -math.inf
+        self._inputs = inputs
+        self.open_outputs("/pump/flow", "/pump/state")
+        Lifecycle.__init__(self)
+        self.create_service(SetBool, "~/stop", self._on_stop_request)
+        self.create_service(SetParametersAtomically, "~/hold", self._on_hold_request)
+        self.create_service(Trigger, "~/clear", self._on_clear_request)
+        self.create_service(Trigger, "~/reset", self._on_reset_request)
+        self.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
+        self._step(boot_time())
+
+    # --- to override ------------------------------------------------------------------------------
+
+    def elapsed(self, now: float) -> float:
+        """Return the time since the last call (s), by the clock of the pump control.
+
+        Args:
+            now: steady clock (s).
+        """
+        raise NotImplementedError
+
+    def displacements(self) -> tuple[float, float]:
+        """Return how far impossible jumps have shifted both levels so far (m)."""
+        return 0.0, 0.0
+
+    def second_pump(self) -> str:
+        """Return that another node runs a pump, too; empty if none does."""
+        return ""
+
+    def missing_run(self) -> str:
+        """Return why the drive must not run on levels that may be invented; empty if it may."""
+        return ""
+
+    # --- state kept across restarts ---------------------------------------------------------------
+
+    def _begin(self) -> None:
+        """Make the pump control, with the state kept in the ledger."""
+        self._control = PumpControl(
+            self._site, self._settings, self._ledger, self._drive_stops_after
+        )
+        record = self._ledger.record
+        if why := record.fault or record.unknown or self._ledger.held:
+            self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
+
+    def _take_state(self) -> None:
+        """Take over the state file, if another process had it or it could not be made."""
+        if self._ledger.take():
+            self._begin()
+            self._reasons = ()  # decide again
+
+    # --- lifecycle --------------------------------------------------------------------------------
+
+    @transition
+    def on_configure(self) -> None:
+        """Connect to the drive, and read its nameplate."""
+        self._drive.connect()
+        until = boot_time() + _WAIT_S
+        while absence := self._drive.absence(boot_time()):
+            if boot_time() > until:
+                # The exchange keeps trying: a drive that appears is stopped.
+                raise RefusedError(f"not configured: {absence}; still trying, ask again")
+            time.sleep(0.02)
+        self.reports.hardware = self._drive.snapshot.identity
+
+    @transition
+    def on_activate(self) -> None:
+        """Let the pump run, unless the drive would run on unattended or a stop cannot be saved."""
+        problem = self._drive.absence(boot_time())
+        if not problem and not self._without_timeout:
+            problem = self._drive.timeout_problem(self._drive.snapshot)
+        if not problem:
+            self._take_state()
+            problem = self._ledger.why_not_kept()
+        if problem:
+            raise RefusedError(f"not activated: {problem}")
+        file = self._drive.placed.file
+        unverified = file.unverified_and_vital
+        if unverified:
+            self.reports.diagnose(
+                "drive file", WARN, f"{file.path} was not verified against a manual "
+                f"in: {', '.join(unverified)}; watch the pump start and stop before you rely on it",
+                "drive_file_unverified",
+            )
+
+    @transition
+    def on_deactivate(self) -> None:
+        """Ramp down."""
+        self._step(boot_time())
+
+    @transition
+    def on_cleanup(self) -> None:
+        """Stop the drive, confirm that it is at rest, and disconnect; refused until it is."""
+        self._let_go(_WAIT_S)
+
+    @transition
+    def on_shutdown(self) -> None:
+        """Do the same as *cleanup*, for good."""
+        self._let_go(_WAIT_S)
+
+    def on_asked(self) -> None:
+        """End the autostart: somebody else now controls the lifecycle."""
+        self._autostart = False
+
+    def on_stop(self) -> None:
+        """Stop the drive and confirm that it is at rest, whatever ends the node.
+
+        Raises:
+            OSError: that could not be confirmed; the node's exit code also says so.
+        """
+        try:
+            self._let_go(math.inf)
+        finally:
+            problem = self._ledger.close()
+            if problem:
+                self.get_logger().error(problem)
+
+    def _let_go(self, within: float) -> None:
+        message = self._drive.let_go(within)
+        if message:
+            self.get_logger().info(message)
+
+    def _start_by_itself(self, now: float) -> None:
+        """Try to become *active*; called repeatedly."""
+        if now - self._tried < _AGAIN_S or self.lifecycle_state == ACTIVE:
+            return
+        self._tried = now
+        self._drive.connect()
+        if self._drive.absence(now):
+            return
+        if self.lifecycle_state == UNCONFIGURED:
+            self.trigger_configure()
+        if self.lifecycle_state == INACTIVE:
+            self.trigger_activate()
+
+    # --- services ---------------------------------------------------------------------------------
+
+    def _on_stop_request(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        self._take_state()
+        if request.data:
+            self._ledger.hold("the operator")
+        else:
+            self._ledger.release()
+        self._step(boot_time())
+        if request.data:
+            self._drive.exchange.stop()
+        response.success, response.message = self._kept(self._state)
+        return response
+
+    def _on_hold_request(
+        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
+    ) -> SetParametersAtomically.Response:
+        self._take_state()
+        result = response.result
+        try:
+            self._ledger.hold(**_hold_of(request))
+        except ValueError as error:
+            result.successful, result.reason = False, str(error)
+        else:
+            self._step(boot_time())
+            self._drive.exchange.stop()
+            result.successful, result.reason = self._kept(self._state)
+        self.get_logger().info(f"hold requested: {result.reason}")
+        return response
+
+    def _on_reset_request(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self._take_state()
+        cleared = self._control.reset()
+        self._drive.exchange.reset()
+        self._resetting_until = boot_time() + RESET_S
+        response.success, response.message = self._kept(
+            f"cleared: {cleared}" if cleared else "there was no fault"
+        )
+        self.get_logger().info(f"reset: {response.message}")
+        return response
+
+    def _on_clear_request(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self._take_state()
+        if refusal := self._control.no_clear:
+            response.success, response.message = False, refusal
+            return response
+        self._control.clear()
+        self._step(boot_time())
+        response.success, response.message = self._kept(self._state)
+        self.get_logger().info(f"fault cleared: {response.message}")
+        return response
+
+    def _on_dose_request(
+        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
+    ) -> SetParametersAtomically.Response:
+        fields = {parameter.name: parameter.value.double_value for parameter in request.parameters}
+        self._step(boot_time())  # a reason against it may have just arrived
+        if fields.keys() != {"volume", "asked_at"}:
+            refusal = "a dose needs volume (m3) and asked_at (s since 1970), and nothing else"
+        else:
+            refusal = self._control.ask_dose(fields["asked_at"], fields["volume"])
+        self._step(boot_time())
+        response.result.successful = not refusal
+        response.result.reason = refusal or self._state
+        self.get_logger().info(f"dose requested: {response.result.reason}")
+        return response
+
+    def _kept(self, message: str) -> tuple[bool, str]:
+        """Return a service's success, only if the state is saved for a restart, and its message."""
+        problem = self._ledger.why_not_kept()
+        return not problem, f"{message}; but {problem}" if problem else message
+
+    # --- by the clock -----------------------------------------------------------------------------
+
+    def on_timer(self, now: float) -> None:
+        """Decide again if the reasons against running change, even if no commands arrive."""
+        now = boot_time()
+        self._look_for_suspend(now)
+        status = self._drive.status(now)
+        reasons = (
+            self._reasons_against(now), _fault(status),
+            status is not None and status.stands,
+            # Decide again every second, since a drive that is not heard comes to rest at some time.
+            status is None and not self._decision.stands and now // 1,
+        )
+        if reasons != self._reasons:
+            self._reasons = reasons
+            self._step(now)
+        self._timed_at = boot_time()
+        self._drive.exchange.demand(self._decision.speed)  # again and again: it expires in a second
+        if self._autostart:
+            self._start_by_itself(now)
+        if now - self._looked_at > _LOOK_S:
+            self._looked_at = now
+            self._take_state()
+            self._diagnose(now)
+
+    def _look_for_suspend(self, now: float) -> None:
+        """Report, for a minute, that the machine was suspended while the pump was on."""
+        before, self._suspended = self._suspended, suspended_time()
+        seconds = self._suspended - before
+        if seconds > PAUSE_S and not self._decision.stands:
+            self._suspend_seen = now
+            self.reports.numbers["suspend"] = {"suspended_s": seconds}
+            self.reports.diagnose(
+                "suspend", ERROR, f"the machine was suspended for {seconds:.0f} s while the pump "
+                "was on, and only the drive's own communication timeout could stop it: keep this "
+                "machine from suspending", "suspended",
+            )
+        elif now - self._suspend_seen > _SAID_S:
+            self.reports.diagnose("suspend", OK, "the machine stays awake while the pump is on")
+
+    # --- the pump ---------------------------------------------------------------------------------
+
+    def _reasons_against(self, now: float) -> dict[str, str]:
+        """Return this node's own reasons against running the pump, by interlock."""
+        status, absence = self._drive.status(now), self._drive.absence(now)
+        if self.lifecycle_state != ACTIVE:
+            # While the drive is not heard, the refusal may be out of date.
+            refusal = "" if absence else self.refusal
+            return {"not_active": refusal or "the node is not active", "drive_lost": absence}
+        reasons = {"drive_lost": absence}
+        if status is not None:
+            if not status.remote:
+                reasons["drive_local"] = (
+                    "the drive is in local control: switch it to bus control at its panel"
+                )
+            reasons["second_master"] = self._drive.snapshot.second_master
+            reasons["start_failed"] = self._drive.snapshot.start_failed
+            if not self._without_timeout:
+                reasons["drive_timeout"] = self._drive.timeout_problem(self._drive.snapshot)
+            reasons["drive_guards_later"] = self._drive.snapshot.unguarded
+            reasons["no_run"] = self.missing_run()
+        reasons["no_permit"] = self.supervisor.missing(boot_time())
+        reasons["two_controllers"] = second_publisher(self._inputs.command)
+        # Another pump node may have the same drive: then neither runs it.
+        reasons["two_pumps"] = self.second_pump()
+        reasons["no_command"] = self._silence()
+        return reasons
+
+    def _silence(self) -> str:
+        """Return that commands are missing, or that this node was paused; empty if neither."""
+        now = boot_time()
+        if self._commanded < 0:
+            return "no command has come yet"
+        if now - self._commanded > self._command_limit:
+            return f"no command has come for {self._command_limit:g} s (command_limit)"
+        if now - self._timed_at > PAUSE_S:
+            return f"this node itself was paused for {now - self._timed_at:.0f} s"
+        return ""
+
+    def _step(self, now: float) -> None:
+        """Decide on what is known now, give the drive its order, and publish the state.
+
+        Args:
+            now: steady clock (s).
+        """
+        self._look_for_suspend(now)
+
+        def value(entry: Input | None) -> float | None:
+            good = self.acted and entry is not None and entry.good
+            return float(entry.value) if entry is not None and good else None
+
+        inputs, status = self._inputs, self._drive.status(now)
+        frost = value(inputs.frost)
+        observation = Observation(
+            command=value(inputs.command),
+            cistern_level=value(inputs.cistern),
+            roof_level=value(inputs.roof),
+            displacements=self.displacements(),
+            frost=None if frost is None else frost > 0,
+            time_ns=self.get_clock().now().nanoseconds or None,  # 0 until a plant publishes it
+            speed=None if status is None else status.speed,
+            flow=value(inputs.meter),
+            drive_flow=None if status is None else status.flow,
+            drive_ready=status is not None and (status.ready or status.running),
+            drive_fault="" if now < self._resetting_until else _fault(status),
+            runs_on=status is not None and status.runs_on,
+            reasons=self._reasons_against(now),
+        )
+        dt = self.elapsed(now)
+        # The drive is watched only while the machine is awake; this clock counts only that time.
+        awake = time.monotonic()
+        drive_dt, self._watched = awake - self._watched, awake
+        decided, decision = self._decision, self._control.step(dt, observation, drive_dt)
+        self._decision = decision
+        self._drive.exchange.demand(decision.speed)
+        state = f"{decision.state}: {decision.why}"
+        before, self._state = self._state, state
+        if state != before:
+            self.publish("/pump/state", state)
+            # Not at every change of the words: they have numbers.
+            logged = (decided.state, decided.stands, *decided.interlocks)
+            if (decision.state, decision.stands, *decision.interlocks) != logged:
+                self.get_logger().info(state)
+
+    # --- reports ----------------------------------------------------------------------------------
+
+    def progress(self) -> dict[str, Any]:
+        """Return the values that bringup shows and waits for."""
+        record, decision, dose = self._ledger.record, self._decision, self._control.dose
+        held = self._ledger.held
+        return {
+            "pump": self._state, "pump_state": decision.state,
+            "stands": decision.stands,
+            "speed": decision.turns_at,
+            "flow": decision.flow if decision.flow_known else None,
+            "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
+            "fault": record.fault,
+            "no_clear": self._control.no_clear,
+            "unknown": record.unknown,
+            "hold": {
+                "owner": record.hold_owner, "reason": record.hold_reason,
+                "until": record.hold_until, "said": held,
+            } if held else None,
+            "greatest_dose": self._site.greatest_dose,
+            "least_dose": self._control.least_dose,
+            "no_dose": self._control.no_dose,
+            "dose": None if dose is None else {**asdict(dose), "said": dose.said},
+        }
+
+    def _diagnose(self, now: float) -> None:
+        """Report each part; texts with numbers are not logged, since they change too often."""
+        decision, inputs = self._decision, self._inputs
+        diagnose = partial(self.reports.diagnose, log=False)
+        diagnose_problem = self.reports.diagnose_problem
+        self.reports.numbers |= self._numbers()
+        code = next(iter(decision.interlocks), "")
+        wrong = code not in ("", "quiet_hours")  # these are as intended
+        level = ERROR if decision.state == "fault" else WARN if wrong else OK
+        diagnose("pump", level, self._state, code, self._cause(code))
+        limited = decision.warning
+        diagnose(
+            "limits", WARN if limited else OK, limited or "nothing limits the pump",
+            "limited" if limited else "", "",
+        )
+        if self._site.greatest_dose is not None:
+            self._diagnose_dose()
+        diagnose_problem("flow", self.second_pump(), f"source: {decision.source}", "two_pumps")
+        self._diagnose_command()
+        bad = [level for level in (inputs.cistern, inputs.roof) if not level.good]
+        diagnose_problem(
+            "levels", "; ".join(level.problem for level in bad), "both levels are good",
+            bad[0].code if bad else "",
+        )
+        blind = (
+            "blind: a level is unknown, or both have not yet been known for "
+            f"{self._settings.averaging_time:g} s"
+        )
+        diagnose_problem(
+            "delivery", blind if decision.blind_for else "",
+            "what is pumped is compared with both levels", "delivery_blind", WARN,
+        )
+        diagnose_problem(
+            "state file", self._ledger.problem, "holds and faults are kept", "state_not_kept"
+        )
+        frost, code = inputs.frost.problem, self._cause("frost_unknown")
+        if inputs.frost.good:
+            frost, code = "there is frost" if inputs.frost.value > 0 else "", "frost"
+        diagnose_problem("frost", frost, "there is no frost", code, WARN)
+        if self.supervisor.given:
+            missing = self.supervisor.missing(boot_time())  # a permit may have come since `now`
+            diagnose_problem("supervisor", missing, "bringup lets the pump run", "no_permit", WARN)
+        self._diagnose_drive(now)
+
+    def _numbers(self) -> dict[str, dict[str, float | None]]:
+        """Return the numbers behind the report of each part, in the units of the topics."""
+        decision = self._decision
+        flow = decision.flow if decision.flow_known else None
+        levels = {"cistern_level": self._inputs.cistern, "roof_level": self._inputs.roof}
+        command = self._inputs.command
+        return {
+            "pump": {"asked_speed": decision.speed, "speed": decision.turns_at},
+            "flow": {"flow": flow},
+            "command": {"command": command.value if command.good else None},
+            "levels": {name: level.value if level.good else None for name, level in levels.items()},
+            "delivery": {"blind_for_s": decision.blind_for},
+            "drive timeout": {"timeout_s": self._drive.snapshot.timeout_s},
+        }
+
+    def _cause(self, code: str) -> str:
+        """Return the code that caused an interlock; empty if unknown."""
+        command, cistern, roof, frost, _ = self._inputs
+        inputs = {
+            "cistern_level_unknown": cistern, "roof_level_unknown": roof,
+            "frost_unknown": frost, "command_unknown": command,
+        }
+        cause = inputs[code].code if code in inputs else ""
+        unknown = code == "frost_unknown" and cause == "input_refused"  # a NaN says so
+        return "temperature_unknown" if unknown else cause
+
+    def _diagnose_dose(self) -> None:
+        """Report the progress of a dose and, for a minute, how it ended."""
+        dose = self._control.dose
+        if dose is None:
+            self.reports.diagnose("dose", OK, "no dose is under way", log=False)
+            return
+        self.reports.numbers["dose"] = {"volume": dose.volume, "delivered": dose.delivered}
+        early = dose.over not in ("", DONE)
+        self.reports.diagnose(
+            "dose", WARN if early else OK, dose.said, "dose_ended_early" if early else "",
+            dose.cause, log=False,
+        )
+
+    def _diagnose_command(self) -> None:
+        command, silence = self._inputs.command, self._silence()
+        trouble = second_publisher(command)
+        if not trouble and not command.good:
+            trouble = command.problem
+        if silence and self.acted and not trouble:
+            self.reports.diagnose("command", STALE, silence, "no_command")
+        else:
+            code = command.code or "two_controllers"
+            self.reports.diagnose_problem(
+                "command", trouble, silence or "commands are arriving", code
+            )
+
+    def _diagnose_drive(self, now: float) -> None:
+        if self.lifecycle_state == UNCONFIGURED and not self._autostart:
+            why = self.refusal or "the node is not configured"
+            self.reports.diagnose("drive", WARN, why, "not_active")
+            return
+        snapshot, status = self._drive.snapshot, self._drive.status(now)
+        if status is None:
+            level, code = (ERROR, "drive_lost") if snapshot.errors else (WARN, "drive_awaited")
+            self.reports.diagnose("drive", level, self._drive.absence(now), code)
+            return
+        self.reports.hardware = snapshot.identity
+        if status.fault:
+            code = "runs_on" if status.runs_on else "drive_fault"
+            self.reports.diagnose(
+                "drive", ERROR, f"the drive reports a fault: {status.fault}", code
+            )
+        else:
+            local = "" if status.remote else "it is in local control"
+            trouble = "; ".join(filter(None, (snapshot.problem, status.warning, local)))
+            code = "second_master" if snapshot.second_master else "drive_warning"
+            self.reports.diagnose_problem(
+                "drive", trouble and f"the drive: {trouble}", f"connected to {snapshot.identity}",
+                code if status.remote else "drive_local", WARN,
+            )
+        guard = self._drive.placed.guard
+        beware = f"; beware: {guard.traps}" if guard is not None and guard.traps else ""
+        problem, later = self._drive.timeout_problem(snapshot), snapshot.unguarded
+        if problem and not self._without_timeout:
+            self.reports.diagnose("drive timeout", ERROR, problem + beware, "drive_timeout")
+        elif problem or later:
+            code = "drive_timeout_waived" if problem else "drive_guards_later"
+            self.reports.diagnose("drive timeout", WARN, (problem or later) + beware, code)
+        else:
+            well = f"without this machine the drive stops after {snapshot.timeout_s:g} s{beware}"
+            self.reports.diagnose("drive timeout", OK, well)
+
+
+def second_publisher(entry: Input) -> str:
+    """Return that an input has a second publisher, as a sentence; empty if it has none.
+
+    If one of them cannot be heard, it is named: it may be trying to stop the pump.
+    """
+    second = entry.publishers.second()
+    return f"{entry.name} {entry.publishers.unheard() or second}" if second else ""
+
+
+def _hold_of(request: SetParametersAtomically.Request) -> dict[str, Any]:
+    """Return owner, reason and end of a requested hold.
+
+    Raises:
+        ValueError: it is not such a request.
+    """
+    fields = {
+        parameter.name: parameter_value_to_python(parameter.value)
+        for parameter in request.parameters
+    }
+    kinds = {"owner": str, "reason": str, "until": float}
+    if not fields.get("owner") or not all(
+        name in kinds and isinstance(value, kinds[name]) for name, value in fields.items()
+    ):
+        raise ValueError(
+            "a hold needs an owner (text), and may have a reason (text) and until (s since 1970, a "
+            "floating-point number), and nothing else"
+        )
+    if "until" in fields and not time.time() < fields["until"] <= MOST:
+        raise ValueError(
+            f"until = {fields['until']:.15g}: must be in the future, in s since 1970, and at most "
+            f"{MOST:g}"
+        )
+    return fields
+
+
+def _fault(status: DriveStatus | None) -> str:
+    """Return a drive's fault, except a stop by its own timeout, which clears by itself."""
+    return "" if status is None or status.timed_out else status.fault

@@ -1,0 +1,145 @@
+"""The drive of a pump node, and the reasons against using it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives.drive import DriveStatus
+from greenroof_ros.drives.drive_file import find_drive_file
+from greenroof_ros.drives.exchange import DriveExchange, Snapshot
+from greenroof_ros.drives.placed import place_drive
+from greenroof_ros.live.lifecycle import RefusedError
+
+# The drive's thread stops the drive after this time without a call (s): this node hangs.
+_DEAD_MAN_S = 1.0
+# Greatest age of the drive's status (s). During a start none comes for some seconds; the exchange
+# notices a lost connection sooner.
+_DRIVE_AGE_S = 10.0
+
+
+class PumpDrive:
+    """The drive that the parameters choose, and the reasons against using it.
+
+    Attributes:
+        placed: its drive file and its address.
+        exchange: the communication with it.
+    """
+
+    def __init__(
+        self, values: Mapping[str, Any], node_name: str, *, seeks_simulator: bool
+    ) -> None:
+        """Read the drive file.
+
+        Args:
+            values: values of the pump node's parameters.
+            node_name: the node's name, for messages.
+            seeks_simulator: whether to find out if it is the drive simulator.
+
+        Raises:
+            ConfigurationError: a parameter or the file is wrong.
+        """
+        key = f"parameter {{}} of {node_name}"
+        if not values["drive"]:
+            raise ConfigurationError(
+                "must be given: the make of the drive, as a file of config/drives without .yaml, "
+                "or the path of your own file", key=key.format("drive"),
+            )
+        self.placed = place_drive(
+            find_drive_file(values["drive"]), values["address"], key.format("address"),
+            values["broker_login"], values["broker_authority"],
+        )
+        self._period = values["exchange_period"]
+        self._limit = values["drive_timeout_limit"]
+        self._stops_locally = values["local_settings_stop_the_pump"]
+        self._seeks_simulator = seeks_simulator
+        self._renew()
+
+    def _renew(self) -> None:
+        """Make a new exchange, not yet started."""
+        self.exchange = DriveExchange(
+            self.placed, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit,
+            seeks_simulator=self._seeks_simulator,
+        )
+        self._begun = self._leaving = False
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """What is known of the drive."""
+        return self.exchange.snapshot
+
+    def connect(self) -> None:
+        """Start the exchange, which keeps the drive stopped; a closing one must end first."""
+        if self._leaving and self.exchange.close(0.0):
+            self._renew()
+        if not self._begun:
+            self.exchange.start()
+            self._begun = True
+
+    def let_go(self, within: float) -> str:
+        """Stop the drive and disconnect; return its last status, empty if there was no exchange.
+
+        Args:
+            within: longest wait (s); the longest ramp plus a few seconds is enough for any drive.
+
+        Raises:
+            RefusedError: it takes longer; stopping continues.
+            OSError: the drive was not heard at the end, or is not at rest.
+        """
+        if not self._begun:
+            return ""
+        self._leaving = not self.exchange.close(within)
+        if self._leaving:
+            raise RefusedError("the drive is still slowing down, or does not answer; ask again")
+        snapshot = self.snapshot
+        status = snapshot.status
+        self._renew()
+        problem = f"the drive is not at rest at the end: {status}"
+        if status is None or snapshot.connected:
+            # If still connected, the thread has not read that the drive is at rest.
+            problem = f"the drive was not heard at the end ({snapshot.problem or 'no last answer'})"
+        elif status.stands:
+            return f"released the drive: {status}"
+        timeout = "off" if snapshot.timeout_known else "not known"
+        ending = f"only its own panel can stop it now: its communication timeout is {timeout}"
+        if snapshot.timeout_s is not None:
+            ending = f"its own timeout of {snapshot.timeout_s:g} s must stop it"
+        raise OSError(f"{problem}; {ending}")
+
+    def status(self, now: float) -> DriveStatus | None:
+        """Return the drive's last status; None if too old."""
+        snapshot = self.snapshot
+        return snapshot.status if now - snapshot.read_at < _DRIVE_AGE_S else None
+
+    def absence(self, now: float) -> str:
+        """Return why the drive is not heard; empty if it is."""
+        if self._leaving:
+            return "no connection to the drive: it is being released; clean up first"
+        if self.status(now) is not None:
+            return ""
+        problem = self.snapshot.problem or f"it has not answered for {_DRIVE_AGE_S:g} s"
+        return f"no connection to the drive: {problem}"
+
+    def timeout_problem(self, snapshot: Snapshot) -> str:
+        """Return what is wrong with the drive's own communication timeout; empty if nothing is."""
+        guard, seconds = self.placed.guard, snapshot.timeout_s
+        if not snapshot.timeout_known:
+            why = f" could not be read ({snapshot.timeout_note})"
+        elif seconds is None:
+            why = f" is not effective ({snapshot.timeout_note})"
+        elif seconds > self._limit:
+            why = (
+                f" is {seconds:g} s, but must be at most {self._limit:g} s (drive_timeout_limit)"
+            )
+        elif guard is not None and guard.local_settings_decide and not self._stops_locally:
+            return (
+                "after the drive's own communication timeout, or after this node ends, the pump "
+                "does what is set in it, which cannot be read: set it to stop, see that it does, "
+                "and confirm that (local_settings_stop_the_pump: true); to set it: "
+                f"{guard.how_to_set}"
+            )
+        else:
+            return ""
+        repair = "" if guard is None else f"; to set it: {guard.how_to_set}"
+        return f"the drive's own communication timeout{why}{repair}"
