@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from greenroof_ros.common.command_line import EXIT_FAILED, exit_code
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import Signals
+from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.graph.messages import LockstepError
@@ -77,6 +79,7 @@ class Composition:
         """End the nodes, and shut ROS down."""
         with self._ends:
             end_nodes(list(self._nodes.values()), None if error is None else str(error))
+        signal.alarm(0)  # the summary is not written yet
 
     def spin(self, drive: DriveInLoop | None) -> None:
         """Make the nodes, and run them to the end of the run.
@@ -97,7 +100,8 @@ class Composition:
             run = self._run
             self._nodes["plant"] = PlantNode()
             self._nodes["weather"] = WeatherNode()
-            self._nodes[run.controller.name] = ControllerNode(run.controller.reference)
+            if run.controller.reference != EXTERNAL:
+                self._nodes[run.controller.name] = ControllerNode(run.controller.reference)
             if self._record:
                 self._nodes[RECORDER] = RecorderNode()
 
@@ -156,9 +160,10 @@ class Composition:
     @property
     def results(self) -> dict[str, Any]:
         """The numbers of a run that is done, for its summary."""
-        controller = self._nodes[self._run.controller.name].summary()
+        controller = self._nodes.get(self._run.controller.name)
+        solver = {"solver": None} if controller is None else controller.summary()
         recorder = self._nodes[RECORDER].summary() if self._record else {"messages": None}
-        return {**self._nodes["plant"].summary(), **controller, **recorder}
+        return {**self._nodes["plant"].summary(), **solver, **recorder}
 
     def explain(self, error: Exception) -> tuple[str, int]:
         """Return why a run failed, in a sentence, and the exit code.

@@ -20,7 +20,7 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.standard_error import LINES, say
-from greenroof_ros.controllers.registry import controller_names
+from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.experiment.options import (
@@ -34,7 +34,6 @@ from greenroof_ros.experiment.run_directory import make_run_directory, write_con
 from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other_nodes
 from greenroof_ros.graph.states import PUMP, RECORDER
 from greenroof_ros.live.drive import (
-    EXTERNAL,
     add_graph_arguments,
     bring_up,
     chosen_drive,
@@ -67,6 +66,8 @@ def make_parser() -> Parser:
         "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24\n"
         "  greenroof run --namespace site1 --site site1.yaml\n"
         "  greenroof run --speed 60 --no-record\n"
+        "  greenroof run --controller external      and in another terminal your node, such as\n"
+        "  python examples/controller_node.py\n"
         "  greenroof run --drive danfoss_fc202 --drive-at gateway://127.0.0.1:5020\n\n"
         "exit codes: 0 done, 1 a node failed, the pump may run on, or done with incidents: a "
         "drive was lost for a while, 2 bad usage or configuration, 3 a graph is already "
@@ -103,23 +104,26 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """
     with importing_ros():
         from greenroof_ros.bringup.composition import Composition
+        from greenroof_ros.graph.spin import end_soon
     drive = chosen_drive(arguments)
     speed = arguments.speed
     if speed is None:  # real time with a drive, otherwise as fast as possible
         speed = 0.0 if drive is None else 1.0
     if drive is not None:
         drive.refuse_speed(speed, signals.check)
+    own_controller = run.controller.reference == EXTERNAL
     modules = {
         "plant": f"{_NODES}.plant",
         "weather": f"{_NODES}.weather",
-        run.controller.name: f"{_NODES}.controller",
+        **({} if own_controller else {run.controller.name: f"{_NODES}.controller"}),
         **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
         **({} if drive is None else {PUMP: PUMP_NODE}),
     }
     own_files = own_parameters(arguments, modules, run.controller)
     with only_bringup(arguments.namespace):
         refuse_other_nodes(
-            arguments.namespace, {*modules, RECORDER, *controller_names()}, signals.check
+            arguments.namespace,
+            {*modules, RECORDER, *([] if own_controller else controller_names())}, signals.check,
         )
         directory = make_run_directory(arguments.output, run.controller.name)
         of_drive = {} if drive is None else drive_parameters(
@@ -160,6 +164,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         if loop is not None and loop.may_run:
             code = EXIT_FAILED
         _end(run, directory, graph, incidents, status, reason, as_json=arguments.json)
+        end_soon()
         return code or (EXIT_FAILED if incidents.count else EXIT_DONE)
 
 

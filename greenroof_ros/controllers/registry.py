@@ -35,6 +35,8 @@ _REPLACED_BY_LOOKAHEAD = ("planning_mpc", "scenario_mpc")
 DEFAULT = "mpc"
 FOR_A_SITE = "lookahead"
 """the default of a live site, which the paper's controller does not fit"""
+EXTERNAL = "external"
+"""stands for a controller node that the user runs; its parameters are those of the forecasts"""
 # Parameters that rclpy declares in every node.
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
 # A controller's node is named after it. These nodes run beside it.
@@ -236,6 +238,8 @@ def find_controller(reference: str) -> ControllerChoice:
     Raises:
         ConfigurationError: there is no such controller, or its node's name is taken by another.
     """
+    if reference == EXTERNAL:
+        return ControllerChoice(EXTERNAL, EXTERNAL, f"{_HERE}.external:External")
     if ":" not in reference:
         path = BUILT_IN.get(reference) or _of_other_packages().get(reference)
         if path is None:

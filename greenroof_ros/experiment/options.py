@@ -95,8 +95,8 @@ def add_controller_arguments(
     """
     group.add_argument(
         "--controller", default=default, metavar="NAME",
-        help=f"{', '.join(controller_names())}, or package.module:Class of your own "
-        "(default: %(default)s)",
+        help=f"{', '.join(controller_names())}, or package.module:Class of your own; in a graph "
+        "also external, a node that you run yourself (default: %(default)s)",
     )
     # Its parameters are options, so its name is needed before the rest is parsed.
     name = Parser(add_help=False, exit_on_error=False)

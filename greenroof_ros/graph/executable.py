@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any, NoReturn
@@ -28,6 +30,9 @@ from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
 from greenroof_ros.graph.spin import end_nodes, ros, spin
 from greenroof_ros.model.site import Site
+
+# How long peers must be missing before this is logged, and how often it is repeated (s).
+_PATIENCE_S, _AGAIN_S = 2.0, 5.0
 
 
 class _Parser(argparse.ArgumentParser):
@@ -188,9 +193,36 @@ def run_node(
 
 def spin_alone(node: SimulationNode, check: Callable[[], None]) -> None:
     """Run a node of a simulated graph until its run is over; see :func:`node_command`."""
+    spin([node], _Alone(node, check).over)
 
-    def over() -> bool:
-        check()
-        return node.over
 
-    spin([node], over)
+class _Alone:
+    """Whether a node that runs alone is over; until its run begins, it logs whom it waits for."""
+
+    def __init__(self, node: SimulationNode, check: Callable[[], None]) -> None:
+        self._node, self._check = node, check
+        self._missing: list[str] = []
+        self._log_at = math.inf
+
+    def over(self) -> bool:
+        """Return whether the node may end.
+
+        Raises:
+            InterruptedRun: a signal came.
+            LockstepError: the plant has ended before the run.
+        """
+        self._check()
+        if not self._node.acted:
+            self._log_missing(time.monotonic())
+        return self._node.over
+
+    def _log_missing(self, now: float) -> None:
+        """Log which nodes are missing: after 2 s, then every 5 s."""
+        missing = sorted(map(self._node.call, self._node.absent()))
+        if missing != self._missing:
+            self._missing, self._log_at = missing, now + _PATIENCE_S
+        if now > self._log_at:
+            self._node.get_logger().info(
+                f"waiting for {', '.join(missing)}" if missing else "its inputs have publishers"
+            )
+            self._log_at = now + _AGAIN_S if missing else math.inf

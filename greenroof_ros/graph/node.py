@@ -6,7 +6,9 @@ A node acts when every input is fresh (:mod:`greenroof_ros.graph.lockstep`), and
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, cast
 
 from rclpy.clock import ROSClock
@@ -15,7 +17,7 @@ from rclpy.duration import Duration
 from rclpy.time import Time
 
 from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.common.interface import Qos, Topic, read_topics
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.inputs import Input, accepted
 from greenroof_ros.graph.lockstep import CLOCK, RUN, Lockstep
@@ -109,7 +111,7 @@ class SimulationNode(GraphNode):
 
     def _input(self, name: str) -> Input:
         topic = self.interface[name]
-        self.inputs[name] = Input(Publishers(self, topic, topic.qos))
+        self.inputs[name] = Input(Publishers(self, topic, _required(topic)))
         return self.inputs[name]
 
     def _open(
@@ -117,7 +119,7 @@ class SimulationNode(GraphNode):
     ) -> None:
         if publishers is not None:
             self._waits_for.append(publishers)
-        self.open_subscription(topic, callback, qos_profile(topic.qos))
+        self.open_subscription(topic, callback, qos_profile(_required(topic)))
 
     # --- running ----------------------------------------------------------------------------
 
@@ -138,6 +140,7 @@ class SimulationNode(GraphNode):
 
     def finish(self) -> None:
         """Report from now on that the run is over for this node, with the node's summary."""
+        self._note_warnings(time.monotonic())
         self._final = self.summary()
         self.reports.state = FINISHED
         self.report_state()
@@ -183,7 +186,7 @@ class SimulationNode(GraphNode):
             elif now - since >= DISCOVERY_S:
                 self._warn(f"{name} {problem}")
         for entry in self.inputs.values():
-            if entry.refused and not entry.good:
+            if entry.refused:
                 self._warn(
                     f"refused a value on {entry.name}: it {accepted(entry.topic)}; it acts as 0, "
                     "and further ones are only counted"
@@ -241,3 +244,8 @@ class SimulationNode(GraphNode):
         return super().report_state(
             run_length=None if run is None else round(run.last_tick), **values
         )
+
+
+def _required(topic: Topic) -> Qos:
+    """Return what a publisher must offer: in a simulation there is no liveliness lease."""
+    return replace(topic.qos, lease_s=math.inf)

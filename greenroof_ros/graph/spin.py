@@ -31,8 +31,6 @@ _CHECK_S = 0.05
 def ros(arguments: Sequence[str]) -> Iterator[None]:
     """Initialise ROS for the nodes of this process, and shut it down at the end.
 
-    The process must end within 6 s of the exit: a SIGALRM is pending.
-
     Args:
         arguments: the command line, with ROS arguments.
 
@@ -49,14 +47,8 @@ def ros(arguments: Sequence[str]) -> Iterator[None]:
     try:
         yield
     finally:
-        _limit_teardown()
+        end_soon()
         rclpy.try_shutdown()
-
-
-def _limit_teardown() -> None:
-    """Let the kernel end this process if it locks up; everything has been sent and written."""
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.alarm(TAKING_DOWN_S)
 
 
 def spin(nodes: Sequence[SimulationNode], over: Callable[[], bool]) -> None:
@@ -91,6 +83,8 @@ def spin(nodes: Sequence[SimulationNode], over: Callable[[], bool]) -> None:
 def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
     """End nodes: let each close what is open, report its end, and leave the graph.
 
+    From here the process must end within 6 s, since a SIGALRM is pending: bringup cancels it.
+
     Args:
         nodes: the nodes.
         failure: the error that ended them; None if there was none.
@@ -106,7 +100,13 @@ def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
             print(f"error: {error}", file=sys.stderr)
     for node in nodes:
         node.end(failure)
-    _limit_teardown()
+    end_soon()
     for node in nodes:
         node.destroy_node()
     return failure
+
+
+def end_soon() -> None:
+    """Let the kernel end this process if it locks up: everything has been sent and written."""
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(TAKING_DOWN_S)

@@ -1,45 +1,40 @@
-"""What a run does when its nodes die or are there already, and when a person stops it.
-
-What it does when they hang is in the sample of the campaign, test_faults.py.
-"""
+"""What a run does when a person stops it, when it is killed, and when nodes are there already."""
 
 from __future__ import annotations
 
-import os
 import signal
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+from commands import run_command
 from graphs import (
     Process,
-    alive,
     assert_on_loopback_alone,
+    environment,
     messages_of,
     summary_of,
     udp_addresses_of,
     wait_for,
 )
+from lookers import in_domain
+from rosbags.highlevel import AnyReader
 
 from greenroof_ros.model.metrics import METRICS
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
+from ros_rig import Observer
+
 
 def started(
     domain: int, cwd: Path, *arguments: str, ignored: tuple[signal.Signals, ...] = ()
-) -> tuple[Process, dict[str, int]]:
+) -> Process:
     """Start a long run and wait until it is well under way."""
     process = Process(domain, "bringup", "--output", "run", *arguments, cwd=cwd, ignored=ignored)
     process.wait_for_ticks(size=10_000)
-    nodes = process.nodes()
-    assert sorted(nodes) == ["controller", "plant", "recorder", "weather"]
-    return process, nodes
-
-
-def assert_gone(nodes: dict[str, int]) -> None:
-    """No process of the run is left."""
-    assert not [name for name, pid in nodes.items() if alive(pid)]
+    return process
 
 
 def assert_ended_early(process: Process, status: str, reason: str) -> None:
@@ -64,40 +59,50 @@ def assert_ended_early(process: Process, status: str, reason: str) -> None:
         assert commands == [f"  greenroof {name} {run}" for name in ("recover", "report")]
 
 
-@pytest.mark.parametrize("cause", ["ctrl-c", "sigterm under nohup", "plant"])
+@pytest.mark.parametrize("cause", ["ctrl-c", "sigterm under nohup"])
 def test_what_ends_a_run(domain: int, tmp_path: Path, cause: str) -> None:
-    """A signal or kill -9 of a node: at once, with its name, no traceback, and nothing left.
+    """A signal: at once, with exit code 130, no traceback, and the bag closed.
 
-    After a signal the exit code is 130, and the bag is closed. Ignored signals, as under nohup and
-    in a shell's background, end nothing.
+    Ignored signals, as under nohup and in a shell's background, end nothing.
     """
     ignored = (signal.SIGHUP, signal.SIGINT) if cause == "sigterm under nohup" else ()
-    process, nodes = started(domain, tmp_path, ignored=ignored)
+    process = started(domain, tmp_path, ignored=ignored)
     assert summary_of(tmp_path / "run")["status"] == "running"
-    if cause == "plant":
-        os.kill(nodes["plant"], signal.SIGKILL)
-        code, status, reason = 1, "failed", "node plant ended (SIGKILL)"
-    else:
-        for signal_number in ignored:
-            process.process.send_signal(signal_number)
-        process.wait_for_ticks(size=30_000)
-        number = signal.SIGTERM if ignored else signal.SIGINT
-        process.process.send_signal(number)
-        code, status, reason = 130, "interrupted", f"interrupted by {number.name}"
-    assert process.wait(300) == code
+    for signal_number in ignored:
+        process.process.send_signal(signal_number)
+    process.wait_for_ticks(size=30_000)
+    number = signal.SIGTERM if ignored else signal.SIGINT
+    process.process.send_signal(number)
+    assert process.wait(300) == 130
     assert "Traceback" not in process.stderr()
-    assert_gone(nodes)
-    assert (tmp_path / "run" / "bag" / "metadata.yaml").exists() or cause == "plant"
-    assert_ended_early(process, status, reason)
+    assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
+    assert_ended_early(process, "interrupted", f"interrupted by {number.name}")
+
+
+def test_kill_leaves_all_but_a_chunk(domain: int, tmp_path: Path) -> None:
+    """The bag of a run that was killed is recovered up to the ticks not yet flushed, at most 32."""
+    with in_domain(domain), closing(Observer(domain, tmp_path)) as observer:
+        process = Process(
+            domain, "bringup", "--output", "run", "--speed", "20", cwd=tmp_path
+        )
+        levels = observer.hear("/roof/level")
+        observer.until(lambda: len(levels) > 100, 60, "100 ticks")
+        process.process.kill()
+        process.process.wait(60)
+    assert summary_of(tmp_path / "run")["status"] == "running"
+    done = run_command("recover", "run", cwd=tmp_path, env=environment(domain))
+    assert done.returncode == 0, done.stderr
+    with AnyReader([tmp_path / "run" / "bag-recovered"]) as reader:
+        (ticks,) = {connection.msgcount for connection in reader.connections}
+    assert 60 < len(levels) - 40 <= ticks <= len(levels) + 40
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.7])
 def test_interrupted_while_starting(domain: int, tmp_path: Path, delay: float) -> None:
     """Ctrl-C at any moment ends the run; a second and a third do not disturb the end."""
     process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
-    wait_for((tmp_path / "run" / "log").exists, 60, "the start of the nodes")
+    wait_for((tmp_path / "run" / "summary.json").exists, 60, "the start of the nodes")
     time.sleep(delay)
-    nodes = process.nodes()
     for _ in range(3):
         process.process.send_signal(signal.SIGINT)
         time.sleep(0.05)
@@ -105,7 +110,6 @@ def test_interrupted_while_starting(domain: int, tmp_path: Path, delay: float) -
     assert process.stderr().count("interrupted by SIGINT\n") == 1
     assert summary_of(tmp_path / "run")["status"] == "interrupted"
     assert "Traceback" not in process.stderr()
-    assert_gone(nodes)
 
 
 def test_a_graph_of_its_own(domain: int, tmp_path: Path) -> None:
@@ -130,8 +134,7 @@ def test_a_graph_of_its_own(domain: int, tmp_path: Path) -> None:
         assert second.wait(300) == 3
         assert all(words in second.stderr() for words in ("namespace /site1", "--namespace"))
         assert not (tmp_path / "second").exists()
-        for pid in process.nodes().values():
-            assert_on_loopback_alone(pid)
+        assert_on_loopback_alone(process.process.pid)
         process.process.send_signal(signal.SIGINT)
         assert process.wait(300) == 130
     finally:

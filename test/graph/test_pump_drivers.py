@@ -187,21 +187,15 @@ def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(domain: int, tmp_
 
 
 def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Path) -> None:
-    """One line on the console and in the log: the node, its settings, and all that are required."""
-    logs = tmp_path / "run" / "log"
+    """In one line: the node, its settings, and all that are required."""
     with in_domain(domain), closing(Peer(domain, "pump")) as driver:
         driver.node.create_publisher(Float64, "/pump/flow", 10)  # with rclpy's default settings
         process = Process(domain, "bringup", "--pump", "external", "--output", "run", cwd=tmp_path)
         wait_for(lambda: "warning" in process.stderr(), 60, "a warning")
-        warning = (
-            "/pump/flow has a publisher that cannot be heard (pump): it is volatile and has no "
-            "liveliness lease, but must be reliable, transient local, keep last 64, with a "
-            "liveliness lease of 1 s; change it, or end it"
-        )
-        log = logs / "plant.log"
-        wait_for(lambda: log.exists() and warning in log.read_text(), 60, "the log")
         process.process.terminate()
         assert process.wait(300) == 130
     warnings = [line for line in process.stderr().splitlines() if "warning" in line]
-    assert warnings == [f"warning: {warning}"]
-    assert not any("Last incompatible policy" in log.read_text() for log in logs.iterdir())
+    assert warnings == [
+        "warning: /pump/flow has a publisher that cannot be heard (pump): it is volatile, but must "
+        "be reliable, transient local, keep last 64; change it, or end it"
+    ]

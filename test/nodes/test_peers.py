@@ -44,8 +44,8 @@ class Nodes:
     def code(self, name: str) -> int:
         """Wait until a node ends by itself, and return its exit code."""
         code = self.started[name].wait(60)
-        # If the middleware is slow to end, the kernel ends the node, which has logged everything.
-        return int("FATAL" in self.log(name)) if code == -signal.SIGALRM else code
+        # If the middleware is slow to end, the kernel ends the node, which has printed everything.
+        return int("error: " in self.log(name)) if code == -signal.SIGALRM else code
 
 
 @pytest.fixture
@@ -62,10 +62,10 @@ def test_started_by_hand_gives_the_bag_of_bringup(
     """
     weather = nodes.node("weather", run_length=360)
     weather.until_said("waiting for plant\n")
-    nodes.node("recorder", directory="bag").until_said("waiting for mpc, plant\n")
+    nodes.node("recorder", directory="bag").until_said("waiting for plant, the controller\n")
     plant = nodes.node("plant", run_length=360, record="true")
     plant.until_said("waiting for the controller\n")
-    weather.until_said("waiting for the controller\n")
+    weather.until_said("its inputs have publishers\n")
     nodes.node("mpc")
     plant.until_said("finished 360 ticks")
     for name in nodes.started:
@@ -82,7 +82,7 @@ def test_a_plant_without_a_controller_names_it(nodes: Nodes) -> None:
     nodes.node("weather")
     nodes.node("plant", start_limit=6.0)
     assert nodes.code("plant") == 1
-    (fatal,) = [line for line in nodes.log("plant").splitlines() if "FATAL" in line]
+    (fatal,) = [line for line in nodes.log("plant").splitlines() if line.startswith("error: ")]
     assert "no start within 6 s" in fatal and "/pump/command from the controller" in fatal
     assert "weather" not in fatal.partition("no start")[2]
 
@@ -101,7 +101,7 @@ def test_plant_that_is_killed_ends_the_others(
     nodes.started["plant"].process.kill()
     for name in ("weather", "onoff", "recorder"):
         assert nodes.code(name) == 1, name
-        (line,) = [line for line in nodes.log(name).splitlines() if "FATAL" in line]
+        (line,) = [line for line in nodes.log(name).splitlines() if line.startswith("error: ")]
         assert "plant has ended" in line
     with file.open("rb") as stream:
         assert make_reader(stream, validate_crcs=True).get_summary() is not None
@@ -116,7 +116,7 @@ def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
     observer.until(lambda: len(flows) >= 50, 60, "50 ticks")
     nodes.started["weather"].process.kill()
     assert nodes.code("plant") == 1
-    (fatal,) = [text for text in nodes.log("plant").splitlines() if "FATAL" in text]
+    (fatal,) = [text for text in nodes.log("plant").splitlines() if text.startswith("error: ")]
     # The kill can come between the two messages of a tick.
     assert re.search(
         "no message within 4 s on (/weather/precipitation, )?/weather/evapotranspiration from "

@@ -1,0 +1,58 @@
+"""A controller as a node of your own, which needs only rclpy.
+
+Start it, and ``greenroof run --controller external``; start it again for each run. It decides as
+``examples/proportional.py``, a class, does.
+"""
+
+import math
+from contextlib import suppress
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Float64, Float64MultiArray
+
+TARGET, SUCTION = 0.0457, 0.75  # level of the roof; level of the cistern below which it is dry (m)
+GAIN = 20.0  # command for a metre below the target (1/m)
+INPUTS = {
+    "cistern/level": Float64, "roof/level": Float64, "weather/frost": Float64,
+    "forecast/precipitation": Float64MultiArray, "forecast/evapotranspiration": Float64MultiArray,
+}
+tick = {}  # the messages of the present tick, by topic
+
+
+def on_message(topic, message):
+    """Answer each tick once: when all of its inputs have come."""
+    if topic in tick:
+        raise SystemExit(f"{topic} came twice in a tick: is there another graph?")
+    tick[topic] = message.data
+    if len(tick) == len(INPUTS):
+        publisher.publish(Float64(data=command()))
+        tick.clear()
+
+
+def command():
+    """Return the share of the maximum flow, from 0 to 1."""
+    cistern, roof = tick["cistern/level"], tick["roof/level"]
+    if tick["weather/frost"] != 0 or not cistern >= SUCTION or not math.isfinite(roof):
+        return 0.0  # also where a value is not a number
+    return min(max(GAIN * (TARGET - roof), 0.0), 1.0)
+
+
+def end_with_plant():
+    """End when the plant has ended, whose clock is the first of its topics."""
+    node.seen = node.seen or node.count_publishers("clock") > 0
+    if node.seen and not node.count_publishers("clock"):
+        raise SystemExit
+
+
+rclpy.init()
+node = rclpy.create_node("controller")
+node.seen = False
+qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # and reliable
+publisher = node.create_publisher(Float64, "pump/command", qos)
+for name, kind in INPUTS.items():
+    node.create_subscription(kind, name, lambda message, name=name: on_message(name, message), qos)
+node.create_timer(0.5, end_with_plant)
+with suppress(KeyboardInterrupt, ExternalShutdownException):
+    rclpy.spin(node)

@@ -1,0 +1,49 @@
+"""A controller that is somebody else's node: ``greenroof run --controller external``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON
+from greenroof_ros.model.site import Site
+
+
+class External:
+    """Stands for a node that the user runs; of its controller only the look-ahead is known.
+
+    The node gets the forecasts that its graph has: over ``horizon``, of one member.
+    """
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter(
+            "horizon", 0.0, "h", 0.0, LONGEST_HORIZON, "how far the forecasts for the node reach, "
+            "in growing steps; 0: the next M ticks",
+        ),
+    )
+
+    def __init__(self, site: Site, horizon: float) -> None:
+        """Refuse: it runs in no process of this package.
+
+        Raises:
+            ConfigurationError: always.
+        """
+        raise ConfigurationError(
+            "is a node that you run yourself, so only greenroof run can use it", key="controller",
+            value="external",
+        )
+
+    def command(
+        self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Return the command: never called."""
+        raise NotImplementedError
+
+    def skip(self) -> None:
+        """Skip a tick: never called."""
+
+    def statistics(self) -> None:
+        """Return nothing: it is not known."""
