@@ -29,7 +29,7 @@ class Command:
 GROUPS = {
     "run the roof": {
         "run": Command("bringup.__main__", "run the node graph, simulated or with a drive"),
-        "live": Command("live.site_run", "keep a site with sensors and a pump running"),
+        "live": Command("bringup.live", "keep a site with sensors and a pump running"),
         "fetch-forecast": Command("fetch_forecast", "fetch a forecast from the internet"),
         "hold": Command("hold", "keep the pump off, until a release or a time"),
         "release": Command("release", "end the hold of the pump"),

@@ -1,16 +1,15 @@
 """Run the node graph in any of three ways: ``python -m greenroof_ros.bringup``, ``greenroof run``.
 
 Simulated: :mod:`greenroof_ros.bringup.simulated`; with a drive in the loop, also
-:mod:`greenroof_ros.live.in_the_loop`; a live site: :mod:`greenroof_ros.live.site_run`.
+:mod:`greenroof_ros.live.in_the_loop`; a live site: :mod:`greenroof_ros.bringup.live`.
 """
 
 from __future__ import annotations
 
 import sys
 
-from greenroof_ros.bringup import simulated
+from greenroof_ros.bringup import live, simulated
 from greenroof_ros.common.command_line import Parser
-from greenroof_ros.live import site_run
 
 make_parser = simulated.make_parser
 
@@ -20,7 +19,7 @@ def main() -> int:
     parser = Parser(prog="greenroof run", add_help=False)
     parser.add_argument("--plant", choices=["internal", "external"])
     arguments, sys.argv[1:] = parser.parse_known_args()
-    return site_run.main() if arguments.plant == "external" else simulated.main()
+    return live.main() if arguments.plant == "external" else simulated.main()
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from greenroof_ros.bringup.start import bring_up
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -35,7 +36,6 @@ from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other
 from greenroof_ros.graph.states import PUMP, RECORDER
 from greenroof_ros.live.drive import (
     add_graph_arguments,
-    bring_up,
     chosen_drive,
     own_parameters,
     refuse,

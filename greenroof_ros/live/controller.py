@@ -10,17 +10,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter as RosParameter
-
 from greenroof_ros.common.disk import Kept
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import NoCommandError, decide
@@ -32,8 +27,8 @@ from greenroof_ros.controllers.protocol import (
     set_learned,
     set_time,
 )
-from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
-from greenroof_ros.graph.executable import node_help
+from greenroof_ros.controllers.registry import ControllerChoice, find_controller
+from greenroof_ros.graph.node_controller import NodeController, controller_help
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
@@ -50,8 +45,6 @@ _FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
 # On/off takes over once a forecast has been missing for this multiple of recovery_time. A short
 # gap, as after a pause of the node itself, then starts no pump.
 _GIVEN_UP = 3
-# How many of the newest parameter changes are kept; all are counted.
-_CHANGES = 50
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 STATE_FILE = Parameter(
     "state_file", "", meaning="file that keeps what waiting for rain has cost so far "
@@ -70,10 +63,10 @@ def parameters(choice: ControllerChoice | None) -> list[Parameter]:
 class ControllerNode(LiveNode):
     """Runs one controller; commands 0 in frost, in quiet hours and on bad inputs.
 
-    A forecast that is missing, too old or refused does not stop the pump: on/off,
-    with its defaults, commands until there is a good one. If on/off has pumped, the controller then
-    restarts, since its knowledge of the roof and its plan are outdated. What
-    waiting for rain has cost is kept, also across restarts of the node, in ``state_file``.
+    A forecast that is missing, too old or refused does not stop the pump: on/off, with its
+    defaults, commands until there is a good one. If on/off has pumped, the controller then
+    restarts, since its knowledge of the roof and its plan are outdated. What waiting for rain has
+    cost is kept, also across restarts of the node, in ``state_file``.
     """
 
     def __init__(self, controller: str) -> None:
@@ -88,15 +81,10 @@ class ControllerNode(LiveNode):
         choice = find_controller(controller)
         _ = choice.kind  # fail before a node is made
         super().__init__(choice.name, "controller")
-        self._choice = choice
         self._site = site = self.declare_site()
-        self._values = declare(self, choice.parameters_on(site))
-        live = declare(self, LIVE_PARAMETERS)
-        self._controller = choice.make(site, self._values)
         self._tick = 0
-        # Limited, since each report has them, and a program may change a parameter in each tick.
-        self._parameter_changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES)
-        self._parameter_change_count = 0
+        self._chosen = NodeController(self, choice, site, lambda: self._tick)
+        live = declare(self, LIVE_PARAMETERS)
         self._shown: dict[str, float | None] = {}
         self._levels = Levels(site, live, self.subscribe)
         self._cistern, self._roof = self._levels.cistern, self._levels.roof
@@ -115,9 +103,6 @@ class ControllerNode(LiveNode):
         self._without_pumped = False
         self._kept = self._learned_before(declare(self, [STATE_FILE])[STATE_FILE.name])
         self._kept_at = time.monotonic()
-        self._optional = list(optional_topics(choice.outputs))
-        self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
-        self.add_on_set_parameters_callback(self._on_parameters)
 
     def on_inputs(self) -> None:
         """Publish the command and the controller's optional outputs."""
@@ -125,21 +110,19 @@ class ControllerNode(LiveNode):
         if self._site.quiet is not None:
             self._time_ns = self.get_clock().now().nanoseconds
             self._quiet = self._site.quiet.quiet_at(self._time_ns)
-            allowed = allowed and (not self._quiet or knows_time(self._controller))
+            allowed = allowed and (not self._quiet or knows_time(self._chosen.controller))
         allowed = self._command(allowed)
         self._tick += 1
-        for topic, attribute in self._optional:
-            value = getattr(self._controller, attribute) if allowed else topic.undecided
-            self.publish(topic.name, value)
+        self._chosen.publish_outputs(decided=allowed)
 
     def _decide(self, allowed: bool) -> float:
         usable = allowed and self._rain.good and self._evapotranspiration.good
         if self._site.quiet is not None:
-            set_time(self._controller, self._time_ns)
-        set_gauge_rain(self._controller, self._measured_rain())
+            set_time(self._chosen.controller, self._time_ns)
+        set_gauge_rain(self._chosen.controller, self._measured_rain())
         return decide(
-            self._controller, allowed, self._cistern.value, self._roof.value,
-            self._rain_forecast() if usable else (),
+            self._chosen.controller, allowed, self._cistern.value, self._roof.value,
+            self._chosen.rain_forecast(self._rain) if usable else (),
             self._evapotranspiration.value if usable else (), self._quiet,
         )
 
@@ -153,10 +136,10 @@ class ControllerNode(LiveNode):
             Whether the controller decided.
         """
         if self._without_pumped and allowed and not self._forecast_problem():
-            learned = learned_by(self._controller)
-            self._controller = self._choice.make(self._site, self._values)
+            learned = learned_by(self._chosen.controller)
+            self._chosen.make()
             if learned is not None:
-                set_learned(self._controller, learned)
+                set_learned(self._chosen.controller, learned)
             self._without_pumped = False
         try:
             command, decides = self._decide_or_refuse(allowed)
@@ -189,13 +172,13 @@ class ControllerNode(LiveNode):
 
         If the file cannot be understood, the node warns and the controller begins from the start.
         """
-        if not file or learned_by(self._controller) is None:
+        if not file or learned_by(self._chosen.controller) is None:
             return None
         memory = Kept(Path(file))
         try:
             learned = memory.read()
             if learned:
-                set_learned(self._controller, learned)
+                set_learned(self._chosen.controller, learned)
         except (ConfigurationError, KeyError) as error:
             self.get_logger().warning(f"learned values are lost: {file}: {error}")
         return memory
@@ -206,7 +189,7 @@ class ControllerNode(LiveNode):
         if self._kept is None or now - self._kept_at < every:
             return
         self._kept_at = now
-        learned = learned_by(self._controller)
+        learned = learned_by(self._chosen.controller)
         if self._kept.problem:
             warning = f"learned values of {self.get_name()} are not saved: {self._kept.problem}"
             self.get_logger().warning(warning)
@@ -256,7 +239,7 @@ class ControllerNode(LiveNode):
 
     def _forecast_problem(self) -> str:
         """Return what is wrong with the forecasts; empty if the controller can decide."""
-        return self._bad_forecasts() if self._choice.needs_forecast else ""
+        return self._bad_forecasts() if self._chosen.choice.needs_forecast else ""
 
     def _bad_forecasts(self) -> str:
         return "; ".join(
@@ -270,8 +253,8 @@ class ControllerNode(LiveNode):
         A controller that can do without a forecast continues to command; if the site never had a
         forecast, nothing is reported then.
         """
-        needs = self._choice.needs_forecast
-        if not needs and not (self._choice.uses_forecast and self._rain.heard):
+        needs = self._chosen.choice.needs_forecast
+        if not needs and not (self._chosen.choice.uses_forecast and self._rain.heard):
             return
         problem = self._bad_forecasts()
         if not problem:
@@ -290,65 +273,12 @@ class ControllerNode(LiveNode):
         bad = self._evapotranspiration if self._rain.good else self._rain
         self.reports.diagnose("forecast", WARN, problem, "no_forecast", bad.code)
 
-    def _rain_forecast(self) -> Any:
-        """Return the forecast of rain in the shape that the controller takes.
-
-        Raises:
-            ConfigurationError: it has several members, and the controller takes one.
-        """
-        rain = self._rain.value
-        if self._choice.ensemble:
-            return np.atleast_2d(rain)
-        if isinstance(rain, np.ndarray):
-            raise ConfigurationError(
-                f"has {len(rain)} members, but {self.get_name()} takes one; set all_members of "
-                "the weather node to false", key=self._rain.name,
-            )
-        return rain
-
     def progress(self) -> dict[str, Any]:
         """Return the parameter changes, and the values that bringup shows."""
-        return {
-            "parameter_changes": list(self._parameter_changes),
-            "parameter_change_count": self._parameter_change_count, **self._shown,
-        }
-
-    def _on_parameters(self, changes: list[RosParameter]) -> SetParametersResult:
-        may_change = {
-            parameter.name for parameter in self._choice.kind.parameters if parameter.may_change
-        }
-        for name, value in (
-            (parameter.name, parameter.value) for parameter in changes
-            if parameter.name in may_change
-        ):
-            before, self._values[name] = self._values[name], value
-            setattr(self._controller, name, value)
-            self._parameter_change_count += 1
-            self._parameter_changes.append({
-                "tick": self._tick, "parameter": name,
-                "before": _finite(before), "value": _finite(value),
-            })
-            self.get_logger().info(f"{name} is {value:g} from tick {self._tick} on")
-        return SetParametersResult(successful=True)
+        return {**self._chosen.changes(), **self._shown}
 
 
-def _finite(value: float) -> float | None:
-    """Return a parameter's value for a summary, in which null means no limit."""
-    return value if math.isfinite(value) else None
-
-
-def _help(controller: str | None) -> str:
-    choice = None if controller is None else find_controller(controller)
-    name, declared = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
-    start = f"-p {declared[0].name}:={declared[0].default}" if declared else "--params-file FILE"
-    return node_help(
-        f"live.controller --controller {name}", "controller",
-        f"{__doc__}\nRegistered controllers: {', '.join(controller_names())}.",
-        lambda _: parameters(choice), f"--ros-args {start}",
-        () if choice is None else choice.outputs, live=True,
-    )
-
-
+_help = partial(controller_help, purpose=__doc__, common=parameters(None), live=True)
 main = live_command(ControllerNode, _help, "--controller")
 
 

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_INTERRUPTED, namespace, within
+from greenroof_ros.common.command_line import namespace, within
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.placed import Placed, place_drive
@@ -23,7 +20,6 @@ from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.graph.states import PUMP
 from greenroof_ros.live.supervisor import StopDrive
 from greenroof_ros.pumping.ledger import state_directory
-from greenroof_ros.watch.beside import watcher
 
 # Option value for a node that the user runs.
 EXTERNAL = "external"
@@ -244,26 +240,6 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         "limits; each node's --help lists its parameters; unknown ones are refused. The drive, "
         "its address and its state directory are set only by --drive, --drive-at and --state",
     )
-
-
-def bring_up(
-    arguments: argparse.Namespace, site_file: Path, start: Callable[[Signals], int],
-    stopped: int = EXIT_INTERRUPTED,
-) -> int:
-    """Start a graph, with its web page if ``--watch`` was given; return the exit code.
-
-    Args:
-        arguments: the command line.
-        site_file: the site file, for the page.
-        start: runs the graph and returns the exit code.
-        stopped: the exit code if a signal comes before any node was started.
-    """
-    try:
-        with watcher(arguments.namespace, site_file) if arguments.watch else nullcontext():
-            return start(Signals())
-    except InterruptedRun as error:  # before any node was started
-        print(error, file=sys.stderr)
-        return stopped
 
 
 def refuse(*rules: tuple[bool, str, object, str]) -> None:

@@ -1,4 +1,4 @@
-"""Keep a live site running (``greenroof live``): its directory, its nodes, its messages."""
+"""Keep a live site running: its directory, its nodes, its messages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.common.disk import DISK, Newest
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.interface import read_conditions
@@ -41,8 +41,8 @@ from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.states import PUMP
-from greenroof_ros.live.drive import EXTERNAL, bring_up, own_parameters
-from greenroof_ros.live.live_site import LiveSite, make_parser
+from greenroof_ros.live.drive import EXTERNAL, own_parameters
+from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.model.site import edited
 
@@ -439,15 +439,3 @@ def _write_configuration(
             shutil.copyfile(file, directory / name / file.name)
     write_parameters(directory, {node.name: node.parameters for node in site.nodes(state, place)})
     return [place / "parameters.yaml", *(place / "nodes" / file.name for file in own_files)]
-
-
-@command
-def main() -> int:
-    """Start the site, and keep it running until it is stopped."""
-    arguments = make_parser().parse_args()
-    site = LiveSite(arguments)
-    return bring_up(arguments, site.site_file, partial(run_live, site, arguments), EXIT_DONE)
-
-
-if __name__ == "__main__":
-    main()

@@ -259,7 +259,7 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
     """Two bringups must not write into one directory; with another domain they would not notice."""
     (tmp_path / "live").mkdir()
     with take_lock(tmp_path / "live" / "bringup.lock"):
-        done = run_command("live.site_run", *NOBODY, cwd=tmp_path, env=environment(0))
+        done = run_command("bringup.live", *NOBODY, cwd=tmp_path, env=environment(0))
     assert done.returncode == 3
     assert done.stderr == (
         "error: --state = 'live': belongs to a running bringup; end it, or use another directory\n"

@@ -72,7 +72,7 @@ def live(
 ) -> Iterator[Process]:
     """Bring up a site; on request it must end as expected, together with all of its nodes."""
     process = Process(
-        domain, "live.site_run", "--state", "run", *arguments, cwd=cwd, stderr=stderr,
+        domain, "bringup.live", "--state", "run", *arguments, cwd=cwd, stderr=stderr,
     )
     yield process
     nodes = process.nodes().values()
@@ -476,7 +476,7 @@ def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
         process.process.kill()
         wait_for(lambda: not any(map(alive, nodes)), 60, "the end of the nodes")
         assert summary_of(tmp_path / "run")["status"] == "running"
-        again = Process(domain, "live.site_run", "--state", "run", *NOBODY, cwd=tmp_path)
+        again = Process(domain, "bringup.live", "--state", "run", *NOBODY, cwd=tmp_path)
         wait_for((tmp_path / "run" / "bag" / "bag_1.mcap").exists, 60, "its next file")
         assert "bringup was killed, or the power failed" in again.stderr()
         assert summary_of(tmp_path / "run")["last_time"]["status"] == "running"

@@ -126,7 +126,7 @@ class LiveRun(ExitStack):
     def _bring_up(self, controller: str) -> Process:
         self._forecast()
         bringup = Process(
-            self._domain, "live.site_run", "--controller", controller,
+            self._domain, "bringup.live", "--controller", controller,
             "--sensors", "sensors.yaml", "--forecast", "forecast.csv", "--drive", self._drive_file,
             "--drive-at", self._drive.place, "--state", "state", "--restarts", "1000",
             cwd=self._directory,

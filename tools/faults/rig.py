@@ -361,7 +361,7 @@ class SiteRig(Rig):
 
     def bring_up(self) -> Process:
         wait(lambda: self.truth.samples, 10, "no speed of the drive")
-        return Process(self.domain, "live.site_run", *self._options, cwd=self.directory)
+        return Process(self.domain, "bringup.live", *self._options, cwd=self.directory)
 
     def levels(self) -> tuple[float, float]:
         """Return the true levels of cistern and roof (m)."""
@@ -480,7 +480,7 @@ class PlayedRig(Rig):
     def bring_up(self) -> Process:
         self.players = Players(self.watcher, self.truth, self.site, self.topics)
         return Process(
-            self.domain, "live.site_run", "--controller", CONTROLLER,
+            self.domain, "bringup.live", "--controller", CONTROLLER,
             "--site", str(self.site_file), "--sensors", "external", "--weather", "external",
             *self._pump(), "--state", str(self.kept), "--restarts", "1000",
             "--node-parameters", str(self.parameters), cwd=self.directory,

@@ -1,0 +1,22 @@
+"""Keep a live site running: ``greenroof live``; see :mod:`greenroof_ros.live.site_run`."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from greenroof_ros.bringup.start import bring_up
+from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.live.live_site import LiveSite, make_parser
+from greenroof_ros.live.site_run import run_live
+
+
+@command
+def main() -> int:
+    """Start the site, and keep it running until it is stopped."""
+    arguments = make_parser().parse_args()
+    site = LiveSite(arguments)
+    return bring_up(arguments, site.site_file, partial(run_live, site, arguments), EXIT_DONE)
+
+
+if __name__ == "__main__":
+    main()

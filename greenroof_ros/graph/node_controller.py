@@ -1,0 +1,134 @@
+"""The controller of a controller node, and what is the same in a simulation and on a live site."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter as RosParameter
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.interface import optional_topics
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
+from greenroof_ros.graph.executable import node_help
+from greenroof_ros.graph.graph_node import GraphNode
+from greenroof_ros.graph.inputs import Input
+from greenroof_ros.graph.parameters import declare
+from greenroof_ros.model.site import Site
+
+# How many of the newest parameter changes are kept; all are counted.
+_CHANGES = 50
+
+
+class NodeController:
+    """A controller made from the parameters of its node, some of which may change in a run.
+
+    Attributes:
+        choice: which controller it is.
+        controller: the controller.
+    """
+
+    def __init__(
+        self, node: GraphNode, choice: ControllerChoice, site: Site, tick: Callable[[], int]
+    ) -> None:
+        """Declare its parameters, and open the topics of the command and its optional outputs.
+
+        Args:
+            node: the node.
+            choice: which controller it is.
+            site: the site.
+            tick: returns the present tick.
+        """
+        self.choice = choice
+        self._node, self._site, self._tick = node, site, tick
+        self._values = declare(node, choice.parameters_on(site))
+        self.controller: Any = None
+        self.make()
+        # Limited, since each report has them, and a program may change a parameter in each tick.
+        self._changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES)
+        self._change_count = 0
+        self._optional = list(optional_topics(choice.outputs))
+        node.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
+        node.add_on_set_parameters_callback(self._on_parameters)
+
+    def make(self) -> None:
+        """Make the controller, with the present values of its parameters."""
+        self.controller = self.choice.make(self._site, self._values)
+
+    def rain_forecast(self, rain: Input) -> Any:
+        """Return the forecast of rain in the shape that the controller takes.
+
+        Raises:
+            ConfigurationError: it has several members, and the controller takes one.
+        """
+        if self.choice.ensemble:
+            return np.atleast_2d(rain.value)
+        if isinstance(rain.value, np.ndarray):
+            raise ConfigurationError(
+                f"has {len(rain.value)} members, but {self.choice.name} takes one; set "
+                "all_members of the weather node to false", key=rain.name,
+            )
+        return rain.value
+
+    def publish_outputs(self, *, decided: bool) -> None:
+        """Publish the controller's optional outputs; without a decision, what stands for none."""
+        for topic, attribute in self._optional:
+            value = getattr(self.controller, attribute) if decided else topic.undecided
+            self._node.publish(topic.name, value)
+
+    def changes(self) -> dict[str, Any]:
+        """Return the changes of its parameters, for reports."""
+        return {
+            "parameter_changes": list(self._changes), "parameter_change_count": self._change_count,
+        }
+
+    def _on_parameters(self, changes: list[RosParameter]) -> SetParametersResult:
+        may_change = {
+            parameter.name for parameter in self.choice.kind.parameters if parameter.may_change
+        }
+        tick = self._tick()
+        for name, value in (
+            (parameter.name, parameter.value) for parameter in changes
+            if parameter.name in may_change
+        ):
+            before, self._values[name] = self._values[name], value
+            setattr(self.controller, name, value)
+            self._change_count += 1
+            self._changes.append({
+                "tick": tick, "parameter": name,
+                "before": _finite(before), "value": _finite(value),
+            })
+            self._node.get_logger().info(f"{name} is {value:g} from tick {tick} on")
+        return SetParametersResult(successful=True)
+
+
+def _finite(value: float) -> float | None:
+    """Return a parameter's value for a summary, in which null means no limit."""
+    return value if math.isfinite(value) else None
+
+
+def controller_help(
+    controller: str | None, *, purpose: str | None, common: list[Parameter], live: bool = False
+) -> str:
+    """Return the help of a controller's node.
+
+    Args:
+        controller: a registered name, or ``package.module:Class``; None if it is missing.
+        purpose: what the node does.
+        common: the node's own parameters, without the controller's.
+        live: whether it is a node of a live site.
+    """
+    choice = None if controller is None else find_controller(controller)
+    name, declared = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
+    start = f"-p {declared[0].name}:={declared[0].default}" if declared else "--params-file FILE"
+    return node_help(
+        f"{'live' if live else 'nodes'}.controller --controller {name}", "controller",
+        f"{purpose}\nRegistered controllers: {', '.join(controller_names())}.",
+        lambda _: [*common, *declared], f"--ros-args {start}",
+        () if choice is None else choice.outputs, live=live,
+    )
