@@ -94,8 +94,12 @@ def test_commands_can_be_given(page: Path) -> None:
     for words in commands(page):
         if words[0] == "python":
             module, ros, *given = words[2:]
-            assert module.startswith("greenroof_ros.nodes."), "a command is greenroof's"
-            section = nodes.split(f"### {module.rpartition('.')[2]}\n")[1].split("### ")[0]
+            own = ("greenroof_ros.nodes.", "greenroof_ros.live.")
+            assert module.startswith(own), "a command is greenroof's"
+            section = "".join(
+                nodes.split(f"### {title}\n")[1].split("### ")[0]
+                for title in ("several nodes", module.rpartition(".")[2])
+            )
             assert ros == "--ros-args"
             for each in given[1::2]:
                 assert f"| `{each.partition(':=')[0]}` |" in section

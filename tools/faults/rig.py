@@ -43,10 +43,11 @@ BOOT_S = 2.0
 # Parameters that differ from their defaults, so that a stopped pump runs again soon. No bound
 # depends on them.
 SHORTENED = {"recovery_time": 1.0}
-PUMP_SHORTENED = {
-    **SHORTENED, "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0,
+LOOP_SHORTENED = {
+    "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0,
     "local_settings_stop_the_pump": True,  # as the simulated Grundfos is set
 }
+PUMP_SHORTENED = {**SHORTENED, **LOOP_SHORTENED}
 # The paper's site, but with a roof that takes an hour to fill: ten times its target.
 _TARGET = 0.45
 _CISTERN_M3, _ROOF_M3 = 73.0, 0.5
@@ -536,6 +537,9 @@ class PumpRig(Rig):
 class LoopRig(Rig):
     """Hardware in the loop: the site is simulated in lockstep in real time, with a drive."""
 
+    pump_parameters = LOOP_SHORTENED
+    nodes = ("pump",)
+
     def bring_up(self) -> Process:
         self.kept = self.directory / "run"
         return Process(
@@ -549,6 +553,8 @@ class LoopRig(Rig):
 
 class RelayedRig(Rig):
     """The same with each node started by itself, and the campaign between them."""
+
+    pump_parameters = LOOP_SHORTENED
 
     def bring_up(self) -> Process:
         self.players = Relay(self.watcher, RELAYED)
