@@ -44,13 +44,12 @@ SITE: Sample = {f"site:danfoss_fc202/{fault}/0": outcome for fault, outcome in {
     "intruder/pump.command": (["pump: pump", "two_controllers"], "ran again"),
 }.items()}
 OTHERS: Sample = {
-    "simulated/kill/weather/0": ("weather", "ended"),
-    "simulated/kill/recorder/0": ("recorder", "ended"),
-    "simulated/stop long/recorder/0": ("recorder", "ended"),
-    "simulated/stop long/weather/0": ("weather", "ended"),
-    "simulated/stop short/plant/0": ("", SAME),
-    "simulated/stop short/controller/0": ("", SAME),
-    "simulated/stop short/recorder/0": ("", SAME),
+    "simulated/kill/bringup/0": ("", "ended"),
+    "simulated/term/bringup/0": ("", "ended"),
+    "simulated/stop short/bringup/0": ("", SAME),
+    "simulated/stop long/bringup/0": ("", SAME),
+    "loop:danfoss_fc202/kill/pump/0": ("pump", "ended"),
+    "loop:danfoss_fc202/stop long/bringup/0": (["pump: supervisor", "no_permit"], "ran again"),
     "relayed:danfoss_fc202/off/weather.precipitation/0": ("/weather/precipitation", "ended"),
     "service/fails/limit/0": (
         "429", "ran on; without a thermometer until the forecast was too old",

@@ -331,7 +331,7 @@ def _full_disk(repeats: int) -> Iterator[Case]:
             stops=False, bound="full disk", signs=(("recorder: recording", "not_recorded"),),
             watch=5.0))
         yield Case("simulated", "full disk", "recorder", number, Expected(
-            stops=None, bound="supervised", names="recorder", recovery="ends"))
+            stops=None, bound="supervised", names="No space left", recovery="ends"))
 
 
 # --- topics ---------------------------------------------------------------------------------------
@@ -454,24 +454,17 @@ def _intruders(repeats: int) -> Iterator[Case]:
 # --- hardware in the loop, simulated --------------------------------------------------------------
 
 
-_LOOP_NODES = ("plant", "weather", "controller", "pump", "recorder", "bringup")
-
-
 def _loop(repeats: int) -> Iterator[Case]:
     for number in range(repeats):
-        for node in _LOOP_NODES:
-            yield Case(f"loop:{DRIVES[number % 4]}", "stop short", node, number, _RUNS_ON)
+        for process in ("pump", "bringup"):
+            yield Case(f"loop:{DRIVES[number % 4]}", "stop short", process, number, _RUNS_ON)
         for fault in ("kill", "term", "stop long"):
-            for node in _LOOP_NODES:
-                where = f"loop:{DRIVES[number % 4]}"
-                if (node, fault) == ("bringup", "stop long"):
-                    expected = Expected(bound="permit", signs=(_NO_PERMIT,))
-                elif node == "bringup":
-                    expected = Expected(bound="permit", recovery="ends")
-                else:
-                    expected = Expected(bound="drive" if node == "pump" else "supervised",
-                                        names=_called(node), recovery="ends")
-                yield Case(where, fault, node, number, expected)
+            where = f"loop:{DRIVES[number % 4]}"
+            yield Case(where, fault, "pump", number, Expected(
+                bound="drive", names="pump", recovery="ends"))
+            yield Case(where, fault, "bringup", number, Expected(
+                bound="permit", signs=(_NO_PERMIT,)) if fault == "stop long" else Expected(
+                bound="permit", recovery="ends"))
         for topic in ("/clock", *_OBEYED, *FORECASTS, "/weather/precipitation", "/pump/flow"):
             for fault in ("intruder", "10000 hostile")[:1 if number else 2]:
                 yield Case(f"loop:{DRIVES[number % 4]}", fault, topic, number, Expected(
@@ -519,21 +512,12 @@ def _relayed(repeats: int) -> Iterator[Case]:
                 yield Case(f"relayed:{DRIVES[number % 4]}", mode, topic, number, expected)
 
 
-def _called(node: str) -> str:
-    return "onoff" if node == "controller" else node
-
-
-_SIMULATED_NODES = ("plant", "weather", "controller", "recorder")
-
-
 def _simulated(repeats: int) -> Iterator[Case]:
     for number in range(repeats):
         for fault in ("kill", "term", "stop short", "stop long"):
-            for node in (*_SIMULATED_NODES, "bringup"):
-                same = fault == "stop short" or (node, fault) == ("bringup", "stop long")
-                yield Case("simulated", fault, node, number, Expected(
-                    stops=None, bound="supervised", recovery="same" if same else "ends",
-                    names="" if same or node == "bringup" else _called(node)))
+            yield Case("simulated", fault, "bringup", number, Expected(
+                stops=None, bound="supervised",
+                recovery="same" if fault.startswith("stop") else "ends"))
         for topic in ("/clock", *_OBEYED, *FORECASTS, *_OF_PLANT):
             for fault in ("intruder", "10000 hostile")[:1 if number else 2]:
                 yield Case("simulated", fault, topic, number, Expected(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import random
 import signal
 import subprocess
@@ -19,7 +18,6 @@ from faults.bounds import SIMULATION_END_S
 from faults.cases import Case
 from faults.inject import intrude, refuse_second_graph, signal_process
 from faults.live import Outcome
-from faults.rig import left
 from faults.watcher import Watcher
 from graphs import Process, bag_file, environment, summary_of
 
@@ -50,16 +48,13 @@ def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Ou
         domain, "bringup", "--controller", "onoff", *options, "--output", "run", cwd=directory,
     )
     watcher = None
-    pids: list[int] = []
     try:
         if case.fault in ("intruder", "10000 hostile"):
             watcher = Watcher(domain, "intruder")
         run.wait_for_ticks()
         time.sleep(rng.uniform(0.0, 1.0))
-        nodes = run.nodes()
-        pids = list(nodes.values())
         began = time.monotonic()
-        _begin(case, run, domain, nodes, watcher, rng)
+        _begin(case, run, domain, watcher, rng)
         if same:
             _same(run, directory, domain, outcome)
         else:
@@ -69,25 +64,22 @@ def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Ou
     finally:
         if watcher is not None:
             watcher.close()
-        _clean_up(run, pids, outcome)
+        _clean_up(run, outcome)
     return outcome
 
 
 def _begin(
-    case: Case, run: Process, domain: int, nodes: dict[str, int], watcher: Watcher | None,
-    rng: random.Random,
+    case: Case, run: Process, domain: int, watcher: Watcher | None, rng: random.Random
 ) -> None:
     if watcher is not None:
         intrude(watcher, case.target, case.fault, rng)
     elif case.fault == "second graph":
         refuse_second_graph(domain, run.cwd)
     else:
-        pid = run.process.pid if case.target == "bringup" else nodes[case.target]
-        undo = ExitStack()
-        signal_process(pid, case.fault, rng, undo)
-        if case.target == "bringup" and case.fault == "stop long":
-            time.sleep(8.0)
-            undo.close()  # a node stays stopped to the end
+        with ExitStack() as undo:
+            signal_process(run.process.pid, case.fault, rng, undo)
+            if case.fault == "stop long":
+                time.sleep(8.0)
 
 
 def _fills_up(case: Case, directory: Path, domain: int, outcome: Outcome) -> None:
@@ -174,7 +166,7 @@ def _count_lost(directory: Path, *, domain_free: bool, outcome: Outcome) -> None
             outcome.fail(f"{outcome.lost} ticks are lost, of {last + 1}")
 
 
-def _clean_up(run: Process, pids: list[int], outcome: Outcome) -> None:
+def _clean_up(run: Process, outcome: Outcome) -> None:
     popen = run.process
     if popen.poll() is None:
         popen.send_signal(signal.SIGCONT)
@@ -184,9 +176,6 @@ def _clean_up(run: Process, pids: list[int], outcome: Outcome) -> None:
         except subprocess.TimeoutExpired:
             outcome.fail("bringup did not end within 20 s of SIGTERM")
             popen.kill()
-    for pid in left(pids):
-        outcome.fail("a node is left 12 s after the end")
-        os.kill(pid, signal.SIGKILL)
 
 
 def digest(file: Path) -> str:
