@@ -89,7 +89,7 @@ setup(
         "numpy>=1.22,<3",  # the model's Jacobians and the controller's matrices
         "scipy>=1.8,<2",  # OSQP's sparse matrices; HiGHS, for the bound
         "osqp>=1.0.3,<2",  # solves the controller's program; 1.0.3 has SolverStatus
-        "mcap>=1.5,<2",  # writes and reads bags; 1.5 has Writer.flush; brings zstandard
+        "mcap>=1.5,<2",  # reads bags, and defines most of their records; brings zstandard
         "eto>=2.2,<3",  # FAO-56 Penman-Monteith; 2.2 has hours in any time zone and clouded nights
         "PyYAML>=6.0,<7",  # reads config/ and msg_defs/, writes a bag's metadata.yaml
         "ruamel.yaml>=0.17.21,<0.20",  # edits site files, and keeps their comments and numbers

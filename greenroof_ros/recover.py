@@ -26,9 +26,9 @@ from greenroof_ros.recording.bag_writer import (
     next_file,
     read_index,
     recovered_bag,
-    start_writer,
     write_metadata,
 )
+from greenroof_ros.recording.mcap_writer import McapWriter
 from greenroof_ros.recording.whole_records import (
     Contents,
     Damage,
@@ -215,7 +215,7 @@ def _rewrite(
     last: int | None = None  # time of the last message written
     damaged = False
     with copy.open("xb") as stream:
-        writer = start_writer(stream)
+        writer = McapWriter(stream)
         for time, together in _groups(whole_messages(data, contents)):
             if time is None or len(together) < per_tick:
                 damaged = True
@@ -226,11 +226,11 @@ def _rewrite(
             for channel, message in together:
                 schema = contents.schemas.get(channel.schema_id)
                 if schema is not None and schema.id not in schemas:
-                    schemas[schema.id] = writer.register_schema(
+                    schemas[schema.id] = writer.add_schema(
                         schema.name, schema.encoding, schema.data
                     )
                 if channel.id not in channels:
-                    channels[channel.id] = writer.register_channel(
+                    channels[channel.id] = writer.add_channel(
                         channel.topic, channel.message_encoding,
                         schemas.get(channel.schema_id, 0), channel.metadata,
                     )

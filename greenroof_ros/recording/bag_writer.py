@@ -20,10 +20,10 @@ from mcap.exceptions import McapError
 from mcap.reader import FOOTER_SIZE
 from mcap.records import Channel, Footer, Schema, Statistics
 from mcap.stream_reader import MAGIC_SIZE, StreamReader
-from mcap.writer import CompressionType, Writer
 
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Qos, Topic
+from greenroof_ros.recording.mcap_writer import McapWriter
 
 METADATA = "metadata.yaml"
 
@@ -219,7 +219,7 @@ class BagFile:
         self.written = self.safe = 0
         self._safe_bytes = 0
         self._stream: BinaryIO = path.open("xb")
-        self._writer = start_writer(self._stream)
+        self._writer = McapWriter(self._stream)
         self._add = self._writer.add_message
         types = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
         schemas: dict[str, int] = {}
@@ -227,12 +227,12 @@ class BagFile:
         for topic in topics:
             kind = topic.type
             if kind not in schemas:
-                schemas[kind] = self._writer.register_schema(
+                schemas[kind] = self._writer.add_schema(
                     kind, "ros2msg", _definition(types, kind).encode()
                 )
             about = {_PROFILES: _yaml([_qos_profile(topic.qos)]), _HASH: types[kind]["hash"]}
             self._channels.append(
-                self._writer.register_channel(topic.name, "cdr", schemas[kind], about)
+                self._writer.add_channel(topic.name, "cdr", schemas[kind], about)
             )
         self._counts = [0] * len(self._channels)
 
@@ -347,14 +347,6 @@ class BagWriter(BagFile):
         """
         super().close()
         write_metadata(self.directory, [read_index(self.path)])
-
-
-def start_writer(stream: BinaryIO) -> Writer:
-    """Return an mcap writer for a file of a bag, after writing the file's head."""
-    # The checksum of the data includes what chunks' own checksums leave out, such as indices.
-    writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=True)
-    writer.start(profile="ros2", library="greenroof_ros")
-    return writer
 
 
 def bag_files(bag: Path) -> list[Path]:
