@@ -7,9 +7,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 
 import rclpy
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
@@ -25,6 +26,8 @@ from greenroof_ros.graph.node import SimulationNode
 
 # How often the wall clock, the signals and the ends of the nodes are checked (s).
 _CHECK_S = 0.05
+# A clock that a step of the system's does not move.
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 @contextmanager
@@ -66,13 +69,21 @@ def spin(nodes: Sequence[SimulationNode], over: Callable[[], bool]) -> None:
         ConfigurationError: the set-up is wrong.
         OSError: a node cannot go on, for instance on a full disk.
     """
-    executor, failed = make_executor(), Future()
+    executor, pause = make_executor(), Future()
+
+    def stop() -> None:
+        if not pause.done():
+            pause.set_result(None)
+
     for node in nodes:
-        node.on_failure = partial(failed.set_result, None)
+        node.on_failure = stop
         begin_to_listen(executor, node)
+    # The timeout alone is not enough: while messages wait, rclpy's fast executor does not return.
+    nodes[0].create_timer(_CHECK_S, stop, clock=_STEADY)
     while not over():
         # With a timeout, since without one rclpy's fast executor fires no timers.
-        executor.spin_until_future_complete(failed, timeout_sec=_CHECK_S)
+        executor.spin_until_future_complete(pause, timeout_sec=_CHECK_S)
+        pause = Future()
         now = time.monotonic()
         for node in nodes:
             if node.failure is not None:
