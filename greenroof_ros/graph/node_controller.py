@@ -26,7 +26,7 @@ _CHANGES = 50
 
 
 class NodeController:
-    """A controller made from the parameters of its node, some of which may change in a run.
+    """A controller made from the parameters of its node, which may change in a run if they say so.
 
     Attributes:
         choice: which controller it is.
