@@ -180,24 +180,30 @@ def _fault(
     expected = case.expected
     began, incidents = time.monotonic(), rig.incidents()
     recorded = newest_file(rig.kept / "bag") if isinstance(rig, SiteRig) else None
-    clock = time.time()
+    clock, printed = time.time(), len(rig.main.stderr())
     with ExitStack() as undo:
         begin(rig, case, rng, undo)
-        slow = ("dry", "power cycle, then kill", "unstoppable")
+        slow = ("dry", "power cycle, then kill", "unstoppable", "timeout rewritten",
+                "term after an incident")
         if case.fault in slow or case.fault.startswith("second"):
             began = time.monotonic()  # the fault took some time to begin
         if expected.stops:
             _until_it_stands(rig, case, began, outcome)
         else:
             time.sleep(max(0.0, began + expected.watch - time.monotonic()))
-        _signs(rig, case, began, incidents, outcome)
+        since = 0.0 if case.fault == "from the start" else began
+        _signs(rig, case, since, incidents, outcome)
         if case.fault == "unstoppable":
             outcome.to_safe = time.monotonic() - began
         time.sleep(hold)
         if expected.stops is False and rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
             outcome.fail(f"the pump stopped, but should have run on: {_said(rig, began)}")
+        if shown := rig.signs(began, incidents).intersection(expected.never):
+            outcome.fail(f"shown without a reason: {shown}")
         if expected.recovery == "ends":  # the fault stays until then
             _ends(rig, case, outcome)
+        elif expected.names not in rig.main.stderr()[printed:]:
+            outcome.fail(f"bringup did not print {expected.names}")
     if expected.recovery != "ends":
         _recover(rig, case, outcome)
     outcome.signs = sorted(rig.signs(began, incidents))
@@ -322,7 +328,7 @@ def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
         return
     asked = 0 if isinstance(rig, SiteRig) else 130
     expected = {"kill": -9, "term": asked}.get(
-        case.fault if case.target == "bringup" else "", 1)
+        case.fault.partition(" ")[0] if case.target == "bringup" else "", 1)
     if case.fault in ("kill both", "power cycle, then kill"):
         expected = -9
     if code != expected:
