@@ -202,7 +202,7 @@ def _timeouts() -> Iterator[Case]:
                 ("drive", "longest silence"), ("stop requested", "requested")
             ):
                 yield Case(f"site:{drive}", "timeout rewritten", target, 0, Expected(
-                    bound=bound, signs=_pump("drive_timeout")))
+                    bound=bound, signs=(("pump: drive timeout", "drive_timeout"),)))
 
 
 # --- a relay on MQTT ------------------------------------------------------------------------------
