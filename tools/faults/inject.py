@@ -347,9 +347,9 @@ def _forecast(rig: Rig, case: Case, undo: ExitStack) -> None:
         case "short":
             write_forecast(rig.forecast, hours=6)
         case "large":
-            _write_ensembles(rig.forecast, issues=120)
+            _write_ensembles(rig.forecast, issues=130)
         case "an issue too large":
-            _write_ensembles(rig.forecast, hours=120 * _HOURS)
+            _write_ensembles(rig.forecast, hours=130 * _HOURS)
         case spoilt:
             _write_ensembles(rig.forecast, missing=_MISSING[spoilt])
     undo.callback(write_forecast, rig.forecast, hours=rig.forecast_h)
