@@ -305,7 +305,7 @@ def _harmless() -> Iterator[Case]:
         yield Case(f"empty:{drive}", "from the start", "roof level of -1 mm", number, Expected(
             stops=False, never=_level("roof", "input_refused")))
         yield Case(f"no forecast:{drive}", "from the start", "no forecast file", number, Expected(
-            stops=False, signs=(_UNREADABLE,)))
+            stops=False, signs=(("weather: forecast", "forecast_missing"),)))
         # The reading does not change for a while, although the level does.
         for tank, watch in (("cistern", 40.0), ("roof", 80.0)):
             yield Case(f"played:{drive}", "coarse", f"/{tank}/level", number, Expected(
@@ -496,7 +496,8 @@ def _intruders(repeats: int) -> Iterator[Case]:
             yield Case(rig, "10000 hostile", topic, number, Expected(
                 stops=None, bound="command", signs=_OBEYED.get(topic, ())))
         yield Case(rig, "second pump node", "pump", number, Expected(
-            stops=None, bound="command", watch=5.0, signs=(("pump", "two_processes"),)))
+            stops=None, bound="command", watch=5.0, names="/pump/flow",
+            signs=(("pump", "two_processes"), ("pump: flow", "two_pumps"))))
         for target in ("in another domain", "in another domain, temporary files removed"):
             yield Case(f"pump:{DRIVES[number % 4]}", "second pump node", target, number, Expected(
                 stops=False, bound="command", watch=5.0, signs=(("pump: drive", "drive_lost"),)))

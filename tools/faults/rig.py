@@ -599,7 +599,7 @@ RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
     # forecast file, but a thermometer; much rain for the cistern.
     "lookahead": partial(
         SiteRig, controller="lookahead", nodes=("pump", "lookahead", "weather"), forecast_h=168),
-    "empty": partial(SiteRig, roof_m3=0.0, roof_read={"offset": -0.001, "low": -0.05}),
+    "empty": partial(SiteRig, roof_m3=0.0, roof_read={"offset": -0.001, "low": -0.001}),
     "no forecast": partial(GaugedRig, forecast_h=0),
     "catchment": partial(
         PlayedRig, topics=(*PLAYED, GAUGES[0]), site_changes={"a_in": 1000.0}),
