@@ -126,8 +126,11 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             assert isinstance(rig, FullDiskRig)
             rig.fill()
             undo.callback(rig.free)
-        case "stuck for ever" | "from the start":
-            pass
+        case "stuck for ever":
+            pass  # the command is the same from the start
+        case "from the start":
+            assert isinstance(rig, SiteRig)
+            undo.callback(write_forecast, rig.forecast, hours=48)
         case "timeout rewritten":
             _rewrite_timeout(rig, case, undo)
         case "use_sim_time":

@@ -25,6 +25,8 @@ from greenroof_ros.recording.bag_writer import FLUSH_S, RETRY_S, bag_files
 _LONGER_S = 10.0
 # Time from a node's kill until the pump must run again: back-off, start, recovery (s).
 _RECOVERY_S = 75.0
+# Time from a start for which what has not come yet is only listed on the page, without advice (s).
+_LISTED_S = 60.0
 # Time within which bringup must end once the pump stands (s).
 _END_S = 50.0
 _LEAST_SPEED = 0.05
@@ -243,6 +245,8 @@ def _signs(
     until = max(began + outcome.bound, time.monotonic() + 2.0)
     if case.expected.recovery == "ends":
         until += _END_S  # a node that waits in vain ends later than the pump stands
+    elif case.fault == "from the start" or case.target.startswith("in another domain"):
+        until += _LISTED_S
     elif case.fault == "state file":
         until += _RECOVERY_S  # the node reads it when it is started again
     while missing := set(case.expected.signs) - rig.signs(began, incidents):
