@@ -81,6 +81,16 @@ def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -
     forecast.at(SIX + (timedelta(0) if later < timedelta(0) else timedelta(hours=1)))
 
 
+@pytest.mark.parametrize(("limit", "words"), [
+    (40.0, "40 s"), (1600.0, "27 min"), (3600.0, "60 min"), (5400.0, "1.5 h"), (86400.0, "24 h"),
+])
+def test_an_age_is_written_as_people_say_it(file: Path, limit: float, words: str) -> None:
+    """Not as ``0.444444 h``."""
+    write(file, SIX, [0.0] * 48)
+    with pytest.raises(NoForecastError, match=f"is older than {words}$"):
+        live(file, limit=limit).at(SIX + timedelta(seconds=limit + 1))
+
+
 # The hours of an issue, its age (h), a horizon (h), and what is said about it.
 SHORT = {
     "a day for five": (
