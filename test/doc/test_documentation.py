@@ -135,7 +135,7 @@ def test_picture_shows_the_topics() -> None:
     assert shown <= set(read_topics())
 
 
-def test_the_sensors_of_from_nothing_are_those_of_its_parts(tmp_path: Path) -> None:
+def test_from_nothing_has_the_sensors_of_its_parts(tmp_path: Path) -> None:
     """All but the optional ones; the file is one that a site reads."""
     page = DOC / "tutorials" / "from-nothing.md"
     (text,) = (body for *_, body in fences(name(page)) if body.startswith("# my_sensors.yaml"))
