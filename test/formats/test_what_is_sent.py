@@ -157,6 +157,14 @@ def test_a_loggers_columns(tmp_path: Path) -> None:
     assert read_weather([file], TORONTO).evapotranspiration.tolist() == [0.0, 2.0]
 
 
+@pytest.mark.parametrize("height", [2.0, 3.5, 20.0])
+def test_the_services_wind_is_at_ten_metres(tmp_path: Path, height: float) -> None:
+    """Whatever the site's own anemometer measures at."""
+    records = weather(tmp_path, replace(TORONTO, wind_height=height))
+    expected = weather(tmp_path, replace(TORONTO, wind_height=10.0))
+    assert np.array_equal(records.evapotranspiration, expected.evapotranspiration)
+
+
 # --- ensembles ------------------------------------------------------------------------------------
 
 
