@@ -72,7 +72,7 @@ three years, or the hourly runs of a year with one member. So no file exhausts t
 
 
 def refuse_large(path: Path, size: int) -> None:
-    """Refuse a file of which too much would be read.
+    """Refuse a file if too much of it would be read.
 
     Args:
         path: of the file.

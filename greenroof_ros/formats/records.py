@@ -73,7 +73,7 @@ _HUGE = 1e15  # fill values of NetCDF and GRIB are larger
 # rain shows in the few wettest hours.
 _MOST_WRONG = 0.01
 _MOST_NAMED = 3
-# Number of different cells of a table of which equal ones are kept once.
+# Equal cells of a table are kept once, for so many different ones.
 _MOST_CELLS = 10_000
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(\d+)$", re.ASCII)
 
@@ -217,7 +217,7 @@ def join(parts: Sequence[Records]) -> Records:
     """Join the records of several files.
 
     They are sorted by time. A value that no file has is missing (NaN). If several files have it,
-    they must agree. If hours of a file do not begin with those of the first, each of its values is
+    they must agree. If hours of a file do not begin with hours of the first, each of its values is
     the mean of the two hours in which it lies; values of other files then go before.
 
     Raises:
@@ -290,7 +290,7 @@ def _on_hours_of(first: Records, part: Records) -> Records:
             for quantity, series in part.values.items()
         },
         left_out=(*part.left_out, (
-            f"{part.source}: its hours begin {late // MINUTE} min after those of {first.source}; "
+            f"{part.source}: its hours begin {late // MINUTE} min after the hours of {first.source}; "
             "each value is the mean of the two hours in which it lies"
         )),
     )

@@ -334,7 +334,9 @@ def _summary(data: FileBytes) -> list[McapRecord]:
     return records
 
 
-def whole_messages(data: FileBytes, contents: Contents) -> Iterator[tuple[Channel, Message] | Damage]:
+def whole_messages(
+    data: FileBytes, contents: Contents
+) -> Iterator[tuple[Channel, Message] | Damage]:
     """Yield the messages of a file whose channels are known, and the damage between them."""
     for part in parts(data):
         if isinstance(part, Damage):

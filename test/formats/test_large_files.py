@@ -83,7 +83,7 @@ READERS: list[tuple[str, str, Callable[[Path], object], str]] = [
 def test_an_error_is_reported_when_its_line_is_reached(
     tmp_path: Path, top: str, line: str, read: Callable[[Path], object], reason: str
 ) -> None:
-    """95 MB, of which the rest is not even text: it was not read."""
+    """Of 95 MB: the rest was not read, as it is not even text."""
     file = tmp_path / "large.csv"
     file.write_text(f"{top}{line}\n", encoding="utf-8")
     with file.open("ab") as stream:
