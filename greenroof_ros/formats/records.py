@@ -280,7 +280,7 @@ def _check_alike(first: Records, part: Records) -> None:
 
 
 def _on_hours_of(first: Records, part: Records) -> Records:
-    """Return records on hours that begin with another's, such as those of a place at UTC-3:30."""
+    """Return records on hours that begin with another's, as local hours at UTC-3:30 do not."""
     late = (part.first - first.first) % HOUR
     share = late / HOUR
     return replace(
@@ -290,8 +290,8 @@ def _on_hours_of(first: Records, part: Records) -> Records:
             for quantity, series in part.values.items()
         },
         left_out=(*part.left_out, (
-            f"{part.source}: its hours begin {late // MINUTE} min after the hours of {first.source}; "
-            "each value is the mean of the two hours in which it lies"
+            f"{part.source}: its hours begin {late // MINUTE} min after the hours of "
+            f"{first.source}; each value is the mean of the two hours in which it lies"
         )),
     )
 
