@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import time
 from datetime import datetime, timedelta, timezone, tzinfo
@@ -25,6 +26,7 @@ _ISO = re.compile(
 )
 
 
+@functools.lru_cache(10_000)
 def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
     """Read an ISO 8601 time, in a zone if it has no offset; a final ``Z`` stands for UTC.
 
@@ -45,10 +47,15 @@ def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
         zone = timezone.utc
     elif match[10]:
         hours, minutes, seconds = (int(match[group] or 0) for group in (11, 12, 13))
-        offset = timedelta(hours=hours, minutes=minutes, seconds=seconds)
-        zone = timezone(offset if match[10] == "+" else -offset)
+        zone = _zone(match[10], hours, minutes, seconds)
     time = datetime(year, month, day, hour % 24, minute, second, micro, tzinfo=zone)
     return _within_years(time + timedelta(days=hour // 24))
+
+
+@functools.lru_cache
+def _zone(sign: str, hours: int, minutes: int, seconds: int) -> timezone:
+    offset = timedelta(hours=hours, minutes=minutes, seconds=seconds)
+    return timezone(offset if sign == "+" else -offset)
 
 
 def time_hint(text: str) -> str:
@@ -67,6 +74,15 @@ def parse_local_time(text: str, zone: tzinfo) -> datetime:
         raise ValueError
     year, month, day, hour, minute = (int(part) for part in match.groups())
     return _within_years(datetime(year, month, day, hour, minute, tzinfo=zone))
+
+
+def parse_unix_time(text: str) -> datetime:
+    """Read whole seconds since 1970 as a time in UTC.
+
+    Raises:
+        ValueError: it is outside the years.
+    """
+    return _within_years(_EPOCH + timedelta(seconds=float(text)))
 
 
 def _within_years(time: datetime) -> datetime:

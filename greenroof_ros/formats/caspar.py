@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.files import refuse_large
 from greenroof_ros.formats.records import (
     PRECIPITATION,
     QUANTITIES,
@@ -172,6 +173,7 @@ def _nearest(
             f" and longitude ({', '.join(east)}), not ({', '.join(variable.dimensions)}) "
             f"with times of ({', '.join(dataset['time'].dimensions)})", value=variable.name,
         )
+    refuse_large(Path(dataset.filepath()), 8 * sum(part.size for part in coordinates))
     latitudes, longitudes = (_numbers(coordinate[:]) for coordinate in coordinates)
     if latitudes.ndim == 1:  # an axis; broadcast with the other it gives the grid
         latitudes = latitudes[:, np.newaxis]

@@ -132,7 +132,7 @@ def _place(table: Table, names: Mapping[str, str]) -> dict[Path, tuple[float, fl
     if _LATITUDE not in names or _LONGITUDE not in names:
         return {}
     latitude, longitude = (
-        float(table.numbers(names[column], ("degrees", -end, end), missing=("",))[0])
+        table.number(names[column], 0, ("degrees", -end, end), missing=("",))
         for column, end in ((_LATITUDE, 90.0), (_LONGITUDE, 180.0))
     )
     return {table.file: (latitude, longitude)}
@@ -160,7 +160,7 @@ def _check_kind(table: Table, names: Container[str], quantities: Container[str])
 
 def _check_zone(table: Table, column: str, utc_offset: float) -> None:
     """Refuse a station whose solar time is not near the site's standard time."""
-    longitude = table.numbers(column, ("degrees", -180.0, 180.0))[0]
+    longitude = table.number(column, 0, ("degrees", -180.0, 180.0))
     if abs(longitude / 15 - utc_offset) > _MOST_FROM_SOLAR_TIME:
         raise table.refuse(
             f"is not near the standard time of the site, utc_offset = {utc_offset:g} h, which "

@@ -20,7 +20,7 @@ is for the hour that starts at its time. So rain and radiation are moved an hour
 instantaneous value holds for the hour after it, as in ECCC's files.
 
 Local times have one offset from UTC in the whole file, even across a change of daylight saving
-time: ``utc_offset_seconds``.
+time: ``utc_offset_seconds``. With ``timeformat=unixtime`` they are seconds since 1970 in UTC.
 
 **Past weather** has ``precipitation`` and what evapotranspiration is computed from. **Previous
 runs** have ``precipitation_previous_day1`` to 7: for each hour the newest forecast that was at
@@ -39,10 +39,10 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timedelta, timezone, tzinfo
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -51,8 +51,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
-from greenroof_ros.common.times import hours_since_1970, parse_local_time, parse_time, to_minutes
+from greenroof_ros.common.files import read_lines, read_text
+from greenroof_ros.common.times import (
+    hours_since_1970,
+    parse_local_time,
+    parse_time,
+    parse_unix_time,
+    to_minutes,
+)
 from greenroof_ros.formats.records import (
     FOR_EVAPOTRANSPIRATION,
     HOUR,
@@ -82,6 +88,8 @@ from greenroof_ros.model.site import Site
 _OFFSET = "utc_offset_seconds"
 # The service's unit of a variable that the model does not have: all its values are missing.
 _NO_UNIT = "undefined"
+# From March 1973 on; fewer digits can be a date.
+_UNIX_TIME = re.compile(r"\d{9,10}(\.0*)?", re.ASCII)
 _SAVED_TIMES = ("time", "datetime", "date")
 _WHOSE = "Open-Meteo's hourly files"
 VARIABLES = {
@@ -152,7 +160,7 @@ def _read(
             is unknown, or too few values are plausible; the message names line or key, and value.
     """
     table, parse, places = _table(file, site)
-    columns: dict[str, NDArray[np.float64]] = {}
+    named: dict[str, tuple[str, str, str]] = {}
     for cell in table.header[1:]:
         name, _, text = cell.partition(" ")
         try:
@@ -164,14 +172,20 @@ def _read(
         table.require([cell], _WHOSE)
         known = {unit.name: unit for unit in UNITS[quantity]}
         text = text.strip("()") or next(iter(known))
-        if text == _NO_UNIT and not any(map(_is_value, table.columns[cell])):
-            text = next(iter(known))
-        if text not in known or name in columns:
+        if text not in (*known, _NO_UNIT) or name in named:
             raise table.refuse(f"must be in {' or '.join(known)}, and only one column", cell)
+        named[name] = cell, quantity, text
+    first, hours = table.hours(table.header[0], parse, "2024-06-01T12:00")
+    columns: dict[str, NDArray[np.float64]] = {}
+    for name, (cell, quantity, text) in named.items():
+        known = {unit.name: unit for unit in UNITS[quantity]}
+        if text == _NO_UNIT:
+            if any(map(_is_value, table.columns[cell])):
+                raise table.refuse(f"must be in {' or '.join(known)}", cell)
+            text = next(iter(known))
         columns[name] = table.usable(
             cell, QUANTITIES[quantity], known[text], NEARLY.get(quantity, 0.0)
         )
-    first, hours = table.hours(table.header[0], parse, "2024-06-01T12:00")
     return table, Records(
         (file,), first, by_hour(columns, hours), left_out=tuple(table.notes), places=places,
         wind_height=_WIND_HEIGHT_M,
@@ -186,45 +200,70 @@ def _table(
     file: Path, site: Site
 ) -> tuple[Table, Callable[[str], datetime], dict[Path, tuple[float, float]]]:
     """Return the hours of a file, the parser of their times, and the place, if it has one."""
-    text = read_text(file)
-    if text.lstrip().startswith(("{", "[")):
-        place, table = _json_tables(file, text)
+    if next(filter(str.strip, read_lines(file))).lstrip().startswith(("{", "[")):
+        place, table = _json_tables(file, read_text(file))
     else:
-        lines = numbered_lines(text)
-        if lines and _OFFSET not in lines[0][1]:
-            return table_of(file, lines), partial(parse_time, zone=timezone.utc), {}
-        lines = _hourly_section(lines)
-        if len(lines) < 3:
+        lines = numbered_lines(read_lines(file))
+        about = list(itertools.islice(lines, 2))
+        if about and _OFFSET not in about[0][1]:
+            return table_of(file, itertools.chain(about, lines)), partial(
+                _parse, parse_time, zone=timezone.utc
+            ), {}
+        hourly = list(itertools.islice(sections := _hourly_section(lines), 1))
+        if not hourly:
             raise ConfigurationError(
                 "must have two lines about the place, then a header and records", file=file
             )
-        place, table = table_of(file, lines[:2]), table_of(file, lines[2:])
+        place, table = table_of(file, about), table_of(file, itertools.chain(hourly, sections))
     if "location_id" in place.header:
         raise place.refuse("must be for one place; download places separately", "location_id", 0)
     zone = _check_place(place, site)
     table.require(["time"], _WHOSE)
     latitude, longitude = (float(place.columns[name][0]) for name in ("latitude", "longitude"))
-    return table, partial(parse_local_time, zone=zone), {file: (latitude, longitude)}
+    return table, partial(_parse, parse_local_time, zone=zone), {file: (latitude, longitude)}
 
 
-def _hourly_section(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """Return the lines about the place and the hours, without other sections.
+def _parse(parse: Callable[[str, tzinfo], datetime], text: str, zone: tzinfo) -> datetime:
+    """Return a time, which with ``timeformat=unixtime`` is in seconds since 1970 in UTC."""
+    if _UNIX_TIME.fullmatch(text):
+        return parse_unix_time(text).astimezone(zone)
+    return parse(text, zone)
+
+
+def _hourly_section(lines: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str]]:
+    """Return the lines of the hours, from their header on, without other sections.
 
     The service writes a section each for ``current``, ``minutely_15``, ``hourly`` and ``daily``,
-    as chosen on its page.
+    as chosen on its page. If none is of hours, it is the first.
     """
-    begins = [
-        at for at, (_, line) in enumerate(lines) if re.match(r'"?time"?[,;\t]', line)
-    ] + [len(lines)]
-    sections = [lines[begin:end] for begin, end in itertools.pairwise(begins)]
-    if len(sections) < 2:
-        return lines
-    for section in sections:
-        with suppress(ValueError, IndexError):
-            times = [parse_time(re.split("[,;\t]", line)[0]) for _, line in section[1:3]]
-            if times[1] - times[0] == HOUR:
-                return lines[: begins[0]] + section
-    return lines[: begins[1]]
+    number = 0
+
+    def section(line: tuple[int, str]) -> int:
+        nonlocal number
+        number += re.match(r'"?time"?[,;\t]', line[1]) is not None
+        return number
+
+    other: list[tuple[int, str]] = []
+    for _, group in itertools.groupby(lines, section):
+        rows = iter(group)
+        top = list(itertools.islice(rows, 3))
+        if _may_be_hours([line for _, line in top[1:]]):
+            return itertools.chain(top, rows)
+        other = other or [*top, *rows]
+    return iter(other)
+
+
+def _may_be_hours(rows: Sequence[str]) -> bool:
+    """Return whether the first rows of a section can be hours; wrong times are refused later."""
+    if len(rows) < 2:
+        return False
+    try:
+        first, second = (
+            _parse(parse_time, re.split("[,;\t]", row)[0], timezone.utc) for row in rows
+        )
+    except ValueError:
+        return True
+    return not (timedelta() < second - first < HOUR or second - first >= _DAY_H * HOUR)
 
 
 def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
@@ -257,7 +296,7 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
         name if name == "time" else f"{name} ({units.get(name, '')})": [*map(_cell, series)]
         for name, series in hourly.items()
     }
-    return Table(file, [*about], about), Table(file, [*hours], hours, key="hourly.")
+    return Table(file, about.items()), Table(file, hours.items(), key="hourly.")
 
 
 def _cell(value: Any, missing: str = "") -> str:

@@ -18,7 +18,6 @@ from greenroof_ros.model.site import Site
 SUFFIXES = (".csv", ".json", ".nc")
 """Suffixes of files of forecasts; the format is recognised by the content."""
 _HEAD_BYTES = 4096
-_MOST_BYTES = 50_000_000
 
 # The first format that recognises a file by its name and first bytes reads it; the last takes any.
 _WEATHER = (eccc, open_meteo, own_csv)
@@ -31,14 +30,7 @@ def read_records(file: Path, site: Site) -> Records:
     Raises:
         ConfigurationError: the file does not follow its format, or is too large.
     """
-    form = _format_of(file, _WEATHER)
-    size = file.stat().st_size
-    if size > _MOST_BYTES:
-        raise ConfigurationError(
-            f"has {size / 1e6:.0f} MB; a weather file may have at most {_MOST_BYTES / 1e6:g} MB, "
-            "which is enough for 50 years: leave out the years that no run needs", file=file,
-        )
-    records: Records = form.read_records(file, site)
+    records: Records = _format_of(file, _WEATHER).read_records(file, site)
     return records
 
 

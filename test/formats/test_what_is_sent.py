@@ -547,3 +547,70 @@ def test_far_north(tmp_path: Path, latitude: float) -> None:
     assert "monthly means, for want of sunrise each day" in read.notes[-1]
     alone = replace(site, monthly_evapotranspiration=None)
     refusal(read_weather, [JULY], alone, match=r"latitude = .*: must be from -66 to 66 degrees")
+
+
+# --- times as seconds since 1970 ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("offset", [0, -18000, 3600])
+def test_an_answer_with_unixtime(tmp_path: Path, offset: int) -> None:
+    """``timeformat=unixtime`` is in UTC, whatever the zone of the answer: the same weather.
+
+    date -u -d 2021-07-07T05:00 +%s: 1625634000.
+    """
+    text = answer().replace("iso8601", "unixtime").replace(
+        '"utc_offset_seconds": 0', f'"utc_offset_seconds": {offset}'
+    )
+    content = json.loads(text)
+    content["hourly"]["time"] = [1625634000 + 3600 * hour for hour in range(72)]
+    (unix := tmp_path / "unix.json").write_text(json.dumps(content))
+    (iso := tmp_path / "iso.json").write_text(answer())
+    read, same = (read_records(file, TORONTO) for file in (unix, iso))
+    assert read.first == same.first
+    assert read.first.utcoffset() == timedelta(seconds=offset)
+    for quantity, series in same.values.items():
+        np.testing.assert_array_equal(read.values[quantity], series)
+
+
+@pytest.mark.parametrize("section", ["", "time,temperature_2m_max (°C)\n1625616000,22\n"
+                                         "1625702400,23\n\n"])
+def test_a_csv_with_unixtime(tmp_path: Path, section: str) -> None:
+    """As from the service's page, also behind the section of days."""
+    file = tmp_path / "weather.csv"
+    rows = "".join(f"{1625634000 + 3600 * hour},0.1,20,12,9,1001\n" for hour in range(30))
+    file.write_text(
+        "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation\n"
+        f"43.62,-79.42,77.0,-14400,America/Toronto,EDT\n\n{section}"
+        "time,precipitation (mm),temperature_2m (°C),dew_point_2m (°C),wind_speed_10m (km/h),"
+        f"surface_pressure (hPa)\n{rows}"
+    )
+    read = read_records(file, TORONTO)
+    # The rain of the hour before the first time.
+    assert read.first == parse_time("2021-07-07T04:00Z")
+    assert read.values["precipitation"][:30].tolist() == [0.1] * 30
+
+
+@pytest.mark.parametrize("zero", ["", ".0"])
+def test_saved_previous_runs_with_unixtime(tmp_path: Path, zero: str) -> None:
+    """As a program saves them, without the place; a table of numbers writes whole ones with .0.
+
+    date -u -d 2024-03-01T00:00 +%s: 1709251200.
+    """
+    file = tmp_path / "previous.csv"
+    file.write_text("time,precipitation_previous_day1\n" + "".join(
+        f"{1709251200 + 3600 * hour}{zero},{hour}\n" for hour in range(1, 25)
+    ))
+    archive = read_archive(file, TORONTO)
+    assert archive.issues[0].issued == parse_time("2024-03-01T00:00Z")
+    assert archive.issues[0].rain[0, :3].tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("time", ["4102444800", "1625634000000", "1625634000.5"])
+def test_numbers_that_are_no_times(tmp_path: Path, time: str) -> None:
+    """The year 2100, milliseconds and half seconds are refused like other wrong times."""
+    content = json.loads(answer())
+    content["hourly"]["time"][0] = time
+    (file := tmp_path / "weather.json").write_text(json.dumps(content))
+    assert refusal(read_records, file, TORONTO).startswith(
+        f"{file}: hourly.time[0] = '{time}': must be a time such as 2024-06-01T12:00"
+    )
