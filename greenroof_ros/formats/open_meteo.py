@@ -39,22 +39,26 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
-from greenroof_ros.common.times import hours_since_1970, parse_local_time, parse_time, to_minutes
+from greenroof_ros.common.times import (
+    from_epoch_ns,
+    hours_since_1970,
+    parse_time,
+    to_minutes,
+)
 from greenroof_ros.formats.records import (
-    FOR_EVAPOTRANSPIRATION,
     HOUR,
     HUMIDITY,
     ISSUE_HOURS,
@@ -120,12 +124,14 @@ _RUN_IN_NAME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)T?(\d\d)(?:-?00)?(?: ?\(\d+\)
 # The service's longest forecasts, of ensembles, reach 36 days (h).
 _LONGEST_RUN = 36 * 24
 _DAY_H = 24
+_S = TypeVar("_S")
+_T = TypeVar("_T")
 
 
 def recognises(_file: Path, head: bytes, /) -> bool:
     """Return whether a file is JSON, or its first line is the service's or a saved forecast's."""
     text = head.decode("utf-8", "replace").removeprefix("\ufeff").lstrip()
-    cells = [cell.strip() for cell in re.split("[,;\t]", text.partition("\n")[0])]
+    cells = [cell.strip(' "\r') for cell in re.split("[,;\t]", text.partition("\n")[0])]
     saved = cells[0] in _SAVED_TIMES and any(
         (cell.startswith(PRECIPITATION) and "[" not in cell) or "_previous_day" in cell
         for cell in cells
@@ -153,6 +159,7 @@ def _read(
     """
     table, parse, places = _table(file, site)
     columns: dict[str, NDArray[np.float64]] = {}
+    members = sum(cell.startswith(PRECIPITATION) for cell in table.header)
     for cell in table.header[1:]:
         name, _, text = cell.partition(" ")
         try:
@@ -169,7 +176,8 @@ def _read(
         if text not in known or name in columns:
             raise table.refuse(f"must be in {' or '.join(known)}, and only one column", cell)
         columns[name] = table.usable(
-            cell, QUANTITIES[quantity], known[text], NEARLY.get(quantity, 0.0)
+            cell, QUANTITIES[quantity], known[text], NEARLY.get(quantity, 0.0),
+            optional=quantity != PRECIPITATION or members > 1,
         )
     first, hours = table.hours(table.header[0], parse, "2024-06-01T12:00")
     return table, Records(
@@ -192,7 +200,7 @@ def _table(
     else:
         lines = numbered_lines(text)
         if lines and _OFFSET not in lines[0][1]:
-            return table_of(file, lines), partial(parse_time, zone=timezone.utc), {}
+            return table_of(file, lines), partial(_parse, zone=timezone.utc), {}
         lines = _hourly_section(lines)
         if len(lines) < 3:
             raise ConfigurationError(
@@ -204,7 +212,14 @@ def _table(
     zone = _check_place(place, site)
     table.require(["time"], _WHOSE)
     latitude, longitude = (float(place.columns[name][0]) for name in ("latitude", "longitude"))
-    return table, partial(parse_local_time, zone=zone), {file: (latitude, longitude)}
+    return table, partial(_parse, zone=zone), {file: (latitude, longitude)}
+
+
+def _parse(text: str, zone: timezone | None = None) -> datetime:
+    """Read a time, in a zone if it has no offset; ten digits are seconds since 1970 in UTC."""
+    if re.fullmatch(r"\d{9,10}", text):
+        return from_epoch_ns(int(text) * 10**9)
+    return parse_time(text, zone)
 
 
 def _hourly_section(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
@@ -221,7 +236,7 @@ def _hourly_section(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
         return lines
     for section in sections:
         with suppress(ValueError, IndexError):
-            times = [parse_time(re.split("[,;\t]", line)[0]) for _, line in section[1:3]]
+            times = [_parse(re.split("[,;\t]", line)[0].strip('"')) for _, line in section[1:3]]
             if times[1] - times[0] == HOUR:
                 return lines[: begins[0]] + section
     return lines[: begins[1]]
@@ -254,7 +269,7 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
             raise refuse("must be a list of values, one for each time", key=f"hourly.{name}")
     about = {name: [_cell(value, "NaN")] for name, value in content.items()}
     hours = {
-        name if name == "time" else f"{name} ({units.get(name, '')})": [*map(_cell, series)]
+        name if name == "time" else f"{name} ({units.get(name) or ''})": [*map(_cell, series)]
         for name, series in hourly.items()
     }
     return Table(file, [*about], about), Table(file, [*hours], hours, key="hourly.")
@@ -302,8 +317,8 @@ def _check_place(place: Table, site: Site) -> timezone:
 def read_records(file: Path, site: Site, /) -> Records:
     """Read past weather; an empty cell or ``NaN`` is a missing value.
 
-    Precipitation, temperature, dew point, wind speed and surface pressure are required; shortwave
-    radiation is used if present, and other variables are ignored.
+    Precipitation is required; what evapotranspiration is computed from is used if present, and
+    other variables are ignored.
 
     Args:
         file: of one place.
@@ -317,9 +332,8 @@ def read_records(file: Path, site: Site, /) -> Records:
     for variable, series in records.values.items():
         values.setdefault(_QUANTITIES[variable], series)
     values = with_dew_point(values)
-    for quantity in (PRECIPITATION, *FOR_EVAPOTRANSPIRATION):
-        if quantity not in values:
-            table.require([f"{VARIABLES[quantity]} ({UNITS[quantity][0].name})"], _WHOSE)
+    if PRECIPITATION not in values:
+        table.require([f"{PRECIPITATION} (mm)"], _WHOSE)
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One more hour: the hour before the first time has only rain and radiation, the last neither.
     nothing = np.array([math.nan])
@@ -343,15 +357,17 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
         ConfigurationError: see :func:`_read`; or the files are of several kinds or models, or lack
             required values of a run or an hour.
     """
-    parts = [_forecast(file, site) for file in files]
+    parts, notes = _usable(files, lambda file: _forecast(file, site))
     previous = [any(map(_PREVIOUS.fullmatch, part.values)) for part in parts]
     if not any(previous):
-        runs = [_run(part, _named_run(part.files[0])) for part in parts]
-        return Archive(files[0], "Open-Meteo, runs", runs, SERVICE_DELAY_H, runs)
+        runs, more = _usable(parts, lambda part: _run(part, _named_run(part.files[0])))
+        return Archive(
+            files[0], "Open-Meteo, runs", runs, SERVICE_DELAY_H, runs, notes=(*notes, *more)
+        )
     if not all(previous):
         raise ConfigurationError(
-            f"must contain previous runs, as {files[previous.index(True)].name} does",
-            file=files[previous.index(False)],
+            f"must contain previous runs, as {parts[previous.index(True)].files[0].name} does",
+            file=parts[previous.index(False)].source,
         )
     whole = join([
         replace(part, values={
@@ -361,8 +377,27 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
     ])
     return Archive(
         files[0], "Open-Meteo, previous runs", _known_of(whole), SERVICE_DELAY_H,
-        _daily(whole), _DAY_H, whole.left_out,
+        _daily(whole), _DAY_H, (*notes, *whole.left_out),
     )
+
+
+def _usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[_T], list[str]]:
+    """Return what is read from each source that can be used, and a note of each other.
+
+    Among thousands of downloads some are the service's refusals, or end too early.
+
+    Raises:
+        ConfigurationError: of the first, if none can be used.
+    """
+    read_ones, errors = [], []
+    for source in sources:
+        try:
+            read_ones.append(read(source))
+        except ConfigurationError as error:
+            errors.append(error)
+    if not read_ones:
+        raise errors[0]
+    return read_ones, [f"{error}; the file is left out" for error in errors]
 
 
 def _forecast(file: Path, site: Site) -> Records:
@@ -410,12 +445,12 @@ def _run(hours: Records, run: datetime) -> Issue:
             f"must have the hour after its run, {to_minutes(run)}; its first time is "
             f"{to_minutes(hours.first + HOUR)}"
         )
-    numbered = {
-        int(match[1] or 0): Issue(run, file, None, series[None, start:])
-        for name, series in hours.values.items() if (match := _MEMBER.fullmatch(name))
-    }
-    control = int(0 not in numbered)  # some runs have no control
-    issue = ensemble((number - control, member) for number, member in numbered.items())
+    # Some runs have no control, and a download may lack a member.
+    series = [hours.values[name] for name in sorted(filter(_MEMBER.fullmatch, hours.values))]
+    issue = ensemble(
+        (number, Issue(run, file, None, member[None, start:]))
+        for number, member in enumerate(series)
+    )
     if issue.hours > _LONGEST_RUN:
         raise refuse(
             f"has {issue.hours} hours; a run has at most {_LONGEST_RUN}. For a longer past "

@@ -80,7 +80,10 @@ def read_records(file: Path, site: Site, /) -> Records:
         "such as America/Toronto",
     )
     values = with_dew_point(by_hour({
-        quantity: table.usable(column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0))
+        quantity: table.usable(
+            column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0),
+            optional=quantity != PRECIPITATION,
+        )
         for quantity, column in columns.items()
     }, hours))
     return Records(
@@ -169,7 +172,10 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
     if "member" in table.header:
         members = table.numbers("member", ("(whole)", 0.0, MOST_MEMBERS - 1.0)).tolist()
     values = {
-        quantity: table.usable(column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0))
+        quantity: table.usable(
+            column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0),
+            optional=quantity != PRECIPITATION,
+        )
         for quantity, column in _FORECAST.items() if column in table.header
     }
     # Rows by issue, with its arrival, and member.
