@@ -72,7 +72,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    table = read_table(file)
+    table = read_table(file, lambda name: name != "time")
     columns, method = _columns(table)
     first, hours = table.hours(
         "time", zone=None if site.time_zone is None else ZoneInfo(site.time_zone),

@@ -553,6 +553,10 @@ def test_semicolons_decimal_commas_and_rows_left_out(tmp_path: Path) -> None:
     assert read.precipitation == pytest.approx([0.5, 1, np.nan, np.nan, 0.5], nan_ok=True)
     assert read_weather([file], TORONTO, gaps="fill").precipitation.tolist() == [0.5, 1, 0, 0, 0.5]
     assert read.evapotranspiration.tolist() == pytest.approx([3.25, 3, 8 / 3, 7 / 3, 2])
+    file.write_text(file.read_text().replace("-05:00;1;3", "-05:00"))  # its time alone
+    assert read_weather([file], TORONTO).precipitation == pytest.approx(
+        [0.5, np.nan, np.nan, np.nan, 0.5], nan_ok=True
+    )
     file.write_text(file.read_text().replace("T04", "T01"))
     refusal(read_weather, [file], TORONTO, match="row with empty cells, or none")
     text = "time,precipitation [mm/h],own evapotranspiration [mm/day]\n" + "".join(
