@@ -149,6 +149,8 @@ def main() -> int:
     console.print(_table(
         f"{forecasts.name}: {forecasts.count} issues, against {weather.source}", tallies
     ))
+    for note in (*weather.notes, *forecasts.notes):
+        print(f"note: {note}", file=sys.stderr)
     for finding in findings:
         print(f"warning: {finding.text}", file=sys.stderr)
     if arguments.output:
