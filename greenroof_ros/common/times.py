@@ -25,6 +25,16 @@ _ISO = re.compile(
     re.ASCII | re.IGNORECASE,
 )
 
+# What is wrong with other forms of times.
+_HINTS = (
+    (r"\d{5}(\.\d+)?", "a spreadsheet counts days: format its cells as yyyy-mm-dd hh:mm"),
+    (r"\d{9,}(\.\d+)?", "write a date and a time, with hyphens and colons"),
+    (r".*\d *[AaPp]\.?[Mm]\.?", "hours must be from 00 to 23"),
+    (r"\d{1,4}[./]\d{1,2}[./]\d{1,4}.*", "year, month and day, in this order, with hyphens"),
+    (r".*[ T]\d:.*", "hours need two digits: 00:00"),
+    (r".*:\d\d *[A-Za-z\[].*", "write the offset from UTC as a number, or Z for UTC"),
+)
+
 
 @functools.lru_cache(10_000)
 def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
@@ -60,7 +70,10 @@ def _zone(sign: str, hours: int, minutes: int, seconds: int) -> timezone:
 
 def time_hint(text: str) -> str:
     """Return the end of a message about a time that :func:`parse_time` refuses; mostly empty."""
-    return "; hours need two digits: 00:00" if re.search(r"[ T]\d:", text) else ""
+    for pattern, what in _HINTS:
+        if re.fullmatch(pattern, text.strip()):
+            return f"; {what}"
+    return ""
 
 
 def parse_local_time(text: str, zone: tzinfo) -> datetime:

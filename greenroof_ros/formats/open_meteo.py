@@ -45,7 +45,7 @@ from dataclasses import replace
 from datetime import datetime, timedelta, timezone, tzinfo
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +60,6 @@ from greenroof_ros.common.times import (
     to_minutes,
 )
 from greenroof_ros.formats.records import (
-    FOR_EVAPOTRANSPIRATION,
     HOUR,
     HUMIDITY,
     ISSUE_HOURS,
@@ -128,12 +127,14 @@ _RUN_IN_NAME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)T?(\d\d)(?:-?00)?(?: ?\(\d+\)
 # The service's longest forecasts, of ensembles, reach 36 days (h).
 _LONGEST_RUN = 36 * 24
 _DAY_H = 24
+_S = TypeVar("_S")
+_T = TypeVar("_T")
 
 
 def recognises(_file: Path, head: bytes, /) -> bool:
     """Return whether a file is JSON, or its first line is the service's or a saved forecast's."""
     text = head.decode("utf-8", "replace").removeprefix("\ufeff").lstrip()
-    cells = [cell.strip() for cell in re.split("[,;\t]", text.partition("\n")[0])]
+    cells = [cell.strip(' "\r') for cell in re.split("[,;\t]", text.partition("\n")[0])]
     saved = cells[0] in _SAVED_TIMES and any(
         (cell.startswith(PRECIPITATION) and "[" not in cell) or "_previous_day" in cell
         for cell in cells
@@ -161,6 +162,7 @@ def _read(
     """
     table, parse, places = _table(file, site)
     named: dict[str, tuple[str, str, str]] = {}
+    members = sum(cell.startswith(PRECIPITATION) for cell in table.header)
     for cell in table.header[1:]:
         name, _, text = cell.partition(" ")
         try:
@@ -184,7 +186,8 @@ def _read(
                 raise table.refuse(f"must be in {' or '.join(known)}", cell)
             text = next(iter(known))
         columns[name] = table.usable(
-            cell, QUANTITIES[quantity], known[text], NEARLY.get(quantity, 0.0)
+            cell, QUANTITIES[quantity], known[text], NEARLY.get(quantity, 0.0),
+            optional=quantity != PRECIPITATION or members > 1,
         )
     return table, Records(
         (file,), first, by_hour(columns, hours), left_out=tuple(table.notes), places=places,
@@ -259,7 +262,7 @@ def _may_be_hours(rows: Sequence[str]) -> bool:
         return False
     try:
         first, second = (
-            _parse(parse_time, re.split("[,;\t]", row)[0], timezone.utc) for row in rows
+            _parse(parse_time, re.split("[,;\t]", row)[0].strip('"'), timezone.utc) for row in rows
         )
     except ValueError:
         return True
@@ -293,7 +296,7 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
             raise refuse("must be a list of values, one for each time", key=f"hourly.{name}")
     about = {name: [_cell(value, "NaN")] for name, value in content.items()}
     hours = {
-        name if name == "time" else f"{name} ({units.get(name, '')})": [*map(_cell, series)]
+        name if name == "time" else f"{name} ({units.get(name) or ''})": [*map(_cell, series)]
         for name, series in hourly.items()
     }
     return Table(file, about.items()), Table(file, hours.items(), key="hourly.")
@@ -341,8 +344,8 @@ def _check_place(place: Table, site: Site) -> timezone:
 def read_records(file: Path, site: Site, /) -> Records:
     """Read past weather; an empty cell or ``NaN`` is a missing value.
 
-    Precipitation, temperature, dew point, wind speed and surface pressure are required; shortwave
-    radiation is used if present, and other variables are ignored.
+    Precipitation is required; what evapotranspiration is computed from is used if present, and
+    other variables are ignored.
 
     Args:
         file: of one place.
@@ -356,9 +359,8 @@ def read_records(file: Path, site: Site, /) -> Records:
     for variable, series in records.values.items():
         values.setdefault(_QUANTITIES[variable], series)
     values = with_dew_point(values)
-    for quantity in (PRECIPITATION, *FOR_EVAPOTRANSPIRATION):
-        if quantity not in values:
-            table.require([f"{VARIABLES[quantity]} ({UNITS[quantity][0].name})"], _WHOSE)
+    if PRECIPITATION not in values:
+        table.require([f"{PRECIPITATION} (mm)"], _WHOSE)
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One more hour: the hour before the first time has only rain and radiation, the last neither.
     nothing = np.array([math.nan])
@@ -382,15 +384,17 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
         ConfigurationError: see :func:`_read`; or the files are of several kinds or models, or lack
             required values of a run or an hour.
     """
-    parts = [_forecast(file, site) for file in files]
+    parts, notes = _usable(files, lambda file: _forecast(file, site))
     previous = [any(map(_PREVIOUS.fullmatch, part.values)) for part in parts]
     if not any(previous):
-        runs = [_run(part, _named_run(part.files[0])) for part in parts]
-        return Archive(files[0], "Open-Meteo, runs", runs, SERVICE_DELAY_H, runs)
+        runs, more = _usable(parts, lambda part: _run(part, _named_run(part.files[0])))
+        return Archive(
+            files[0], "Open-Meteo, runs", runs, SERVICE_DELAY_H, runs, notes=(*notes, *more)
+        )
     if not all(previous):
         raise ConfigurationError(
-            f"must contain previous runs, as {files[previous.index(True)].name} does",
-            file=files[previous.index(False)],
+            f"must contain previous runs, as {parts[previous.index(True)].files[0].name} does",
+            file=parts[previous.index(False)].source,
         )
     whole = join([
         replace(part, values={
@@ -400,8 +404,27 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
     ])
     return Archive(
         files[0], "Open-Meteo, previous runs", _known_of(whole), SERVICE_DELAY_H,
-        _daily(whole), _DAY_H, whole.left_out,
+        _daily(whole), _DAY_H, (*notes, *whole.left_out),
     )
+
+
+def _usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[_T], list[str]]:
+    """Return what is read from each source that can be used, and a note of each other.
+
+    Among thousands of downloads some are the service's refusals, or end too early.
+
+    Raises:
+        ConfigurationError: of the first, if none can be used.
+    """
+    read_ones, errors = [], []
+    for source in sources:
+        try:
+            read_ones.append(read(source))
+        except ConfigurationError as error:
+            errors.append(error)
+    if not read_ones:
+        raise errors[0]
+    return read_ones, [f"{error}; the file is left out" for error in errors]
 
 
 def _forecast(file: Path, site: Site) -> Records:
@@ -449,12 +472,12 @@ def _run(hours: Records, run: datetime) -> Issue:
             f"must have the hour after its run, {to_minutes(run)}; its first time is "
             f"{to_minutes(hours.first + HOUR)}"
         )
-    numbered = {
-        int(match[1] or 0): Issue(run, file, None, series[None, start:])
-        for name, series in hours.values.items() if (match := _MEMBER.fullmatch(name))
-    }
-    control = int(0 not in numbered)  # some runs have no control
-    issue = ensemble((number - control, member) for number, member in numbered.items())
+    # Some runs have no control, and a download may lack a member.
+    series = [hours.values[name] for name in sorted(filter(_MEMBER.fullmatch, hours.values))]
+    issue = ensemble(
+        (number, Issue(run, file, None, member[None, start:]))
+        for number, member in enumerate(series)
+    )
     if issue.hours > _LONGEST_RUN:
         raise refuse(
             f"has {issue.hours} hours; a run has at most {_LONGEST_RUN}. For a longer past "

@@ -73,7 +73,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    table = read_table(file)
+    table = read_table(file, lambda name: name != "time")
     columns, method = _columns(table)
     first, hours = table.hours(
         "time", zone=None if site.time_zone is None else ZoneInfo(site.time_zone),
@@ -81,7 +81,10 @@ def read_records(file: Path, site: Site, /) -> Records:
         "such as America/Toronto",
     )
     values = with_dew_point(by_hour({
-        quantity: table.usable(column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0))
+        quantity: table.usable(
+            column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0),
+            optional=quantity != PRECIPITATION,
+        )
         for quantity, column in columns.items()
     }, hours))
     return Records(
@@ -184,7 +187,10 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
         table.check_due("time", row, time, due, "each forecast, from its issue on,")
         rows.append(row)
     values = {
-        quantity: table.usable(column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0))
+        quantity: table.usable(
+            column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0),
+            optional=quantity != PRECIPITATION,
+        )
         for quantity, column in _FORECAST.items() if column in table.header
     }
     issues = [

@@ -49,7 +49,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
 
     Raises:
         ConfigurationError: a file does not follow its format, the files have several formats, an
-            issue occurs twice, or issues differ in members or in having evapotranspiration.
+            issue occurs twice, or issues differ in having evapotranspiration.
     """
     files = [source]
     if source.is_dir():
@@ -85,7 +85,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
 def _alike(issues: Sequence[Issue]) -> tuple[list[Issue], list[str]]:
     """Return issues that all have equally many members, and notes of what was left out.
 
-    An issue that was downloaded twice is kept once. Where members were left out of an issue, all
+    An issue that was downloaded twice is kept once. Where an issue has fewer members, all
     have as few, unless it would be less than half: then that issue is left out.
 
     Raises:

@@ -67,7 +67,10 @@ QUANTITIES: dict[str, Limits] = {
 MISSING = {"", "nan", "na", "n/a", "#n/a", "n/d", "m", "null", "none", "-", "--", "---", "missing"}
 """What stands for a missing value, in lower case."""
 # Digits of numbers that do, besides nines.
-_CODES = {"32767", "32768", "6999", "7777", "8888"}
+_CODES = {
+    "32767", "32768", "65535", "2147483647", "2147483648", "4294967295", "27315", "6999", "7999",
+    "777", "7777", "888", "8888",
+}
 _HUGE = 1e15  # fill values of NetCDF and GRIB are larger
 # Share of a column's values other than 0 that may be neither plausible nor a code: a wrong unit of
 # rain shows in the few wettest hours.
@@ -75,6 +78,8 @@ _MOST_WRONG = 0.01
 _MOST_NAMED = 3
 # Equal cells of a table are kept once, for so many different ones.
 _MOST_CELLS = 10_000
+# A comment, or a spreadsheet's line that names the separator.
+_NO_RECORD = re.compile(r'\s*("?#|sep=.$)')
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(\d+)$", re.ASCII)
 
 # What evapotranspiration is computed from, if it is not given.
@@ -317,7 +322,6 @@ class Issue:
         evapotranspiration: mm/day, shape (hours,); None if the file has none.
         temperature: of the air (degC), likewise.
         available: when it arrived; None for the archive's delay after its nominal time.
-        given: number of members in the file, if some were left out; otherwise 0.
         notes: what could not be used as it is.
     """
 
@@ -328,7 +332,6 @@ class Issue:
     evapotranspiration: NDArray[np.float64] | None = None
     temperature: NDArray[np.float64] | None = None
     available: datetime | None = None
-    given: int = 0
     notes: tuple[str, ...] = ()
 
     @property
@@ -340,11 +343,6 @@ class Issue:
     def order(self) -> tuple[datetime, datetime]:
         """What issues are sorted by: nominal time, then arrival."""
         return self.issued, self.available or self.issued
-
-    @property
-    def members(self) -> int:
-        """Number of members in the file."""
-        return self.given or len(self.rain)
 
     def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
         """Return evapotranspiration some hours ahead (mm/day); None if the file has none.
@@ -437,7 +435,7 @@ def mended(issue: Issue) -> Issue:
     if count:
         notes.append(f"{count} missing hours of precipitation have the mean of their neighbours")
     return replace(
-        issue, rain=rain[kept, :hours], given=issue.given or len(rain),
+        issue, rain=rain[kept, :hours],
         notes=(*issue.notes, *(
             f"{issue.file.name}, issue of {to_minutes(issue.issued)}: {note}" for note in notes
         )),
@@ -455,16 +453,11 @@ def check_alike(earlier: Issue, later: Issue) -> None:
     """Refuse an issue of an archive that repeats the issue before it, or has a different form.
 
     Raises:
-        ConfigurationError: it repeats it, or has other members or quantities.
+        ConfigurationError: it repeats it, or has other quantities.
     """
     wrong, when = "", to_minutes(later.issued)
     if earlier.order == later.order:
         wrong = f"has the issue of {when}, which {earlier.file.name} has already"
-    elif earlier.members != later.members:
-        wrong = (
-            f"the issue of {when} must have as many members as the one before it in "
-            f"{earlier.file.name}, {earlier.members}, not {later.members}"
-        )
     elif (earlier.evapotranspiration is None) != (later.evapotranspiration is None):
         wrong = f"must have a column of evapotranspiration, or none, like {earlier.file.name}"
     if wrong:
@@ -694,13 +687,13 @@ class Table:
 
     def usable(
         self, column: str, limits: Limits, unit: Unit | None = None, nearly: float = 0.0,
-        hint: str = "",
+        hint: str = "", *, optional: bool = False,
     ) -> NDArray[np.float64]:
         """Return a column's values in our unit, shape (rows,); NaN for those that cannot be used.
 
-        A value just outside the range counts as its end. A code such as -999, a negative value of
-        what cannot be negative, and a few other values that are not plausible are left out. The
-        notes name them all.
+        A value just outside the range counts as its end. A code such as -999, a word, a negative
+        value of what cannot be negative, and a few other values that are not plausible are left
+        out. The notes name them all.
 
         Args:
             column: its name.
@@ -708,9 +701,10 @@ class Table:
             unit: of the column; ours by default.
             nearly: how far outside the range is just outside.
             hint: end of the message about wrong values.
+            optional: codes alone are as good as no column.
 
         Raises:
-            ConfigurationError: none, or too many of the values are plausible.
+            ConfigurationError: too few of the values are plausible.
         """
         own_unit, low, high = limits
         unit = unit or Unit(own_unit)
@@ -725,7 +719,7 @@ class Table:
                 number = float(text)
             except ValueError:
                 if text.lower() not in MISSING:
-                    wrong.append(row)
+                    (wrong if re.search(r"\d", text) else codes).append(row)
                 continue
             value = (number - zero) / per_ours
             if low <= value <= high:
@@ -736,10 +730,11 @@ class Table:
                 values[row] = min(max(value, low), high)
                 near.append(row)
             else:
-                (codes if _is_code(text, number) or value < low == 0 else wrong).append(row)
+                below = number <= 0 <= low and value < low  # 0 of a pressure, too
+                (codes if below or _is_code(text, number) else wrong).append(row)
         known = values[~np.isnan(values)]
         if len(wrong) > max(1.0, _MOST_WRONG * np.count_nonzero(known)) or (
-            (wrong or codes) and not known.size
+            not known.size and (wrong or (codes and not optional))
         ):
             first = (wrong or codes)[0]
             self.numbers(column, limits, unit, {"", *cells[:first]} - {cells[first]}, hint)
@@ -881,10 +876,13 @@ def read_table(file: Path, observed: Callable[[str], bool] = lambda _: False) ->
 
 
 def numbered_lines(text: Iterable[str]) -> Iterator[tuple[int, str]]:
-    """Yield the lines that are neither comments (``#``) nor without text, numbered from 1."""
+    """Yield the lines that are neither comments (``#``) nor without text, numbered from 1.
+
+    Nor is a spreadsheet's first line that names the separator.
+    """
     lines = itertools.chain.from_iterable(map(str.splitlines, text))
     for number, line in enumerate(lines, start=1):
-        if line.strip(" ,;\t") and not line.lstrip().startswith("#"):
+        if line.strip(" ,;\t\x1a") and not _NO_RECORD.match(line):
             yield number, line
 
 
@@ -913,6 +911,8 @@ def table_of(
         raise ConfigurationError("holds only comments; a header and records must follow", file=file)
     separator = max(",;\t", key=text.count)
     header = _cells(file, line, text, separator)
+    while header and not header[-1]:  # separators at the end of each line
+        header.pop()
     first = next((index for index, name in enumerate(header) if observed(name)), 0)
 
     def rows() -> Iterator[tuple[int, list[str]]]:
@@ -920,9 +920,14 @@ def table_of(
             cells = _cells(file, line, text, separator)
             if len(cells) <= first:
                 cells += [""] * (len(header) - len(cells))
+            elif not any(cells[len(header) :]):
+                del cells[len(header) :]
             if len(cells) != len(header):
+                hint = ""
+                if separator == "," and len(cells) > len(header):
+                    hint = "; a decimal comma needs quotes, or semicolons between the cells"
                 raise ConfigurationError(
-                    f"must have {len(header)} cells, like the header, not {len(cells)}",
+                    f"must have {len(header)} cells, like the header, not {len(cells)}{hint}",
                     file=file, line=line,
                 )
             yield line, cells

@@ -138,6 +138,16 @@ def rain_of_july() -> list[float]:
     return [float(row["Precip. Amount (mm)"]) for row in rows_of(JULY)]
 
 
+def test_what_was_left_out_is_noted(tmp_path: Path) -> None:
+    """Of the forecasts and of the records."""
+    write_previous_runs(tmp_path / "runs.csv", {1: [1.0, -999, *[1.0] * 70]})
+    write_gauge(tmp_path / "gauge.csv", [1.0] * 40 + [-9999] + [1.0] * 31)
+    done = run(tmp_path, "verify", "runs.csv", "--weather", "gauge.csv", "--lead", "24")
+    assert done.returncode == 0, done.stderr
+    notes = [line for line in done.stderr.splitlines() if line.startswith("note: ")]
+    assert [note.split(" of ")[1].split()[0] for note in notes] == ["-9999", "-999"]
+
+
 def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
     """A service's rain is of the hour before its time: its right forecasts score as right."""
     rain = rain_of_july()[1:]  # the first row's hour was before the records
