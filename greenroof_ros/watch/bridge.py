@@ -120,7 +120,8 @@ class Bridge:
             say(f"stop, over MQTT: {type(error).__name__}: {error}; trying again")
 
     def _publish_state(self) -> None:
-        parts, shown = Parts(), document(self._store, time.monotonic())
+        parts = Parts()
+        shown = parts.make("The site", lambda: document(self._store, time.monotonic()), {})
         with self._store.lock:
             messages = {
                 "state": parts.make("The state", lambda: state_of(self._store, shown), None),
