@@ -391,7 +391,7 @@ def test_a_second_publisher_of_the_flow_is_on_page_and_terminal(
 
     with live(domain, tmp_path, *options) as process:
         hardware.until_it_pumps()
-        both = "pump: /pump/flow has 2 publishers (observer, pump), but must have one: end the other"
+        both = "pump: /pump/flow has 2 publishers (observer, pump), but must have one: end the "
         assert both not in process.stderr()
         site.values = {"/pump/flow": 1e-4}
         site.until(lambda: ("/pump: flow", "two_pumps") in alarms(), 60, "the alarm")
@@ -405,6 +405,29 @@ def test_a_second_publisher_of_the_flow_is_on_page_and_terminal(
     page.process.terminate()
     stream.close()
     assert "two_pumps" in {incident.code for incident in read_incidents(tmp_path / "run")}
+
+
+def test_a_second_publisher_of_the_flow_in_the_loop(
+    domain: int, tmp_path: Path, site: Site, hardware: Hardware
+) -> None:
+    """The plant cannot know which flow is the drive's: the run ends, and all say why."""
+    (port,) = free_ports(1)
+    page = Process(domain, "watch", "--port", str(port), cwd=tmp_path)
+    wait_for(page.stdout, 60, "the page")
+    shown, stream = documents(port)
+    run = hardware.in_the_loop(*PUMPING, "--hours", "1", output="run")
+    hardware.until_it_pumps(120)
+    site.values = {"/pump/flow": 1e-4}
+    both = "(observer, pump)"
+    site.until(lambda: run.process.poll() is not None, 120, "the end of the run")
+    assert run.process.poll() == 1
+    reason = summary_of(tmp_path / "run")["reason"]
+    assert reason.startswith("node plant ended (exit code 1): /pump/flow ") and both in reason
+    assert f"error: {reason}" in run.stderr()
+    wait_for(lambda: both in json.dumps(shown[-1]), 60, "the page")
+    assert hardware.speed() == 0
+    page.process.terminate()
+    stream.close()
 
 
 # Longer than a recorder waits for a flush (s), and for one that lasts.
