@@ -125,6 +125,15 @@ def hours_minutes_seconds(seconds: float) -> str:
     return f"{hours_minutes(seconds)}:{int(seconds) % 60:02}"
 
 
+def duration(seconds: float) -> str:
+    """Write a duration as people say it: ``40 s``, ``27 min``, ``2 h``, ``120 h``."""
+    if seconds < 90:
+        return f"{seconds:.3g} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f}".removesuffix(".0") + " h"
+
+
 def epoch_ns(time: datetime) -> int:
     """Return nanoseconds since 1970-01-01 UTC, without intermediate rounding."""
     return (time - _EPOCH) // timedelta(microseconds=1) * 1000

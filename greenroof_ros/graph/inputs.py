@@ -203,6 +203,7 @@ class Input:
         optional: live: whether the node acts without it.
         tolerates_second: lockstep: whether the node handles a second publisher itself, so that it
             does not end the run.
+        nan_is_unknown: live: whether NaN is not refused, but says that the value is not known.
         rules: live: the rules that its values must keep.
     """
 
@@ -228,6 +229,7 @@ class Input:
         self.refused = 0
         self.heard = False
         self.optional, self.tolerates_second = optional, tolerates_second
+        self.nan_is_unknown = False
         self._logger = logger
         self._decode = decoder(self.topic.type)
         self._low, self._high = self.topic.low, self.topic.high
@@ -285,6 +287,10 @@ class Input:
         return on_message
 
     def _refuse(self, value: float, instead: Any) -> None:
+        if self.nan_is_unknown and math.isnan(value):
+            self.verdict = Verdict("input_refused", "is not known to its publisher")
+            self.value = instead
+            return
         unit = "" if self.topic.unit == "1" else f" {self.topic.unit}"
         limits = f"must be finite and at least {self.topic.low:g}{unit}"
         if self.topic.high < sys.float_info.max:

@@ -174,6 +174,7 @@ class Live:
             boot_time(), node.get_parameter(limit).value,
             node.get_parameter(RECOVERY.name).value, limit_name=limit, level=level,
         )
+        entry.nan_is_unknown = entry.topic.may_be_unknown
         self._inputs.append(entry)
         entry.judge()
 

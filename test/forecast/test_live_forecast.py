@@ -101,9 +101,7 @@ SHORT = {
         49, 1.5, 48.0, "must have 50 h .* not 49 h, or a horizon of at most 47 h$",
     ),
     "less than the time for which it is used": (2, 1.0, 6.0, "must have 8 h .* not 2 h$"),
-    "the next ticks at its very end": (
-        1, 0.999, 0.0, r"before the \S+ \w+ look-ahead does; .* not 1 h$",
-    ),
+    "the next ticks at its very end": (1, 0.999, 0.0, "10 s look-ahead .* not 1 h$"),
 }
 
 

@@ -542,7 +542,7 @@ def test_a_short_forecast_keeps_no_pump_off(site: Site, horizon: float) -> None:
             LATE, "what is short",
         )
         site.until(lambda: newest(frost) == 0.0, LATE, "the temperature")
-        site.until(lambda: newest(commands) > 0.0, LATE, "a command")
+        site.until(lambda: (newest(commands) or 0.0) > 0.0, LATE, "a command")
         site.until(site.says("/lookahead: forecast", OK), LATE, "a forecast for the controller")
 
 
