@@ -126,6 +126,7 @@ def test_a_site_is_kept_up_and_systemd_told(
         site.until(lambda: "incident 1 is over, after " in process.stderr(), 60, "its end")
         for number in range(55):
             weight = Parameter("weight", value=1.0 + number).to_parameter_msg()
+            site.play()  # the calls take seconds on a busy machine
             site.call(SetParameters, "/mpc/set_parameters", parameters=[weight])
         values = site.watcher.values
         site.until(lambda: values("/mpc")["parameter_change_count"] == 55, 60, "the changes")
