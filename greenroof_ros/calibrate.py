@@ -223,7 +223,7 @@ def _calibrate(
     zone = None if arguments.time_zone is None else _zone(arguments.time_zone)
 
     def read(site: Site) -> Record:
-        if measured.is_dir() or measured.suffix == ".mcap":
+        if measured.is_dir() or measured.suffix.lower() == ".mcap":
             return read_bag_record(measured, site)
         return read_csv_record(measured, site, months, zone)
 

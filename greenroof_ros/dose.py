@@ -13,8 +13,8 @@ from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
     Parser,
+    add_namespace,
     command,
-    namespace,
     within,
 )
 from greenroof_ros.graph.domain import importing_ros
@@ -42,10 +42,7 @@ def make_parser() -> Parser:
         "--volume", type=within(0.001, 1e6), required=True, metavar="M3",
         help="volume to deliver (m3)",
     )
-    parser.add_argument(
-        "--namespace", type=namespace, default="", metavar="NAME",
-        help="namespace of the graph, as passed to bringup (default: none)",
-    )
+    add_namespace(parser)
     return parser
 
 

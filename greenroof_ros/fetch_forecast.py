@@ -54,8 +54,8 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--keep", type=Path, metavar="DIR",
-        help="directory that keeps each new forecast; verify, and --forecast of simulate, read "
-        "it",
+        help="directory that keeps each new forecast, and of all the newest 2 GB; verify, and "
+        "--forecast of simulate, read it",
     )
     parser.add_argument(
         "--every", type=within(10, 1440), metavar="MINUTES",

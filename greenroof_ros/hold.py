@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 import time
 
 from greenroof_ros.common.command_line import (
-    EXIT_DONE,
-    EXIT_FAILED,
     Parser,
+    add_namespace,
     command,
-    namespace,
     within,
 )
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_time, to_people
-from greenroof_ros.graph.looker import StopFailedError, ask_pump
+from greenroof_ros.graph.pump_request import request_of_pump
 
 # Hours of the longest hold with an end: ten years.
 _MOST_H = 87_600
@@ -46,10 +43,7 @@ def make_parser() -> Parser:
         "--reason", default="", metavar="TEXT",
         help="why; shown wherever the hold is (default: none)",
     )
-    parser.add_argument(
-        "--namespace", type=namespace, default="", metavar="NAME",
-        help="namespace of the graph, as passed to bringup (default: none)",
-    )
+    add_namespace(parser)
     return parser
 
 
@@ -80,14 +74,9 @@ def main() -> int:
     until = None if arguments.until is None else _read_until(arguments.until)
     if arguments.hours is not None:
         until = time.time() + arguments.hours * 3600
-    try:
-        print(ask_pump(arguments.namespace, lambda looker, timeout_s: looker.hold_pump(
-            "the command line", arguments.reason, until, timeout_s,
-        )))
-    except StopFailedError as failure:
-        print(f"error: {failure}", file=sys.stderr)
-        return EXIT_FAILED
-    return EXIT_DONE
+    return request_of_pump(arguments.namespace, lambda looker, timeout_s: looker.hold_pump(
+        "the command line", arguments.reason, until, timeout_s,
+    ))
 
 
 if __name__ == "__main__":

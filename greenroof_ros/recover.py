@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from itertools import groupby
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,6 +31,7 @@ from greenroof_ros.recording.mcap_writer import McapWriter
 from greenroof_ros.recording.whole_records import (
     Contents,
     Damage,
+    FileBytes,
     is_intact,
     read_contents,
     whole_messages,
@@ -178,18 +178,22 @@ def _restore_file(file: Path, copy: Path, listed: _Listed | None) -> tuple[int, 
     Returns:
         The number of messages that make a tick, and what was lost; empty if nothing was.
     """
-    if not file.stat().st_size:
-        had = 0 if listed is None else listed.messages
-        return 1, f"{file.name} is empty; it had {had} messages" if had else ""
-    with file.open("rb") as stream:
-        data = mmap(stream.fileno(), 0, access=ACCESS_READ)
-    contents = read_contents(data)
-    clock = any(channel.topic.endswith("/clock") for channel in contents.channels.values())
-    per_tick = contents.together if clock else 1
-    if is_intact(data):
-        _link(file, copy)
-        return per_tick, ""
-    written, gaps = _rewrite(data, contents, per_tick, copy)
+    had = 0 if listed is None else listed.messages
+    try:
+        stream = file.open("rb")
+    except OSError as error:
+        return 1, f"{file.name}, with {had or 'all its'} messages, cannot be read: {error.strerror}"
+    with stream:
+        data = FileBytes(stream)
+        if not len(data):
+            return 1, f"{file.name} is empty; it had {had} messages" if had else ""
+        contents = read_contents(data)
+        clock = any(channel.topic.endswith("/clock") for channel in contents.channels.values())
+        per_tick = contents.together if clock else 1
+        if is_intact(data):
+            _link(file, copy)
+            return per_tick, ""
+        written, gaps = _rewrite(data, contents, per_tick, copy)
     return per_tick, _loss(file.name, contents, per_tick, listed, written, gaps)
 
 
@@ -201,7 +205,7 @@ def _link(file: Path, copy: Path) -> None:
 
 
 def _rewrite(
-    data: mmap, contents: Contents, per_tick: int, copy: Path
+    data: FileBytes, contents: Contents, per_tick: int, copy: Path
 ) -> tuple[Counter[int], list[_Gap]]:
     """Write a file's whole messages to another file; for a simulation its complete ticks.
 

@@ -9,7 +9,7 @@ from datetime import datetime, timezone
 from functools import partial
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, namespace
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, add_namespace, command
 from greenroof_ros.watch.document import document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import Store
@@ -52,10 +52,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--json", action="store_true", help="print it as JSON, with numbers in SI units",
     )
-    parser.add_argument(
-        "--namespace", type=namespace, default="", metavar="NAME",
-        help="namespace of the graph, as passed to bringup (default: none)",
-    )
+    add_namespace(parser)
     return parser
 
 

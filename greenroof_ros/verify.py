@@ -63,6 +63,8 @@ exit codes: 0 done, 2 bad usage, configuration or file
 # Default sums: hours, and the mm from which such a sum is an event.
 _SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
 _MOST_HOURS = 384
+# Notes of files that are printed; an archive can have one for each of its issues.
+_MOST_NOTES = 20
 
 
 def make_parser() -> Parser:
@@ -149,6 +151,11 @@ def main() -> int:
     console.print(_table(
         f"{forecasts.name}: {forecasts.count} issues, against {weather.source}", tallies
     ))
+    notes = [*weather.notes, *forecasts.notes]
+    if len(notes) > _MOST_NOTES:
+        notes[_MOST_NOTES:] = [f"and {len(notes) - _MOST_NOTES} more of this kind"]
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)
     for finding in findings:
         print(f"warning: {finding.text}", file=sys.stderr)
     if arguments.output:

@@ -103,3 +103,45 @@ def full_pipe() -> Iterator[tuple[int, int]]:
     finally:
         os.close(reading)
         os.close(writing)
+
+
+_BAD_DISK = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+ssize_t pread64(int file, void *buffer, size_t size, off64_t at) {
+    ssize_t (*real)(int, void *, size_t, off64_t) = dlsym(RTLD_NEXT, "pread64");
+    char link[64], name[4096] = "", *bad = getenv("BAD_SECTOR"), *cut = getenv("CUT_TO");
+    snprintf(link, sizeof link, "/proc/self/fd/%d", file);
+    if (readlink(link, name, sizeof name - 1) < 0 || !strstr(name, "bag_0.mcap"))
+        return real(file, buffer, size, at);
+    if (cut && truncate(name, atol(cut)))
+        return -1;
+    if (bad && at < atol(bad) + 4096 && at + (off64_t) size > atol(bad)) {
+        if (at < atol(bad))
+            return real(file, buffer, atol(bad) - at, at);
+        errno = EIO;
+        return -1;
+    }
+    return real(file, buffer, size, at);
+}
+"""
+
+
+def bad_disk(directory: Path) -> dict[str, str]:
+    """Return the environment of a process for which a disk fails while it reads ``bag_0.mcap``.
+
+    With BAD_SECTOR, 4096 bytes from there cannot be read; with CUT_TO, another process cuts the
+    file to this length once reading has begun. The kernel's answers are as read(2) has them.
+    """
+    library = directory / "bad_disk.so"
+    subprocess.run(
+        ["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", library, "-ldl"], input=_BAD_DISK,
+        text=True, check=True,
+    )
+    return {"LD_PRELOAD": str(library)}

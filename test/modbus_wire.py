@@ -198,10 +198,11 @@ def crc(data: bytes) -> bytes:
 class SerialWire:
     """The other end of a serial line, a pseudo-terminal.
 
-    It records and answers every eight bytes, the length of requests with functions 03 and 06.
+    It records and answers every eight bytes, the length of requests with functions 03 and 06. An
+    answer in pieces comes slowly.
     """
 
-    def __init__(self, answer: Callable[[bytes], bytes]) -> None:
+    def __init__(self, answer: Callable[[bytes], bytes | list[bytes]]) -> None:
         self.answer = answer
         self.seen: list[bytes] = []
         self._ours, self._theirs = os.openpty()
@@ -219,7 +220,10 @@ class SerialWire:
                     data += os.read(self._ours, 256)
             while len(data) >= 8:
                 self.seen.append(data[:8])
-                os.write(self._ours, self.answer(data[:8]))
+                answer = self.answer(data[:8])
+                for piece in [answer] if isinstance(answer, bytes) else answer:
+                    os.write(self._ours, piece)
+                    time.sleep(0 if isinstance(answer, bytes) else 0.02)
                 data = data[8:]
 
     def close(self) -> None:

@@ -39,9 +39,11 @@ SITE: Sample = {f"site:danfoss_fc202/{fault}/0": outcome for fault, outcome in {
     "drive/local": (["pump: drive", "drive_local"], "ran again"),
     "drive/timeout_off": (["pump: pump", "drive_timeout"], "ran again"),
     "drive/drive_fault": (["pump: pump", "drive_fault"], "ran again after ~/reset"),
+    "timeout rewritten/drive": (["pump: drive timeout", "drive_timeout"], "ran again"),
     "state file/moved away": (["pump: pump", "record_unknown"], "ran again after ~/reset"),
     "sensor/roof_silent": (["pump: pump", "roof_level_unknown"], "ran again"),
     "intruder/pump.command": (["pump: pump", "two_controllers"], "ran again"),
+    "intruder/pump.flow": (["pump: flow", "two_pumps"], "ran again"),
 }.items()}
 OTHERS: Sample = {
     "simulated/kill/bringup/0": ("", "ended"),

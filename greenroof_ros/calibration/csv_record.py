@@ -115,12 +115,7 @@ def read_csv_record(
     """
     table = read_table(file)
     columns = _columns(table)
-    if zone is None and site.utc_offset is not None:
-        _refuse_daylight_saving(table, site)
-        zone = timezone(timedelta(hours=site.utc_offset))
-    times = table.times(
-        TIME, example="2015-06-01T14:05", hint=", or the site file must give utc_offset", zone=zone
-    )
+    times = _times(table, site, zone)
     if len(times) < _FEWEST_ROWS:
         raise ConfigurationError(
             f"has {len(times)} rows; a record must have at least {_FEWEST_ROWS}", file=file
@@ -154,25 +149,41 @@ def read_csv_record(
     return replace(record, reference=reference)
 
 
-def _refuse_daylight_saving(table: Table, site: Site) -> None:
+def _times(table: Table, site: Site, zone: tzinfo | None) -> list[datetime]:
+    """Return the time of each row, each later than the one before."""
+    standard = None if site.utc_offset is None else timezone(timedelta(hours=site.utc_offset))
+    times: list[datetime] = []
+    for time in table.times(
+        TIME, example="2015-06-01T14:05", hint=", or the site file must give utc_offset",
+        zone=zone or standard,
+    ):
+        times.append(time)
+        if len(times) > 1 and time <= times[-2]:
+            if zone is None:
+                _refuse_daylight_saving(table, site, times)
+            raise table.refuse(
+                "must be later than the time of the row before", TIME, len(times) - 1
+            )
+    if zone is None:
+        _refuse_daylight_saving(table, site, times)
+    return times
+
+
+def _refuse_daylight_saving(table: Table, site: Site, times: Sequence[datetime]) -> None:
     """Refuse times without an offset that jump as a clock with daylight saving time does.
 
     Early on a Sunday such a clock shows an hour twice, or skips one. A logger that stood still just
     then looks the same.
     """
-    try:
-        times = [parse_time(text) for text in table.columns[TIME]]
-    except ValueError:
-        return  # refused with the other times
-    if len(times) < 2 or any(time.tzinfo for time in times):
-        return
-    spacing = np.diff(np.array(times, dtype="datetime64[s]")).astype(np.int64)
+    spacing = np.diff([time.timestamp() for time in times])
     for row in np.flatnonzero(np.abs(spacing - np.median(spacing)) == HOUR_S) + 1:
-        time = times[row]
+        before, time = (parse_time(table.cell(TIME, at)) for at in (int(row) - 1, int(row)))
+        if before.tzinfo or time.tzinfo:
+            continue
         if (time.weekday(), time.month in _CHANGES, time.hour <= 4) == (_SUNDAY, True, True):
             what = "skips an hour" if spacing[row - 1] > 0 else "shows an hour twice"
             raise table.refuse(
-                f"is after {times[row - 1]}, as by a clock with daylight saving time, which {what} "
+                f"is after {before}, as by a clock with daylight saving time, which {what} "
                 f"then: give its zone, --time-zone {site.time_zone or 'America/Toronto'}; if the "
                 "clock is on standard time and rows are missing, one such as Etc/GMT+5 for UTC-5",
                 TIME, int(row),
@@ -264,19 +275,14 @@ def steps_of_rows(table: Table, times: Sequence[datetime]) -> tuple[NDArray[np.i
 
     Args:
         table: for messages.
-        times: of its rows.
+        times: of its rows, each later than the one before.
 
     Raises:
-        ConfigurationError: a time is not later than the previous time, the rows are more than a day
-            apart, or more than one spacing in a hundred is not a whole number of steps.
+        ConfigurationError: the rows are more than a day apart, or more than one spacing in a
+            hundred is not a whole number of steps.
     """
     since = np.array([time.timestamp() for time in times]) - times[0].timestamp()
     spacing = np.diff(since)
-    back = np.flatnonzero(spacing <= 0)
-    if len(back):
-        raise table.refuse(
-            "must be later than the time of the row before", TIME, int(back[0]) + 1
-        )
     step_s = float(np.median(spacing))
     # A roof drains within hours, so longer sums show no more than the rain does.
     if step_s > DAY_S:

@@ -24,8 +24,9 @@ HOUR_S, DAY_S = 3600, 86400
 _APART_S, _AFTER_S = 6 * HOUR_S, DAY_S
 # An unknown storm is forgotten after this long (s) and this much reference evapotranspiration (mm).
 _FORGOTTEN_S, _FORGOTTEN_MM = 7 * DAY_S, 20.0
-# Runoff (mm) and rise of the level (m) that show water: more than a tip, and than noise.
-_RAN_MM, _ROSE_M = 0.1, 0.003
+# Rain beside an outage and runoff (mm), and rise of the level (m), that show water: more than a
+# drizzle, than a tip, and than noise.
+_RAINED_MM, _RAN_MM, _ROSE_M = 1.0, 0.1, 0.003
 
 
 @dataclass(frozen=True)
@@ -204,8 +205,8 @@ def outages(record: Record) -> list[Outage]:
     """Return the outages of rain gauge and pump meter after which the roof is unknown.
 
     A storm may have come in them. Its water is gone after about a week, and not before 20 mm could
-    evaporate. Outages of at most an hour count only if more water than before runs off by an hour
-    later, or the level has risen.
+    evaporate. Outages of at most an hour count only if it rained in the hours beside them, more
+    water than before runs off by an hour later, or the level has risen.
     """
     lost = gaps(np.isnan(record.rain) | np.isnan(record.pumped))
     evaporated = np.concatenate(([0.0], np.cumsum(record.reference)))
@@ -220,9 +221,11 @@ def outages(record: Record) -> list[Outage]:
 
 
 def _watered(record: Record, first: int, end: int) -> bool:
-    """Return whether runoff or level show that water came in an outage, by an hour after it."""
+    """Return whether rain, runoff or level show that water came in an outage."""
     hour = math.ceil(HOUR_S / record.step_s)
     before, after = slice(max(0, first - hour), first), slice(end, end + hour)
+    if np.nansum(record.rain[before]) + np.nansum(record.rain[after]) > _RAINED_MM:
+        return True
     if record.runoff is not None:
         ran = np.nansum(record.runoff[first : end + hour])
         if ran - np.nansum(record.runoff[max(0, 2 * first - end - hour) : first]) > _RAN_MM:

@@ -270,6 +270,14 @@ def namespace(text: str) -> str:
 namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"
 
 
+def add_namespace(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names the graph of a command which joins one."""
+    parser.add_argument(
+        "--namespace", type=namespace, default="", metavar="NAME",
+        help="namespace of the graph, as passed to bringup (default: none)",
+    )
+
+
 @dataclass(frozen=True)
 class Finding:
     """The result of one check.

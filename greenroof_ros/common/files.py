@@ -66,32 +66,70 @@ def file_digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
-def read_text(path: Path) -> str:
-    """Read a UTF-8 text file; a byte order mark at its start is dropped.
+MOST_BYTES = 100_000_000
+"""Most that is read of a file of a user (bytes): 100 years of hourly weather, a minute's record of
+three years, or the hourly runs of a year with one member. So no file exhausts the memory."""
+
+
+def refuse_large(path: Path, size: int) -> None:
+    """Refuse a file if too much of it would be read.
+
+    Args:
+        path: of the file.
+        size: what would be read (bytes).
 
     Raises:
-        ConfigurationError: it cannot be read, is empty, or is not UTF-8 text.
+        ConfigurationError: it is more than :data:`MOST_BYTES`.
+    """
+    if size > MOST_BYTES:
+        raise ConfigurationError(
+            f"has {size / 1e6:.0f} MB to read; a file may have at most {MOST_BYTES / 1e6:g} MB: "
+            "leave out what no run needs, or split it, since weather can be several files and "
+            "forecasts a directory of files", file=path,
+        )
+
+
+def read_lines(path: Path) -> Iterator[str]:
+    """Read a UTF-8 text file line by line; a byte order mark at its start is dropped.
+
+    A line is refused when it is reached, so an error near the start of a large file shows at once.
+
+    Yields:
+        Each line, with its end.
+
+    Raises:
+        ConfigurationError: the file cannot be read, is too large or empty, or a line is not UTF-8
+            text.
     """
     if path.exists() and not path.is_file():
         raise ConfigurationError("must be a regular file", file=path)
+    blank = True
     try:
-        raw = path.read_bytes().removeprefix(codecs.BOM_UTF8)
+        with path.open("rb") as stream:
+            refuse_large(path, os.fstat(stream.fileno()).st_size)
+            for number, raw in enumerate(stream, start=1):
+                try:
+                    line = (raw if number > 1 else raw.removeprefix(codecs.BOM_UTF8)).decode()
+                except UnicodeDecodeError as error:
+                    form = "" if path.suffix in (".yaml", ".json") else " as CSV"
+                    raise ConfigurationError(
+                        f"is not UTF-8 text; save it{form} in UTF-8", file=path, line=number
+                    ) from error
+                if "\x00" in line:
+                    raise ConfigurationError(
+                        "is not a text file (it holds a NUL byte)", file=path, line=number
+                    )
+                blank = blank and not line.strip()
+                yield line
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
-    try:
-        text = raw.decode("utf-8")
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        form = "" if path.suffix in (".yaml", ".json") else " as CSV"
-        raise ConfigurationError(
-            f"is not UTF-8 text; save it{form} in UTF-8", file=path, line=line
-        ) from error
-    if "\x00" in text:
-        line = text.count("\n", 0, text.index("\x00")) + 1
-        raise ConfigurationError("is not a text file (it holds a NUL byte)", file=path, line=line)
-    if not text.strip():
+    if blank:
         raise ConfigurationError("is empty", file=path)
-    return text
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file; see :func:`read_lines`."""
+    return "".join(read_lines(path))
 
 
 # Greatest depth of nesting: far more than our files have, far less than a thread's stack allows.

@@ -69,6 +69,7 @@ class Topic:
     display: Display | None = None
     dimensions: tuple[str, ...] = ()
     undecided: float | array[float] = math.nan
+    may_be_unknown: bool = False
     absolute: bool = False
     live: bool = True
     live_publishers: tuple[str, ...] = ()

@@ -9,10 +9,13 @@ import fcntl
 import hashlib
 import os
 import select
+import shutil
 import signal
 import socket
 import struct
+import tempfile
 import threading
+from collections.abc import Iterator
 from io import FileIO
 from pathlib import Path
 from typing import Any
@@ -151,6 +154,42 @@ def take_lock(path: Path) -> FileIO:
 def _open(path: Path) -> FileIO:
     """Return the file, created if need be."""
     return FileIO(os.open(path, _FLAGS | os.O_CREAT, 0o600), "r+")
+
+
+# Directories of temporary files; nothing else may have such a name.
+_SCRATCH = "greenroof_ros_scratch-"
+
+
+@contextlib.contextmanager
+def scratch_directory(place: str | None = None) -> Iterator[Path]:
+    """Make a directory for temporary files, and remove those that killed processes have left.
+
+    Its process has it locked. A lock, unlike a process number, also holds between containers that
+    share ``/dev/shm``.
+
+    Args:
+        place: where; by default the system's directory for temporary files.
+    """
+    for left in Path(place or tempfile.gettempdir()).glob(f"{_SCRATCH}*"):
+        with contextlib.suppress(OSError), _locked(left):  # another user's, or in use
+            shutil.rmtree(left)
+    with tempfile.TemporaryDirectory(prefix=_SCRATCH, dir=place) as name, _locked(Path(name)):
+        yield Path(name)
+
+
+@contextlib.contextmanager
+def _locked(directory: Path) -> Iterator[None]:
+    """Lock a directory.
+
+    Raises:
+        OSError: another process has locked it, or it cannot be opened.
+    """
+    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 _NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import time
 from datetime import datetime, timedelta, timezone, tzinfo
@@ -24,7 +25,18 @@ _ISO = re.compile(
     re.ASCII | re.IGNORECASE,
 )
 
+# What is wrong with other forms of times.
+_HINTS = (
+    (r"\d{5}(\.\d+)?", "a spreadsheet counts days: format its cells as yyyy-mm-dd hh:mm"),
+    (r"\d{9,}(\.\d+)?", "write a date and a time, with hyphens and colons"),
+    (r".*\d *[AaPp]\.?[Mm]\.?", "hours must be from 00 to 23"),
+    (r"\d{1,4}[./]\d{1,2}[./]\d{1,4}.*", "year, month and day, in this order, with hyphens"),
+    (r".*[ T]\d:.*", "hours need two digits: 00:00"),
+    (r".*:\d\d *[A-Za-z\[].*", "write the offset from UTC as a number, or Z for UTC"),
+)
 
+
+@functools.lru_cache(10_000)
 def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
     """Read an ISO 8601 time, in a zone if it has no offset; a final ``Z`` stands for UTC.
 
@@ -45,15 +57,23 @@ def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
         zone = timezone.utc
     elif match[10]:
         hours, minutes, seconds = (int(match[group] or 0) for group in (11, 12, 13))
-        offset = timedelta(hours=hours, minutes=minutes, seconds=seconds)
-        zone = timezone(offset if match[10] == "+" else -offset)
+        zone = _zone(match[10], hours, minutes, seconds)
     time = datetime(year, month, day, hour % 24, minute, second, micro, tzinfo=zone)
     return _within_years(time + timedelta(days=hour // 24))
 
 
+@functools.lru_cache
+def _zone(sign: str, hours: int, minutes: int, seconds: int) -> timezone:
+    offset = timedelta(hours=hours, minutes=minutes, seconds=seconds)
+    return timezone(offset if sign == "+" else -offset)
+
+
 def time_hint(text: str) -> str:
     """Return the end of a message about a time that :func:`parse_time` refuses; mostly empty."""
-    return "; hours need two digits: 00:00" if re.search(r"[ T]\d:", text) else ""
+    for pattern, what in _HINTS:
+        if re.fullmatch(pattern, text.strip()):
+            return f"; {what}"
+    return ""
 
 
 def parse_local_time(text: str, zone: tzinfo) -> datetime:
@@ -67,6 +87,15 @@ def parse_local_time(text: str, zone: tzinfo) -> datetime:
         raise ValueError
     year, month, day, hour, minute = (int(part) for part in match.groups())
     return _within_years(datetime(year, month, day, hour, minute, tzinfo=zone))
+
+
+def parse_unix_time(text: str) -> datetime:
+    """Read whole seconds since 1970 as a time in UTC.
+
+    Raises:
+        ValueError: it is outside the years.
+    """
+    return _within_years(_EPOCH + timedelta(seconds=float(text)))
 
 
 def _within_years(time: datetime) -> datetime:
@@ -94,6 +123,15 @@ def hours_minutes(seconds: float) -> str:
 def hours_minutes_seconds(seconds: float) -> str:
     """Write a time since the start of a run in whole seconds: ``00:20:34``."""
     return f"{hours_minutes(seconds)}:{int(seconds) % 60:02}"
+
+
+def duration(seconds: float) -> str:
+    """Write a duration as people say it: ``40 s``, ``27 min``, ``2 h``, ``120 h``."""
+    if seconds < 90:
+        return f"{seconds:.3g} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f}".removesuffix(".0") + " h"
 
 
 def epoch_ns(time: datetime) -> int:

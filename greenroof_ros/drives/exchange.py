@@ -418,14 +418,14 @@ class DriveExchange(DeviceThread[Snapshot]):
         """Return the length of a silence (s), and the drive's own timeout in words.
 
         A timeout above the limit cannot be waited for: it was misread, or the drive runs on. It
-        counts like an unknown timeout, so no value that the drive reports makes a silence long.
+        counts like an unknown timeout. No silence is longer than the limit.
         """
         limit_s, own_s = self._timeout_limit_s, self._snapshot.timeout_s
         if own_s is None:
             return limit_s, f"assumed to be at most {limit_s:g} s"
         if own_s > limit_s:
             return limit_s, f"{own_s:g} s was read, which is not relied on: above {limit_s:g} s"
-        return own_s + SILENCE_MARGIN_S, f"{own_s:g} s"
+        return min(own_s + SILENCE_MARGIN_S, limit_s), f"{own_s:g} s"
 
     def _let_go(self) -> None:
         """Close the connection; at the end also release the lock."""

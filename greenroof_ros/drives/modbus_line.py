@@ -17,8 +17,10 @@ import struct
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -230,6 +232,26 @@ def check_installed() -> None:
         import pymodbus.client  # noqa: F401 - only to see if it is there
 
 
+@dataclass
+class _Request:
+    """A request, and the bytes that have come since.
+
+    Attributes:
+        copies: how often its bytes may come.
+        sent: its bytes.
+        came: all bytes since it was sent.
+    """
+
+    copies: int
+    sent: bytes = b""
+    came: bytes = b""
+
+    @property
+    def echoed(self) -> bool:
+        """Whether its bytes have come more often than a device sends them."""
+        return bool(self.sent) and self.came.count(self.sent) > self.copies
+
+
 class ModbusLine:
     """A connection to one device.
 
@@ -258,8 +280,8 @@ class ModbusLine:
 
         self.where = f"{address}, device {device_id}"
         self._device_id, self._timeout_s = device_id, timeout_s
-        # The bytes of the last request, and whether they have come back.
-        self._sent, self._echoed = b"", False
+        # The last two requests: the second copy of a write may come after the next request.
+        self._recent: deque[_Request] = deque(maxlen=2)
         self._client: ModbusTcpClient | ModbusSerialClient
         if address.line:
             assert serial is not None
@@ -269,6 +291,7 @@ class ModbusLine:
                 address.host, port=address.port or port, timeout=timeout_s, retries=0,
                 trace_packet=self._trace,
             )
+        self._client.recv = partial(self._receive, self._client.recv)  # type: ignore[method-assign]
 
     @property
     def connected(self) -> bool:
@@ -281,6 +304,7 @@ class ModbusLine:
         Raises:
             DriveError: it cannot be opened.
         """
+        self._recent.clear()
         if not self._client.connect():
             raise self.error("connection", "cannot connect")
 
@@ -341,12 +365,13 @@ class ModbusLine:
 
         if not self.connected:
             raise self.error("connection", f"{action}: the connection was closed")
+        self._recent.append(_Request(copies=int(function == _WRITE)))
         try:
             answer = request(*values, device_id=self._device_id, **options)
         except (ModbusException, OSError) as error:
-            self._refuse_echo(action, function)
+            self._refuse_echo(action)
             raise self._silence(action, error) from error
-        self._refuse_echo(action, function)
+        self._refuse_echo(action)
         if answer.isError():
             code = answer.exception_code
             name = _EXCEPTIONS.get(code, "unknown")
@@ -359,22 +384,27 @@ class ModbusLine:
         return answer
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
-        """Note what is sent, and whether it comes back."""
+        """Note the bytes of the request."""
         if sending:
-            self._sent, self._echoed = data, False
-        else:
-            self._echoed |= data.startswith(self._sent)
+            self._recent[-1].sent = data
         return data
 
-    def _refuse_echo(self, action: str, function: int) -> None:
-        """Raise if the request has come back; only the answer to a write may equal its request.
+    def _receive(self, receive: Callable[[int | None], bytes], size: int | None) -> bytes:
+        """Note each byte that comes: an echo may come in pieces, or behind noise."""
+        data = receive(size)
+        for request in self._recent:
+            request.came += data
+        return data
+
+    def _refuse_echo(self, action: str) -> None:
+        """Raise if a request has come back; only the answer to a write may equal its request.
 
         Raises:
             DriveError: the line returns what is sent.
         """
-        if function != _WRITE and self._echoed:
+        if any(request.echoed for request in self._recent):
             raise self.error(
-                "connection",
+                "answer",
                 f"{action}: the line returns what was sent: switch off the adapter's local echo",
             )
 

@@ -63,10 +63,14 @@ class Total:
                 del self._rates[end]
             if self._due <= 0:
                 self._shown = 0.0
-            elif self._rates:
-                self._shown = min(sum(self._rates.values()), self._sensor.high)
-            else:  # the greatest rate, or a late look, left a remainder
-                self._shown = self._shown or self._sensor.high
+            else:
+                rate = sum(self._rates.values()) or self._shown
+                # What the greatest rate, or a late look, has left over.
+                behind = self._due - sum(
+                    part * (end - now) for end, part in self._rates.items()
+                )
+                high = self._sensor.high
+                self._shown = high if behind > _BURST_S * rate else min(rate, high)
             return self._shown if self._shown or self._growing else None
 
     def add(self, raw: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
@@ -13,6 +14,8 @@ from greenroof_ros.common.times import hours_minutes_seconds
 
 # Often enough for the eye, seldom enough to cost nothing.
 INTERVAL_S = 0.2
+# Warnings that are remembered, so that each is printed once; a text can contain a changing value.
+_MOST_WARNED = 1000
 
 
 class RunProgress(Progress):
@@ -40,13 +43,13 @@ class RunProgress(Progress):
         self._run = self.add_task("", total=steps, clock="00:00:00", state="starting")
         self._tau = tau
         self._lines = ProgressLines(self.say)
-        self._warned: set[str] = set()
+        self._warned: deque[str] = deque(maxlen=_MOST_WARNED)
 
     def warn(self, warnings: Iterable[str]) -> None:
         """Print the warnings that were not printed yet above the bar."""
         for text in warnings:
             if text not in self._warned:
-                self._warned.add(text)
+                self._warned.append(text)
                 self.say(f"warning: {text}")
 
     def say(self, text: str) -> None:

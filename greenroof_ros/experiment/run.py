@@ -10,7 +10,7 @@ from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.times import epoch_ns, read_start, to_minutes
+from greenroof_ros.common.times import duration, epoch_ns, read_start, to_minutes
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
@@ -97,8 +97,8 @@ class Run:
         ) else "no rain"
         known = f", which end at {to_minutes(self.weather.end)}" if self.weather.end < until else ""
         yield (
-            f"the run of {length / 3600:.3g} h is shorter than the look-ahead of "
-            f"{self.look_ahead_s / 3600:.3g} h, so the controller also plans for what comes after "
+            f"the run of {duration(length)} is shorter than the look-ahead of "
+            f"{duration(self.look_ahead_s)}, so the controller also plans for what comes after "
             f"its end, {to_minutes(end)}: {rain} in the records{known}"
         )
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import to_people
+from greenroof_ros.common.times import duration, to_people
 from greenroof_ros.forecast.resampling import Known, Outlook, look_ahead_ends
 from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR, Issue
@@ -141,8 +141,9 @@ class LiveForecast:
         shorter = f", or a horizon of at most {always} h" if always >= 1 and due >= HOUR else ""
         return (
             f"the forecast issued at {to_people(issue.issued)} ends at {to_people(end)}, before "
-            f"the {due / HOUR:.3g} h look-ahead does; the hours after it count as dry. An issue "
-            f"must have {needed} h to last until it is too old, not {issue.hours} h{shorter}"
+            f"the {duration(due.total_seconds())} look-ahead does; the hours after it count as "
+            f"dry. An issue must have {needed} h to last until it is too old, not {issue.hours} h"
+            f"{shorter}"
         )
 
     def _newest(self, now: datetime) -> Issue:
@@ -163,7 +164,7 @@ class LiveForecast:
         if now - issue.issued > self._limit:
             raise NoForecastError(
                 f"the newest forecast, issued at {to_people(issue.issued)}, is older than "
-                f"{_length(self._limit)}"
+                f"{duration(self._limit.total_seconds())}"
             )
         end = issue.issued + issue.hours * HOUR
         if now >= end:
@@ -172,13 +173,3 @@ class LiveForecast:
                 f"{to_people(end)}, after {issue.hours} h"
             )
         return issue
-
-
-def _length(limit: timedelta) -> str:
-    """Write a time limit: ``40 s``, ``27 min``, ``2 h``."""
-    seconds = limit.total_seconds()
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    if seconds < 5400:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / _HOUR_S:.1f}".removesuffix(".0") + " h"

@@ -15,7 +15,7 @@ a minute to at most an hour; a refusal such as 429 can ask for a longer one (``R
 from __future__ import annotations
 
 import asyncio
-import tempfile
+import re
 import threading
 import time
 from dataclasses import replace
@@ -27,6 +27,7 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import replace_text
+from greenroof_ros.common.processes import scratch_directory
 from greenroof_ros.common.times import to_people
 from greenroof_ros.formats.open_meteo import VARIABLES, read_records, read_run
 from greenroof_ros.formats.own_csv import write_forecasts
@@ -64,6 +65,10 @@ _CLOCKS_S = 600.0
 # Wait after a failure (s): the first, the longest if the service asks for none, and the longest
 # that the service can ask for.
 _FIRST_WAIT_S, _LAST_WAIT_S, _LONGEST_WAIT_S = 60.0, 3600.0, 86_400.0
+
+# The names of kept forecasts, and how much of them is kept (bytes): half a year of hourly ensembles
+# of 50 members, or 20 years of single forecasts.
+_KEPT, _MOST_KEPT = re.compile(r"\d{14}\.csv"), 2_000_000_000
 
 
 class ServiceError(Exception):
@@ -187,8 +192,8 @@ def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
     """
     if not answer.lstrip().startswith(b"{"):
         raise ConfigurationError(f"is not a forecast in JSON: {_reason(answer)}")
-    with tempfile.TemporaryDirectory() as directory:
-        file = Path(directory) / "answer.json"
+    with scratch_directory() as directory:
+        file = directory / "answer.json"
         file.write_bytes(answer)
         issue = read_run(file, site, hour)
         records = without_empty(read_records(file, site))
@@ -260,7 +265,8 @@ class Fetcher:
         Args:
             service: the service to ask.
             file: of the newest forecast; replaced each time, and readable by any live site.
-            archive: directory that keeps each forecast that brings new values; None to keep none.
+            archive: directory that keeps each forecast that brings new values, the newest 2 GB of
+                them; None to keep none.
             every: time between two forecasts (s).
         """
         self.problem = ""
@@ -281,6 +287,7 @@ class Fetcher:
             if self._archive is not None and not _says_the_same(self._kept, issue):
                 replace_text(self._archive / f"{issue.order[1]:%Y%m%d%H%M%S}.csv", text)
                 self._kept = issue
+                _remove_oldest(self._archive)
         except Exception as error:  # whatever failed, the next forecast is requested
             self.problem = str(error) or type(error).__name__
             asked = error.wait if isinstance(error, ServiceError) else None
@@ -305,6 +312,16 @@ class Fetcher:
     def end(self) -> None:
         """Stop fetching."""
         self._ended.set()
+
+
+def _remove_oldest(archive: Path) -> None:
+    """Remove the oldest kept forecasts beyond the limit; other files are nobody's to remove."""
+    kept = sorted(file for file in archive.iterdir() if _KEPT.fullmatch(file.name))
+    size = 0
+    for file in reversed(kept):
+        size += file.stat().st_size
+        if size > _MOST_KEPT:
+            file.unlink()
 
 
 def _says_the_same(before: Issue | None, issue: Issue) -> bool:

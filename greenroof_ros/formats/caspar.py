@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.files import refuse_large
 from greenroof_ros.formats.records import (
     PRECIPITATION,
     QUANTITIES,
@@ -50,6 +51,8 @@ _VARIABLE = re.compile(rf"({'|'.join(_DELAYS_H)})_P_PR0?_SFC")
 _FURTHEST_DEG = 0.5
 # Longest time between two sums (h), in GEPS beyond eight days.
 _LONGEST_STEP = 6
+# Below and above all coordinates (degrees) and sums (m), and codes for missing values.
+_CODES = (-900.0, 1e15)
 # Largest decrease of a sum by rounding (mm); 2e-9 mm was seen in HRDPS.
 _ROUNDING_MM = 0.05
 
@@ -172,6 +175,7 @@ def _nearest(
             f" and longitude ({', '.join(east)}), not ({', '.join(variable.dimensions)}) "
             f"with times of ({', '.join(dataset['time'].dimensions)})", value=variable.name,
         )
+    refuse_large(Path(dataset.filepath()), 8 * sum(part.size for part in coordinates))
     latitudes, longitudes = (_numbers(coordinate[:]) for coordinate in coordinates)
     if latitudes.ndim == 1:  # an axis; broadcast with the other it gives the grid
         latitudes = latitudes[:, np.newaxis]
@@ -192,9 +196,9 @@ def _nearest(
 
 
 def _numbers(values: Any) -> NDArray[np.float64]:
-    """Return values of a variable; NaN if missing or not finite."""
+    """Return values of a variable; NaN if missing, not finite, or a code such as -9999."""
     numbers: NDArray[np.float64] = np.ma.filled(values.astype(np.float64), np.nan)
-    return np.where(np.isfinite(numbers), numbers, np.nan)
+    return np.where((numbers > _CODES[0]) & (numbers < _CODES[1]), numbers, np.nan)
 
 
 def _rain(

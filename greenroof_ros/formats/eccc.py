@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterable, Mapping
 from datetime import timedelta, timezone
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_local_time
 from greenroof_ros.formats.records import (
-    FOR_EVAPOTRANSPIRATION,
     NEARLY,
     PRECIPITATION,
     QUANTITIES,
@@ -37,8 +36,8 @@ _COLUMNS = {
     "station pressure": ("stnpress(kpa)", "pressionalastation(kpa)"),
 }
 _FLAG = ("flag", "indicateur")
-# Columns of daily and monthly files.
-_LONGER = ("maxtemp(°c)", "tempmax(°c)", "meanmaxtemp(°c)", "moydestempmax(°c)")
+# In the name of a column of daily and monthly files.
+_LONGER = "max"
 _DOWNLOAD = (
     "download hourly data of the station with precipitation (climate.weather.gc.ca, Hourly data; "
     "climat.meteo.gc.ca, Données horaires)"
@@ -55,7 +54,8 @@ def recognises(_file: Path, head: bytes, /) -> bool:
     cells = re.split("[,;\t]", head.decode("utf-8-sig", "replace").partition("\n")[0])
     names = {_plain(cell.strip('" \r')) for cell in cells}
     return not names.isdisjoint(_TIME) and (
-        _LONGITUDE in names or not names.isdisjoint((*_COLUMNS["temperature"], *_LONGER))
+        _LONGITUDE in names or not names.isdisjoint(_COLUMNS["temperature"])
+        or any(_LONGER in name for name in names)
     )
 
 
@@ -114,7 +114,8 @@ def read_records(file: Path, site: Site, /) -> Records:
                 for text, flag in zip(table.columns[column], table.columns[flags], strict=True)
             ]
         values[quantity] = table.usable(
-            column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0)
+            column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0),
+            optional=quantity != PRECIPITATION,
         )
     return Records(
         (file,), first, by_hour(values, hours), rain_late=1, left_out=tuple(table.notes),
@@ -132,7 +133,7 @@ def _place(table: Table, names: Mapping[str, str]) -> dict[Path, tuple[float, fl
     if _LATITUDE not in names or _LONGITUDE not in names:
         return {}
     latitude, longitude = (
-        float(table.numbers(names[column], ("degrees", -end, end), missing=("",))[0])
+        table.number(names[column], 0, ("degrees", -end, end), missing=("",))
         for column, end in ((_LATITUDE, 90.0), (_LONGITUDE, 180.0))
     )
     return {table.file: (latitude, longitude)}
@@ -144,15 +145,12 @@ def _quantity(name: str) -> str | None:
     return next((quantity for quantity, names in _COLUMNS.items() if plain in names), None)
 
 
-def _check_kind(table: Table, names: Container[str], quantities: Container[str]) -> None:
+def _check_kind(table: Table, names: Iterable[str], quantities: Container[str]) -> None:
     """Refuse a file that does not have each hour's rain, and say what it is."""
-    lacking = [name for name in (PRECIPITATION, *FOR_EVAPOTRANSPIRATION) if name not in quantities]
-    if any(name in names for name in _LONGER):
+    if any(_LONGER in name for name in names):
         what = "holds days or months, not hours"
-    elif PRECIPITATION in lacking:
+    elif PRECIPITATION not in quantities:
         what = "holds hours without precipitation, which files from before 2021 do not have"
-    elif lacking:
-        what = f"has no column of {', '.join(lacking)}"
     else:
         return
     raise table.refuse(f"is a file of Environment Canada that {what}: {_DOWNLOAD}")
@@ -160,7 +158,7 @@ def _check_kind(table: Table, names: Container[str], quantities: Container[str])
 
 def _check_zone(table: Table, column: str, utc_offset: float) -> None:
     """Refuse a station whose solar time is not near the site's standard time."""
-    longitude = table.numbers(column, ("degrees", -180.0, 180.0))[0]
+    longitude = table.number(column, 0, ("degrees", -180.0, 180.0))
     if abs(longitude / 15 - utc_offset) > _MOST_FROM_SOLAR_TIME:
         raise table.refuse(
             f"is not near the standard time of the site, utc_offset = {utc_offset:g} h, which "

@@ -20,7 +20,7 @@ is for the hour that starts at its time. So rain and radiation are moved an hour
 instantaneous value holds for the hour after it, as in ECCC's files.
 
 Local times have one offset from UTC in the whole file, even across a change of daylight saving
-time: ``utc_offset_seconds``.
+time: ``utc_offset_seconds``. With ``timeformat=unixtime`` they are seconds since 1970 in UTC.
 
 **Past weather** has ``precipitation`` and what evapotranspiration is computed from. **Previous
 runs** have ``precipitation_previous_day1`` to 7: for each hour the newest forecast that was at
@@ -39,22 +39,27 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timedelta, timezone, tzinfo
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
-from greenroof_ros.common.times import hours_since_1970, parse_local_time, parse_time, to_minutes
+from greenroof_ros.common.files import read_lines, read_text
+from greenroof_ros.common.times import (
+    hours_since_1970,
+    parse_local_time,
+    parse_time,
+    parse_unix_time,
+    to_minutes,
+)
 from greenroof_ros.formats.records import (
-    FOR_EVAPOTRANSPIRATION,
     HOUR,
     HUMIDITY,
     ISSUE_HOURS,
@@ -82,6 +87,8 @@ from greenroof_ros.model.site import Site
 _OFFSET = "utc_offset_seconds"
 # The service's unit of a variable that the model does not have: all its values are missing.
 _NO_UNIT = "undefined"
+# From March 1973 on; fewer digits can be a date.
+_UNIX_TIME = re.compile(r"\d{9,10}(\.0*)?", re.ASCII)
 _SAVED_TIMES = ("time", "datetime", "date")
 _WHOSE = "Open-Meteo's hourly files"
 VARIABLES = {
@@ -120,12 +127,14 @@ _RUN_IN_NAME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)T?(\d\d)(?:-?00)?(?: ?\(\d+\)
 # The service's longest forecasts, of ensembles, reach 36 days (h).
 _LONGEST_RUN = 36 * 24
 _DAY_H = 24
+_S = TypeVar("_S")
+_T = TypeVar("_T")
 
 
 def recognises(_file: Path, head: bytes, /) -> bool:
     """Return whether a file is JSON, or its first line is the service's or a saved forecast's."""
     text = head.decode("utf-8", "replace").removeprefix("\ufeff").lstrip()
-    cells = [cell.strip() for cell in re.split("[,;\t]", text.partition("\n")[0])]
+    cells = [cell.strip(' "\r') for cell in re.split("[,;\t]", text.partition("\n")[0])]
     saved = cells[0] in _SAVED_TIMES and any(
         (cell.startswith(PRECIPITATION) and "[" not in cell) or "_previous_day" in cell
         for cell in cells
@@ -152,7 +161,8 @@ def _read(
             is unknown, or too few values are plausible; the message names line or key, and value.
     """
     table, parse, places = _table(file, site)
-    columns: dict[str, NDArray[np.float64]] = {}
+    named: dict[str, tuple[str, str, str]] = {}
+    members = sum(cell.startswith(PRECIPITATION) for cell in table.header)
     for cell in table.header[1:]:
         name, _, text = cell.partition(" ")
         try:
@@ -164,14 +174,21 @@ def _read(
         table.require([cell], _WHOSE)
         known = {unit.name: unit for unit in UNITS[quantity]}
         text = text.strip("()") or next(iter(known))
-        if text == _NO_UNIT and not any(map(_is_value, table.columns[cell])):
-            text = next(iter(known))
-        if text not in known or name in columns:
+        if text not in (*known, _NO_UNIT) or name in named:
             raise table.refuse(f"must be in {' or '.join(known)}, and only one column", cell)
-        columns[name] = table.usable(
-            cell, QUANTITIES[quantity], known[text], NEARLY.get(quantity, 0.0)
-        )
+        named[name] = cell, quantity, text
     first, hours = table.hours(table.header[0], parse, "2024-06-01T12:00")
+    columns: dict[str, NDArray[np.float64]] = {}
+    for name, (cell, quantity, text) in named.items():
+        known = {unit.name: unit for unit in UNITS[quantity]}
+        if text == _NO_UNIT:
+            if any(map(_is_value, table.columns[cell])):
+                raise table.refuse(f"must be in {' or '.join(known)}", cell)
+            text = next(iter(known))
+        columns[name] = table.usable(
+            cell, QUANTITIES[quantity], known[text], NEARLY.get(quantity, 0.0),
+            optional=quantity != PRECIPITATION or members > 1,
+        )
     return table, Records(
         (file,), first, by_hour(columns, hours), left_out=tuple(table.notes), places=places,
         wind_height=_WIND_HEIGHT_M,
@@ -186,45 +203,70 @@ def _table(
     file: Path, site: Site
 ) -> tuple[Table, Callable[[str], datetime], dict[Path, tuple[float, float]]]:
     """Return the hours of a file, the parser of their times, and the place, if it has one."""
-    text = read_text(file)
-    if text.lstrip().startswith(("{", "[")):
-        place, table = _json_tables(file, text)
+    if next(filter(str.strip, read_lines(file))).lstrip().startswith(("{", "[")):
+        place, table = _json_tables(file, read_text(file))
     else:
-        lines = numbered_lines(text)
-        if lines and _OFFSET not in lines[0][1]:
-            return table_of(file, lines), partial(parse_time, zone=timezone.utc), {}
-        lines = _hourly_section(lines)
-        if len(lines) < 3:
+        lines = numbered_lines(read_lines(file))
+        about = list(itertools.islice(lines, 2))
+        if about and _OFFSET not in about[0][1]:
+            return table_of(file, itertools.chain(about, lines)), partial(
+                _parse, parse_time, zone=timezone.utc
+            ), {}
+        hourly = list(itertools.islice(sections := _hourly_section(lines), 1))
+        if not hourly:
             raise ConfigurationError(
                 "must have two lines about the place, then a header and records", file=file
             )
-        place, table = table_of(file, lines[:2]), table_of(file, lines[2:])
+        place, table = table_of(file, about), table_of(file, itertools.chain(hourly, sections))
     if "location_id" in place.header:
         raise place.refuse("must be for one place; download places separately", "location_id", 0)
     zone = _check_place(place, site)
     table.require(["time"], _WHOSE)
     latitude, longitude = (float(place.columns[name][0]) for name in ("latitude", "longitude"))
-    return table, partial(parse_local_time, zone=zone), {file: (latitude, longitude)}
+    return table, partial(_parse, parse_local_time, zone=zone), {file: (latitude, longitude)}
 
 
-def _hourly_section(lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """Return the lines about the place and the hours, without other sections.
+def _parse(parse: Callable[[str, tzinfo], datetime], text: str, zone: tzinfo) -> datetime:
+    """Return a time, which with ``timeformat=unixtime`` is in seconds since 1970 in UTC."""
+    if _UNIX_TIME.fullmatch(text):
+        return parse_unix_time(text).astimezone(zone)
+    return parse(text, zone)
+
+
+def _hourly_section(lines: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str]]:
+    """Return the lines of the hours, from their header on, without other sections.
 
     The service writes a section each for ``current``, ``minutely_15``, ``hourly`` and ``daily``,
-    as chosen on its page.
+    as chosen on its page. If none is of hours, it is the first.
     """
-    begins = [
-        at for at, (_, line) in enumerate(lines) if re.match(r'"?time"?[,;\t]', line)
-    ] + [len(lines)]
-    sections = [lines[begin:end] for begin, end in itertools.pairwise(begins)]
-    if len(sections) < 2:
-        return lines
-    for section in sections:
-        with suppress(ValueError, IndexError):
-            times = [parse_time(re.split("[,;\t]", line)[0]) for _, line in section[1:3]]
-            if times[1] - times[0] == HOUR:
-                return lines[: begins[0]] + section
-    return lines[: begins[1]]
+    number = 0
+
+    def section(line: tuple[int, str]) -> int:
+        nonlocal number
+        number += re.match(r'"?time"?[,;\t]', line[1]) is not None
+        return number
+
+    other: list[tuple[int, str]] = []
+    for _, group in itertools.groupby(lines, section):
+        rows = iter(group)
+        top = list(itertools.islice(rows, 3))
+        if _may_be_hours([line for _, line in top[1:]]):
+            return itertools.chain(top, rows)
+        other = other or [*top, *rows]
+    return iter(other)
+
+
+def _may_be_hours(rows: Sequence[str]) -> bool:
+    """Return whether the first rows of a section can be hours; wrong times are refused later."""
+    if len(rows) < 2:
+        return False
+    try:
+        first, second = (
+            _parse(parse_time, re.split("[,;\t]", row)[0].strip('"'), timezone.utc) for row in rows
+        )
+    except ValueError:
+        return True
+    return not (timedelta() < second - first < HOUR or second - first >= _DAY_H * HOUR)
 
 
 def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
@@ -254,10 +296,10 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
             raise refuse("must be a list of values, one for each time", key=f"hourly.{name}")
     about = {name: [_cell(value, "NaN")] for name, value in content.items()}
     hours = {
-        name if name == "time" else f"{name} ({units.get(name, '')})": [*map(_cell, series)]
+        name if name == "time" else f"{name} ({units.get(name) or ''})": [*map(_cell, series)]
         for name, series in hourly.items()
     }
-    return Table(file, [*about], about), Table(file, [*hours], hours, key="hourly.")
+    return Table(file, about.items()), Table(file, hours.items(), key="hourly.")
 
 
 def _cell(value: Any, missing: str = "") -> str:
@@ -302,8 +344,8 @@ def _check_place(place: Table, site: Site) -> timezone:
 def read_records(file: Path, site: Site, /) -> Records:
     """Read past weather; an empty cell or ``NaN`` is a missing value.
 
-    Precipitation, temperature, dew point, wind speed and surface pressure are required; shortwave
-    radiation is used if present, and other variables are ignored.
+    Precipitation is required; what evapotranspiration is computed from is used if present, and
+    other variables are ignored.
 
     Args:
         file: of one place.
@@ -317,9 +359,8 @@ def read_records(file: Path, site: Site, /) -> Records:
     for variable, series in records.values.items():
         values.setdefault(_QUANTITIES[variable], series)
     values = with_dew_point(values)
-    for quantity in (PRECIPITATION, *FOR_EVAPOTRANSPIRATION):
-        if quantity not in values:
-            table.require([f"{VARIABLES[quantity]} ({UNITS[quantity][0].name})"], _WHOSE)
+    if PRECIPITATION not in values:
+        table.require([f"{PRECIPITATION} (mm)"], _WHOSE)
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One more hour: the hour before the first time has only rain and radiation, the last neither.
     nothing = np.array([math.nan])
@@ -343,15 +384,17 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
         ConfigurationError: see :func:`_read`; or the files are of several kinds or models, or lack
             required values of a run or an hour.
     """
-    parts = [_forecast(file, site) for file in files]
+    parts, notes = _usable(files, lambda file: _forecast(file, site))
     previous = [any(map(_PREVIOUS.fullmatch, part.values)) for part in parts]
     if not any(previous):
-        runs = [_run(part, _named_run(part.files[0])) for part in parts]
-        return Archive(files[0], "Open-Meteo, runs", runs, SERVICE_DELAY_H, runs)
+        runs, more = _usable(parts, lambda part: _run(part, _named_run(part.files[0])))
+        return Archive(
+            files[0], "Open-Meteo, runs", runs, SERVICE_DELAY_H, runs, notes=(*notes, *more)
+        )
     if not all(previous):
         raise ConfigurationError(
-            f"must contain previous runs, as {files[previous.index(True)].name} does",
-            file=files[previous.index(False)],
+            f"must contain previous runs, as {parts[previous.index(True)].files[0].name} does",
+            file=parts[previous.index(False)].source,
         )
     whole = join([
         replace(part, values={
@@ -361,8 +404,27 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
     ])
     return Archive(
         files[0], "Open-Meteo, previous runs", _known_of(whole), SERVICE_DELAY_H,
-        _daily(whole), _DAY_H, whole.left_out,
+        _daily(whole), _DAY_H, (*notes, *whole.left_out),
     )
+
+
+def _usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[_T], list[str]]:
+    """Return what is read from each source that can be used, and a note of each other.
+
+    Among thousands of downloads some are the service's refusals, or end too early.
+
+    Raises:
+        ConfigurationError: of the first, if none can be used.
+    """
+    read_ones, errors = [], []
+    for source in sources:
+        try:
+            read_ones.append(read(source))
+        except ConfigurationError as error:
+            errors.append(error)
+    if not read_ones:
+        raise errors[0]
+    return read_ones, [f"{error}; the file is left out" for error in errors]
 
 
 def _forecast(file: Path, site: Site) -> Records:
@@ -410,12 +472,12 @@ def _run(hours: Records, run: datetime) -> Issue:
             f"must have the hour after its run, {to_minutes(run)}; its first time is "
             f"{to_minutes(hours.first + HOUR)}"
         )
-    numbered = {
-        int(match[1] or 0): Issue(run, file, None, series[None, start:])
-        for name, series in hours.values.items() if (match := _MEMBER.fullmatch(name))
-    }
-    control = int(0 not in numbered)  # some runs have no control
-    issue = ensemble((number - control, member) for number, member in numbered.items())
+    # Some runs have no control, and a download may lack a member.
+    series = [hours.values[name] for name in sorted(filter(_MEMBER.fullmatch, hours.values))]
+    issue = ensemble(
+        (number, Issue(run, file, None, member[None, start:]))
+        for number, member in enumerate(series)
+    )
     if issue.hours > _LONGEST_RUN:
         raise refuse(
             f"has {issue.hours} hours; a run has at most {_LONGEST_RUN}. For a longer past "

@@ -11,7 +11,7 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
-from greenroof_ros.common.files import read_text
+from greenroof_ros.common.files import read_lines
 from greenroof_ros.common.times import parse_time, to_minutes
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
@@ -47,6 +47,7 @@ _COMMENT = re.compile(r"\s*(#|$)")
 # The place of a weather file, in a comment at its head.
 _PLACE = re.compile(r"\b(latitude|longitude)\s*[:=]\s*([-+]?\d+(?:\.\d*)?)", re.IGNORECASE)
 _ENDS = {"latitude": 90.0, "longitude": 180.0}
+_MEMBERS = ("(whole)", 0.0, MOST_MEMBERS - 1.0)
 _OPTIONAL = {"available", "member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
 
 
@@ -72,7 +73,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    table = read_table(file)
+    table = read_table(file, lambda name: name != "time")
     columns, method = _columns(table)
     first, hours = table.hours(
         "time", zone=None if site.time_zone is None else ZoneInfo(site.time_zone),
@@ -80,7 +81,10 @@ def read_records(file: Path, site: Site, /) -> Records:
         "such as America/Toronto",
     )
     values = with_dew_point(by_hour({
-        quantity: table.usable(column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0))
+        quantity: table.usable(
+            column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0),
+            optional=quantity != PRECIPITATION,
+        )
         for quantity, column in columns.items()
     }, hours))
     return Records(
@@ -161,22 +165,13 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
         f"; they are {', '.join(map(repr, columns))}; {', '.join(optional)} may be left "
         "out",
     )
-    issued, times = table.times("issued"), table.times("time")
-    arrived: Sequence[datetime | None] = [None] * len(times)
-    if "available" in table.header:
-        arrived = table.times("available")
-    members = [0.0] * len(times)
-    if "member" in table.header:
-        members = table.numbers("member", ("(whole)", 0.0, MOST_MEMBERS - 1.0)).tolist()
-    values = {
-        quantity: table.usable(column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0))
-        for quantity, column in _FORECAST.items() if column in table.header
-    }
     # Rows by issue, with its arrival, and member.
     rows_of: dict[tuple[datetime, datetime | None], dict[float, list[int]]] = {}
-    for row, (issue, available, time, member) in enumerate(
-        zip(issued, arrived, times, members, strict=True)
-    ):
+    arrivals, members = ("available" in table.header, "member" in table.header)
+    for row in table.rows():
+        issue, time = table.time("issued", row), table.time("time", row)
+        available = table.time("available", row) if arrivals else None
+        member = table.number("member", row, _MEMBERS) if members else 0.0
         last, _ = next(reversed(rows_of), (issue, None))
         if available is not None and available < issue:
             raise table.refuse(
@@ -191,6 +186,13 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
         due = issue + len(rows) * HOUR
         table.check_due("time", row, time, due, "each forecast, from its issue on,")
         rows.append(row)
+    values = {
+        quantity: table.usable(
+            column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0),
+            optional=quantity != PRECIPITATION,
+        )
+        for quantity, column in _FORECAST.items() if column in table.header
+    }
     issues = [
         mended(ensemble(
             (member, Issue(
@@ -217,7 +219,7 @@ def _newest(path: Path, now: datetime) -> list[tuple[int, str]]:
         ConfigurationError: the file cannot be read, or its last issue is too long.
     """
     if not path.is_file() or path.stat().st_size <= _MOST_BYTES:
-        lines = numbered_lines(read_text(path))
+        lines = [*numbered_lines(read_lines(path))]
     else:
         lines = _last_lines(path)
     first, before = 1, ""

@@ -18,7 +18,6 @@ from greenroof_ros.model.site import Site
 SUFFIXES = (".csv", ".json", ".nc")
 """Suffixes of files of forecasts; the format is recognised by the content."""
 _HEAD_BYTES = 4096
-_MOST_BYTES = 50_000_000
 
 # The first format that recognises a file by its name and first bytes reads it; the last takes any.
 _WEATHER = (eccc, open_meteo, own_csv)
@@ -31,14 +30,7 @@ def read_records(file: Path, site: Site) -> Records:
     Raises:
         ConfigurationError: the file does not follow its format, or is too large.
     """
-    form = _format_of(file, _WEATHER)
-    size = file.stat().st_size
-    if size > _MOST_BYTES:
-        raise ConfigurationError(
-            f"has {size / 1e6:.0f} MB; a weather file may have at most {_MOST_BYTES / 1e6:g} MB, "
-            "which is enough for 50 years: leave out the years that no run needs", file=file,
-        )
-    records: Records = form.read_records(file, site)
+    records: Records = _format_of(file, _WEATHER).read_records(file, site)
     return records
 
 
@@ -57,7 +49,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
 
     Raises:
         ConfigurationError: a file does not follow its format, the files have several formats, an
-            issue occurs twice, or issues differ in members or in having evapotranspiration.
+            issue occurs twice, or issues differ in having evapotranspiration.
     """
     files = [source]
     if source.is_dir():
@@ -93,7 +85,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
 def _alike(issues: Sequence[Issue]) -> tuple[list[Issue], list[str]]:
     """Return issues that all have equally many members, and notes of what was left out.
 
-    An issue that was downloaded twice is kept once. Where members were left out of an issue, all
+    An issue that was downloaded twice is kept once. Where an issue has fewer members, all
     have as few, unless it would be less than half: then that issue is left out.
 
     Raises:

@@ -6,7 +6,8 @@ import csv
 import itertools
 import math
 import re
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from array import array
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta, timezone, tzinfo
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, with_point
-from greenroof_ros.common.files import read_text
+from greenroof_ros.common.files import read_lines
 from greenroof_ros.common.times import (
     DEFAULT_START,
     FIRST_YEAR,
@@ -28,7 +29,7 @@ from greenroof_ros.common.times import (
 )
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 
-HOUR = timedelta(hours=1)
+HOUR, MINUTE = timedelta(hours=1), timedelta(minutes=1)
 PRECIPITATION = "precipitation"
 EVAPOTRANSPIRATION = "evapotranspiration"
 RADIATION = "solar radiation"
@@ -66,12 +67,19 @@ QUANTITIES: dict[str, Limits] = {
 MISSING = {"", "nan", "na", "n/a", "#n/a", "n/d", "m", "null", "none", "-", "--", "---", "missing"}
 """What stands for a missing value, in lower case."""
 # Digits of numbers that do, besides nines.
-_CODES = {"32767", "32768", "6999", "7777", "8888"}
+_CODES = {
+    "32767", "32768", "65535", "2147483647", "2147483648", "4294967295", "27315", "6999", "7999",
+    "777", "7777", "888", "8888",
+}
 _HUGE = 1e15  # fill values of NetCDF and GRIB are larger
 # Share of a column's values other than 0 that may be neither plausible nor a code: a wrong unit of
 # rain shows in the few wettest hours.
 _MOST_WRONG = 0.01
 _MOST_NAMED = 3
+# Equal cells of a table are kept once, for so many different ones.
+_MOST_CELLS = 10_000
+# A comment, or a spreadsheet's line that names the separator.
+_NO_RECORD = re.compile(r'\s*("?#|sep=.$)')
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(\d+)$", re.ASCII)
 
 # What evapotranspiration is computed from, if it is not given.
@@ -214,17 +222,21 @@ def join(parts: Sequence[Records]) -> Records:
     """Join the records of several files.
 
     They are sorted by time. A value that no file has is missing (NaN). If several files have it,
-    they must agree.
+    they must agree. If hours of a file do not begin with hours of the first, each of its values is
+    the mean of the two hours in which it lies; values of other files then go before.
 
     Raises:
         ConfigurationError: two files have different values for an hour, different quantities,
-            methods of evapotranspiration or conventions of time; or their hours do not begin
-            together. The message names both.
+            methods of evapotranspiration or conventions of time. The message names both.
     """
-    parts = sorted(parts, key=lambda part: part.first)
-    first = parts[0]
-    for part in parts[1:]:
+    first = min(parts, key=lambda part: part.first)
+    for part in parts:
         _check_alike(first, part)
+    moved = [part for part in parts if (part.first - first.first) % HOUR]
+    parts = [
+        *sorted((part for part in parts if part not in moved), key=lambda part: part.first),
+        *(_on_hours_of(first, part) for part in moved),
+    ]
     begins = [(part.first - first.first) // HOUR for part in parts]
     hours = max(begin + part.hours for begin, part in zip(begins, parts, strict=True))
     values = {quantity: np.full(hours, np.nan) for quantity in first.values}
@@ -232,6 +244,8 @@ def join(parts: Sequence[Records]) -> Records:
         for quantity, series in part.values.items():
             joined = values[quantity][begin : begin + part.hours]
             known = ~np.isnan(series)
+            if part.source in [other.source for other in moved]:
+                known &= np.isnan(joined)
             unequal = np.flatnonzero(known & ~np.isnan(joined) & (joined != series))
             if unequal.size:
                 hour = int(unequal[0])
@@ -247,6 +261,7 @@ def join(parts: Sequence[Records]) -> Records:
                     value=float(series[hour]),
                 )
             joined[known] = series[known]
+    parts = sorted(parts, key=lambda part: part.first)
     files = tuple(file for part in parts for file in part.files)
     left_out = tuple(note for part in parts for note in part.left_out)
     places = {file: place for part in parts for file, place in part.places.items()}
@@ -267,12 +282,23 @@ def _check_alike(first: Records, part: Records) -> None:
                 f"it has {', '.join(present) or 'none'}",
                 file=part.source,
             )
-    if (part.first - first.first) % HOUR:
-        raise ConfigurationError(
-            f"its hours begin at {to_minutes(part.first)}, which must be a whole number of hours "
-            f"from {to_minutes(first.first)}, as in {first.source}",
-            file=part.source,
-        )
+
+
+def _on_hours_of(first: Records, part: Records) -> Records:
+    """Return records on hours that begin with another's, as local hours at UTC-3:30 do not."""
+    late = (part.first - first.first) % HOUR
+    share = late / HOUR
+    return replace(
+        part, first=part.first - late + HOUR,
+        values={
+            quantity: share * series[:-1] + (1 - share) * series[1:]
+            for quantity, series in part.values.items()
+        },
+        left_out=(*part.left_out, (
+            f"{part.source}: its hours begin {late // MINUTE} min after the hours of "
+            f"{first.source}; each value is the mean of the two hours in which it lies"
+        )),
+    )
 
 
 # Longest gap of temperature and evapotranspiration in a forecast that is bridged (h).
@@ -296,7 +322,6 @@ class Issue:
         evapotranspiration: mm/day, shape (hours,); None if the file has none.
         temperature: of the air (degC), likewise.
         available: when it arrived; None for the archive's delay after its nominal time.
-        given: number of members in the file, if some were left out; otherwise 0.
         notes: what could not be used as it is.
     """
 
@@ -307,7 +332,6 @@ class Issue:
     evapotranspiration: NDArray[np.float64] | None = None
     temperature: NDArray[np.float64] | None = None
     available: datetime | None = None
-    given: int = 0
     notes: tuple[str, ...] = ()
 
     @property
@@ -319,11 +343,6 @@ class Issue:
     def order(self) -> tuple[datetime, datetime]:
         """What issues are sorted by: nominal time, then arrival."""
         return self.issued, self.available or self.issued
-
-    @property
-    def members(self) -> int:
-        """Number of members in the file."""
-        return self.given or len(self.rain)
 
     def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
         """Return evapotranspiration some hours ahead (mm/day); None if the file has none.
@@ -416,7 +435,7 @@ def mended(issue: Issue) -> Issue:
     if count:
         notes.append(f"{count} missing hours of precipitation have the mean of their neighbours")
     return replace(
-        issue, rain=rain[kept, :hours], given=issue.given or len(rain),
+        issue, rain=rain[kept, :hours],
         notes=(*issue.notes, *(
             f"{issue.file.name}, issue of {to_minutes(issue.issued)}: {note}" for note in notes
         )),
@@ -434,16 +453,11 @@ def check_alike(earlier: Issue, later: Issue) -> None:
     """Refuse an issue of an archive that repeats the issue before it, or has a different form.
 
     Raises:
-        ConfigurationError: it repeats it, or has other members or quantities.
+        ConfigurationError: it repeats it, or has other quantities.
     """
     wrong, when = "", to_minutes(later.issued)
     if earlier.order == later.order:
         wrong = f"has the issue of {when}, which {earlier.file.name} has already"
-    elif earlier.members != later.members:
-        wrong = (
-            f"the issue of {when} must have as many members as the one before it in "
-            f"{earlier.file.name}, {earlier.members}, not {later.members}"
-        )
     elif (earlier.evapotranspiration is None) != (later.evapotranspiration is None):
         wrong = f"must have a column of evapotranspiration, or none, like {earlier.file.name}"
     if wrong:
@@ -514,27 +528,74 @@ class Unit:
     zero: float = 0.0
 
 
-@dataclass(frozen=True)
 class Table:
     """A header and columns of cells, without surrounding space.
+
+    The rows are read when they are first needed, so that an error in one of them is found before
+    the rest of the file is read.
 
     Attributes:
         file: where it is from.
         header: names of the columns.
-        columns: cells of each column, by its name.
         line: line number of the header; None if there are no lines, as in JSON.
-        lines: line number of each row; empty likewise.
+        lines: line number of each row that was read; empty likewise.
         key: prefix of the columns in JSON, such as ``hourly.``
         notes: what could not be used as it is; :meth:`usable` adds to them.
     """
 
-    file: Path
-    header: Sequence[str]
-    columns: dict[str, list[str]]
-    line: int | None = None
-    lines: Sequence[int] = ()
-    key: str = ""
-    notes: list[str] = field(default_factory=list)
+    def __init__(
+        self, file: Path, columns: Collection[tuple[str, list[str]]], line: int | None = None,
+        rows: Iterable[tuple[int, list[str]]] = (), key: str = "",
+    ) -> None:
+        """Prepare; only the first of the rows is read.
+
+        Args:
+            file: where it is from.
+            columns: name and cells of each.
+            line: of the header.
+            rows: line and cells of each further row.
+            key: prefix of the columns.
+        """
+        self.file, self.line, self.key = file, line, key
+        self.header = [name for name, _ in columns]
+        self.lines, self.notes = array("q"), list[str]()
+        self._columns, self._in_order = dict(columns), [cells for _, cells in columns]
+        self._cells: dict[str, str] = {}  # equal cells are kept once
+        self._rows = iter(rows)
+        for row in itertools.islice(self._rows, 1):
+            self._add(row)
+
+    @property
+    def columns(self) -> dict[str, list[str]]:
+        """Cells of each column, by its name; the whole file is read."""
+        for row in self._rows:
+            self._add(row)
+        return self._columns
+
+    def cell(self, column: str, row: int) -> str:
+        """Return a cell of a row that was read."""
+        return self._columns[column][row]
+
+    def rows(self) -> Iterator[int]:
+        """Yield the number of each row, counted from 0, as it is read."""
+        first = self._in_order[0]
+        row = 0
+        while True:
+            if row == len(first):
+                further = next(self._rows, None)
+                if further is None:
+                    return
+                self._add(further)
+            yield row
+            row += 1
+
+    def _add(self, row: tuple[int, list[str]]) -> None:
+        line, cells = row
+        self.lines.append(line)
+        if len(self._cells) > _MOST_CELLS:
+            self._cells.clear()
+        for column, cell in zip(self._in_order, cells, strict=True):
+            column.append(self._cells.setdefault(cell, cell))
 
     def refuse(
         self, expected: str, column: str | None = None, row: int | None = None
@@ -545,7 +606,7 @@ class Table:
         key = f"{self.key}{column.partition(' ')[0]}[{row}]" if self.key else column
         return ConfigurationError(
             expected, file=self.file, line=self.lines[row] if self.lines else None, key=key,
-            value=self.columns[column][row],
+            value=self.cell(column, row),
         )
 
     def require(self, columns: Iterable[str], whose: str) -> None:
@@ -584,47 +645,55 @@ class Table:
         self, column: str, limits: Limits, unit: Unit | None = None, missing: Container[str] = (),
         hint: str = "",
     ) -> NDArray[np.float64]:
-        """Return a column's values in our unit, shape (rows,).
+        """Return a column's values in our unit, shape (rows,); see :meth:`number`."""
+        return np.array([
+            self.number(column, row, limits, unit, missing, hint) for row in self.rows()
+        ])
+
+    def number(
+        self, column: str, row: int, limits: Limits, unit: Unit | None = None,
+        missing: Container[str] = (), hint: str = "",
+    ) -> float:
+        """Return a value in our unit.
 
         Args:
-            column: its name.
+            column: its column.
+            row: its row.
             limits: our unit, and the plausible range.
             unit: of the column; ours by default.
             missing: texts that stand for a missing value, which is NaN.
             hint: end of the message about a wrong value.
 
         Raises:
-            ConfigurationError: a cell is not a number, or not a plausible one.
+            ConfigurationError: the cell is not a number, or not a plausible one.
         """
         own_unit, low, high = limits
         unit = unit or Unit(own_unit)
-        values = np.full(len(self.columns[column]), np.nan)
-        for row, text in enumerate(self.columns[column]):
-            if text in missing:
-                continue
-            try:
-                value = (float(text) - unit.zero) / unit.per_ours
-            except ValueError:
-                value = math.nan
-            if not low <= value <= high:
-                ends = [f"{end * unit.per_ours + unit.zero:g}" for end in (low, high)]
-                raise self.refuse(
-                    f"must be a number from {' to '.join(ends)} {unit.name}{with_point(text)}"
-                    + (", or empty" if "" in missing else "") + hint,
-                    column, row,
-                )
-            values[row] = value
-        return values
+        text = self.cell(column, row)
+        if text in missing:
+            return math.nan
+        try:
+            value = (float(text) - unit.zero) / unit.per_ours
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            ends = [f"{end * unit.per_ours + unit.zero:g}" for end in (low, high)]
+            raise self.refuse(
+                f"must be a number from {' to '.join(ends)} {unit.name}{with_point(text)}"
+                + (", or empty" if "" in missing else "") + hint,
+                column, row,
+            )
+        return value
 
     def usable(
         self, column: str, limits: Limits, unit: Unit | None = None, nearly: float = 0.0,
-        hint: str = "",
+        hint: str = "", *, optional: bool = False,
     ) -> NDArray[np.float64]:
         """Return a column's values in our unit, shape (rows,); NaN for those that cannot be used.
 
-        A value just outside the range counts as its end. A code such as -999, a negative value of
-        what cannot be negative, and a few other values that are not plausible are left out. The
-        notes name them all.
+        A value just outside the range counts as its end. A code such as -999, a word, a negative
+        value of what cannot be negative, and a few other values that are not plausible are left
+        out. The notes name them all.
 
         Args:
             column: its name.
@@ -632,9 +701,10 @@ class Table:
             unit: of the column; ours by default.
             nearly: how far outside the range is just outside.
             hint: end of the message about wrong values.
+            optional: codes alone are as good as no column.
 
         Raises:
-            ConfigurationError: none, or too many of the values are plausible.
+            ConfigurationError: too few of the values are plausible.
         """
         own_unit, low, high = limits
         unit = unit or Unit(own_unit)
@@ -643,25 +713,28 @@ class Table:
         near: list[int] = []
         codes: list[int] = []
         wrong: list[int] = []
+        zero, per_ours = unit.zero, unit.per_ours
         for row, text in enumerate(cells):
-            if text.lower() in MISSING:
-                continue
             try:
                 number = float(text)
             except ValueError:
-                wrong.append(row)
+                if text.lower() not in MISSING:
+                    (wrong if re.search(r"\d", text) else codes).append(row)
                 continue
-            value = (number - unit.zero) / unit.per_ours
+            value = (number - zero) / per_ours
             if low <= value <= high:
                 values[row] = value
+            elif text.lower() in MISSING:
+                continue
             elif low - nearly <= value <= high + nearly:
                 values[row] = min(max(value, low), high)
                 near.append(row)
             else:
-                (codes if _is_code(text, number) or value < low == 0 else wrong).append(row)
+                below = number <= 0 <= low and value < low  # 0 of a pressure, too
+                (codes if below or _is_code(text, number) else wrong).append(row)
         known = values[~np.isnan(values)]
         if len(wrong) > max(1.0, _MOST_WRONG * np.count_nonzero(known)) or (
-            (wrong or codes) and not known.size
+            not known.size and (wrong or (codes and not optional))
         ):
             first = (wrong or codes)[0]
             self.numbers(column, limits, unit, {"", *cells[:first]} - {cells[first]}, hint)
@@ -688,39 +761,50 @@ class Table:
     def times(
         self, column: str, parse: Callable[[str], datetime] = parse_time,
         example: str = DEFAULT_START, hint: str = "", zone: tzinfo | None = None,
-    ) -> list[datetime]:
-        """Return a column's times.
+    ) -> Iterator[datetime]:
+        """Yield a column's times; see :meth:`time`."""
+        time: datetime | None = None
+        for row in self.rows():
+            time = self.time(column, row, parse, example, hint, zone, time)
+            yield time
+
+    def time(
+        self, column: str, row: int, parse: Callable[[str], datetime] = parse_time,
+        example: str = DEFAULT_START, hint: str = "", zone: tzinfo | None = None,
+        before: datetime | None = None,
+    ) -> datetime:
+        """Return a time.
 
         Args:
-            column: its name.
+            column: its column.
+            row: its row.
             parse: returns a time, or raises ValueError; by default it reads ISO 8601 with an offset
                 from UTC.
             example: of a time, for messages.
             hint: end of the message about a missing offset.
-            zone: of times without an offset, with its daylight saving time. In the hour that a
-                clock shows twice, a time that is not later than the one before is the second.
+            zone: of a time without an offset, with its daylight saving time.
+            before: time of the row before. In the hour that a clock shows twice, a time that is not
+                later is the second.
 
         Raises:
-            ConfigurationError: a cell is not a time, lacks its offset from UTC, or is in an hour
+            ConfigurationError: the cell is not a time, lacks its offset from UTC, or is in an hour
                 that the zone's clocks skip.
         """
-        times: list[datetime] = []
-        for row, text in enumerate(self.columns[column]):
-            try:
-                time = parse(text)
-            except ValueError:
-                raise self.refuse(
-                    f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}"
-                    + time_hint(text), column, row,
-                ) from None
-            if time.tzinfo is None and zone is not None:
-                time = self._on_clock(column, row, time, zone, times[-1] if times else None)
-            if time.utcoffset() is None:
-                raise self.refuse(
-                    f"must say its offset from UTC, as in {DEFAULT_START}{hint}", column, row
-                )
-            times.append(time)
-        return times
+        text = self.cell(column, row)
+        try:
+            time = parse(text)
+        except ValueError:
+            raise self.refuse(
+                f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}"
+                + time_hint(text), column, row,
+            ) from None
+        if time.tzinfo is None and zone is not None:
+            time = self._on_clock(column, row, time, zone, before)
+        if time.tzinfo is None:
+            raise self.refuse(
+                f"must say its offset from UTC, as in {DEFAULT_START}{hint}", column, row
+            )
+        return time
 
     def _on_clock(
         self, column: str, row: int, time: datetime, zone: tzinfo, before: datetime | None
@@ -751,17 +835,18 @@ class Table:
                 :meth:`times`.
         """
         times = self.times(column, parse, example, hint, zone)
+        first = next(times)
         hours = [0]
-        for row, time in enumerate(times[1:], start=1):
-            hour, rest = divmod(time - times[0], HOUR)
+        for row, time in enumerate(times, start=1):
+            hour, rest = divmod(time - first, HOUR)
             if rest or hour <= hours[-1]:
-                due = times[0].astimezone(time.tzinfo) + (hours[-1] + 1) * HOUR
+                due = first.astimezone(time.tzinfo) + (hours[-1] + 1) * HOUR
                 raise self.refuse(
                     f"must be {to_minutes(due)}, or whole hours later: each row is an hour; an "
                     "hour without values is a row with empty cells, or none", column, row,
                 )
             hours.append(hour)
-        return times[0], np.array(hours, dtype=np.intp)
+        return first, np.array(hours, dtype=np.intp)
 
     def check_due(
         self, column: str, row: int, time: datetime, due: datetime, series: str = "the records"
@@ -787,20 +872,22 @@ def read_table(file: Path, observed: Callable[[str], bool] = lambda _: False) ->
     Raises:
         ConfigurationError: it cannot be read, or is not a table.
     """
-    return table_of(file, numbered_lines(read_text(file)), observed)
+    return table_of(file, numbered_lines(read_lines(file)), observed)
 
 
-def numbered_lines(text: str) -> list[tuple[int, str]]:
-    """Return the lines that are neither comments (``#``) nor without text, numbered from 1."""
-    return [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip(" ,;\t") and not line.lstrip().startswith("#")
-    ]
+def numbered_lines(text: Iterable[str]) -> Iterator[tuple[int, str]]:
+    """Yield the lines that are neither comments (``#``) nor without text, numbered from 1.
+
+    Nor is a spreadsheet's first line that names the separator.
+    """
+    lines = itertools.chain.from_iterable(map(str.splitlines, text))
+    for number, line in enumerate(lines, start=1):
+        if line.strip(" ,;\t\x1a") and not _NO_RECORD.match(line):
+            yield number, line
 
 
 def table_of(
-    file: Path, lines: Sequence[tuple[int, str]],
+    file: Path, lines: Iterable[tuple[int, str]],
     observed: Callable[[str], bool] = lambda _: False,
 ) -> Table:
     """Return lines of CSV as a table; a quoted cell must end in its line.
@@ -810,41 +897,57 @@ def table_of(
 
     Args:
         file: where the lines are from.
-        lines: as :func:`numbered_lines` returns them, the header first.
+        lines: as :func:`numbered_lines` yields them, the header first.
         observed: whether a column is one of values. A row that ends before the first of them is an
             hour that is missing: its other cells are empty.
 
     Raises:
         ConfigurationError: there is no header or no row, a row has more or fewer cells than the
-            header, or a quote is left open or followed by text.
+            header, or a quote is left open or followed by text. A row is refused when it is read.
     """
-    if not lines:
+    numbered = iter(lines)
+    line, text = next(numbered, (0, ""))
+    if not line:
         raise ConfigurationError("holds only comments; a header and records must follow", file=file)
-    rows: list[list[str]] = []
-    first = 0
-    separator = max(",;\t", key=lines[0][1].count)
-    for line, text in lines:
+    separator = max(",;\t", key=text.count)
+    header = _cells(file, line, text, separator)
+    while header and not header[-1]:  # separators at the end of each line
+        header.pop()
+    first = next((index for index, name in enumerate(header) if observed(name)), 0)
+
+    def rows() -> Iterator[tuple[int, list[str]]]:
+        for line, text in numbered:
+            cells = _cells(file, line, text, separator)
+            if len(cells) <= first:
+                cells += [""] * (len(header) - len(cells))
+            elif not any(cells[len(header) :]):
+                del cells[len(header) :]
+            if len(cells) != len(header):
+                hint = ""
+                if separator == "," and len(cells) > len(header):
+                    hint = "; a decimal comma needs quotes, or semicolons between the cells"
+                raise ConfigurationError(
+                    f"must have {len(header)} cells, like the header, not {len(cells)}{hint}",
+                    file=file, line=line,
+                )
+            yield line, cells
+
+    table = Table(file, [(name, []) for name in header], line, rows())
+    if not table.lines:
+        raise ConfigurationError("has a header but no records", file=file)
+    return table
+
+
+def _cells(file: Path, line: int, text: str, separator: str) -> list[str]:
+    """Return the cells of a line."""
+    if '"' not in text:
+        cells = text.split(separator)
+    else:
         try:
-            cells = [
-                _DECIMAL_COMMA.sub(r"\1.\2", cell.strip())
-                for cell in next(csv.reader([text], delimiter=separator, strict=True))
-            ]
+            cells = next(csv.reader([text], delimiter=separator, strict=True))
         except csv.Error as error:
             raise ConfigurationError(f"is not valid CSV: {error}", file=file, line=line) from error
-        if not rows:
-            first = next((index for index, name in enumerate(cells) if observed(name)), 0)
-        elif len(cells) <= first:
-            cells += [""] * (len(rows[0]) - len(cells))
-        rows.append(cells)
-        if len(cells) != len(rows[0]):
-            raise ConfigurationError(
-                f"must have {len(rows[0])} cells, like the header, not {len(cells)}",
-                file=file, line=line,
-            )
-    if len(rows) == 1:
-        raise ConfigurationError("has a header but no records", file=file)
-    columns = map(list, zip(*rows[1:], strict=True))
-    return Table(
-        file, rows[0], dict(zip(rows[0], columns, strict=True)), lines[0][0],
-        [line for line, _ in lines[1:]],
-    )
+    return [
+        _DECIMAL_COMMA.sub(r"\1.\2", cell.strip()) if "," in cell else cell.strip()
+        for cell in cells
+    ]

@@ -15,17 +15,14 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Collection
-from contextlib import closing
 from typing import Any
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.domain import TAKING_DOWN_S, importing_ros, join
+from greenroof_ros.graph.domain import TAKING_DOWN_S, join
 from greenroof_ros.graph.rclpy_internals import waiting_in
 
 # How many messages of a topic can wait for the next look: 1 s at 60 times real time.
 _DEPTH = 64
-# How long a command waits for the pump node (s): to discover it takes seconds.
-_PATIENCE_S = 20.0
 
 DIAGNOSTICS = "/diagnostics"
 
@@ -40,22 +37,6 @@ class StopFailedError(Exception):
     def __init__(self, why: str, *, answered: bool = False) -> None:
         super().__init__(why)
         self.answered = answered
-
-
-def ask_pump(namespace: str, request: Callable[[Looker, float], str]) -> str:
-    """Make one request to the pump node of a graph, for a command, and return the answer.
-
-    Args:
-        namespace: the graph's namespace, such as ``/site1``; empty for none.
-        request: a method of the looker, with the longest wait for the answer (s).
-
-    Raises:
-        StopFailedError: the pump node did not confirm it.
-        ConfigurationError: ROS 2 is not installed.
-    """
-    with importing_ros(), closing(Looker(namespace, lambda *_: None)) as looker:
-        looker.prepare_stop(f"{namespace}/pump")
-        return request(looker, _PATIENCE_S)
 
 
 class Looker:

@@ -96,9 +96,9 @@ class Levels:
             values: values of the node's :func:`live_parameters`.
             subscribe: opens an input: :meth:`greenroof_ros.live.node.LiveNode.subscribe`.
         """
-        self._site = site
+        self._site, self._frozen_movement = site, values[_FROZEN_MOVEMENT.name]
         self._rules = [
-            LevelRule(reach, values[_FROZEN_MOVEMENT.name], values[_JUMP_TOLERANCE.name])
+            LevelRule(reach, self._frozen_movement, values[_JUMP_TOLERANCE.name])
             for reach in (cistern_reach(site), roof_reach(site))
         ]
         self._wetting = Wetting()
@@ -116,7 +116,7 @@ class Levels:
         tau = self._site.tau
         movements = expected_movement(
             self._site, flow, rain, self._wetting.beyond(rain, tau), self.cistern.value,
-            self.roof.value,
+            self.roof.value, self._frozen_movement,
         )
         for rule, movement in zip(self._rules, movements, strict=True):
             rule.expect(movement, tau)

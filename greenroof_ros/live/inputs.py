@@ -148,3 +148,9 @@ class LiveInput(Input):
         self.refused += 1
         self.rules.refuse(boot_time(), f"was refused: {why}")
         self.judge()
+
+    def _refuse(self, value: float, instead: Any) -> None:
+        if self.topic.may_be_unknown and math.isnan(value):
+            self.value, self.refusal = instead, "is not known to its publisher"
+            return
+        super()._refuse(value, instead)

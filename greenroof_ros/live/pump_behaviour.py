@@ -546,13 +546,11 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             "levels", "; ".join(level.problem for level in bad), "both levels are good",
             bad[0].code if bad else "",
         )
-        blind = (
-            "blind: a level is unknown, or both have not yet been known for "
-            f"{self._settings.averaging_time:g} s"
-        )
+        known_for = f"both levels have not yet been known for {self._settings.averaging_time:g} s"
         diagnose_problem(
-            "delivery", blind if decision.blind_for else "",
-            "what is pumped is compared with both levels", "delivery_blind", WARN,
+            "delivery", "blind: a level is unknown" if bad and decision.blind_for else "",
+            known_for if decision.blind_for else "what is pumped is compared with both levels",
+            "delivery_blind", WARN,
         )
         diagnose_problem(
             "state file", self._ledger.problem, "holds and faults are kept", "state_not_kept"

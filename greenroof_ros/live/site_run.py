@@ -6,7 +6,6 @@ import argparse
 import json
 import math
 import shutil
-import tempfile
 import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,6 +23,7 @@ from greenroof_ros.common.processes import (
     LockedError,
     Signals,
     notify,
+    scratch_directory,
     take_lock,
 )
 from greenroof_ros.common.standard_error import say
@@ -77,14 +77,14 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     with (
         only_bringup(arguments.namespace),
         _state_directory(state) as state,
-        tempfile.TemporaryDirectory(dir=_IN_MEMORY) as memory,
+        scratch_directory(_IN_MEMORY) as memory,
     ):
         record, start = _Record(site, state), _Start(arguments.namespace)
         start.look({}, "starting")
         names = {node.name for node in nodes} | {"plant", *controller_names()}
         refuse_other_nodes(arguments.namespace, names, signals.check)
         supervisor = LiveSupervisor(
-            state / "log", _configuration(site, own_files, state, Path(memory)),
+            state / "log", _configuration(site, own_files, state, memory),
             arguments.namespace,
             site.drive.stopper() if site.drive is not None else None,
             record.log.fail, silence_s=arguments.peer_limit, restarts=arguments.restarts,

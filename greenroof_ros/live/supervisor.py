@@ -45,6 +45,8 @@ KILLING_S = 5.0
 # How long a started node may be silent at first (s): imports take seconds on a busy machine.
 START_LIMIT_S = 30.0
 _LAST_LINES = 15
+# Largest report of a node (bytes); a line that is longer is none.
+_LONGEST_REPORT = 10_000_000
 # How often the pump node gets its permit (s).
 PERMIT_S = 0.25
 # Nodes that fall silent for one reason do so within this time (s): they report every 0.25 s.
@@ -142,7 +144,8 @@ class NodeProcess:
         """Take data from the socket."""
         self.spoke = True
         self.heard = time.monotonic()
-        *lines, self._cut = (self._cut + data).split(b"\n")
+        *lines, cut = (self._cut + data).split(b"\n")
+        self._cut = cut[-_LONGEST_REPORT:]
         for line in lines:
             self.last = read_report(line) or self.last
 

@@ -150,8 +150,9 @@ class WeatherNode(LiveNode):
             ", and no forecast" if outlook is None
             else ", and the forecast has no column of temperature"
         )
-        why = f"no reading of a thermometer{instead}"
-        self.publish(_FROST, self._frost(temperature, why))
+        thermometer = self._thermometer
+        why = thermometer.problem if thermometer.heard else "no reading of a thermometer"
+        self.publish(_FROST, self._frost(temperature, f"{why}{instead}"))
         evapotranspiration: float | None
         if outlook is not None:
             self.publish(_RAIN_FORECAST, WithFront(self._front, outlook.rain))
@@ -252,7 +253,10 @@ class WeatherNode(LiveNode):
 
     def _no_temperature(self) -> str:
         """Return the code for an unknown temperature, by what the site has."""
-        if self._thermometer.heard:
+        thermometer = self._thermometer
+        if thermometer.heard and thermometer.code == "input_recovering":
+            return "input_recovering"
+        if thermometer.heard or thermometer.publishers.count:
             return "thermometer_lost"
         return "temperature_unknown" if self._fetcher is None else "temperature_not_fetched"
 

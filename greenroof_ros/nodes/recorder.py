@@ -33,6 +33,11 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     ]
 
 
+# How many messages a topic may be ahead of the slowest: the plant is at most 32 ticks ahead of the
+# bag, and a publisher of another package may send its first messages early.
+_MOST_AHEAD = 1000
+
+
 class RecorderNode(SimulationNode):
     """Writes complete ticks, in the order of the interface, with their simulated time.
 
@@ -66,12 +71,23 @@ class RecorderNode(SimulationNode):
         self.open_outputs("/recorder/written")
         self._queues: dict[str, deque[bytes]] = {topic.name: deque() for topic in topics}
         self._every_queue = self._queues.values()
-        for name, queue in self._queues.items():
-            self.record(name, partial(self._take, queue))
+        for name in self._queues:
+            self.record(name, partial(self._take, name))
 
-    def _take(self, queue: deque[bytes], message: bytes) -> None:
-        """Queue a message of a topic, and write each tick that is now complete."""
+    def _take(self, name: str, message: bytes) -> None:
+        """Queue a message of a topic, and write each tick that is now complete.
+
+        Raises:
+            LockstepError: the topic is further ahead of the others than lockstep allows.
+        """
+        queue = self._queues[name]
         queue.append(message)
+        if len(queue) > _MOST_AHEAD:
+            late = min(self._queues, key=lambda other: len(self._queues[other]))
+            raise LockstepError(
+                f"{name} has {len(queue)} messages more than {late}; a topic must have one message "
+                "for each tick"
+            )
         while all(self._every_queue):
             now = decode_clock(self._queues[CLOCK][0])
             try:

@@ -132,7 +132,7 @@ class Wetting:
 
 def expected_movement(
     site: Site, flow: float, rain: float, running_off: float, cistern_level: float,
-    roof_level: float,
+    roof_level: float, frozen_movement: float = 0.0,
 ) -> tuple[Movement, Movement]:
     """Return how the levels of cistern and roof must move.
 
@@ -143,7 +143,9 @@ def expected_movement(
 
     Nothing is expected of a tank that spills, since what enters it leaves it: the cistern at its
     outlet, the roof at the depth of its soil, a measured roof when its soil retains no more water.
-    A fall through the low outlet is not expected, since a narrow outlet clogs.
+    A fall through the low outlet is not expected, since a narrow outlet clogs. A coarse sensor may
+    be off by half of `frozen_movement`, so a tank counts as spilling, and mains as open, as soon
+    as that is possible.
 
     Args:
         site: the site.
@@ -152,17 +154,22 @@ def expected_movement(
         running_off: rain beyond what surfaces may hold back (m/s).
         cistern_level: m.
         roof_level: m.
+        frozen_movement: as in `LevelRule` (m); 0 if the levels are exact.
     """
-    volume = site.cistern_volume(cistern_level)
+    off = frozen_movement / 2
+    high = site.cistern_volume(cistern_level + off)
+    low = site.cistern_volume(max(0.0, cistern_level - off))
     least = most = -flow / site.a1
     least += (
-        running_off * site.effective_catchment - _MARGIN * low_outlet_flow(site, volume)
+        running_off * site.effective_catchment - _MARGIN * low_outlet_flow(site, high)
     ) / site.a1
-    most += (rain * site.a_in + mains_flow(site, volume)) / site.a1
+    most += (rain * site.a_in + mains_flow(site, low)) / site.a1
+    if cistern_level + off >= site.z_o:
+        least = 0.0
     if cistern_level >= site.z_o:
-        least = most = 0.0
-    roof = running_off + flow / site.a2 if roof_level < site.z_soil else 0.0
-    roof *= soil_of(site).kept_share(site.roof_volume(roof_level))
+        most = 0.0
+    roof = running_off + flow / site.a2 if roof_level + off < site.z_soil else 0.0
+    roof *= soil_of(site).kept_share(site.roof_volume(roof_level + off))
     return Movement(least - _DRIFT, most + _DRIFT), Movement(roof - _LOSS, math.inf)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from datetime import datetime
 from pathlib import Path
 
@@ -44,12 +44,6 @@ class Trajectory:
     outflow: Samples = field(metadata={"column": "outflow_m3_per_s"})
     drainage: Samples = field(metadata={"column": "drainage_m3_per_s"})
     frost: Samples = field(metadata={"column": "frost"})
-
-    def thinned(self, every: int) -> Trajectory:
-        """Return every n-th sample (n is ``every``), and the last."""
-        last = len(self.time) - 1
-        index = np.unique(np.append(np.arange(0, last, every), last))
-        return replace(self, **{name: getattr(self, name)[index] for name in _COLUMNS})
 
     def to_parquet(self) -> bytes:
         """Return the content of a file for :func:`read_parquet`.

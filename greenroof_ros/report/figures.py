@@ -50,6 +50,8 @@ _PAPER_START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 _PAPER_HOURS = 12.0
 _PAPERS_PARAMETER = {"mpc": "weight", "onoff": "fraction"}
 _HEIGHT = 260
+# Height of a row with its name above its mark (px).
+_NAMED_ROW = 45
 _PIXELS = 300
 _TOTAL_AXIS = "total |x2 - x2*| (m³)"
 
@@ -441,7 +443,11 @@ def comparison_figure(report: Report) -> Figure:
         order = [str(row["series"]) for row in data[name]]
         ends = [row[end] for row in data[name] for end in ("low", "high", "v")]
         base = alt.Chart(alt.NamedData(name)).encode(
-            y=alt.Y("series:N", sort=order, title=None, axis=alt.Axis(labelLimit=400)),
+            # Each name stands above its interval: beside it there is no room on a phone.
+            y=alt.Y("series:N", sort=order, title=None, axis=alt.Axis(
+                labelAlign="left", labelPadding=-4, labelOffset=-13, labelLimit=400, domain=False,
+                ticks=False,
+            )),
             color=alt.Color("controller:N", scale=cycled(COLOURS, names), legend=None),
             tooltip=pointed("series:N", "v:Q", "low:Q", "high:Q"),
         )
@@ -454,7 +460,9 @@ def comparison_figure(report: Report) -> Figure:
         )
         marks = base.mark_point(filled=True, size=70, opacity=1).encode(x=alt.X("v:Q"))
         line = alt.Chart(alt.InlineData(values=[{"x": 1}])).mark_rule().encode(x=alt.X("x:Q"))
-        panels.append(Panel(alt.layer(line, intervals, marks), place, height=_HEIGHT))
+        panels.append(Panel(
+            alt.layer(line, intervals, marks), place, height=_NAMED_ROW * len(order),
+        ))
     return Figure(
         "season-comparisons", "Deviation relative to on/off",
         "Lines: 95 % intervals",

@@ -73,8 +73,10 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
     """
     sources = Sources()
     for path in paths:
-        if not path.is_dir() and not (path.is_file() and path.suffix == ".mcap"):
+        if not path.is_dir() and not (path.is_file() and path.suffix.lower() == ".mcap"):
             wrong = "must be a directory (of a study, of a run, or a bag), or an .mcap file"
+            if path.suffix == ".db3":
+                wrong += f"; this file's bag is {path.parent}"
             raise ConfigurationError(wrong if path.exists() else "does not exist", file=path)
     named: dict[str, Path] = {}
     for path in paths:

@@ -73,6 +73,7 @@ DRIVE_FAULTS: Mapping[str, Fault] = {
         "communication timeout expires",
         "how long each connection lasts, s; 0: forever", 0,
     ),
+    "echo": Fault(26, "no request gets through, and the line returns what is sent"),
 }
 RELAY_FAULTS: Mapping[str, Fault] = {
     **{name: DRIVE_FAULTS[name] for name in (NONE, "silence", "late", "garbage", "power_cycle")},

@@ -98,6 +98,9 @@ class _Connection(ServerRequestHandler):
         request, fault = self.last_pdu, self._fault
         if request is None or fault.name == "half_open":
             return
+        if fault.name == "echo":
+            self.pdu_send(request)
+            return
         device = self._devices.get(request.dev_id)
         refused = fault.name == "exception" or (
             fault.name == "refused_writes" and request.function_code in _WRITES

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 from uuid import uuid4
 
 from greenroof_ros.common.files import naming
-from greenroof_ros.common.processes import end_with
+from greenroof_ros.common.processes import end_with, scratch_directory
 from greenroof_ros.study.case_run import lay_out
 
 # Imported once by the fork server, not by each worker.
@@ -69,12 +69,11 @@ def processes(jobs: int, files: Mapping[str, bytes]) -> Iterator[Workers]:
     finally:
         signal.signal(signal.SIGINT, before)
     # A worker that is killed does not delete its temporary files.
-    with tempfile.TemporaryDirectory(prefix="greenroof_ros-") as name:
-        scratch = Path(name)
+    with scratch_directory() as scratch:
         inputs = scratch / "inputs"
         inputs.mkdir()
         lay_out(files, inputs)
-        executor = ProcessPoolExecutor(jobs, context, _prepare, (name, os.getpid()))
+        executor = ProcessPoolExecutor(jobs, context, _prepare, (str(scratch), os.getpid()))
         try:
             task = partial(_to_file, inputs)
             yield Workers(partial(executor.submit, task), _from_file, check=lambda: None)

@@ -42,6 +42,7 @@ class IssuedForecasts:
         count: number of forecasts.
         issues: in order of time, each the hour of the records in which it begins (negative if
             before them) and its rain (mm/h), shape (members, hours), NaN if missing.
+        notes: what could not be used as it is.
     """
 
     name: str
@@ -51,6 +52,7 @@ class IssuedForecasts:
     span: str
     count: int
     issues: Iterator[tuple[int, Array]]
+    notes: tuple[str, ...] = ()
 
 
 def issued_forecasts(
@@ -87,7 +89,7 @@ def issued_forecasts(
         f"{archive.source} ({archive.kind})", archive.members,
         min(horizon, max((issue.hours for issue in within), default=horizon)), archive.finest_lead,
         f"{to_people(begins)} to {to_people(ends)}", len(within),
-        (((issue.issued - first) // HOUR, issue.rain) for issue in within),
+        (((issue.issued - first) // HOUR, issue.rain) for issue in within), archive.notes,
     )
 
 

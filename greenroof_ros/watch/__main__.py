@@ -8,7 +8,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, namespace, within
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, add_namespace, command, within
 from greenroof_ros.common.errors import ConfigurationError, with_extra
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.feed import Feed
@@ -53,10 +53,7 @@ def make_parser() -> Parser:
         description=_DESCRIPTION,
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "--namespace", type=namespace, default="", metavar="NAME",
-        help="namespace of the graph, as passed to bringup (default: none)",
-    )
+    add_namespace(parser)
     parser.add_argument(
         "--bag", type=Path, metavar="DIR",
         help="bag to read, of a run that has ended or is being recorded (default: the bag that "

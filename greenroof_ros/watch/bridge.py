@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime, timezone
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.common.processes import Signals
@@ -30,9 +30,6 @@ from greenroof_ros.watch.home_assistant import (
 from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.store import Store
 from greenroof_ros.watch.words import UNKNOWN, display_of
-
-if TYPE_CHECKING:
-    from paho.mqtt.client import MQTTMessageInfo
 
 # How often the state is checked, and how often it is sent even if unchanged (s): three times before
 # it expires in Home Assistant.
@@ -123,7 +120,8 @@ class Bridge:
             say(f"stop, over MQTT: {type(error).__name__}: {error}; trying again")
 
     def _publish_state(self) -> None:
-        parts, shown = Parts(), document(self._store, time.monotonic())
+        parts = Parts()
+        shown = parts.make("The site", lambda: document(self._store, time.monotonic()), {})
         with self._store.lock:
             messages = {
                 "state": parts.make("The state", lambda: state_of(self._store, shown), None),
@@ -157,8 +155,8 @@ class Bridge:
         self._publish_availability()
         self._again.set()
 
-    def _publish_availability(self) -> MQTTMessageInfo:
-        """Publish whether this bridge runs.
+    def _publish_availability(self) -> Any:
+        """Publish whether this bridge runs; return the message, to wait for.
 
         A bridge that connects while it ends is offline. It disconnects in an orderly way, so that
         the broker would not publish its will.

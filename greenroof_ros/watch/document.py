@@ -169,8 +169,8 @@ def _heading(store: Store) -> str:
 def _notes(store: Store, known: bool, incidents: bool, hidden: int) -> list[str]:
     notes = [*store.notes]
     if missing := store.alarms.missing:
-        listed = "; ".join(f"{name}: {trouble.what}" for name, trouble in missing.items())
-        notes.insert(0, words.plain(f"The site is starting. Not there yet: {listed}.", 1000))
+        listed = [f"{name}: {trouble.what}." for name, trouble in missing.items()]
+        notes[:0] = ["The site is starting. Not there yet:", *map(words.plain, listed)]
     if not known:
         notes.append(
             "A recording tells when a drive, a sensor or a node was lost; other alarms are not "

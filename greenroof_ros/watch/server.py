@@ -29,6 +29,7 @@ from aiohttp import web
 
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.graph.looker import StopFailedError
+from greenroof_ros.watch import words
 from greenroof_ros.watch.document import LEAST_HOURS, MOST_HOURS, document, series
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import Place, listen
@@ -367,6 +368,7 @@ class _Site:
                 "It is not known whether that was done: the watcher failed "
                 f"({type(error).__name__}: {error})."
             )
+        sentence = words.sentence(sentence)
         event = f"{action.capitalize()}, from {asker}: {sentence}"
         await asyncio.to_thread(self._store.add_event, time.time(), event)
         return ok, sentence

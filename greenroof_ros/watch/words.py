@@ -12,8 +12,8 @@ from greenroof_ros.common.interface import Display, read_topics
 
 NOT_PLAUSIBLE = "not a plausible value"
 UNKNOWN = "unknown"
-# Names of parameters in brackets at the end of what they explain, and the unit as logs have it.
-_PARAMETERS = re.compile(r" \([a-z]+(?:_[a-z0-9]+)+(?:, [a-z]+(?:_[a-z0-9]+)+)*\)")
+# Brackets with the name of a parameter, behind what they explain, and the unit as logs have it.
+_PARAMETERS = re.compile(r" \([^()]*\b[a-z]+_[a-z][^()]*\)")
 _CUBIC = re.compile(r"\bm3\b")
 SPACE = "\N{NO-BREAK SPACE}"
 """Between a number and its unit: no line ends there."""

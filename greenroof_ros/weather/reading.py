@@ -18,6 +18,7 @@ from greenroof_ros.formats.records import (
     FOR_EVAPOTRANSPIRATION,
     HOUR,
     PRECIPITATION,
+    QUANTITIES,
     RADIATION,
     Records,
     bridged,
@@ -122,19 +123,19 @@ def without_empty(records: Records) -> Records:
 def evapotranspiration(records: Records, site: Site) -> tuple[Array, list[str]]:
     """Return evapotranspiration in each hour (mm/day), NaN if missing, and what it is from.
 
-    It is computed by :func:`.evapotranspiration.fao56`. Where a quantity that this needs has no
-    value at all, or a site is beyond a polar circle, the site's monthly means are used.
+    It is computed by :func:`.evapotranspiration.fao56`. Where the files have no value of a quantity
+    that this needs, or a site is beyond a polar circle, the site's monthly means are used.
 
     Raises:
-        ConfigurationError: the files have no column of such a quantity, or the site lacks its
-            place or monthly means.
+        ConfigurationError: the site lacks its place or monthly means.
     """
-    lacking = [name for name in FOR_EVAPOTRANSPIRATION if name in records.empty]
+    lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
     means = monthly(records, site)
     if lacking and means is None:
         raise ConfigurationError(
-            f"has no value of {', '.join(lacking)}, from which {FAO56} is computed; give the site "
-            "file monthly_evapotranspiration, and its means are used", file=records.source,
+            f"has no value of {', '.join(lacking)}, from which {FAO56} is computed, and no column "
+            f"'{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION][0]}]'; give the site file "
+            "monthly_evapotranspiration, and its means are used", file=records.source,
         )
     if means is not None:
         try:

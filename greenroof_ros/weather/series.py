@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import to_minutes
+from greenroof_ros.common.times import duration, to_minutes
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
     HOUR,
@@ -187,7 +187,7 @@ class WeatherSeries:
             raise ConfigurationError(
                 f"has records from {to_minutes(weather.first)} to {to_minutes(weather.end)}, "
                 f"but the run starts at {to_minutes(start)} and lasts "
-                f"{steps * site.tau / 3600:g} hours",
+                f"{duration(steps * site.tau)}",
                 file=weather.source,
             )
         ticks = steps + site.M

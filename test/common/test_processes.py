@@ -13,7 +13,13 @@ import pytest
 from graphs import alive, wait_for
 from places import CHECKOUT
 
-from greenroof_ros.common.processes import LockedError, asked_to_end_with_this, notify, take_name
+from greenroof_ros.common.processes import (
+    LockedError,
+    asked_to_end_with_this,
+    notify,
+    scratch_directory,
+    take_name,
+)
 
 TOO_LONG_S = 60
 
@@ -167,3 +173,41 @@ def test_a_full_socket_stops_nobody(tmp_path: Path) -> None:
             [sys.executable, "-c", code], env={"NOTIFY_SOCKET": str(path)}, timeout=60, check=True,
             cwd=CHECKOUT,
         )
+
+
+_SCRATCH = """
+import sys, time
+from greenroof_ros.common.processes import scratch_directory
+with scratch_directory(sys.argv[1]) as directory:
+    (directory / "configuration").mkdir()
+    print(directory, flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_what_a_killed_process_leaves_is_removed_at_the_next_start(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    """With what is in it; what a process still uses, even a stopped one, is not touched."""
+    (tmp_path / "somebody's").mkdir()
+    (tmp_path / "greenroof_ros_scratch-link").symlink_to(tmp_path / "somebody's")
+    with subprocess.Popen(
+        [sys.executable, "-c", _SCRATCH, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as other:
+        try:
+            assert other.stdout is not None
+            left = Path(other.stdout.readline().strip())
+            other.send_signal(number)
+            if number is signal.SIGKILL:
+                other.wait(TOO_LONG_S)
+            assert left.is_dir()
+            with scratch_directory(str(tmp_path)) as mine:
+                assert mine.is_dir()
+                assert left.is_dir() is (number is signal.SIGSTOP)
+                with scratch_directory(str(tmp_path)) as another:
+                    assert mine.is_dir() and another != mine
+            assert not mine.exists()
+            assert (tmp_path / "somebody's").is_dir()
+        finally:
+            other.kill()

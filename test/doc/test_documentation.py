@@ -16,6 +16,8 @@ sys.path.append(str(CHECKOUT / "doc"))
 
 import generate
 
+from greenroof_ros.drives.sensor_file import read_sensors
+
 DOC = CHECKOUT / "doc"
 PAGES = [
     CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md",
@@ -135,3 +137,20 @@ def test_picture_shows_the_topics() -> None:
     shown = {each for each in shown if each.count("/") == 2 or each == "/clock"}
     assert len(shown) == 11
     assert shown <= set(read_topics())
+
+
+def test_from_nothing_has_the_sensors_of_its_parts(tmp_path: Path) -> None:
+    """All but the optional ones; the file is one that a site reads."""
+    page = DOC / "tutorials" / "from-nothing.md"
+    (text,) = (body for *_, body in fences(name(page)) if body.startswith("# my_sensors.yaml"))
+    (tmp_path / "my_sensors.yaml").write_text(text)
+    assert read_sensors(tmp_path / "my_sensors.yaml").by_section.keys() == {
+        "cistern", "roof", "thermometer"
+    }
+    parts = page.read_text().partition("## Site and sensors")[0]
+    for row, optional in (
+        ("level of cistern and roof", False), ("thermometer", False),
+        ("rain gauge, flow meter", True),
+    ):
+        (line,) = re.findall(rf"^\| {row} \|.*$", parts, re.MULTILINE)
+        assert ("optional" in line) == optional

@@ -451,6 +451,19 @@ def test_a_timeout_above_the_limit_makes_no_silence_longer_than_the_limit(
             wait(lambda: bench.drive.values[0] == 0x047E, seconds=limit + 1.0)
 
 
+@pytest.mark.parametrize(("raw", "silence"), [(5, "1.2"), (2, "1.2"), (1, "1.1")])
+def test_no_silence_is_longer_than_the_limit(raw: int, silence: str) -> None:
+    """Not even by the margin of 1 s that is added to the drive's own timeout, here 0.1 to 0.5 s."""
+    with closing(Bench(timeout_limit_s=1.2)) as bench:
+        bench.run()
+        bench.drive.values[5815] = raw
+        wait(lambda: round(bench.now.timeout_s or 0.0, 3) == raw / 10)
+        bench.drive.refused = {0}
+        bench.speed = None
+        wait(lambda: bench.now.state is State.SILENT)
+        assert f"so nothing is sent for {silence} s" in bench.now.problem
+
+
 def test_a_requested_stop_is_tried_during_a_silence(bench: Bench) -> None:
     """The silence lasts 6 s: the drive's own timeout and 1 s. Each request is one attempt."""
     bench.run()

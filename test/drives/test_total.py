@@ -100,6 +100,14 @@ def test_as_much_is_published_as_the_total_rises(
     assert highest <= 1e-4
 
 
+def test_a_cloudburst_is_not_left_to_the_drizzle_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """5.8 mm in 0.6 s, at the greatest rate within a minute; 0.2 mm of drizzle in 10 minutes."""
+    messages = [(0, 0.0), (600, 0.2), (600.5, 5.0), (600.6, 6.0)]
+    sum_mm, highest, _ = published(monkeypatch, messages, 720.0)
+    assert sum_mm == pytest.approx(5.8 + 0.2 * 120 / 600, abs=0.03)
+    assert highest <= 1e-4
+
+
 def test_what_fell_during_a_suspend_is_published_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """3 mm in 600 s: over as long a time, at 5 um/s. The machine slept for 590 s of it."""
     sum_mm, highest, _ = published(

@@ -453,6 +453,22 @@ def test_an_echo_confirms_no_stop(name: str) -> None:
         assert len(wire.seen) > 1  # the stop was written all the same
 
 
+@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize("pieces", [
+    lambda request: [request[:5], request[5:]],
+    lambda request: [bytes([byte]) for byte in request],
+    lambda request: [request, request],
+    lambda request: [request[:3], request[3:] + request],
+], ids=["halves", "bytes", "twice", "twice, in pieces"])
+def test_an_echo_is_recognised_in_pieces_and_twice(
+    name: str, pieces: Callable[[bytes], list[bytes]]
+) -> None:
+    with (
+        closing(SerialWire(pieces)) as wire, pytest.raises(DriveError, match=ECHO)
+    ):
+        talk(name, wire.line, Drive.stop)
+
+
 def test_an_echo_before_the_drives_answer_is_recognised_too() -> None:
     drive = over_serial(acs880())
     with (

@@ -60,10 +60,6 @@ FORECASTS = [
     ([MEMBERS, f"{H0},{H0},-1,0"], 2, "member = '-1': must be a number from 0 to 99 (whole)"),
     ([MEMBERS, f"{H0},{H0},{'9' * 5000},0"], 2, "member = '99"),
     ([MEMBERS, f"{H0},{H0},0,0", f"{H0},{H0},2,0"], 2, "members 0, 2; they must be 0, 1, 2 and"),
-    (
-        [MEMBERS, f"{H0},{H0},0,0", f"{H1},{H1},0,0", f"{H1},{H1},1,0"], 3,
-        "as many members as the one before it in FILE.csv, 1, not 2",
-    ),
 ]
 
 

@@ -53,21 +53,21 @@ def table(*lines: str) -> list[list[str]]:
 # Depths of rain: lines of the weather file, added by hand.
 @pytest.mark.parametrize(("options", "length", "ahead", "rain", "first"), [
     # 1.2 + 6.3 + 2.5 + 3.5 + 7.6 + 0.5 + 0.2 + 1.0 + 0.5 on the 8th, 0.2 * 2 + 0.5 * 2 + 1.0 after
-    (("--controller", "lookahead"), "12", "120", "25.7", "2021-07-08T08:00-05:00"),
+    (("--controller", "lookahead"), "12 h", "120 h", "25.7", "2021-07-08T08:00-05:00"),
     # from 09:30: half of 6.3, 2.5 + 3.5 + 7.6, and half of 0.5 until 13:30
     (("--controller", "lookahead", "--start", "2021-07-08T07:30", "--hours", "2",
-      "--horizon", "4"), "2", "4", "17.0", "2021-07-08T09:30-05:00"),
-    (("--controller", "anticipating_onoff", "--horizon", "24"), "12", "24", "21.6",
+      "--horizon", "4"), "2 h", "4 h", "17.0", "2021-07-08T09:30-05:00"),
+    (("--controller", "anticipating_onoff", "--horizon", "24"), "12 h", "24 h", "21.6",
      "2021-07-08T08:00-05:00"),
     (("--controller", "mpc", "--hours", "0.0025", "--start", "2021-07-08T09:00"),
-     "0.0025", "0.00278", "0.0", "2021-07-08T09:00-05:00"),
+     "9 s", "10 s", "0.0", "2021-07-08T09:00-05:00"),
 ])
 def test_a_run_shorter_than_the_look_ahead_says_so(
     options: tuple[str, ...], length: str, ahead: str, rain: str, first: str
 ) -> None:
     (note,) = paper_run(*options).notes()
     assert note.startswith(
-        f"the run of {length} h is shorter than the look-ahead of {ahead} h"
+        f"the run of {length} is shorter than the look-ahead of {ahead}"
     ), note
     assert f": {rain} mm of rain from {first} on in the records" in note
 

@@ -81,6 +81,16 @@ def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -
     forecast.at(SIX + (timedelta(0) if later < timedelta(0) else timedelta(hours=1)))
 
 
+@pytest.mark.parametrize(("limit", "words"), [
+    (40.0, "40 s"), (1600.0, "27 min"), (3600.0, "60 min"), (5400.0, "1.5 h"), (86400.0, "24 h"),
+])
+def test_an_age_is_written_as_people_say_it(file: Path, limit: float, words: str) -> None:
+    """Not as ``0.444444 h``."""
+    write(file, SIX, [0.0] * 48)
+    with pytest.raises(NoForecastError, match=f"is older than {words}$"):
+        live(file, limit=limit).at(SIX + timedelta(seconds=limit + 1))
+
+
 # The hours of an issue, its age (h), a horizon (h), and what is said about it.
 SHORT = {
     "a day for five": (
@@ -91,7 +101,7 @@ SHORT = {
         49, 1.5, 48.0, "must have 50 h .* not 49 h, or a horizon of at most 47 h$",
     ),
     "less than the time for which it is used": (2, 1.0, 6.0, "must have 8 h .* not 2 h$"),
-    "the next ticks at its very end": (1, 0.999, 0.0, "0.00278 h look-ahead .* not 1 h$"),
+    "the next ticks at its very end": (1, 0.999, 0.0, "10 s look-ahead .* not 1 h$"),
 }
 
 

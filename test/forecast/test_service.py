@@ -1,6 +1,7 @@
 """Forecasts from the internet: what a service answers, in each way in which this can go wrong."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -188,6 +189,26 @@ def test_what_is_kept_is_an_archive_without_repetitions(server, tmp_path):
             assert np.array_equal(getattr(kept_issue, name), getattr(fetcher.newest, name))
     assert len({tuple(member) for member in issue.rain.tolist()}) == 11
     assert np.array_equal(issue.rain[0], _service(server).fetch(_now()).rain[0])
+
+
+@pytest.mark.parametrize(
+    ("sizes", "kept"),
+    # GB of earlier forecasts, the oldest first; the new one of some kB is kept in any case.
+    [([0.9, 0.9, 0.9], [False, True, True]), ([3.0], [False]), ([0.5] * 3, [True] * 3),
+     ([1.9, 0.2, 0.1, 0.1], [False, True, True, True])],
+)
+def test_the_oldest_kept_forecasts_go_beyond_the_limit(server, tmp_path, sizes, kept):
+    """What nobody prunes fills the disk: an hourly ensemble is 4 GB a year. Other files stay."""
+    archive = tmp_path / "kept"
+    archive.mkdir()
+    files = [archive / f"2020010{day}000000.csv" for day in range(1, len(sizes) + 1)]
+    for file, size in zip([*files, archive / "notes.csv"], [*sizes, 5.0], strict=True):
+        file.touch()
+        os.truncate(file, int(size * 1e9))
+    fetcher = Fetcher(_service(server), tmp_path / "forecast.csv", archive, 1800)
+    assert (fetcher.fetch(), fetcher.problem) == (1800, "")
+    assert [file.exists() for file in files] == kept
+    assert len(list(archive.iterdir())) == sum(kept) + 2
 
 
 def test_a_place_that_is_not_known():

@@ -111,6 +111,14 @@ def test_a_missing_sum(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("code", [-9999.0, -999.0, 1e20, 9.96921e36])
+def test_a_code_for_a_missing_sum(tmp_path: Path, code: float) -> None:
+    """A file does not always name its code."""
+    archive = read_archive(write(tmp_path / "2021070800.nc", [0, 0.001, code, 0.005]), TORONTO)
+    assert archive.issues[0].rain[0] == pytest.approx([1.0, 2.0, 2.0], abs=1e-4)
+    assert "the sum 2 h after the issue is missing" in archive.notes[0]
+
+
 def test_a_member_that_ends_early(tmp_path: Path) -> None:
     """All end with it; a member with hardly any hour is left out."""
     for number, count in enumerate((6, 5, 2)):

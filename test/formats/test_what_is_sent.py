@@ -117,7 +117,8 @@ def test_a_night_of_small_negatives(tmp_path: Path) -> None:
         ([900.0] * 72, r"precipitation\[0\] = '900.0': must be a number from 0 to 500 mm"),
         ([600.0] * 3 + [5.0] * 69, r"precipitation\[0\] = '600.0'"),
         (["?"] * 72, r"precipitation\[0\] = '\?': must be a number"),
-        (["NaN", -0.1, -999, *["?"] * 69], r"precipitation\[3\] = '\?': must be a number"),
+        (["NaN", None, *["?"] * 70], r"precipitation\[2\] = '\?': must be a number"),
+        ([f"{hour} mm" for hour in range(72)], r"precipitation\[0\] = '0 mm': must be a number"),
         ([-999] * 72, r"precipitation\[0\] = '-999'"),
         ([None] * 72, "has no precipitation: every value is missing"),
     ],
@@ -125,6 +126,33 @@ def test_a_night_of_small_negatives(tmp_path: Path) -> None:
 def test_too_little_left(tmp_path: Path, column: list[Any], reason: str) -> None:
     """Many implausible values show a wrong unit."""
     refusal(partial(weather, precipitation=column), tmp_path, match=reason)
+
+
+@pytest.mark.parametrize("name", ["temperature_2m", "surface_pressure", "precipitation"])
+@pytest.mark.parametrize(
+    "code", [65535, -2147483648, -7999, -888.8, 1e20, "inf", "#VALUE!", "No Data", "***", "Error"]
+)
+def test_an_outage_of_eight_hours(tmp_path: Path, name: str, code: Any) -> None:
+    """Codes and words cost only their hours, however many they are."""
+    read = weather(tmp_path, **{name: [USUAL[name]] * 30 + [code] * 8 + [USUAL[name]] * 34})
+    quantity = {"temperature_2m": "temperature", "precipitation": "precipitation"}.get(name)
+    if quantity:
+        assert np.isnan(read.values[quantity]).sum() == 8
+    else:  # bridged
+        assert read.values["station pressure"] == pytest.approx([100.1] * 71)
+    assert any("and 5 more is no plausible value" in note for note in read.notes)
+
+
+@pytest.mark.parametrize(("name", "code"), [("shortwave_radiation", -9999), ("dew_point_2m", "x")])
+def test_codes_alone(tmp_path: Path, name: str, code: Any) -> None:
+    """They are as good as no column."""
+    assert not np.isnan(weather(tmp_path, **{name: [code] * 72}).evapotranspiration[:48]).any()
+
+
+def test_a_pressure_of_zero(tmp_path: Path) -> None:
+    """A sensor's fault, below the least plausible pressure."""
+    read = weather(tmp_path, surface_pressure=[1001.0] * 30 + [0, -1] * 4 + [1001.0] * 34)
+    assert read.values["station pressure"] == pytest.approx([100.1] * 71)
 
 
 def test_a_loggers_columns(tmp_path: Path) -> None:
@@ -155,6 +183,14 @@ def test_a_loggers_columns(tmp_path: Path) -> None:
         "2021-07-07T00:00Z,0,-0.3\n2021-07-07T01:00Z,0,2.0\n"
     )
     assert read_weather([file], TORONTO).evapotranspiration.tolist() == [0.0, 2.0]
+
+
+@pytest.mark.parametrize("height", [2.0, 3.5, 20.0])
+def test_the_services_wind_is_at_ten_metres(tmp_path: Path, height: float) -> None:
+    """Whatever the site's own anemometer measures at."""
+    records = weather(tmp_path, replace(TORONTO, wind_height=height))
+    expected = weather(tmp_path, replace(TORONTO, wind_height=10.0))
+    assert np.array_equal(records.evapotranspiration, expected.evapotranspiration)
 
 
 # --- ensembles ------------------------------------------------------------------------------------
@@ -222,6 +258,37 @@ def test_runs_of_an_archive_with_fewer_members(tmp_path: Path) -> None:
     assert "all issues have 3 members, like the one with the fewest" in archive.notes
 
 
+def test_members_that_a_download_lacks(tmp_path: Path) -> None:
+    """Members 0, 1 and 3, one without a value; then one unit is null, and another is inch."""
+    columns = {f"precipitation_member0{number}": [float(number)] * 72 for number in (1, 3)}
+    file = run(tmp_path, precipitation=[-9999] * 72, **columns)
+    assert read_archive(file, TORONTO).issues[0].rain.tolist() == [[1.0] * 71, [3.0] * 71]
+    content = json.loads(file.read_text())
+    content["hourly_units"]["precipitation_member01"] = None
+    content["hourly_units"]["precipitation_member03"] = "inch"
+    file.write_text(json.dumps(content))
+    assert read_archive(file, TORONTO).issues[0].rain[:, 0] == pytest.approx([1.0, 76.2])
+
+
+def test_downloads_that_failed(tmp_path: Path) -> None:
+    """The service's refusal, a file cut short, a run without values, one with a member less."""
+    members = {"precipitation": [1.0] * 72, "precipitation_member01": [2.0] * 72}
+    for day, columns in ((5, members), (6, members), (7, {"precipitation": [None] * 72}),
+                         (8, {"precipitation": [3.0] * 72}), (9, members), (10, members)):
+        run(tmp_path, f"gem_202107{day:02}05.json", first=f"2021-07-{day:02}T05:00", **columns)
+    (tmp_path / "gem_2021070505.json").write_text('{"error": true, "reason": "limit exceeded"}')
+    cut = tmp_path / "gem_2021070605.json"
+    cut.write_text(cut.read_text()[:2000])
+    archive = read_archive(tmp_path, TORONTO)
+    assert [issue.issued.day for issue in archive.issues] == [8, 9, 10]
+    assert archive.members == 1
+    refused, short, nothing, fewer = archive.notes
+    assert "limit exceeded; the file is left out" in refused
+    assert "gem_2021070605.json" in short and "is not valid JSON" in short
+    assert "gem_2021070705.json: has no precipitation after its run" in nothing
+    assert fewer == "all issues have 1 members, like the one with the fewest"
+
+
 def test_own_forecasts(tmp_path: Path) -> None:
     """In this project's format, too."""
     header = (
@@ -272,6 +339,22 @@ def test_without_what_evapotranspiration_needs(tmp_path: Path, name: str) -> Non
     refusal(lacking, tmp_path, without, match="give the site file monthly_evapotranspiration")
 
 
+@pytest.mark.parametrize("name", ["wind_speed_10m", "dew_point_2m", "temperature_2m"])
+def test_without_a_column(tmp_path: Path, name: str) -> None:
+    """The same as a column without a value."""
+    lacking = weather(tmp_path, **{name: [None] * 72})
+    file = tmp_path / "weather.json"
+    content = json.loads(file.read_text())
+    del content["hourly"][name]
+    file.write_text(json.dumps(content))
+    read = read_weather([file], TORONTO)
+    assert read.evapotranspiration.tobytes() == lacking.evapotranspiration.tobytes()
+    assert read.notes[-1] == lacking.notes[-1]
+    file = tmp_path / "own.csv"
+    file.write_text("time,precipitation [mm/h]\n2021-07-07T00:00Z,0.5\n")
+    assert read_weather([file], TORONTO).evapotranspiration == pytest.approx([4.02])
+
+
 def test_humidity_in_place_of_the_dew_point(tmp_path: Path) -> None:
     """At 100 % the dew point is the temperature."""
     read = weather(tmp_path, dew_point_2m=[None] * 72, relative_humidity_2m=[100] * 71 + [101])
@@ -308,6 +391,26 @@ def test_sections(tmp_path: Path, before: list[str], after: list[str], separator
         text = text.replace(",", ";").replace(".", ",")
     file = tmp_path / "gem_2021070700.csv"
     file.write_text(text, encoding="utf-8")
+    (issue,) = read_archive(file, TORONTO).issues
+    assert issue.rain.tolist() == [[hour / 10 for hour in range(1, 24)]]
+
+
+@pytest.mark.parametrize("form", ["quoted", "padded", "seconds", "carriage returns"])
+def test_forms_of_the_services_csv(tmp_path: Path, form: str) -> None:
+    """As a spreadsheet saves it, and with timeformat=unixtime, after a section of days."""
+    lines = [
+        "latitude,longitude,elevation,utc_offset_seconds", "43.62,-79.42,77.0,0", "",
+        *SECTIONS["daily"], "", *HOURLY,
+    ]
+    if form == "quoted":
+        lines = [line and ",".join(f'"{cell}"' for cell in line.split(",")) for line in lines]
+    elif form == "padded":
+        lines = [line + "," * (3 - line.count(",")) for line in lines]
+    elif form == "seconds":
+        for hour in range(24):
+            lines[8 + hour] = f"{1625616000 + 3600 * hour},20.0,{hour / 10}"
+    file = tmp_path / "gem_2021070700.csv"
+    file.write_text(("\r\n" if form == "carriage returns" else "\n").join(lines), "utf-8-sig")
     (issue,) = read_archive(file, TORONTO).issues
     assert issue.rain.tolist() == [[hour / 10 for hour in range(1, 24)]]
 
@@ -424,6 +527,10 @@ def test_french_and_older_names(tmp_path: Path, form: str) -> None:
          "holds days or months, not hours"),
         ('"Longitude (x)","Latitude (y)","Date/Heure","Année","Mois","Temp max.(°C)"',
          '"-79.4","43.6","2021-07-01","2021","07","25.0"', "holds days or months, not hours"),
+        ('"Longitude (x)","Date/Heure","Année","Mois","Moyenne des temp. maximales (°C)"',
+         '"-79.4","2021-07","2021","07","25.0"', "holds days or months, not hours"),
+        ('"Date/Time","Year","Month","Day","Max Temp (°C)","Total Rain (mm)"',
+         '"2015-07-01","2015","07","01","25.0","80"', "holds days or months, not hours"),
         ('"Longitude (x)","Date/Time","Year","Month","Mean Max Temp (°C)","Total Rain (mm)"',
          '"-79.4","2021-07","2021","07","25.0","80"', "holds days or months, not hours"),
     ],
@@ -454,6 +561,10 @@ def test_semicolons_decimal_commas_and_rows_left_out(tmp_path: Path) -> None:
     assert read.precipitation == pytest.approx([0.5, 1, np.nan, np.nan, 0.5], nan_ok=True)
     assert read_weather([file], TORONTO, gaps="fill").precipitation.tolist() == [0.5, 1, 0, 0, 0.5]
     assert read.evapotranspiration.tolist() == pytest.approx([3.25, 3, 8 / 3, 7 / 3, 2])
+    file.write_text(file.read_text().replace("-05:00;1;3", "-05:00"))  # its time alone
+    assert read_weather([file], TORONTO).precipitation == pytest.approx(
+        [0.5, np.nan, np.nan, np.nan, 0.5], nan_ok=True
+    )
     file.write_text(file.read_text().replace("T04", "T01"))
     refusal(read_weather, [file], TORONTO, match="row with empty cells, or none")
     text = "time,precipitation [mm/h],own evapotranspiration [mm/day]\n" + "".join(
@@ -465,6 +576,48 @@ def test_semicolons_decimal_commas_and_rows_left_out(tmp_path: Path) -> None:
     site = replace(TORONTO, tau=600.0, M=1)
     said = refusal(WeatherSeries, long, site, long.first, 300)
     assert "evapotranspiration is missing at 2021-07-02T08:00+00:00 to" in said
+
+
+@pytest.mark.parametrize(
+    ("header", "rows"),
+    [
+        ("time,precipitation [mm/h],", ["{0},0.5,", "{1},1,"]),
+        ("time,precipitation [mm/h]", ["{0},0.5,", "{1},1,", "\x1a"]),
+        ("sep=;\ntime;precipitation [mm/h]", ["{0};0,5", "{1};1,0"]),
+        ('"# a logger, in a garden"\ntime\tprecipitation [mm/h]', ["{0}\t0,5", "{1}\t1", "\t"]),
+        ("time,precipitation [mm/h]", ['{0},"0,5"', '{1},"1,0"', " , "]),
+    ],
+)
+def test_what_spreadsheets_add(tmp_path: Path, header: str, rows: list[str]) -> None:
+    """Separators at the end, a line that names the separator, comments in quotes."""
+    file = tmp_path / "logger.csv"
+    text = "\n".join([header, *rows]).format("2021-07-07T00:00Z", "2021-07-07T01:00Z")
+    file.write_text(text)
+    assert read_weather([file], TORONTO, rain_only=True).precipitation.tolist() == [0.5, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("time", "what"),
+    [
+        ("44384.0416667", "a spreadsheet counts days: format its cells as yyyy-mm-dd hh:mm"),
+        ("13/07/2021 00:00", "year, month and day, in this order"),
+        ("13.07.21 00:00", "year, month and day, in this order"),
+        ("2021-07-07 01:00 PM", "hours must be from 00 to 23"),
+        ("1625616000", "write a date and a time"),
+        ("2021-07-07 00:00 EST", "write the offset from UTC as a number"),
+        ("2021-07-07T00:00[America/Toronto]", "write the offset from UTC as a number"),
+    ],
+)
+def test_other_forms_of_times(tmp_path: Path, time: str, what: str) -> None:
+    """The message says what is wrong with them."""
+    refusal(read_weather, [local(tmp_path, [time])], EASTERN, match=what)
+
+
+def test_a_decimal_comma_between_commas(tmp_path: Path) -> None:
+    """It looks like one cell more."""
+    file = local(tmp_path, ["2021-07-07 00:00"])
+    file.write_text(file.read_text() + ",5")
+    refusal(read_weather, [file], EASTERN, match="a decimal comma needs quotes, or semicolons")
 
 
 EASTERN = replace(TORONTO, time_zone="America/Toronto")
@@ -539,3 +692,70 @@ def test_far_north(tmp_path: Path, latitude: float) -> None:
     assert "monthly means, for want of sunrise each day" in read.notes[-1]
     alone = replace(site, monthly_evapotranspiration=None)
     refusal(read_weather, [JULY], alone, match=r"latitude = .*: must be from -66 to 66 degrees")
+
+
+# --- times as seconds since 1970 ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("offset", [0, -18000, 3600])
+def test_an_answer_with_unixtime(tmp_path: Path, offset: int) -> None:
+    """``timeformat=unixtime`` is in UTC, whatever the zone of the answer: the same weather.
+
+    date -u -d 2021-07-07T05:00 +%s: 1625634000.
+    """
+    text = answer().replace("iso8601", "unixtime").replace(
+        '"utc_offset_seconds": 0', f'"utc_offset_seconds": {offset}'
+    )
+    content = json.loads(text)
+    content["hourly"]["time"] = [1625634000 + 3600 * hour for hour in range(72)]
+    (unix := tmp_path / "unix.json").write_text(json.dumps(content))
+    (iso := tmp_path / "iso.json").write_text(answer())
+    read, same = (read_records(file, TORONTO) for file in (unix, iso))
+    assert read.first == same.first
+    assert read.first.utcoffset() == timedelta(seconds=offset)
+    for quantity, series in same.values.items():
+        np.testing.assert_array_equal(read.values[quantity], series)
+
+
+@pytest.mark.parametrize("section", ["", "time,temperature_2m_max (°C)\n1625616000,22\n"
+                                         "1625702400,23\n\n"])
+def test_a_csv_with_unixtime(tmp_path: Path, section: str) -> None:
+    """As from the service's page, also behind the section of days."""
+    file = tmp_path / "weather.csv"
+    rows = "".join(f"{1625634000 + 3600 * hour},0.1,20,12,9,1001\n" for hour in range(30))
+    file.write_text(
+        "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation\n"
+        f"43.62,-79.42,77.0,-14400,America/Toronto,EDT\n\n{section}"
+        "time,precipitation (mm),temperature_2m (°C),dew_point_2m (°C),wind_speed_10m (km/h),"
+        f"surface_pressure (hPa)\n{rows}"
+    )
+    read = read_records(file, TORONTO)
+    # The rain of the hour before the first time.
+    assert read.first == parse_time("2021-07-07T04:00Z")
+    assert read.values["precipitation"][:30].tolist() == [0.1] * 30
+
+
+@pytest.mark.parametrize("zero", ["", ".0"])
+def test_saved_previous_runs_with_unixtime(tmp_path: Path, zero: str) -> None:
+    """As a program saves them, without the place; a table of numbers writes whole ones with .0.
+
+    date -u -d 2024-03-01T00:00 +%s: 1709251200.
+    """
+    file = tmp_path / "previous.csv"
+    file.write_text("time,precipitation_previous_day1\n" + "".join(
+        f"{1709251200 + 3600 * hour}{zero},{hour}\n" for hour in range(1, 25)
+    ))
+    archive = read_archive(file, TORONTO)
+    assert archive.issues[0].issued == parse_time("2024-03-01T00:00Z")
+    assert archive.issues[0].rain[0, :3].tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("time", ["4102444800", "1625634000000", "1625634000.5"])
+def test_numbers_that_are_no_times(tmp_path: Path, time: str) -> None:
+    """The year 2100, milliseconds and half seconds are refused like other wrong times."""
+    content = json.loads(answer())
+    content["hourly"]["time"][0] = time
+    (file := tmp_path / "weather.json").write_text(json.dumps(content))
+    assert refusal(read_records, file, TORONTO).startswith(
+        f"{file}: hourly.time[0] = '{time}': must be a time such as 2024-06-01T12:00"
+    )

@@ -46,6 +46,7 @@ from greenroof_ros.drives.sensor_file import QUANTITIES
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
 from greenroof_ros.simulators.forecast_service import ForecastService
+from greenroof_ros.watch.alarms import advise
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import FILL
 
@@ -347,6 +348,25 @@ def test_no_command_of_what_was_before_a_suspend(
         site.until(lambda: newest(commands), LATE, "a command of what is new")
 
 
+@pytest.mark.parametrize(("name", "command", "options"), [
+    ("weather", "weather", {"live": "true", "forecast": "forecast.csv"}),
+    ("onoff", "controller --controller onoff", {"live": "true"}),
+    ("roof_sensor", "sensor --of roof", {"sensors_file": CONFIG / "sensors.yaml"}),
+])
+def test_nothing_takes_a_live_node_off_the_system_clock(
+    observer: Observer, name: str, command: str, options: dict[str, object]
+) -> None:
+    """Also not later, as by ``ros2 param set``; a value that changes nothing is accepted."""
+    observer.start(command, **options)
+    for value in (True, False):
+        parameter = Parameter("use_sim_time", value=value).to_parameter_msg()
+        (result,) = observer.call(
+            SetParameters, f"/{name}/set_parameters", parameters=[parameter]
+        ).results
+        assert result.successful != value, result.reason
+        assert ("use_sim_time" in result.reason) == value
+
+
 def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
     """The node is stopped for 3 s while the roof gets wet; no command of the dry roof follows.
 
@@ -510,8 +530,43 @@ def test_a_short_forecast_keeps_no_pump_off(site: Site, horizon: float) -> None:
             LATE, "what is short",
         )
         site.until(lambda: newest(frost) == 0.0, LATE, "the temperature")
-        site.until(lambda: newest(commands) > 0.0, LATE, "a command")
+        site.until(lambda: (newest(commands) or 0.0) > 0.0, LATE, "a command")
         site.until(site.says("/lookahead: forecast", OK), LATE, "a forecast for the controller")
+
+
+# What a site has besides no forecast: whether a service, whether a thermometer that is lost later;
+# and the codes of forecast and frost, and what no advice on them may speak of.
+LACKING: dict[str, tuple[bool, bool, str, str, str]] = {
+    "a file": (False, False, "forecast_missing", "temperature_unknown", "service|internet"),
+    "a service": (True, False, "forecast_service_silent", "temperature_not_fetched", "file|column"),
+    "a file and a thermometer": (
+        False, True, "forecast_missing", "thermometer_lost", "service|internet|column",
+    ),
+    "a service and a thermometer": (
+        True, True, "forecast_service_silent", "thermometer_lost", "file|column",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LACKING)
+def test_advice_is_by_what_the_site_has(site: Site, name: str) -> None:
+    """An owner without a file is not told to renew it; one with a thermometer, to check that."""
+    fetched, measured, forecast, frost, never = LACKING[name]
+    options: dict[str, Any] = {"forecast": site.cwd / "forecast.csv"}
+    if fetched:  # nobody answers there
+        options |= {"fetch": "forecast", "fetch_url": "http://127.0.0.1:1/v1/forecast"}
+    with site.live("weather", gauge_limit=1.0, recovery_time=0.3, **options):
+        if measured:
+            site.values = {"/gauge/temperature": 4.0}
+            site.until(site.says("/weather: frost", OK), LATE, "a temperature")
+            site.values = {}
+        for part, code in (("forecast", forecast), ("frost", frost)):
+            site.until(
+                lambda part=part, code=code:
+                site.watcher.values(f"/weather: {part}").get("code") == code, LATE, code,
+            )
+            advice, known = advise(code, "weather", "/weather")
+            assert known and not re.search(never, advice), advice
 
 
 def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> None:

@@ -562,7 +562,10 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
         rig.play({**inputs, "/pump/command": command}, until, event, LATE)
 
     rig.join()
-    play(lambda: rig.drive.speed() > 0.5 and rig.says("delivery", OK), "a pump that is watched")
+    play(
+        lambda: rig.drive.speed() > 0.5 and rig.says("delivery", OK, "compared"),
+        "a pump that is watched",
+    )
     (rig.cwd / "suspended").touch()
     inputs["/cistern/level"] = 2.0
     play(lambda: rig.says("suspend", ERROR, "for 3600 s while the pump was on"), "the alarm", 0.0)

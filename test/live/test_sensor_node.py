@@ -22,15 +22,15 @@ def test_the_published_rain_adds_up_to_the_rise_of_the_total(
         text, file = (CONFIG / "sensors_mqtt.yaml").read_text(), tmp_path / "sensors.yaml"
         text = text.replace("mqtt://127.0.0.1:1883", broker.address)
         file.write_text(text.replace("high: 0.0001 ", "high: 0.0004 "))
-        came: list[tuple[float, float]] = observer.hear(
-            "/gauge/precipitation", lambda message: (time.monotonic(), message.data)
+        times, rates = (
+            collect("/gauge/precipitation") for collect in (observer.times, observer.hear)
         )
         observer.start("live.sensor --of rain_gauge", sensors_file=file)
         with Talker(broker) as talker:
 
             def first() -> bool:
                 talker.say("roof/rain", "17.0")
-                return bool(came)
+                return bool(rates)
 
             observer.until(first, 60, "a second total")
             for total in ("17.4", "17.6", "18.0", "18.0", "19.2"):
@@ -39,10 +39,10 @@ def test_the_published_rain_adds_up_to_the_rise_of_the_total(
                     talker.say("roof/rain", total)
                 observer.until(lambda pause=pause: time.monotonic() > pause, 60, "a pause")
         broker.kill()
-        observer.until(lambda: came[-1][1] == 0.0, 60, "the end of what is due")
+        observer.until(lambda: rates[-1] == 0.0, 60, "the end of what is due")
     sum_mm = 1000 * sum(
-        rate * (later - at)
-        for (at, rate), (later, _) in pairwise(came)
+        rate * (later - sent)
+        for rate, (sent, later) in zip(rates, pairwise(times), strict=False)
     )
-    assert max(rate for _, rate in came) <= 0.0004
+    assert max(rates) <= 0.0004
     assert sum_mm == pytest.approx(2.2, abs=0.05)

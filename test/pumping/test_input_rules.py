@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from paper import PAPER_SITE
+from places import CHECKOUT
 
-from greenroof_ros.model.site import Site
+from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.input_rules import (
     InputRules,
     LevelRule,
@@ -155,7 +156,7 @@ def frozen_after(
         now = number * step
         fallen = rain(now) * MM_PER_HOUR
         movements = expected_movement(
-            site, flow(now), fallen, wetting.beyond(fallen, step), cistern, roof
+            site, flow(now), fallen, wetting.beyond(fallen, step), cistern, roof, 0.01
         )
         for tank, (level, movement) in enumerate(zip(levels, movements, strict=True)):
             level.expect(movement, step)
@@ -174,6 +175,8 @@ def every(period: float, lasting: float, value: float) -> Rate:
 
 
 COLLECTING = replace(PAPER_SITE, a_in=270.0)
+# At field capacity its soil holds 0.108 m * 0.63 = 68.04 mm.
+NEUBRANDENBURG = read_site(CHECKOUT / "config" / "site_neubrandenburg.yaml")
 # 0.24 mm on the roof in one pulse of 10 s; 5 mm/day are a pulse every 4147 s.
 PULSE = 0.24e-3 * PAPER_SITE.a2 / 10.0
 # What is well though a level does not change: how long (h), flow, rain, and further arguments.
@@ -197,6 +200,27 @@ WELL: dict[str, tuple[float, Rate, Rate, dict[str, Any]]] = {
     "the mains refill what the pump takes": (
         240, lambda _: 5e-4, nothing,
         {"site": replace(PAPER_SITE, mains_level=2.5, mains_flow=1e-3), "roof": 0.5},
+    ),
+    # A sensor that shows whole steps of 5 mm, rounded down.
+    "the mains keep a level that is read 3 mm too high": (
+        240, lambda _: 5e-4, nothing,
+        {"site": replace(PAPER_SITE, mains_level=2.0, mains_flow=1e-3), "cistern": 2.003,
+         "roof": 0.5},
+    ),
+    "a cistern that spills is read 5 mm too low": (
+        48, nothing, lambda _: 10.0, {"site": COLLECTING, "cistern": 2.995, "roof": 0.5},
+    ),
+    "a cistern at its low outlet is read 5 mm too low": (
+        48, nothing, lambda _: 4.0,
+        {"site": replace(COLLECTING, low_outlet_level=1.5, low_outlet_radius=0.05),
+         "cistern": 1.497, "roof": 0.5},
+    ),
+    "a full soil is read 5 mm too low": (
+        48, nothing, lambda _: 10.0, {"cistern": 3.0, "roof": 0.495},
+    ),
+    "a measured roof at field capacity is read 5 mm too low": (
+        48, nothing, lambda _: 10.0,
+        {"site": NEUBRANDENBURG, "cistern": 3.0, "roof": 0.06304},
     ),
 }
 

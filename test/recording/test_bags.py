@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -14,7 +16,7 @@ from random import Random
 import pytest
 import yaml
 from commands import run_command
-from disks import no_file_beyond
+from disks import bad_disk, no_file_beyond
 from graphs import environment
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex
@@ -269,6 +271,62 @@ def test_a_flipped_bit_costs_a_chunk_at_most(tmp_path: Path, seed: int) -> None:
             assert losses[0].startswith(f"bag_0.mcap: {lost} of 361 ticks are lost, {where}; ")
         assert bool(losses) == bool(lost)
     assert amounts <= {0, 16, 9} and {0, 16} <= amounts
+
+
+@pytest.mark.parametrize(
+    ("what", "where"),
+    [("BAD_SECTOR", 0.0), ("BAD_SECTOR", 0.5), ("BAD_SECTOR", 1.0), ("CUT_TO", 0.0),
+     ("CUT_TO", 0.6)],
+)
+def test_a_disk_that_fails_while_it_is_read(tmp_path: Path, what: str, where: float) -> None:
+    """A sector that gives an error, or a file that is cut meanwhile: what was lost is named.
+
+    A chunk has 16 ticks; a sector can touch three.
+    """
+    written = write_bag(tmp_path / "bag", 361, size=200)
+    size = (tmp_path / "bag" / "bag_0.mcap").stat().st_size
+    at = int(where * size) // 4096 * 4096
+    done = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.recover", "bag", "--output", "new"], cwd=tmp_path,
+        env={**environment(0), **bad_disk(tmp_path), what: str(at)}, capture_output=True,
+        text=True, check=False,
+    )
+    if at == 0 and what == "CUT_TO":
+        assert (done.returncode, done.stdout) == (2, "")
+        assert "bag: does not hold a single complete tick or message" in done.stderr
+        return
+    restored = messages_of(tmp_path / "new" / "new_0.mcap")
+    there = {tick for *_, tick, _ in restored}
+    gone = sorted(set(range(361)) - there)
+    assert restored == [message for message in written if message[2] in there]
+    assert done.stdout.startswith(f"{len(there)} ticks recovered to new")
+    assert done.returncode == bool(gone), done.stderr
+    assert bool(gone) == (done.stderr != "") == (where < 1)
+    if not gone:
+        return
+    assert gone == list(range(gone[0], gone[-1] + 1))
+    assert f"lost: bag_0.mcap: {len(gone)} of 361 ticks are lost, " in done.stderr
+    assert "bytes cannot be read" in done.stderr
+    if what == "CUT_TO":
+        assert gone[-1] == 360 and 361 * (1 - where) - 16 < len(gone) < 361 * (1 - where) + 48
+    elif where:
+        assert len(gone) <= 48
+    else:
+        assert gone == FIRST
+
+
+def test_a_file_that_cannot_be_opened(tmp_path: Path) -> None:
+    """It is named, with what it had; the others are recovered."""
+    sent = split_bag(tmp_path / "bag")
+    file = tmp_path / "bag" / "bag_1.mcap"
+    had = files_messages(file)
+    file.unlink()
+    file.symlink_to("bag_1.mcap")  # a loop, since root may read anything
+    done = run_command("recover", "bag", cwd=tmp_path, env=environment(0))
+    assert done.returncode == 1
+    assert f"lost: bag_1.mcap, with {len(had)} messages, cannot be read: Too many levels of" \
+        in done.stderr
+    assert len(read(tmp_path / "bag-recovered")) == len(sent) - len(had)
 
 
 def test_a_bag_of_anybodys_that_was_cut(tmp_path: Path) -> None:

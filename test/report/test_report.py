@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import struct
+from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -31,6 +32,7 @@ from paper import PAPER_SITE, site_file
 from refusals import refusal
 
 from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
+from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.report.__main__ import _former_report
 from greenroof_ros.report.bags import MOST_POINTS, near_hours, thin
 from greenroof_ros.report.drawing import value_axis
@@ -100,10 +102,19 @@ def test_what_follows_from_results(tmp_path: Path) -> None:
     assert judged["near_share"] == pytest.approx(0.1 / (0.2 + 1 / 3600))
 
 
+def each_minute(trajectory: Trajectory) -> Trajectory:
+    """Return a trajectory of every second with each 60th sample, and the last."""
+    last = len(trajectory.time) - 1
+    kept = [*range(0, last, 60), last]
+    return replace(trajectory, **{
+        name: series[kept] for name, series in vars(trajectory).items() if name != "start"
+    })
+
+
 def test_another_band_needs_what_happened(tmp_path: Path) -> None:
     """Unknown without a trajectory, or if it has not every tick; then a note says why."""
     every_tick, row, _ = simulate("onoff", "0.5", "low-low")
-    trajectories = (every_tick, every_tick.thinned(60), None)
+    trajectories = (every_tick, each_minute(every_tick), None)
     path = write_study(tmp_path / "study", [(row, kept) for kept in trajectories])
     report = report_of(path, band=0.2)
     assert [run["near_target_hours"] for run in report.single] == [
@@ -216,7 +227,7 @@ def test_published_totals_stand_beside_the_papers_own_runs(
 def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
     """Controllers and parameters that this package does not know, with numbers and words."""
     example = simulate("mpc", "0.001", "low-low")
-    few = example.trajectory.thinned(60)
+    few = each_minute(example.trajectory)
     report = report_of(write_study(tmp_path / "study", [
         ({**example.row, "parameter:weight": "", "controller": name,
           **{f"parameter:{key}": text for key, text in given.items()}}, few)
@@ -282,7 +293,7 @@ def test_both_methods_stand_side_by_side(tmp_path: Path) -> None:
     """With their difference in %, by hand: 3 % more."""
     trajectory, row, _ = simulate("mpc", "0.001", "low-low")
     more = {**row, "evapotranspiration": "fao56", TOTAL: 1.03 * row[TOTAL]}
-    few = trajectory.thinned(60)
+    few = each_minute(trajectory)
     report = report_of(write_study(tmp_path / "study", [(row, few), (more, few)]))
     assert [window["evapotranspiration"] for window in report.windows()] == ["published", "fao56"]
     (table,) = [table for table in make_tables(report) if "both kinds" in table.name]
@@ -355,7 +366,7 @@ def test_seeds_belong_together(seeds: Report) -> None:
 def test_seeds_beside_other_runs(tmp_path: Path) -> None:
     """A perfect forecast and a single seed are shown as before, complete in their tables."""
     example = simulate("mpc", "0.001", "low-low")
-    few = example.trajectory.thinned(60)
+    few = each_minute(example.trajectory)
     errors = {**example.row, "forecast": "errors", "forecast_skill": "real"}
     report = report_of(write_study(tmp_path / "study", [
         (example.row, few),
@@ -445,7 +456,7 @@ def test_study(tmp_path: Path) -> None:
     example = simulate("onoff", "2", "low-low")
     failed = {**example.row, "status": "failed", "error": "solver: <gave up>", TOTAL: ""}
     not_run = {**failed, "parameter:fraction": "3", "status": "not run", "error": ""}
-    runs = (example.row, example.trajectory.thinned(60)), (failed, None), (not_run, None)
+    runs = (example.row, each_minute(example.trajectory)), (failed, None), (not_run, None)
     report = write_study(tmp_path / "study", runs) / "report"
     (report / "figures").mkdir(parents=True)
     (report / "figures" / "energy-7.svg").touch()

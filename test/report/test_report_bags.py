@@ -243,9 +243,12 @@ def test_a_bag_of_two_runs_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_no_bag_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "run.mcap").write_bytes(b"no bag")
-    with pytest.raises(ConfigurationError, match="cannot be read as a bag"):
-        loaded(tmp_path / "run.mcap")
+    (tmp_path / "run.MCAP").write_bytes(b"no bag")
+    with pytest.raises(ConfigurationError, match=r"cannot be read as a bag.*\. If it is damaged, "):
+        loaded(tmp_path / "run.MCAP")
+    (tmp_path / "run.db3").write_bytes(b"SQLite format 3")
+    with pytest.raises(ConfigurationError, match=f"this file's bag is {tmp_path}"):
+        report_of(tmp_path / "run.db3")
     (tmp_path / "run.txt").write_text("no bag")
     with pytest.raises(ConfigurationError, match=r"or an \.mcap file"):
         report_of(tmp_path / "run.txt")

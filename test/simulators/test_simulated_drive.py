@@ -158,6 +158,7 @@ def test_it_listens_on_loopback_alone(shared: Simulator) -> None:
         ("absurd_value", 0x8001, "is -32767: -1.63835 share"),
         ("dropped", DEFAULT, "the connection was closed"),
         ("refused", DEFAULT, "the connection was closed"),
+        ("echo", DEFAULT, "the line returns what was sent"),
     ],
 )
 def test_faults_of_the_wire(

@@ -138,6 +138,16 @@ def rain_of_july() -> list[float]:
     return [float(row["Precip. Amount (mm)"]) for row in rows_of(JULY)]
 
 
+def test_what_was_left_out_is_noted(tmp_path: Path) -> None:
+    """Of the forecasts and of the records."""
+    write_previous_runs(tmp_path / "runs.csv", {1: [1.0, -999, *[1.0] * 70]})
+    write_gauge(tmp_path / "gauge.csv", [1.0] * 40 + [-9999] + [1.0] * 31)
+    done = run(tmp_path, "verify", "runs.csv", "--weather", "gauge.csv", "--lead", "24")
+    assert done.returncode == 0, done.stderr
+    notes = [line for line in done.stderr.splitlines() if line.startswith("note: ")]
+    assert [note.split(" of ")[1].split()[0] for note in notes] == ["-9999", "-999"]
+
+
 def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
     """A service's rain is of the hour before its time: its right forecasts score as right."""
     rain = rain_of_july()[1:]  # the first row's hour was before the records
@@ -242,3 +252,50 @@ def test_wrong_use(tmp_path: Path, arguments: str) -> None:
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"error: {WRONG[arguments]}")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_notes_of_what_was_left_out(tmp_path: Path) -> None:
+    """Of the archive and of the records, on standard error; the rest of many is counted."""
+    write_gauge(tmp_path / "gauge.csv", [0.1] * 30 + [-999] + [0.1] * 41)
+    issues = [
+        Issue(FIRST + day * 24 * HOUR, tmp_path, None, np.full((3, 24), 0.2)) for day in range(3)
+    ]
+    lines = write_forecasts(issues).splitlines()
+    # Member 2 of the first issue lacks all but an hour, and member 1 of the second lacks one.
+    lines = [
+        line.rpartition(",")[0] + ","
+        if line.startswith("2024-03-01") and ",2," in line and "T05:00" not in line[26:] else line
+        for line in lines
+    ]
+    at = next(
+        at for at, line in enumerate(lines)
+        if line.startswith("2024-03-02") and line[26:42] == "2024-03-02T07:00" and ",1," in line
+    )
+    lines[at] = lines[at].rpartition(",")[0] + ",-777"
+    (tmp_path / "archive.csv").write_text("\n".join([*lines, ""]))
+    done = run(tmp_path, "verify", "archive.csv", "--weather", "gauge.csv")
+    assert done.returncode == 0, done.stderr
+    notes = [line for line in done.stderr.splitlines() if line.startswith("note: ")]
+    for part in (
+        "gauge.csv: precipitation [mm/h] of -999 at 2024-03-02T06:00:00+00:00 is no plausible",
+        "archive.csv: precipitation [mm/h] of -777 at 2024-03-02",
+        "archive.csv, issue of 2024-03-01T00:00+00:00: member 2 is left out",
+        "issue of 2024-03-02T00:00+00:00: 1 missing hours of precipitation have the mean",
+        "all issues have 2 members",
+    ):
+        assert any(part in note for note in notes), (part, notes)
+
+
+def test_many_notes_are_counted(tmp_path: Path) -> None:
+    """An archive of 30 files, each with a value that is left out."""
+    write_gauge(tmp_path / "gauge.csv", [0.1] * 24 * 30)
+    (tmp_path / "archive").mkdir()
+    for day in range(30):
+        text = write_forecasts(
+            [Issue(FIRST + day * 24 * HOUR, tmp_path, None, np.full((1, 24), 0.2))]
+        )
+        (tmp_path / "archive" / f"{day:02}.csv").write_text(text.replace("0.2", "-999", 1))
+    done = run(tmp_path, "verify", "archive", "--weather", "gauge.csv")
+    notes = [line for line in done.stderr.splitlines() if line.startswith("note: ")]
+    assert len(notes) == 21
+    assert notes[-1] == "note: and 40 more of this kind"

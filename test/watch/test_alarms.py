@@ -606,10 +606,21 @@ def test_a_node_that_is_started_again_is_no_start_of_the_site(others: list[Statu
     ("used after 10 s of good values (recovery_time)", "used after 10 s of good values"),
     ("pumps are kept off (unknown_frost_may_pump)", "pumps are kept off"),
     ("not followed (follow_time, follow_tolerance, drive_ramp)", "not followed"),
+    ("and confirm that (local_settings_stop_the_pump: true)", "and confirm that"),
+    ("give this one another file (--state, state_file)", "give this one another file"),
+    ("2.5 m3 (today) are too much (set with greatest_dose)", "2.5 m³ (today) are too much"),
     ("0.25 m3 were pumped at 0.001 m3/s (today)", "0.25 m³ were pumped at 0.001 m³/s (today)"),
 ])
 def test_a_sentence_has_no_names_of_parameters(said: str, shown: str) -> None:
     assert rows(heard((0.0, pump(("levels", ERROR, said, "x")))))["/pump: levels"]["what"] == shown
+
+
+@pytest.mark.parametrize("role", ["pump", "weather", "controller", "roof_sensor"])
+def test_advice_is_for_whoever_stands_at_the_pump(role: str) -> None:
+    """It has no commands of ROS, and no names of codes and parameters."""
+    for code in read_conditions():
+        advice, _ = advise(code, role, "/site1/node")
+        assert not re.search(r"\bros2\b|\b[a-z]+_[a-z]+|\bm3\b", advice), (code, advice)
 
 
 @pytest.mark.parametrize("code", ["broker_lost", "sensor_lost", "drive_lost"])

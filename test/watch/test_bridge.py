@@ -282,7 +282,8 @@ def test_wrong_input_is_one_message(unused_domain: int, tmp_path: Path) -> None:
 
 @needs_mosquitto
 @pytest.mark.parametrize("broken", [
-    "bridge.state_of", "bridge.alarms_of", "tiles.rain", "account.Account.totals",
+    "bridge.state_of", "bridge.alarms_of", "bridge.document", "tiles.rain",
+    "account.Account.totals",
 ])
 def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
     broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
@@ -311,7 +312,8 @@ def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
 
         thread = threading.Thread(target=run)
         thread.start()
-        other = "alarms" if broken == "bridge.state_of" else "state"
+        others = {"bridge.state_of": "alarms", "bridge.document": "availability"}
+        other = others.get(broken, "state")
         wait_for(lambda: heard.last(f"greenroof/roof/{other}"), 30, "a message")
         heard.say("greenroof/roof/stop", "STOP")
         said = ""

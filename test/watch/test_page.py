@@ -514,6 +514,39 @@ def test_no_line_crosses_the_words_of_a_reference(open_page: Open, width: int) -
         assert page.evaluate(OPACITY, [key, *line, ink]) > 0.9
 
 
+@pytest.mark.parametrize("width", [400, 1400])
+def test_words_of_a_reference_are_where_the_roof_is_not(open_page: Open, width: int) -> None:
+    """The roof swings about its target all the time, except in a while in the middle."""
+    watched = store("ended", SITE)
+    seconds = np.arange(0, 12 * 3600, 60)
+    calm = (seconds > 9000) & (seconds < 36_000)
+    level = 0.0457 + np.where(calm, 0.0, 0.003 * np.sin(seconds / 400))
+    watched.add("/roof/level", (BEGIN + seconds) * SECOND, level)
+    page = open_page(watched)
+    page.set_viewport_size({"width": width, "height": 900})
+    until_drawn(page)
+    page.locator("[data-hours='12']").click()
+    (box,) = page.evaluate("""() => {
+        const { plot, chart, marks } = charts.views.get("roof");
+        return charts.placed(plot, chart, marks).map(({ left, right, top, bottom }) => [
+            ...[left, right].map((x) => (plot.posToVal(x, "x", true) - charts.ms(0)) / 1000),
+            ...[top, bottom].map((y) => plot.posToVal(y, "left", true))]);
+    }""")
+    assert page.evaluate(OPACITY, ["roof", *box, [0, 0, 0]]) == 0
+
+
+@pytest.mark.parametrize("width", [1400, 1210, 800, 400])
+def test_no_value_is_wider_than_its_tile(open_page: Open, width: int) -> None:
+    page = open_page(site_watched())
+    page.set_viewport_size({"width": width, "height": 900})
+    until_shown(page, ".tile[data-key=cistern] .value", "1408 mm")
+    beyond = page.locator(".value").evaluate_all(
+        "(values) => values.map((value) => value.scrollWidth - value.clientWidth)"
+    )
+    assert beyond == [0] * 5
+    assert overflow(page) == 0
+
+
 def test_pointer_and_keyboard_read_values(ended_run: tuple[Store, Any]) -> None:
     watched, page = ended_run
     frame = page.locator(".frame").first

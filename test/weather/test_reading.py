@@ -164,7 +164,7 @@ def test_value_that_one_file_lacks(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_joined(tmp_path: Path) -> None:
-    """Other values or quantities, another method, hours that begin at another minute."""
+    """Other values or quantities, another method."""
 
     def own(first: str, method: str = "published", rain: float = 0.1) -> Path:
         """Write two hours of a file in this project's format."""
@@ -179,9 +179,6 @@ def test_what_cannot_be_joined(tmp_path: Path) -> None:
     for late, reason in (
         (own("2021-07-01T02:00", "lysimeter"),
          f"must have the same method of evapotranspiration as {early}, published; it has lysimet"),
-        (own("2021-07-01T02:30"),
-         "its hours begin at 2021-07-01T02:30-05:00, which must be a whole number of hours from "
-         f"2021-07-01T00:00-05:00, as in {early}"),
         (own("2021-07-01T01:00", rain=9.9),
          f"precipitation at 2021-07-01T01:00-05:00 = 9.9: must be 0.1, as in {early}, or the files "
          "must not overlap"),
@@ -189,6 +186,37 @@ def test_what_cannot_be_joined(tmp_path: Path) -> None:
          "has dew point, precipitation, station pressure, temperature, wind speed"),
     ):
         assert refusal(read_weather, [early, late], TORONTO).startswith(f"{late}: {reason}")
+
+
+@pytest.mark.parametrize(
+    ("minutes", "expected"),
+    # Rain of 1 to 4 mm, in hours that begin so much later: each hour of the clock has the rest of
+    # one and the start of the next.
+    [(30, [1.5, 2.5, 3.5]), (15, [1.75, 2.75, 3.75]), (45, [1.25, 2.25, 3.25])],
+)
+def test_files_whose_hours_begin_at_different_minutes(
+    tmp_path: Path, minutes: int, expected: list[float]
+) -> None:
+    """As in GMT and at UTC-3:30: hours of the first file, with the means of the second's."""
+    first = np.datetime64("2021-07-01T00:00")
+    header = "time,precipitation [mm/h],published evapotranspiration [mm/day]"
+    early = write(tmp_path / "gmt.csv", header, *(
+        f"{first + np.timedelta64(hour, 'h')}+00:00,0.5,1.0" for hour in range(4)
+    ))
+    # Its first hour begins in the last of the first file, whose value goes before.
+    late = write(tmp_path / "local.csv", header, *(
+        f"{first + np.timedelta64(60 * (3 + hour) + minutes, 'm')}+00:00,{hour + 1}.0,2.0"
+        for hour in range(4)
+    ))
+    read = read_weather([late, early], TORONTO)
+    assert read.first.isoformat() == "2021-07-01T00:00:00+00:00"
+    assert read.files == (early, late)
+    assert read.values["precipitation"].tolist() == [0.5] * 4 + expected
+    assert read.values["evapotranspiration"].tolist() == [1.0] * 4 + [2.0] * 3
+    assert read.notes == (
+        f"{late}: its hours begin {minutes} min after the hours of {early}; each value is the mean "
+        "of the two hours in which it lies",
+    )
 
 
 def test_names_and_patterns(tmp_path: Path) -> None:
@@ -249,10 +277,10 @@ def test_long_gaps_have_the_mean_of_the_days_about_them() -> None:
 
 @pytest.mark.parametrize("name", ["weather.csv", "weather.json"])
 def test_a_weather_file_that_is_too_large_is_refused_at_once(tmp_path: Path, name: str) -> None:
-    """Its size is known before it is read; 200 MB would take gigabytes of memory."""
+    """Its size is known before it is read; the message says what to do."""
     file = tmp_path / name
     with file.open("w") as stream:
         stream.write("time,precipitation [mm/h]\nwet\n")
         stream.truncate(200_000_000)
-    with pytest.raises(ConfigurationError, match=r"has 200 MB; .* at most 50 MB"):
+    with pytest.raises(ConfigurationError, match=r"has 200 MB .* at most 100 MB: leave out"):
         read_weather([file], PAPER_SITE)

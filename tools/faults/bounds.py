@@ -79,6 +79,9 @@ def bounds(site: Site) -> dict[str, float]:
         "runs on": runs_on,
         # The connection breaks twice before the fault is noticed, and is made again each time.
         "runs on, breaks": runs_on + 2 * (FIRST_WAIT_S + exchange),
+        # Nothing is sent for at most the longest timeout that is relied on, but a requested stop.
+        "longest silence": float(pump["drive_timeout_limit"]) + exchange + end,
+        "requested": exchange + step,
         # Two connections are tried on which nothing can be written.
         "refusing": DRIVE_TIMEOUT_S + 5.0 + end,
         "intermittent drive": 2.0 + DRIVE_TIMEOUT_S + end,

@@ -12,6 +12,7 @@ SIMULATED, LOOP, LIVE = "simulated", "hardware in the loop", "live"
 WAYS = (SIMULATED, LOOP, LIVE)
 # How often the four foreign readers are stopped in one case.
 ROUNDS = 50
+CHANGES = "4000 changes of a parameter"
 DRIVES = ("danfoss_fc202", "abb_acs880", "grundfos_cim500", "schneider_atv630")
 # The name of a status on /diagnostics, and the code of a condition that it shows.
 Sign = tuple[str, str]
@@ -39,7 +40,9 @@ class Expected:
         stops: True: the pump must stop within the bound; False: it must run on; None: either.
         bound: name of one of `bounds.bounds`.
         signs: what must be shown, all of it.
-        names: node or topic that the reason of the end must name.
+        names: node or topic that the reason of the end must name; if the rig does not end, that
+            bringup must print.
+        never: conditions that must not be shown.
         recovery: ``heals``: the pump runs again by itself; ``latches``: only after ~/reset;
             ``either``; ``stays``: it stays off; ``ends``: bringup and all its processes end; for a
             simulation ``same``: it runs to its end, with an unchanged bag.
@@ -50,6 +53,7 @@ class Expected:
     bound: str = "step"
     signs: tuple[Sign, ...] = ()
     names: str = ""
+    never: tuple[Sign, ...] = ()
     recovery: str = "heals"
     watch: float = 3.0
 
@@ -112,6 +116,8 @@ def _processes(repeats: int) -> Iterator[Case]:
         for fault in ("kill", "term", "stop short", "stop long"):
             for node in (*NODES, "bringup"):
                 yield Case(rig, fault, node, number, _process(node, fault))
+        # A requested end is no failure, whatever happened before.
+        yield Case(rig, "term after an incident", "bringup", number, _process("bringup", "term"))
     for number, drive in enumerate(DRIVES):
         rig = f"site:{drive}"
         for fault in ("kill", "stop long"):
@@ -133,7 +139,7 @@ _DRIVE: dict[str, Expected] = {
     # were no answer. A drive that has power again is as before, and reports no fault.
     **dict.fromkeys(
         ("refused", "dropped", "half_open", "silence", "late", "garbage", "wrong_unit",
-         "wrong_function", "wrong_length", "absurd_value", "power_cycle"),
+         "wrong_function", "wrong_length", "absurd_value", "power_cycle", "echo"),
         Expected(bound="drive", signs=_LOST),
     ),
     "slow": Expected(stops=False),
@@ -188,6 +194,17 @@ def _drive_alone(repeats: int) -> Iterator[Case]:
                 bound="drive", recovery="ends"))
 
 
+def _timeouts() -> Iterator[Case]:
+    """Yield the cases of a drive whose timeout another client lengthens."""
+    for drive in DRIVES:
+        if drive != "grundfos_cim500":  # its timeout cannot be set
+            for target, bound in (
+                ("drive", "longest silence"), ("stop requested", "requested")
+            ):
+                yield Case(f"site:{drive}", "timeout rewritten", target, 0, Expected(
+                    bound=bound, signs=(("pump: drive timeout", "drive_timeout"),)))
+
+
 # --- a relay on MQTT ------------------------------------------------------------------------------
 
 RELAYS = ("tasmota", "shelly_gen2")
@@ -218,7 +235,7 @@ def _relay(repeats: int) -> Iterator[Case]:
 
 # Faults of the line to a sensor.
 WIRE = ("refused", "dropped", "half_open", "silence", "slow", "late", "split", "garbage",
-        "wrong_unit", "wrong_function", "wrong_length", "exception", "intermittent")
+        "wrong_unit", "wrong_function", "wrong_length", "exception", "echo", "intermittent")
 _RUNS_ON = Expected(stops=False)
 
 # --- sensors and weather --------------------------------------------------------------------------
@@ -253,6 +270,8 @@ def _sensors(repeats: int) -> Iterator[Case]:
                     bound="intermittent" if fault == "intermittent" else "level",
                     signs=_level(tank, "input_silent"))
                 yield Case(rig, "sensor line", f"{tank}_{fault}", number, expected)
+            yield Case(rig, "flapping", tank, number, Expected(
+                bound="intermittent", signs=_level(tank, "input_silent")))
         for file in ("broken", "missing"):
             yield Case(rig, "forecast file", file, number, Expected(
                 stops=False, signs=(("weather: forecast", "forecast_unreadable"),)))
@@ -267,6 +286,36 @@ def _sensors(repeats: int) -> Iterator[Case]:
     for number, leak in enumerate((20_000, 50_000)):
         yield Case(f"site:{DRIVES[number]}", "site", "leak", number, Expected(
             bound="undelivered", signs=_pump("delivery"), recovery="latches"), leak)
+
+
+_UNREADABLE: Sign = ("weather: forecast", "forecast_unreadable")
+
+
+def _harmless() -> Iterator[Case]:
+    """Yield the cases that must not stop the pump."""
+    for number, drive in enumerate(DRIVES[:2]):
+        for target, signs in (
+            ("large", ()), ("an issue too large", (_UNREADABLE,)),
+            ("short", (("weather: forecast", "forecast_short"),)),
+            ("a null", ()), ("an empty member", ()), ("a short control run", ()),
+        ):
+            yield Case(f"lookahead:{drive}", "forecast file", target, number, Expected(
+                stops=False, signs=signs, watch=20.0 if "large" in target else 5.0,
+                never=() if signs == (_UNREADABLE,) else (_UNREADABLE,)))
+        yield Case(f"empty:{drive}", "from the start", "roof level of -1 mm", number, Expected(
+            stops=False, never=_level("roof", "input_refused")))
+        yield Case(f"no forecast:{drive}", "from the start", "no forecast file", number, Expected(
+            stops=False, signs=(("weather: forecast", "forecast_missing"),)))
+        # The reading does not change for a while, although the level does.
+        for tank, watch in (("cistern", 40.0), ("roof", 80.0)):
+            yield Case(f"played:{drive}", "coarse", f"/{tank}/level", number, Expected(
+                stops=False, watch=watch, never=_level(tank, "input_frozen")))
+        # Surfaces hold back the rain, 2 mm.
+        yield Case(f"catchment:{drive}", "coarse in rain", "/cistern/level", number, Expected(
+            stops=False, watch=40.0, never=(("onoff: inputs", "input_frozen"),)))
+        yield Case(f"site:{drive}", CHANGES, "onoff", number, _RUNS_ON)
+        for node in NODES:
+            yield Case(f"site:{drive}", "use_sim_time", node, number, _RUNS_ON)
 
 
 def _state_files() -> Iterator[Case]:
@@ -430,25 +479,32 @@ _HEARD = (*FORECASTS, "/weather/precipitation", "/weather/evapotranspiration", "
           "/pump/state", "/pump/meter", "/controller/cost", "/diagnostics")
 
 
+_TWO_PUMPS = Expected(
+    bound="command", signs=(*_pump("two_pumps"), ("pump: flow", "two_pumps")), names="/pump/flow")
+
+
 def _intruders(repeats: int) -> Iterator[Case]:
     for number in range(repeats):
         rig = f"site:{DRIVES[number % 4]}"
         for topic, signs in _OBEYED.items():
             yield Case(rig, "intruder", topic, number, Expected(bound="command", signs=signs))
         for topic in _HEARD:
-            yield Case(rig, "intruder", topic, number, Expected(stops=None))
+            yield Case(rig, "intruder", topic, number, _TWO_PUMPS if topic == "/pump/flow" else
+                       Expected(stops=None))
         # Every topic that a live node hears, whoever publishes it: 10,000 hostile messages.
         for topic in (*_OBEYED, *_HEARD, *GAUGES):
             yield Case(rig, "10000 hostile", topic, number, Expected(
                 stops=None, bound="command", signs=_OBEYED.get(topic, ())))
         yield Case(rig, "second pump node", "pump", number, Expected(
-            stops=None, bound="command", watch=5.0, signs=(("pump", "two_processes"),)))
-        yield Case(f"pump:{DRIVES[number % 4]}", "second pump node", "in another domain", number,
-                   Expected(stops=False, bound="command", watch=5.0,
-                            signs=(("pump: drive", "drive_lost"),)))
+            stops=None, bound="command", watch=5.0, names="/pump/flow",
+            signs=(("pump", "two_processes"), ("pump: flow", "two_pumps"))))
+        for target in ("in another domain", "in another domain, temporary files removed"):
+            yield Case(f"pump:{DRIVES[number % 4]}", "second pump node", target, number, Expected(
+                stops=False, bound="command", watch=5.0, signs=(("pump: drive", "drive_lost"),)))
         yield Case(rig, "second controller", "onoff", number, Expected(
             bound="command", signs=_OBEYED["/pump/command"]))
-        yield Case(rig, "second graph", "bringup", number, Expected(stops=False))
+        for target in ("bringup", "bringup, temporary files removed"):
+            yield Case(rig, "second graph", target, number, Expected(stops=False))
 
 
 # --- hardware in the loop, simulated --------------------------------------------------------------
@@ -526,8 +582,8 @@ def _simulated(repeats: int) -> Iterator[Case]:
         for topic in ("/cistern/outflow", "/roof/drainage"):
             yield Case("simulated", "intruder", topic, number, Expected(
                 stops=None, bound="supervised", recovery="either"))
-        yield Case("simulated", "second graph", "bringup", number, Expected(
-            stops=None, recovery="same"))
+        for fault, target in (("second graph", "bringup"), (CHANGES, "onoff")):
+            yield Case("simulated", fault, target, number, Expected(stops=None, recovery="same"))
 
 
 def _readers(blocks: int) -> Iterator[Case]:
@@ -556,8 +612,10 @@ def all_cases() -> list[Case]:
         *_drive("loop", every, 0, 1),
         *_drive("rtu", _SERIAL, 0, 1),
         *_drive_alone(1),
+        *_timeouts(),
         *_relay(2),
         *_sensors(2),
+        *_harmless(),
         *_state_files(),
         *_brokers(4),
         *_dry(4),

@@ -11,23 +11,40 @@ import time
 import zlib
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from datetime import timedelta
+from dataclasses import asdict
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
-from faults.cases import Case
+from faults.bounds import DRIVE_TIMEOUT_S
+from faults.cases import CHANGES, GAUGES, LEVELS, Case
 from faults.players import HOSTILE, HUGE, OFF_S, ON_S, Players
 from faults.rig import FullDiskRig, MqttRig, RelayRig, Rig, SiteRig, pump_node, wait
 from faults.truth import AT_REST
 from faults.watcher import Watcher
 from graphs import Process, own_domain
-from ros_rig import write_forecast
+from ros_rig import FORECAST_HEADER, write_forecast
 
 from greenroof_ros.common.command_line import EXIT_OCCUPIED
 from greenroof_ros.common.interface import read_topics
+from greenroof_ros.drives.drive_file import read_drive_file
+from greenroof_ros.drives.modbus_line import encode, parse_address
+from greenroof_ros.experiment.incidents import INCIDENTS, Incident, wall_time
 
 _SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
 # Shorter than every limit (s).
 _SHORT_S = (0.2, 0.6)
+# A timeout as another client may write it, or as a flipped bit shows it (s); and the exception with
+# which a gateway answers for a drive that it does not reach.
+_LONG_TIMEOUT_S, _GATEWAY = 1643.4, 11
+_MEMBERS, _HOURS = 30, 168
+# Which values of an ensemble (member, hour) are missing, by case.
+_MISSING: dict[str, Callable[[int, int], bool]] = {
+    "a null": lambda member, hour: (member, hour) == (2, 5),
+    "an empty member": lambda member, hour: member == 3,
+    "a short control run": lambda member, hour: member == 0 and hour >= 120,
+}
+# Where cleaners of temporary files remove them, and the end of a login session.
+_CLEANED = ("/tmp/", "/run/lock/", "/var/lock/", "/dev/shm/")
 
 
 def signal_process(pid: int, fault: str, rng: random.Random, undo: ExitStack) -> None:
@@ -63,6 +80,14 @@ def intrude(watcher: Watcher, topic: str, fault: str, rng: random.Random) -> Non
         watcher.publish_any(topic, value())
         if number % 500 == 499:
             time.sleep(rng.uniform(0.0, 0.05))
+
+
+def change_parameter(watcher: Watcher, node: str, name: str) -> None:
+    """Set a parameter to 4000 values next to 1, and last to 1."""
+    for first in range(0, 4000, 50):  # a node answers no other request meanwhile
+        values = [1.0 - 1e-12 * (3999 - first - number) for number in range(50)]
+        accepted = watcher.set_parameter(node, name, values)
+        assert accepted == [True] * 50, f"{node} accepted {sum(accepted)} of 50 changes"
 
 
 def refuse_second_graph(domain: int, place: Path) -> None:
@@ -103,6 +128,30 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             undo.callback(rig.free)
         case "stuck for ever":
             pass  # the command is the same from the start
+        case "from the start":
+            assert isinstance(rig, SiteRig)
+            undo.callback(write_forecast, rig.forecast, hours=48)
+        case "timeout rewritten":
+            _rewrite_timeout(rig, case, undo)
+        case "use_sim_time":
+            accepted = rig.watcher.set_parameter(case.target, case.fault, [True])
+            assert accepted == [False], f"use_sim_time: {accepted}"
+        case fault if fault == CHANGES:
+            change_parameter(rig.watcher, case.target, "level")
+        case "flapping":
+            _fill_incidents(rig, undo)
+            _on_wire(rig.lines[case.target].inject, "intermittent", undo)
+        case "term after an incident":
+            before = rig.incidents()
+            os.kill(rig.pids()["weather"], signal.SIGKILL)
+            wait(lambda: rig.incidents() > before, 30, "an incident")
+            wait(rig.runs, 90, "a pump that runs again")
+            rig.main.process.terminate()
+        case "coarse in rain":
+            assert players is not None
+            for topic, mode in ((LEVELS[0], "coarse"), (GAUGES[0], "wrong")):
+                players.set(topic, mode, rng)
+                undo.callback(players.set, topic, "ok", rng)
         case "sensor" | "site":
             truth.inject_site(case.target, case.parameter)
             undo.callback(truth.inject_site, "none")
@@ -114,6 +163,8 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             assert isinstance(rig, SiteRig)
             wait(lambda: rig.levels()[0] <= rig.dry_level, 90, "an empty cistern")
         case "second graph":
+            if "removed" in case.target:
+                _remove_files(rig)
             refuse_second_graph(rig.domain, rig.directory)
         case "second pump node" | "second controller":
             _second(rig, case, undo)
@@ -230,15 +281,99 @@ def _unstoppable(rig: Rig, case: Case, undo: ExitStack) -> None:
         rig.truth.inject_drive("stuck_running", 8000)
 
 
+def _rewrite_timeout(rig: Rig, case: Case, undo: ExitStack) -> None:
+    """Write a long timeout as another client, and refuse what a new pump node writes.
+
+    It reads that timeout, and cannot write *stop*: it leaves the drive in silence, and the motor
+    runs. Then the drive can be reached again.
+    """
+    file, address = read_drive_file(Path(rig.drive_file)), parse_address(rig.drive_at)
+    timeout = file.timeout.over(address)
+    assert timeout is not None
+    register = file.registers[timeout.register]
+
+    def write(seconds: float) -> None:
+        line = file.line(address, 1.0)
+        line.connect()
+        words = encode(seconds / register.scale, register.type, register.word_order)
+        for number, word in enumerate(words):
+            line.write(register.address + number, word)
+        line.close()
+
+    write(min(register.high, _LONG_TIMEOUT_S))
+    undo.callback(write, DRIVE_TIMEOUT_S)
+    rig.truth.inject_drive("refused_writes", _GATEWAY)
+    undo.callback(rig.truth.inject_drive, "none")
+    os.kill(rig.pids()["pump"], signal.SIGKILL)
+    wait(lambda: "nothing is sent" in rig.watcher.last.get("pump: drive", ""), 40, "a silence")
+    assert rig.truth.runs(), "the motor stopped by itself"
+    rig.truth.inject_drive("none")
+    if case.target == "stop requested":
+        rig.watcher.stop(True)
+        undo.callback(rig.watcher.stop, False)
+
+
+def _fill_incidents(rig: Rig, undo: ExitStack) -> None:
+    """Fill the list of incidents, as months of flapping would; it must not become longer."""
+    file = rig.kept / INCIDENTS
+    old = Incident(0, "campaign", "earlier", "of an earlier start", wall_time(), wall_time())
+    line = json.dumps(asdict(old)) + "\n"
+    with file.open("a") as stream:
+        stream.write(line * (1_000_000 // len(line) + 1))
+
+    def check() -> None:
+        size = file.stat().st_size
+        assert size < 100_000, f"{INCIDENTS} grew to {size} bytes"
+
+    undo.callback(check)
+
+
+def _remove_files(rig: Rig) -> None:
+    """Remove the temporary files that the processes hold open, such as a lock, as cleaners do."""
+    for pid in rig.pids().values():
+        for entry in Path(f"/proc/{pid}/fd").iterdir():
+            with suppress(OSError):
+                file = entry.readlink()
+                if str(file).startswith(_CLEANED) and rig.directory not in file.parents:
+                    file.unlink()
+
+
 def _forecast(rig: Rig, case: Case, undo: ExitStack) -> None:
     assert isinstance(rig, SiteRig)
-    if case.target == "broken":
-        rig.forecast.write_text("issued,time,precipitation [mm/h]\nnonsense,1,2\n")
-    elif case.target == "missing":
-        rig.forecast.unlink()
-    else:
-        write_forecast(rig.forecast, timedelta(days=30), hours=48)
-    undo.callback(write_forecast, rig.forecast, hours=48)
+    match case.target:
+        case "broken":
+            rig.forecast.write_text("issued,time,precipitation [mm/h]\nnonsense,1,2\n")
+        case "missing":
+            rig.forecast.unlink()
+        case "old":
+            write_forecast(rig.forecast, timedelta(days=30), hours=48)
+        case "short":
+            write_forecast(rig.forecast, hours=6)
+        case "large":
+            _write_ensembles(rig.forecast, issues=130)
+        case "an issue too large":
+            _write_ensembles(rig.forecast, hours=130 * _HOURS)
+        case spoilt:
+            _write_ensembles(rig.forecast, missing=_MISSING[spoilt])
+    undo.callback(write_forecast, rig.forecast, hours=rig.forecast_h)
+
+
+def _write_ensembles(
+    path: Path, issues: int = 1, hours: int = _HOURS,
+    missing: Callable[[int, int], bool] = lambda member, hour: False,
+) -> None:
+    """Write hourly issues of an ensemble, up to now, in one step."""
+    draft, now = path.with_suffix(".new"), datetime.now(timezone.utc)
+    with draft.open("w") as stream:
+        stream.write(FORECAST_HEADER.replace("time,", "time,member,") + "\n")
+        for ago in reversed(range(issues)):
+            issued = now.replace(minute=0, second=0, microsecond=0) - timedelta(hours=ago)
+            times = [(issued + timedelta(hours=hour)).isoformat() for hour in range(hours)]
+            stream.writelines(
+                f"{times[0]},{at},{member},{'' if missing(member, hour) else 0.0},2.0,15.0\n"
+                for member in range(_MEMBERS) for hour, at in enumerate(times)
+            )
+    draft.replace(path)
 
 
 def _state_file(rig: Rig, fault: str) -> None:
@@ -263,7 +398,9 @@ def _state_file(rig: Rig, fault: str) -> None:
 
 
 def _second(rig: Rig, case: Case, undo: ExitStack) -> None:
-    elsewhere = case.target == "in another domain"
+    elsewhere = case.target.startswith("in another domain")
+    if "removed" in case.target:
+        _remove_files(rig)
     domain = undo.enter_context(own_domain()) if elsewhere else rig.domain
     if case.fault == "second controller":
         topic = "/pump/command"

@@ -25,6 +25,8 @@ from greenroof_ros.recording.bag_writer import FLUSH_S, RETRY_S, bag_files
 _LONGER_S = 10.0
 # Time from a node's kill until the pump must run again: back-off, start, recovery (s).
 _RECOVERY_S = 75.0
+# Time from a start for which what has not come yet is only listed on the page, without advice (s).
+_LISTED_S = 60.0
 # Time within which bringup must end once the pump stands (s).
 _END_S = 50.0
 _LEAST_SPEED = 0.05
@@ -180,24 +182,30 @@ def _fault(
     expected = case.expected
     began, incidents = time.monotonic(), rig.incidents()
     recorded = newest_file(rig.kept / "bag") if isinstance(rig, SiteRig) else None
-    clock = time.time()
+    clock, printed = time.time(), len(rig.main.stderr())
     with ExitStack() as undo:
         begin(rig, case, rng, undo)
-        slow = ("dry", "power cycle, then kill", "unstoppable")
+        slow = ("dry", "power cycle, then kill", "unstoppable", "timeout rewritten",
+                "term after an incident")
         if case.fault in slow or case.fault.startswith("second"):
             began = time.monotonic()  # the fault took some time to begin
         if expected.stops:
             _until_it_stands(rig, case, began, outcome)
         else:
             time.sleep(max(0.0, began + expected.watch - time.monotonic()))
-        _signs(rig, case, began, incidents, outcome)
+        since = 0.0 if case.fault == "from the start" else began
+        _signs(rig, case, since, incidents, outcome)
         if case.fault == "unstoppable":
             outcome.to_safe = time.monotonic() - began
         time.sleep(hold)
         if expected.stops is False and rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
             outcome.fail(f"the pump stopped, but should have run on: {_said(rig, began)}")
+        if shown := rig.signs(began, incidents).intersection(expected.never):
+            outcome.fail(f"shown without a reason: {shown}")
         if expected.recovery == "ends":  # the fault stays until then
             _ends(rig, case, outcome)
+        elif expected.names not in rig.main.stderr()[printed:]:
+            outcome.fail(f"bringup did not print {expected.names}")
     if expected.recovery != "ends":
         _recover(rig, case, outcome)
     outcome.signs = sorted(rig.signs(began, incidents))
@@ -237,6 +245,8 @@ def _signs(
     until = max(began + outcome.bound, time.monotonic() + 2.0)
     if case.expected.recovery == "ends":
         until += _END_S  # a node that waits in vain ends later than the pump stands
+    elif case.fault == "from the start" or case.target.startswith("in another domain"):
+        until += _LISTED_S
     elif case.fault == "state file":
         until += _RECOVERY_S  # the node reads it when it is started again
     while missing := set(case.expected.signs) - rig.signs(began, incidents):
@@ -322,7 +332,7 @@ def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
         return
     asked = 0 if isinstance(rig, SiteRig) else 130
     expected = {"kill": -9, "term": asked}.get(
-        case.fault if case.target == "bringup" else "", 1)
+        case.fault.partition(" ")[0] if case.target == "bringup" else "", 1)
     if case.fault in ("kill both", "power cycle, then kill"):
         expected = -9
     if code != expected:

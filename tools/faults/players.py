@@ -36,11 +36,13 @@ _WRONG: dict[str, Callable[[float], float]] = {
     "/forecast/evapotranspiration": lambda loss: 1e-3,
     "/pump/flow": lambda flow: 0.5 * flow,
     "/pump/meter": lambda flow: 0.0,
-    "/gauge/precipitation": lambda rain: 1e-6,
+    "/gauge/precipitation": lambda rain: 5e-5,
     "/gauge/temperature": lambda degrees: -5.0,
 }
 # Delay of a delayed topic (s), and factor of the period of a slow one.
 _DELAY_S, _SLOW = 2.0, 4.0
+# Resolution of a coarse sensor (m), below frozen_movement.
+_COARSE_M = 0.008
 
 
 class _Played:
@@ -77,6 +79,8 @@ class _Played:
             return None
         if mode == "garbage":
             return _garbage(topic, value, self._random)
+        if mode == "coarse" and isinstance(value, float):
+            return round(value / _COARSE_M) * _COARSE_M
         if mode == "wrong":
             return _wrong(topic, value)
         if mode != "stuck":

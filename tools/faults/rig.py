@@ -149,6 +149,7 @@ class Rig:
     nodes: tuple[str, ...] = ("pump", CONTROLLER, "weather")
     as_shipped = False
     serial = False
+    site_changes: Mapping[str, float] = {}
 
     def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
         """Start the drive.
@@ -162,7 +163,7 @@ class Rig:
         vars(self).update(special)
         self.directory, self.domain, self.drive_name = directory, domain, drive
         directory.mkdir(parents=True, exist_ok=True)
-        self.site_file = site_file(directory)
+        self.site_file = site_file(directory, **self.site_changes)
         self.site: Site = read_site(self.site_file)
         self.parameters = directory / "nodes.yaml"
         self.parameters.write_text(yaml.safe_dump({
@@ -321,9 +322,17 @@ class Rig:
 
 
 class SiteRig(Rig):
-    """A live site by bringup; sensors and drive are simulated programs behind Modbus."""
+    """A live site by bringup; sensors and drive are simulated programs behind Modbus.
 
-    cistern_m3 = _CISTERN_M3
+    Attributes:
+        forecast_h: hours of the forecast; 0 for no file.
+        roof_read: keys of the roof's sensor with which only the node reads it.
+    """
+
+    cistern_m3, roof_m3 = _CISTERN_M3, _ROOF_M3
+    controller = CONTROLLER
+    forecast_h = 48
+    roof_read: Mapping[str, float] = {}
 
     def start_site(self) -> Address:
         file, read = (self.directory / f"{name}.yaml" for name in ("sensors", "sensors-read"))
@@ -335,12 +344,13 @@ class SiteRig(Rig):
             self.domain, self.directory, "site_simulator", "--sensors", str(file), "--drive-at",
             self._bench, "--workbench", str(bench), "--site", str(self.site_file), "--rain", "0",
             "--constant-evapotranspiration", "0", "--cistern", str(self.cistern_m3),
-            "--roof", str(_ROOF_M3), "--output", str(self.csv),
+            "--roof", str(self.roof_m3), "--output", str(self.csv),
         )
         self.forecast = self.directory / "forecast.csv"
-        write_forecast(self.forecast, hours=48)
+        if self.forecast_h:
+            write_forecast(self.forecast, hours=self.forecast_h)
         self._options = (
-            "--controller", CONTROLLER, "--site", str(self.site_file),
+            "--controller", self.controller, "--site", str(self.site_file),
             "--sensors", str(read), "--forecast", str(self.forecast),
             "--drive", self.drive_file, "--drive-at", self.drive_at,
             "--state", str(self.kept), "--restarts", "1000",
@@ -358,6 +368,7 @@ class SiteRig(Rig):
             sensors[tank]["address"] = f"tcp://127.0.0.1:{behind}"
             self.lines[tank] = Line(port, behind)
             by_line[tank]["address"] = f"tcp://127.0.0.1:{port}"
+        by_line["roof"] |= self.roof_read
         return sensors, by_line
 
     def bring_up(self) -> Process:
@@ -590,6 +601,14 @@ RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
     "loop": LoopRig, "relayed": RelayedRig,
     # Water for half a minute.
     "dry": partial(SiteRig, cistern_m3=19.5),
+    # A controller that uses all members of the forecast; an empty roof whose sensor reads -1 mm; no
+    # forecast file, but a thermometer; much rain for the cistern.
+    "lookahead": partial(
+        SiteRig, controller="lookahead", nodes=("pump", "lookahead", "weather"), forecast_h=168),
+    "empty": partial(SiteRig, roof_m3=0.0, roof_read={"offset": -0.001, "low": -0.001}),
+    "no forecast": partial(GaugedRig, forecast_h=0),
+    "catchment": partial(
+        PlayedRig, topics=(*PLAYED, GAUGES[0]), site_changes={"a_in": 1000.0}),
     # With a flow meter; on a serial line (two pseudo-terminals); with the drive file as shipped.
     "metered": partial(PumpRig, topics=(*PumpRig.topics, "/pump/meter")),
     "rtu": partial(PumpRig, serial=True),

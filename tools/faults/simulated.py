@@ -15,8 +15,8 @@ from pathlib import Path
 
 from disks import small_disk
 from faults.bounds import SIMULATION_END_S
-from faults.cases import Case
-from faults.inject import intrude, refuse_second_graph, signal_process
+from faults.cases import CHANGES, Case
+from faults.inject import change_parameter, intrude, refuse_second_graph, signal_process
 from faults.live import Outcome
 from faults.watcher import Watcher
 from graphs import Process, bag_file, environment, summary_of
@@ -49,7 +49,7 @@ def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Ou
     )
     watcher = None
     try:
-        if case.fault in ("intruder", "10000 hostile"):
+        if case.fault in ("intruder", "10000 hostile", CHANGES):
             watcher = Watcher(domain, "intruder")
         run.wait_for_ticks()
         time.sleep(rng.uniform(0.0, 1.0))
@@ -71,7 +71,9 @@ def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Ou
 def _begin(
     case: Case, run: Process, domain: int, watcher: Watcher | None, rng: random.Random
 ) -> None:
-    if watcher is not None:
+    if watcher is not None and case.fault == CHANGES:
+        change_parameter(watcher, "onoff", "level")
+    elif watcher is not None:
         intrude(watcher, case.target, case.fault, rng)
     elif case.fault == "second graph":
         refuse_second_graph(domain, run.cwd)

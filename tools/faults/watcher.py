@@ -14,9 +14,11 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from faults.cases import Sign
+from rcl_interfaces.srv import SetParameters
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
@@ -203,15 +205,32 @@ class Watcher:
         """Call ~/stop of the pump node."""
         return self._call(self._stop, SetBool.Request(data=on), seconds)
 
+    def set_parameter(self, node: str, name: str, values: Sequence[float | bool]) -> list[bool]:
+        """Set a node's parameter to one value after another; return which it accepted."""
+        client = self.node.create_client(SetParameters, f"/{node}/set_parameters")
+        try:
+            answer = self._answer(client, SetParameters.Request(parameters=[
+                Parameter(name, value=value).to_parameter_msg() for value in values
+            ]), 20.0)
+        finally:
+            self.node.destroy_client(client)
+        return [] if answer is None else [result.successful for result in answer.results]
+
     def _call(self, client: Any, request: Any, seconds: float) -> str:
+        """Return the message of an answer; empty if there was no answer."""
+        answer = self._answer(client, request, seconds)
+        return "" if answer is None else answer.message or "answered"
+
+    def _answer(self, client: Any, request: Any, seconds: float) -> Any:
+        """Return a service's answer; None if it does not come in time."""
         until = time.monotonic() + seconds
         while not client.service_is_ready():
             if time.monotonic() > until:
-                return ""
+                return None
             time.sleep(0.05)
         answer = client.call_async(request)
         while not answer.done():
             if time.monotonic() > until:
-                return ""
+                return None
             time.sleep(0.02)
-        return str(answer.result().message) or "answered"
+        return answer.result()

@@ -34,12 +34,13 @@ _LOOK_S = 0.1
 # Each listener discovers a restarted process in its own time, as Fast DDS announces it repeatedly.
 # The page may hear of it this much earlier than this program (s).
 _AHEAD_S = 3.0
-# Reads the page: level and code of each standing alarm, by the name of its status; and the events,
-# newest first.
+# Reads the page: level and code of each standing alarm, by the name of its status; the events,
+# newest first; and the notes, which list what is missing while a site starts.
 _ON_PAGE = """() => [Object.fromEntries(
   [...document.querySelectorAll("[data-alarm]:not([data-over])")].map(
     (alarm) => [alarm.dataset.alarm, `${alarm.dataset.level} ${alarm.dataset.code}`])),
-  [...document.querySelectorAll("#events li")].map((event) => event.textContent)]"""
+  [...document.querySelectorAll("#events li")].map((event) => event.textContent),
+  [...document.querySelectorAll("#notes li")].map((note) => note.textContent)]"""
 # Kinds that this page does not show, by fault and target, with the reason.
 NOT_SAID = {
     ("second pump node", "in another domain"):
@@ -71,11 +72,24 @@ class Look:
         at: when.
         alarms: level and code of each alarm, by the name of its status.
         events: newest first.
+        notes: below the summary.
     """
 
     at: float
     alarms: dict[str, str]
     events: list[str]
+    notes: list[str]
+
+    def shows(self, name: str, what: str) -> bool:
+        """Return whether a status is as reported, or listed as missing at the start."""
+        listed = what and any(note.startswith(f"{name}: ") for note in self.notes)
+        return bool(listed) or self.alarms.get(name, "") == what
+
+    def shows_all(self, reported: dict[str, str]) -> bool:
+        """Return whether it shows everything that was reported, and nothing else."""
+        return self.alarms.keys() <= reported.keys() and all(
+            self.shows(name, what) for name, what in reported.items()
+        )
 
     def restart(self, name: str) -> str:
         """Return the newest event that reports a node's restart; empty if there is none."""
@@ -105,8 +119,7 @@ class Page:
                 page.goto(self._url)
                 while not self._ended:
                     began = time.monotonic()
-                    alarms, events = page.evaluate(_ON_PAGE)
-                    self.looks.append(Look(began, alarms, events))
+                    self.looks.append(Look(began, *page.evaluate(_ON_PAGE)))
                     time.sleep(_LOOK_S)
         except Exception as error:
             self.problem = f"{type(error).__name__}: {error}"
@@ -173,7 +186,7 @@ class Comparison:
                 looks = self._page.since(max(at - _AHEAD_S, shown_at))
                 seen = next((
                     look.at for look in looks
-                    if look.at < again and look.alarms.get(name, "") == what
+                    if look.at < again and look.shows(name, what)
                 ), None)
                 may_miss = self._limit + (_AHEAD_S if what.startswith("stale not_heard") else 0.0)
                 if self._note(name, what, at, seen, must=then - at > may_miss):
@@ -227,7 +240,7 @@ class Pages:
         wait(watch.stdout, 30, "no address")
         page = self._page = Page(f"http://127.0.0.1:{port}/")
         self.rigs.stack.callback(page.close)
-        wait(lambda: page.looks[-1].alarms == said.stands, 30, "no page of all")
+        wait(lambda: page.looks[-1].shows_all(said.stands), 30, "no page of all")
         rig.until_running()  # last, because some rigs' pumps may run for only 20 s
         self._rig = rig
 

@@ -289,9 +289,12 @@ export class Charts {
     const words = [];
     marks.forEach(({ text }, i) => {
       const width = ctx.measureText(text).width;
-      const places = [bbox.left + 4 * ratio, bbox.left + bbox.width - width - 4 * ratio].flatMap((left) => (
-        [lines[i] - 14 * ratio, lines[i] + 3 * ratio].map((top) => ({ text, left, right: left + width, top, bottom: top + 12 * ratio }))
-      ));
+      // The nearest rows above and below its own line first, and in each row from one end to the other.
+      const room = bbox.width - width - 8 * ratio;
+      const places = [-14, 3, -28, 17].flatMap((away) => [0, 1, 0.5, 0.25, 0.75].map((share) => {
+        const [left, top] = [bbox.left + 4 * ratio + share * room, lines[i] + away * ratio];
+        return { text, left, right: left + width, top, bottom: top + 12 * ratio };
+      }));
       const apart = places.filter(({ top, bottom }) => bbox.top <= top && bottom <= bbox.top + bbox.height
         && lines.every((y, j) => i === j || y < top || bottom < y) && words.every((other) => bottom < other.top || other.bottom < top));
       const free = apart.find(({ left, right, top, bottom }) => {

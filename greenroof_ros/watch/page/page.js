@@ -92,6 +92,7 @@ const fillTile = (tile, data) => {
   const value = tile.querySelector(".value");
   setText(value, data.value ?? "");
   value.classList.toggle("long", value.textContent.length > 10);
+  value.style.setProperty("--length", value.textContent.length);
   value.classList.toggle("word", !/\d/.test(value.textContent));
   setText(tile.querySelector(".sentence"), data.sentence);
   const why = tile.querySelector(".why");

@@ -1,0 +1,185 @@
+"""Large files: an error is reported when its line is reached, and no file exhausts the memory."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import netCDF4
+import numpy as np
+import pytest
+from paper import PAPER_SITE
+from places import CONFIG, DATA
+from refusals import refusal
+from twins import TWIN
+
+from greenroof_ros.calibrate import read_pump_data
+from greenroof_ros.calibration.csv_record import read_csv_record
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.formats.reading import read_archive, read_records
+from greenroof_ros.model.site import read_site
+
+TORONTO = read_site(CONFIG / "site.yaml")
+OWN = "time,precipitation [mm/h],temperature [degC]\n2021-07-07T03:00-05:00,0.1,20\n"
+ISSUES = (
+    "issued,time,member,precipitation [mm/h]\n"
+    "2021-07-07T00:00Z,2021-07-07T00:00Z,0,0.1\n"
+)
+PLACE = (
+    "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation\n"
+    "43.62,-79.42,77.0,0,GMT,GMT\n"
+)
+SERVICE = (
+    f"{PLACE}time,precipitation (mm),temperature_2m (°C),dew_point_2m (°C),wind_speed_10m (km/h),"
+    "surface_pressure (hPa)\n2021-07-07T05:00,0.1,20,12,9,1001\n"
+)
+PREVIOUS = "time,precipitation_previous_day1\n2024-03-01T01:00,0.1\n"
+ECCC = "".join((DATA / "en_climate_hourly_07-2021.csv").read_text("utf-8").splitlines(True)[:2])
+MEASURED = (
+    "time,rain [mm],runoff [mm],temperature [degC]\n2021-06-01T00:00,0,0,20\n"
+    "2021-06-01T00:05,0,0,20\n"
+)
+
+
+def weather(file: Path) -> object:
+    return read_records(file, TORONTO)
+
+
+def archive(file: Path) -> object:
+    return read_archive(file, TORONTO)
+
+
+def measured(file: Path) -> object:
+    return read_csv_record(file, TWIN)
+
+
+READERS: list[tuple[str, str, Callable[[Path], object], str]] = [
+    # The start of a file, the line behind it, how it is read, and why that line is refused.
+    (OWN, "2021-07-07T03:00-05:00,0.1,20", weather, "line 3: time = .* must be 2021-07-07T04:00"),
+    (OWN, "yesterday,0.1,20", weather, "line 3: time = 'yesterday': must be a time"),
+    (OWN, "2021-07-07T04:00-05:00,0.1", weather, "line 3: must have 3 cells"),
+    (OWN.replace("rature [degC]", "rature [F]"), "", weather, r"line 1: .* must be \[degC\]"),
+    (ISSUES, "2021-07-07T00:00Z,2021-07-07T02:00Z,0,0.1", archive, "line 3: time = .* consecutive"),
+    (ISSUES, "2021-07-06T00:00Z,2021-07-06T00:00Z,0,0.1", archive, "line 3: issued = .* in order"),
+    (ISSUES, "2021-07-07T00:00Z,2021-07-07T01:00Z,x,0.1", archive, "line 3: member = 'x'"),
+    (SERVICE, "2021-07-07T05:00,0.1,20,12,9,1001", weather, "line 5: time = .*whole hours later"),
+    (SERVICE, "2021-07-07 noon,0.1,20,12,9,1001", weather, "line 5: time = '2021-07-07 noon'"),
+    (SERVICE.replace("(km/h)", "(ft/s)"), "2021-07-07T06:00,0.1,20,12,9,1001", weather,
+     r"line 3: .*must be in km/h"),
+    (PREVIOUS, "2024-03-01T01:30,0.1", archive, "line 3: time = '2024-03-01T01:30'"),
+    (ECCC, ECCC.splitlines()[1], weather, "line 3: .* whole hours later"),
+    (MEASURED, "2021-06-01T00:00,0,0,20", measured, "line 4: time = .* must be later"),
+    (MEASURED, "2021-06-01T00:10,0,0", measured, "line 4: must have 4 cells"),
+    (MEASURED.replace("temperature", "warmth"), "", measured, "line 1: .* not a known column"),
+    ("flow [m3/s],head [m]\n0.001,9\n", "0.002", read_pump_data, "line 3: must have 2 cells"),
+]
+
+
+@pytest.mark.parametrize(("top", "line", "read", "reason"), READERS)
+def test_an_error_is_reported_when_its_line_is_reached(
+    tmp_path: Path, top: str, line: str, read: Callable[[Path], object], reason: str
+) -> None:
+    """Of 95 MB: the rest was not read, as it is not even text."""
+    file = tmp_path / "large.csv"
+    file.write_text(f"{top}{line}\n", encoding="utf-8")
+    with file.open("ab") as stream:
+        stream.write(b"\xff\n")
+        stream.truncate(95_000_000)
+    tracemalloc.start()
+    began = time.process_time()
+    try:
+        with pytest.raises(ConfigurationError, match=reason) as caught:
+            read(file)
+        assert tracemalloc.get_traced_memory()[1] < 5e6
+    finally:
+        tracemalloc.stop()
+    assert time.process_time() - began < 1
+    assert "UTF-8" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [("weather.csv", weather), ("weather.json", weather), ("forecasts.csv", archive),
+     ("previous.json", archive), ("measured.csv", measured), ("pump.csv", read_pump_data),
+     ("site.yaml", read_site)],
+)
+def test_a_file_of_any_kind_that_is_too_large(
+    tmp_path: Path, name: str, read: Callable[[Path], object]
+) -> None:
+    """One limit for all, and what to do."""
+    file = tmp_path / name
+    with file.open("w") as stream:
+        stream.truncate(150_000_000)
+    assert refusal(read, file) == (
+        f"{file}: has 150 MB to read; a file may have at most 100 MB: leave out what no run needs, "
+        "or split it, since weather can be several files and forecasts a directory of files"
+    )
+
+
+def test_a_grid_that_is_too_large(tmp_path: Path) -> None:
+    """Of NetCDF only the site's point is read, but the places of all points: 2 x 8 M of 8 bytes."""
+    with netCDF4.Dataset(tmp_path / "2021070800.nc", "w") as dataset:
+        for name, size in (("time", 2), ("rlat", 2000), ("rlon", 4000)):
+            dataset.createDimension(name, size)
+        hours = dataset.createVariable("time", "f8", ("time",))
+        hours.units, hours[:] = "hours since 2021-07-08 00:00:00", [0, 1]
+        for name in ("latitude", "longitude"):
+            dataset.createVariable(name, "f4", ("rlat", "rlon")).standard_name = name
+        rain = dataset.createVariable("HRDPS_P_PR_SFC", "f4", ("time", "rlat", "rlon"), zlib=True)
+        rain.units = "m"
+    assert "has 128 MB to read; a file may have at most 100 MB" in refusal(
+        archive, tmp_path / "2021070800.nc"
+    )
+
+
+def test_a_year_of_an_ensemble_in_files_of_a_month(tmp_path: Path) -> None:
+    """What the message advises: 30 members every 6 h, here 2 x 3 days of them, are one archive."""
+    directory = tmp_path / "archive"
+    directory.mkdir()
+    first = np.datetime64("2024-06-01T00:00")
+    for number in range(2):
+        rows = ["issued,time,member,precipitation [mm/h]"]
+        for issue in range(12):
+            issued = first + np.timedelta64(72 * number + 6 * issue, "h")
+            rows += [
+                f"{issued}Z,{issued + np.timedelta64(hour, 'h')}Z,{member},{member / 10}"
+                for member in range(30) for hour in range(24)
+            ]
+        (directory / f"{number}.csv").write_text("\n".join([*rows, ""]))
+    read = read_archive(directory, PAPER_SITE)
+    assert len(read.issues) == 24
+    assert read.members == 30
+    assert read.issues[13].rain[7].tolist() == [0.7] * 24
+
+
+def test_memory_of_a_valid_file(tmp_path: Path) -> None:
+    """20 MB of weather take less than 150 MB more than the program itself; they took 350."""
+    file = tmp_path / "weather.csv"
+    hours = np.datetime64("1981-01-01T00:00") + np.arange(440_000).astype("timedelta64[h]")
+    file.write_text(OWN.splitlines()[0] + "\n" + "".join(
+        f"{hour}-05:00,{hour.astype(int) % 9 / 10},{hour.astype(int) % 300 / 10}\n"
+        for hour in hours
+    ))
+    done = subprocess.run(
+        [sys.executable, "-c", _MEMORY, str(file)], capture_output=True, text=True, check=True,
+    )
+    hours_read, more_mb = map(float, done.stdout.split())
+    assert hours_read == 440_000
+    assert more_mb < 150
+
+
+_MEMORY = """
+import resource, sys
+from pathlib import Path
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.formats.reading import read_records
+from greenroof_ros.model.site import read_site
+site = read_site(shared_directory() / "config" / "site.yaml")
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+hours = read_records(Path(sys.argv[1]), site).hours
+print(hours, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
+"""
