@@ -34,8 +34,9 @@ def on_message(topic, message):
 def command():
     """Return the share of the maximum flow, from 0 to 1."""
     cistern, roof = tick["cistern/level"], tick["roof/level"]
-    if tick["weather/frost"] != 0 or not cistern >= SUCTION or not math.isfinite(roof):
-        return 0.0  # also where a value is not a number
+    finite = math.isfinite(cistern) and math.isfinite(roof)
+    if tick["weather/frost"] != 0 or not finite or cistern < SUCTION:
+        return 0.0
     return min(max(GAIN * (TARGET - roof), 0.0), 1.0)
 
 

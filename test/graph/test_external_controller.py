@@ -1,4 +1,4 @@
-"""A controller that is somebody else's node: the example, and nodes that break the rules."""
+"""A controller that is somebody else's node, in a run: the example, and broken ones."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from checked_nodes import changed, start_node
 from graphs import Process, bag_file, bring_up, environment, summary_of
 from places import CHECKOUT
 
@@ -39,11 +40,7 @@ BROKEN = {
 @contextmanager
 def node(domain: int, directory: Path, source: str) -> Iterator[subprocess.Popen[bytes]]:
     """Run a node as its user would."""
-    file = directory / "controller_node.py"
-    file.write_text(source)
-    process = subprocess.Popen(
-        [sys.executable, str(file)], cwd=directory, env=environment(domain)
-    )
+    process = start_node(domain, directory, "controller_node", source)
     try:
         yield process
     finally:
@@ -69,8 +66,7 @@ def test_it_gives_the_bag_of_the_same_controller_inside(domain: int, tmp_path: P
 def test_a_node_that_breaks_a_rule_ends_the_run(domain: int, tmp_path: Path, case: str) -> None:
     """With its topic and name, exit code 1, and a closed bag."""
     old, new, reason = BROKEN[case]
-    assert EXAMPLE.count(old) == 1
-    with node(domain, tmp_path, EXAMPLE.replace(old, new)):
+    with node(domain, tmp_path, changed(EXAMPLE, old, new)):
         process = Process(
             domain, "bringup", "--controller", "external", "--hours", "0.1", "--output", "run",
             "--peer-limit", "2", cwd=tmp_path,
