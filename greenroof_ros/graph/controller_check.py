@@ -53,7 +53,6 @@ class ControllerCheck(NodeCheck):
     optional: ClassVar[tuple[str, ...]] = _FORECASTS
     played: ClassVar[tuple[str, ...]] = (CLOCK, *inputs, *optional, *_WEATHER)
     peers: ClassVar[str] = "plant and weather"
-    lease: ClassVar[bool] = False
     checks: ClassVar[int] = 12
 
     def __init__(

@@ -20,7 +20,7 @@ from std_msgs.msg import Float64
 
 from greenroof_ros.common.command_line import Finding
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
-from greenroof_ros.common.interface import Qos, read_topics
+from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.standard_error import ProgressLines
 from greenroof_ros.graph.domain import choose_transport, make_executor
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
@@ -55,7 +55,6 @@ class NodeCheck(ABC):
         optional: the topics that it may subscribe to, and whose quality of service must then fit.
         played: the topics that the check publishes, in the order of a tick.
         peers: which nodes the check plays, for messages.
-        lease: whether its publisher needs the liveliness lease of the interface.
         checks: the number of findings, for the progress messages.
         answers: the values received on ``output`` and not counted yet.
         findings: what was found.
@@ -70,7 +69,6 @@ class NodeCheck(ABC):
     optional: ClassVar[tuple[str, ...]] = ()
     played: ClassVar[tuple[str, ...]]
     peers: ClassVar[str]
-    lease: ClassVar[bool]
     checks: ClassVar[int]
 
     def __init__(self, node: Node, tested: str, arrival: float, tau: float, speed: float) -> None:
@@ -115,7 +113,7 @@ class NodeCheck(ABC):
 
     @abstractmethod
     def try_all(self) -> None:
-        """Run all checks in turn, but for the topics."""
+        """Run all checks in turn, except for the topics."""
 
     @contextmanager
     def check(self, title: str) -> Iterator[None]:
@@ -188,16 +186,14 @@ class NodeCheck(ABC):
             infos = self.endpoints(topic)
             if not infos and topic not in self.optional:
                 problems.append(f"it has no {end}")
-            qos = self._required(topic, lease=self.lease and is_output)
+            qos = self.interface[topic].qos
+            if not is_output:  # only a publisher must have a lease
+                qos = replace(qos, lease_s=math.inf)
             problems += [
                 f"its {end} {' and '.join(lacking)}; it must be {requirements(qos)}"
                 for info in infos if (lacking := lacks(info.qos_profile, qos))
             ]
         return "; ".join(problems)
-
-    def _required(self, topic: str, *, lease: bool) -> Qos:
-        qos = self.interface[topic].qos
-        return qos if lease else replace(qos, lease_s=math.inf)
 
     def join(self) -> None:
         """Open the topics, and listen until the node has found them."""
@@ -205,10 +201,8 @@ class NodeCheck(ABC):
         def receive(message: Float64) -> None:
             self.answers.append(message.data)
 
-        self.node.create_subscription(
-            Float64, self.interface[self.output].graph_name, receive,
-            qos_profile(self._required(self.output, lease=self.lease)),
-        )
+        output = self.interface[self.output]
+        self.node.create_subscription(Float64, output.graph_name, receive, qos_profile(output.qos))
         for name in (RUN, *self.played):
             self._publishers[name] = self.open_publisher(self.node, name)
         # A fixed identity: a node can be checked twice.

@@ -89,7 +89,6 @@ class PumpCheck(NodeCheck):
         "/clock", "/cistern/level", "/roof/level", "/weather/frost", _COMMAND,
     )
     peers: ClassVar[str] = "plant, weather and controller"
-    lease: ClassVar[bool] = True
     checks: ClassVar[int] = 22
 
     def __init__(self, node: Node, driver: str, site: Site, limits: Limits) -> None:

@@ -50,10 +50,11 @@ int main(int argc, char ** argv)
   rcl_publisher_options_t out = rcl_publisher_get_default_options();
   out.qos.depth = 64;
   out.qos.durability = RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL;
-  rcl_publisher_t publisher = rcl_get_zero_initialized_publisher();
-  check(rcl_publisher_init(&publisher, &node, number, "pump/command", &out));
   rcl_subscription_options_t in = rcl_subscription_get_default_options();
   in.qos = out.qos;
+  out.qos.liveliness_lease_duration = (rmw_time_t) {.sec = 1, .nsec = 0};
+  rcl_publisher_t publisher = rcl_get_zero_initialized_publisher();
+  check(rcl_publisher_init(&publisher, &node, number, "pump/command", &out));
   rcl_subscription_t subscriptions[INPUTS];
   for (int i = 0; i < INPUTS; i++) {
     subscriptions[i] = rcl_get_zero_initialized_subscription();

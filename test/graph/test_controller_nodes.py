@@ -21,8 +21,8 @@ BROKEN: dict[str, tuple[list[tuple[str, str]], dict[str, str]]] = {
     "obeys_too_much": (
         [
             ('tick["weather/frost"] != 0', 'tick["weather/frost"] not in (0.0, 1.0)'),
-            ("and math.isfinite(roof)", ""),
-            ("math.isfinite(cistern)", "not math.isnan(cistern)"),
+            (" or not math.isfinite(roof)", ""),
+            ("SUCTION <= cistern < math.inf", "SUCTION <= cistern"),
         ],
         {
             "commands 0 in frost": r"the command is 0\.9\d+ with 1 on /weather/frost",
@@ -37,7 +37,7 @@ BROKEN: dict[str, tuple[list[tuple[str, str]], dict[str, str]]] = {
             ("    if topic in tick:\n", "    if False:\n"),
             ("len(tick) == len(INPUTS)", 'topic == "forecast/evapotranspiration"'),
             ("tick.clear()", "pass"),
-            ("for name, kind in INPUTS", "publisher.publish(Float64())\nfor name, kind in INPUTS"),
+            ("node.create_timer", "publisher.publish(Float64())\nnode.create_timer"),
             ("        raise SystemExit\n", "        pass\n"),
         ],
         {
@@ -78,7 +78,12 @@ BROKEN: dict[str, tuple[list[tuple[str, str]], dict[str, str]]] = {
     "volatile": (
         [(", durability=DurabilityPolicy.TRANSIENT_LOCAL", "")],
         {"topics fit": "its publisher of /pump/command is volatile; it must be reliable, transient "
-                       "local, keep last 64; its subscription to /cistern/level is volatile"},
+                       "local, keep last 64, with a liveliness lease of 1 s; its subscription to "
+                       "/cistern/level is volatile"},
+    ),
+    "without_lease": (
+        [("qos.liveliness_lease_duration = ", "_ = ")],
+        {"topics fit": "its publisher of /pump/command has no liveliness lease; it must be"},
     ),
     "deaf": (
         [('"weather/frost": Float64,', ""), ('tick["weather/frost"] != 0 or ', "")],
