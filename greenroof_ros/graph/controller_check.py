@@ -32,10 +32,10 @@ _STOPS = (
 )
 # So many ticks in a row the command must be 0.
 _STOP_TICKS = 3
-# Within so many ticks a controller must water again: it may limit how often the pump starts.
-_WATER_TICKS = 100
-# A second command follows the first within this time (s); in the first tick we wait longer.
-_SETTLE_S, _FIRST_SETTLE_S = 0.01, 0.5
+# Within this simulated time a controller must water again (s): it may limit the pump's starts.
+_WATERS_AGAIN_S = 3600.0
+# A second command follows the first within this time (s): awaited in the first tick and the last.
+_SETTLE_S = 0.5
 # How long the last input of a tick is kept back (s): a node that does not await it answers by then.
 _KEPT_BACK_S = 0.1
 # A solver's answers to equal inputs may differ by this much.
@@ -53,7 +53,7 @@ class ControllerCheck(NodeCheck):
     optional: ClassVar[tuple[str, ...]] = _FORECASTS
     played: ClassVar[tuple[str, ...]] = (CLOCK, *inputs, *optional, *_WEATHER)
     peers: ClassVar[str] = "plant and weather"
-    checks: ClassVar[int] = 12
+    checks: ClassVar[int] = 13
 
     def __init__(
         self, node: Node, controller: str, site: Site, *, horizon: float, answer: float,
@@ -74,8 +74,8 @@ class ControllerCheck(NodeCheck):
         self._answer = answer
         # In front of a forecast: no time of issue, and the ends of the steps.
         self._front = array("d", [math.nan, *look_ahead_ends(site, horizon)[1:]])
-        # The values of a tick in which the controller waters, by topic.
-        self._watering: dict[str, float] = {}
+        # The values of a tick, by topic; once they are known, those in which the controller waters.
+        self._usual = dict.fromkeys(self.played[1:], 0.0)
         self._unanswered = ""
         self._doubled = ""
         self._slowest = 0.0
@@ -86,7 +86,7 @@ class ControllerCheck(NodeCheck):
             early = len(self.answers)
             self.answers.clear()
             require(not early, f"{early} commands came before any input")
-        with self.check("its commands are finite and not negative, at all levels and forecasts"):
+        with self.check("waters a dry roof"):
             self._find_watering()
         for when, topic, values in _STOPS:
             with self.check(f"commands 0 {when}"):
@@ -103,36 +103,46 @@ class ControllerCheck(NodeCheck):
                 for value in _NOT_FINITE:
                     self._valid_command({topic: value})
         with self.check("awaits each input of a tick, and commands the same in whatever order"):
+            require(not self.hindered, self.hindered)
             for topic in filter(self.endpoints, (*self.inputs, *self.optional)):
                 self._come_last(topic)
+        with self.check("its commands are finite and not negative, at all levels and forecasts"):
+            for trial in self._trials():
+                self._valid_command(trial)
         with self.check(f"answers every tick, within {self._answer:g} s"):
             require(not self._unanswered, self._unanswered)
             self.result = f"{self.ticks} ticks, the slowest answer after {self._slowest:.3f} s"
         with self.check("publishes exactly one command for each tick"):
-            self.spin(_FIRST_SETTLE_S)
+            self.spin(_SETTLE_S)
             self._count_answers(0)
             require(not self._doubled, self._doubled)
         with self.check("ends when the plant has gone"):
             self._end()
 
     def _find_watering(self) -> None:
-        """Try all levels and forecasts, and find the values with the largest command."""
-        most, problem = 0.0, ""
-        for cistern, roof, rain, evaporated in trial_values(self._site):
-            values = dict(zip(
-                self.played[1:],
-                (cistern, roof, 0.0, rain, evaporated, rain, evaporated),
-                strict=True,
-            ))
-            command = self._command(values)
-            problem = problem or _problem(command, values)
-            if command > most:
-                most, self._watering = command, values
-        self.result = f"from 0 to {most:g}"
-        if most == 0:
-            self.hindered = "not tried: no command was above 0, so a stop would prove nothing"
-        require(not problem, problem)
-        require(most > 0, "every command is 0: it never waters the roof")
+        """Find values at which the controller waters: the driest roof, the fullest cistern first.
+
+        This comes before ticks with rain, since a controller may keep its plan for hours.
+        """
+
+        def dryness(trial: dict[str, float]) -> tuple[float, float, float]:
+            return trial[_FORECASTS[0]], trial[_LEVELS[1]], -trial[_LEVELS[0]]
+
+        for trial in sorted(self._trials(), key=dryness):
+            command = self._command(trial)
+            if command > 0:
+                self._usual.update(trial)
+                self.result = f"{command:.3g}{_with(trial)}"
+                return
+        self.hindered = "not tried: no command was above 0, so a stop would prove nothing"
+        raise ProblemError("the command is 0 at all levels and forecasts")
+
+    def _trials(self) -> list[dict[str, float]]:
+        """Return levels and forecasts from a dry to a flooded site, by topic."""
+        return [
+            dict(zip((*_LEVELS, *_FORECASTS), trial, strict=True))
+            for trial in trial_values(self._site)
+        ]
 
     def _come_last(self, topic: str) -> None:
         """Publish an input last in a tick; the command must not change by that.
@@ -150,10 +160,11 @@ class ControllerCheck(NodeCheck):
 
     def _must_water(self) -> None:
         """Require a command above 0: otherwise a check of a stop proves nothing."""
-        if not any(self._valid_command({}) > 0 for _ in range(_WATER_TICKS)):
-            raise ProblemError(
-                f"the command stays 0 for {_WATER_TICKS} ticks, at levels at which it was above 0"
-            )
+        ticks = math.ceil(_WATERS_AGAIN_S / self._site.tau)
+        require(
+            any(self._valid_command({}) > 0 for _ in range(ticks)),
+            f"the command stays 0 for {ticks} ticks, at levels at which it was above 0",
+        )
 
     def _end(self) -> None:
         require(bool(self.endpoints(self.output)), "it has ended before the plant")
@@ -178,14 +189,15 @@ class ControllerCheck(NodeCheck):
         """Publish a tick, and return the command that answers it.
 
         Args:
-            overrides: values, by topic, that replace the values of a tick with watering.
+            overrides: values, by topic, that replace those of a tick with watering.
             last: the topic that comes last; empty for the usual order.
 
         Raises:
             ProblemError: there is no answer, or one before the last input.
         """
+        self._count_answers(0)
         self.begin_tick()
-        values = {**self._watering, **overrides}
+        values = {**self._usual, **overrides}
         early = False
         for topic in self.played[1:]:
             if topic != last:
@@ -203,7 +215,8 @@ class ControllerCheck(NodeCheck):
             )
             raise ProblemError(self.hindered)
         self._slowest = max(self._slowest, time.monotonic() - began)
-        self.spin(_SETTLE_S if self.ticks > 1 else _FIRST_SETTLE_S)
+        if self.ticks == 1:
+            self.spin(_SETTLE_S)
         command = self.answers[0]
         self._count_answers(1)
         require(not early, f"it answers before {last} of the tick has come")

@@ -234,6 +234,7 @@ class NodeCheck(ABC):
             ProblemError: no more ticks are tried.
         """
         require(not self.hindered, self.hindered)
+        self._lines.tell(self._trying)
         self.publish(CLOCK, _EPOCH_NS + round(self.ticks * self._tau * 1e9))
         self.ticks += 1
 
