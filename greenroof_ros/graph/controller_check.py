@@ -189,7 +189,7 @@ class ControllerCheck(NodeCheck):
         """Publish a tick, and return the command that answers it.
 
         Args:
-            overrides: values, by topic, that replace those of a tick with watering.
+            overrides: values, by topic, that replace the values of a tick with watering.
             last: the topic that comes last; empty for the usual order.
 
         Raises:
