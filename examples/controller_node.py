@@ -8,6 +8,7 @@ import math
 from contextlib import suppress
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64, Float64MultiArray
@@ -34,8 +35,8 @@ def on_message(topic, message):
 def command():
     """Return the share of the maximum flow, from 0 to 1."""
     cistern, roof = tick["cistern/level"], tick["roof/level"]
-    if tick["weather/frost"] != 0 or not cistern >= SUCTION or not math.isfinite(roof):
-        return 0.0  # also where a value is not a number
+    if tick["weather/frost"] != 0 or not SUCTION <= cistern < math.inf or not math.isfinite(roof):
+        return 0.0
     return min(max(GAIN * (TARGET - roof), 0.0), 1.0)
 
 
@@ -50,9 +51,10 @@ rclpy.init()
 node = rclpy.create_node("controller")
 node.seen = False
 qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # and reliable
-publisher = node.create_publisher(Float64, "pump/command", qos)
 for name, kind in INPUTS.items():
     node.create_subscription(kind, name, lambda message, name=name: on_message(name, message), qos)
+qos.liveliness_lease_duration = Duration(seconds=1)  # shows a pump driver that this node is dead
+publisher = node.create_publisher(Float64, "pump/command", qos)
 node.create_timer(0.5, end_with_plant)
 with suppress(KeyboardInterrupt, ExternalShutdownException):
     rclpy.spin(node)

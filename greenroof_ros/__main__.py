@@ -52,7 +52,7 @@ GROUPS = {
         "verify": Command("verify", "compare forecasts of rain with records"),
     },
     "connect your own parts": {
-        "check-controller": Command("check_controller", "check whether a class is a controller"),
+        "check-controller": Command("check_controller", "check a controller: a class or a node"),
         "check-pump": Command("check_pump", "check whether a pump driver keeps to the interface"),
         "simulators drive": Command("drive_simulator", "simulate a drive on Modbus, or a relay"),
         "simulators site": Command("site_simulator", "simulate cistern and roof with sensors"),

@@ -1,16 +1,33 @@
-"""Check whether a class is a controller: ``greenroof check-controller``."""
+"""Check a controller, a class or a running node: ``greenroof check-controller``."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Finding, Parser, command, print_findings
+from greenroof_ros.common.command_line import Finding, Parser, command, print_findings, within
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import controller_names, find_controller
 from greenroof_ros.experiment.options import add_output_arguments, add_run_arguments
+from greenroof_ros.graph.domain import importing_ros
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON
 from greenroof_ros.model.site import read_site
+
+_CLASS = (
+    "Check that a controller does what the node graph, simulate, studies and reports rely on: "
+    "commands finite and not negative, the same for the same inputs, skipped ticks, missing "
+    "forecasts, parameters. Each failure is listed with the correct behaviour."
+)
+_NODE = (
+    "With --node, check a running node, in any language, that 'greenroof run --controller "
+    "external' can use. It must keep four rules: (1) every topic reliable, transient local, keep "
+    "last 64, and its publisher with a liveliness lease of 1 s; (2) exactly one message on "
+    "/pump/command for each tick, when all its inputs of the tick have come; (3) an answer to "
+    "every tick, finite and not negative, 0 in frost and when a level or frost is not finite; "
+    "(4) it ends when /clock has no publisher any more. The check plays plant and weather itself, "
+    "so start no run; it ends the node."
+)
 
 
 def _options(reference: str) -> Finding:
@@ -29,15 +46,35 @@ def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(
         prog="greenroof check-controller",
-        description="Check that a controller does what the node graph, simulate, studies and "
-        "reports rely on: commands finite and not negative, the same for the same inputs, skipped "
-        "ticks, missing forecasts, parameters. Each failure is listed with the correct behaviour.",
-        epilog="example:\n  greenroof check-controller my_package.my_module:MyController\n\n"
-        "exit codes: 0 all is right, 1 a check failed, 2 it cannot be imported",
+        description=f"{_CLASS}\n\n{_NODE}",
+        epilog="examples:\n  greenroof check-controller my_package.my_module:MyController\n"
+        "  python examples/controller_node.py &\n"
+        "  greenroof check-controller --node controller\n\n"
+        "exit codes: 0 all is right, 1 a check failed, 2 it cannot be imported, or there is no "
+        "such node, 3 a graph is running",
     )
-    parser.add_argument(
-        "controller", metavar="CONTROLLER",
+    subject = parser.add_mutually_exclusive_group(required=True)
+    subject.add_argument(
+        "controller", nargs="?", metavar="CONTROLLER",
         help=f"package.module:Class, or one of {', '.join(controller_names())}",
+    )
+    subject.add_argument(
+        "--node", metavar="NAME",
+        help="name of a running node, with its namespace if it has one: /site1/controller",
+    )
+    node = parser.add_argument_group("options with --node")
+    node.add_argument(
+        "--horizon", type=within(0.0, LONGEST_HORIZON), default=0.0, metavar="H",
+        help="how far the forecasts reach (h), as for 'greenroof run --controller external' "
+        "(default: 0, the next M ticks)",
+    )
+    node.add_argument(
+        "--answer-within", type=within(0.001, 3600.0), default=5.0, metavar="S",
+        help="how long a command may take after the last input of a tick (default: 5)",
+    )
+    node.add_argument(
+        "--wait", type=within(0.0, 3600.0), default=10.0, metavar="S",
+        help="how long the node may take to join the graph (default: 10)",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -50,8 +87,16 @@ def make_parser() -> Parser:
 def main() -> int:
     """Check the controller named on the command line."""
     arguments = make_parser().parse_args()
-    choice = find_controller(arguments.controller)
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    if arguments.node is not None:
+        with importing_ros():
+            from greenroof_ros.graph.controller_check import check_controller_node
+        findings = check_controller_node(
+            arguments.node, site, horizon=arguments.horizon, answer=arguments.answer_within,
+            arrival=arguments.wait,
+        )
+        return print_findings(f"controller node {arguments.node}", findings)
+    choice = find_controller(arguments.controller)
     findings = [*check_controller(choice, site), _options(arguments.controller)]
     return print_findings(f"{choice.name}, {choice.path}", findings)
 

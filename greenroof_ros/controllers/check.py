@@ -34,6 +34,12 @@ class _ProblemError(Exception):
     """A controller breaks a rule; the message says how."""
 
 
+def trial_values(site: Site) -> Iterator[tuple[float, float, float, float]]:
+    """Yield levels (m) and rates of rain (m/s) and evapotranspiration (m3/s): dry to flooded."""
+    for cistern, roof, rain, evaporated in product(_CISTERN, _ROOF, _RAIN, _EVAPOTRANSPIRATION):
+        yield cistern * site.z_o, roof * site.z_veg, rain, evaporated
+
+
 @dataclass(frozen=True)
 class _Trial:
     """A controller, and the site that it is tried on."""
@@ -55,12 +61,8 @@ class _Trial:
 
     def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
         """Yield levels and forecasts: every ``stride``-th combination."""
-        points = product(_CISTERN, _ROOF, _RAIN, _EVAPOTRANSPIRATION)
-        for cistern, roof, rain, evaporated in islice(points, 0, None, stride):
-            yield (
-                cistern * self.site.z_o, roof * self.site.z_veg, self.forecast(rain),
-                [evaporated] * self.steps,
-            )
+        for cistern, roof, rain, evaporated in islice(trial_values(self.site), 0, None, stride):
+            yield cistern, roof, self.forecast(rain), [evaporated] * self.steps
 
     def make(self, **changes: float) -> Controller:
         """Make a controller with its default parameters, except for these changes."""

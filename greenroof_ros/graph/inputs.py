@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from array import array
 from typing import Any
 
 import numpy as np
@@ -67,12 +68,14 @@ class Input:
             else:
                 self._refuse(value, 0.0)
             return
-        if isinstance(value, np.ndarray):
+        ensemble = isinstance(value, np.ndarray)
+        if ensemble:
             wrong: Any = value[~((low <= value) & (value <= high))]
         else:  # about ten numbers: numpy would take longer
             wrong = [number for number in value if not low <= number <= high]
         if len(wrong):
-            self._refuse(float(wrong[0]), np.zeros(np.shape(value)))
+            zeros = np.zeros(value.shape) if ensemble else array("d", [0.0] * len(value))
+            self._refuse(float(wrong[0]), zeros)
         else:
             self.value, self.refusal = value, ""
 

@@ -188,6 +188,8 @@ def test_the_ends_of_a_range_belong_to_it(value: float, good: bool, rows: int) -
         entry.receive(encoder(topic.type, topic.dimensions)(message))
         assert (entry.good, entry.refused) == (good, int(not good))
         assert not np.any(np.subtract(entry.value, value if good else 0.0))
+        # Refused or not, a row stays a row: an array of numpy's is an ensemble.
+        assert isinstance(entry.value, np.ndarray) == (name != "/pump/command" and rows > 1)
 
 
 def test_what_a_subscriber_takes_of_a_plan() -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
-import sys
 from contextlib import closing
 from pathlib import Path
 
 import pytest
-from graphs import Process, environment, wait_for
+from checked_nodes import changed, in_namespace, start_node, wrong_verdict
+from graphs import Process, wait_for
 from lookers import Peer, in_domain
 from places import CHECKOUT
 
@@ -81,21 +80,11 @@ BROKEN = {
 }
 
 
-def changed(text: str, old: str, new: str) -> str:
-    assert text.count(old) == 1
-    return text.replace(old, new)
-
-
 def start(domain: int, directory: Path, name: str, source: str) -> subprocess.Popen[bytes]:
     """Start a driver in a separate namespace; its pump is faster than the example's."""
     source = changed(source, "0.008, 30.0, 1.0", "0.008, 4.0, 1.0")
     source = changed(source, "SILENCE = 3.0", "SILENCE = 1.0; last = [0.0]")
-    file = directory / f"{name}.py"
-    file.write_text(source)
-    return subprocess.Popen(
-        [sys.executable, str(file), "--ros-args", "-r", f"__ns:=/{name}"], cwd=directory,
-        env=environment(domain),
-    )
+    return start_node(domain, directory, name, source, *in_namespace(name))
 
 
 def check(domain: int, directory: Path, name: str) -> Process:
@@ -103,18 +92,6 @@ def check(domain: int, directory: Path, name: str) -> Process:
         domain, "check_pump", "--node", f"/{name}/pump", "--period", "0.01", "--silence", "1.5",
         "--start-within", "12", "--stop-within", "3", "--wait", "60", cwd=directory,
     )
-
-
-def failures(output: str) -> dict[str, str]:
-    """Return the failed checks of a table, each with what was wrong."""
-    rows: list[list[str]] = []
-    for line in output.splitlines():
-        if line.startswith("│"):
-            rows.append([cell.strip() for cell in line.strip("│").split("│")])
-        elif line.startswith("├"):
-            rows.append([])
-    results = dict(filter(None, rows))
-    return {check: result for check, result in results.items() if not result.startswith("passed")}
 
 
 def source_of(name: str) -> str:
@@ -134,17 +111,11 @@ def wrong_verdicts(domain: int, directory: Path) -> list[str]:
     try:
         checks = {name: check(domain, directory, name) for name in names}
         for name, process in checks.items():
-            code, failed = process.wait(180), failures(process.stdout())
-            breaks = BROKEN.get(name, [])
-            right = code == bool(breaks) and len(failed) == len(breaks) and all(
-                any(
-                    title in check and re.search(problem, failure)
-                    for check, failure in failed.items()
-                )
-                for _, _, title, problem in breaks
+            verdict = wrong_verdict(
+                process, {title: problem for _, _, title, problem in BROKEN.get(name, ())}
             )
-            if not right:
-                wrong.append(f"{name}: exit code {code}, {failed}")
+            if verdict:
+                wrong.append(f"{name}: {verdict}")
         output = checks["example"].stdout()
         assert "are the only evidence" in output and ("22 of 22 checks passed" in output or wrong)
         # All checks, and no terminal: a line every ten seconds.

@@ -1,0 +1,275 @@
+"""Check over topics alone whether a controller's node keeps the rules of a lockstep graph."""
+
+from __future__ import annotations
+
+import math
+import time
+from array import array
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from rclpy.node import Node
+
+from greenroof_ros.common.command_line import Finding
+from greenroof_ros.controllers.check import trial_values
+from greenroof_ros.forecast.resampling import look_ahead_ends
+from greenroof_ros.graph.lockstep import CLOCK
+from greenroof_ros.graph.messages import WithFront
+from greenroof_ros.graph.node_check import NodeCheck, ProblemError, checking_node, require
+from greenroof_ros.model.site import Site
+
+_LEVELS = ("/cistern/level", "/roof/level")
+_FROST = "/weather/frost"
+_FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
+_WEATHER = ("/weather/precipitation", "/weather/evapotranspiration")
+_NOT_FINITE = (math.nan, math.inf, -math.inf)
+# Values for which the command must be 0.
+_STOPS = (
+    ("in frost", _FROST, (1.0,)),
+    ("while frost is not finite", _FROST, _NOT_FINITE),
+    ("while the cistern's level is not finite", _LEVELS[0], _NOT_FINITE),
+    ("while the roof's level is not finite", _LEVELS[1], _NOT_FINITE),
+)
+# So many ticks in a row the command must be 0.
+_STOP_TICKS = 3
+# Within this simulated time a controller must water again (s): it may limit the pump's starts.
+_WATERS_AGAIN_S = 3600.0
+# A second command follows the first within this time (s): awaited in the first tick and the last.
+_SETTLE_S = 0.5
+# How long the last input of a tick is kept back (s): a node that does not await it answers by then.
+_KEPT_BACK_S = 0.1
+# A solver's answers to equal inputs may differ by this much.
+_EQUAL = 1e-6
+# How long a node may take to end when the plant has gone (s).
+_END_S = 10.0
+
+
+class ControllerCheck(NodeCheck):
+    """Checks one controller's node."""
+
+    kind: ClassVar[str] = "controller"
+    output: ClassVar[str] = "/pump/command"
+    inputs: ClassVar[tuple[str, ...]] = (*_LEVELS, _FROST)
+    optional: ClassVar[tuple[str, ...]] = _FORECASTS
+    played: ClassVar[tuple[str, ...]] = (CLOCK, *inputs, *optional, *_WEATHER)
+    peers: ClassVar[str] = "plant and weather"
+    checks: ClassVar[int] = 13
+
+    def __init__(
+        self, node: Node, controller: str, site: Site, *, horizon: float, answer: float,
+        arrival: float,
+    ) -> None:
+        """Prepare a check.
+
+        Args:
+            node: the node that plays the controller's peers.
+            controller: name of the controller's node, without namespace.
+            site: the site that sets the levels.
+            horizon: how far the forecasts reach (h), in growing steps; 0 for the next M ticks.
+            answer: longest time from the last input of a tick to the command (s).
+            arrival: longest wait for the node to join the graph (s).
+        """
+        super().__init__(node, controller, arrival, site.tau, 0.0)
+        self._site = site
+        self._answer = answer
+        # In front of a forecast: no time of issue, and the ends of the steps.
+        self._front = array("d", [math.nan, *look_ahead_ends(site, horizon)[1:]])
+        # The values of a tick, by topic; once they are known, those in which the controller waters.
+        self._usual = dict.fromkeys(self.played[1:], 0.0)
+        self._unanswered = ""
+        self._doubled = ""
+        self._slowest = 0.0
+
+    def try_all(self) -> None:
+        """Run all checks in turn; after each stop the controller must water again."""
+        with self.check("publishes nothing before the first tick"):
+            early = len(self.answers)
+            self.answers.clear()
+            require(not early, f"{early} commands came before any input")
+        with self.check("waters a dry roof"):
+            self._find_watering()
+        for when, topic, values in _STOPS:
+            with self.check(f"commands 0 {when}"):
+                for value in values:
+                    self._must_water()
+                    for _ in range(_STOP_TICKS):
+                        command = self._command({topic: value})
+                        require(
+                            command == 0, f"the command is {command:g} with {value:g} on {topic}"
+                        )
+                self._must_water()
+        with self.check("its commands stay valid while a forecast is not finite"):
+            for topic in _FORECASTS:
+                for value in _NOT_FINITE:
+                    self._valid_command({topic: value})
+        with self.check("awaits each input of a tick, and commands the same in whatever order"):
+            require(not self.hindered, self.hindered)
+            for topic in filter(self.endpoints, (*self.inputs, *self.optional)):
+                self._come_last(topic)
+        with self.check("its commands are finite and not negative, at all levels and forecasts"):
+            for trial in self._trials():
+                self._valid_command(trial)
+        with self.check(f"answers every tick, within {self._answer:g} s"):
+            require(not self._unanswered, self._unanswered)
+            self.result = f"{self.ticks} ticks, the slowest answer after {self._slowest:.3f} s"
+        with self.check("publishes exactly one command for each tick"):
+            self.spin(_SETTLE_S)
+            self._count_answers(0)
+            require(not self._doubled, self._doubled)
+        with self.check("ends when the plant has gone"):
+            self._end()
+
+    def _find_watering(self) -> None:
+        """Find values at which the controller waters: the driest roof, the fullest cistern first.
+
+        This comes before ticks with rain, since a controller may keep its plan for hours.
+        """
+
+        def dryness(trial: dict[str, float]) -> tuple[float, float, float]:
+            return trial[_FORECASTS[0]], trial[_LEVELS[1]], -trial[_LEVELS[0]]
+
+        for trial in sorted(self._trials(), key=dryness):
+            command = self._command(trial)
+            if command > 0:
+                self._usual.update(trial)
+                self.result = f"{command:.3g}{_with(trial)}"
+                return
+        self.hindered = "not tried: no command was above 0, so a stop would prove nothing"
+        raise ProblemError("the command is 0 at all levels and forecasts")
+
+    def _trials(self) -> list[dict[str, float]]:
+        """Return levels and forecasts from a dry to a flooded site, by topic."""
+        return [
+            dict(zip((*_LEVELS, *_FORECASTS), trial, strict=True))
+            for trial in trial_values(self._site)
+        ]
+
+    def _come_last(self, topic: str) -> None:
+        """Publish an input last in a tick; the command must not change by that.
+
+        The command of a controller with a memory may lie between its neighbours.
+        """
+        before = self._valid_command({})
+        late = self._valid_command({}, last=topic)
+        after = self._valid_command({})
+        require(
+            min(before, after) - _EQUAL <= late <= max(before, after) + _EQUAL,
+            f"the command is {late:g} if {topic} comes last, but {before:g} in the tick before and "
+            f"{after:g} in the tick after, with equal inputs",
+        )
+
+    def _must_water(self) -> None:
+        """Require a command above 0: otherwise a check of a stop proves nothing."""
+        ticks = math.ceil(_WATERS_AGAIN_S / self._site.tau)
+        require(
+            any(self._valid_command({}) > 0 for _ in range(ticks)),
+            f"the command stays 0 for {ticks} ticks, at levels at which it was above 0",
+        )
+
+    def _end(self) -> None:
+        require(bool(self.endpoints(self.output)), "it has ended before the plant")
+        self.leave()
+        until = time.monotonic() + _END_S
+        while self.endpoints(self.output):
+            require(
+                time.monotonic() <= until,
+                f"it is still there {_END_S:g} s after {CLOCK} has lost its publisher",
+            )
+            self.spin(0.1)
+
+    # --- ticks ----------------------------------------------------------------------------------
+
+    def _valid_command(self, overrides: Mapping[str, float], last: str = "") -> float:
+        command = self._command(overrides, last)
+        problem = _problem(command, overrides)
+        require(not problem, problem)
+        return command
+
+    def _command(self, overrides: Mapping[str, float], last: str = "") -> float:
+        """Publish a tick, and return the command that answers it.
+
+        Args:
+            overrides: values, by topic, that replace the values of a tick with watering.
+            last: the topic that comes last; empty for the usual order.
+
+        Raises:
+            ProblemError: there is no answer, or one before the last input.
+        """
+        self._count_answers(0)
+        self.begin_tick()
+        values = {**self._usual, **overrides}
+        early = False
+        for topic in self.played[1:]:
+            if topic != last:
+                self.publish(topic, self._value(topic, values))
+        if last:
+            self.spin(_KEPT_BACK_S)
+            early = bool(self.answers)
+            self.publish(last, self._value(last, values))
+        began = time.monotonic()
+        if not self.wait_for_answer(began + self._answer):
+            ended = "" if self.endpoints(self.output) else "; it has ended"
+            self._unanswered = (
+                f"no command within {self._answer:g} s in tick {self.ticks - 1}"
+                f"{_with(overrides)}{ended}"
+            )
+            raise ProblemError(self.hindered)
+        self._slowest = max(self._slowest, time.monotonic() - began)
+        if self.ticks == 1:
+            self.spin(_SETTLE_S)
+        command = self.answers[0]
+        self._count_answers(1)
+        require(not early, f"it answers before {last} of the tick has come")
+        return command
+
+    def _value(self, topic: str, values: Mapping[str, float]) -> Any:
+        """Return a value as it is published: the same rate in all steps of a forecast."""
+        value = values[topic]
+        if topic not in _FORECASTS:
+            return value
+        return WithFront(self._front, array("d", [value] * (len(self._front) - 1)))
+
+    def _count_answers(self, answers: int) -> None:
+        """Note commands beyond the expected number, and forget all: they hide later answers."""
+        if len(self.answers) > answers and not self._doubled:
+            self._doubled = (
+                f"{len(self.answers)} commands instead of {answers} after tick {self.ticks - 1}"
+            )
+            self.hindered = "not tried: more than one command for a tick"
+        self.answers.clear()
+
+
+def _problem(command: float, values: Mapping[str, float]) -> str:
+    """Return what is wrong with a command; empty if it is finite and not negative."""
+    right = math.isfinite(command) and command >= 0
+    return "" if right else f"the command is {command:g}{_with(values)}"
+
+
+def _with(values: Mapping[str, float]) -> str:
+    words = ", ".join(f"{value:g} on {topic}" for topic, value in values.items())
+    return f" with {words}" if words else ""
+
+
+def check_controller_node(
+    controller: str, site: Site, *, horizon: float, answer: float, arrival: float
+) -> list[Finding]:
+    """Check a running controller's node.
+
+    Args:
+        controller: name of the node, with its namespace if it has one: ``/site1/controller``.
+        site: the site that sets the levels and the tick.
+        horizon: how far the forecasts reach (h), in growing steps; 0 for the next M ticks.
+        answer: longest time from the last input of a tick to the command (s).
+        arrival: longest wait for the node to join the graph (s).
+
+    Returns:
+        A finding for each check.
+
+    Raises:
+        ConfigurationError: there is no such node.
+        OccupiedError: a graph already uses it.
+    """
+    with checking_node("check_controller", controller) as (node, name):
+        return ControllerCheck(
+            node, name, site, horizon=horizon, answer=answer, arrival=arrival
+        ).run()

@@ -1,0 +1,284 @@
+"""Check a running node over topics alone, by playing the other nodes of its lockstep graph.
+
+So a check requires no more of a node than a graph does, and works with a node in any language.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64
+
+from greenroof_ros.common.command_line import Finding
+from greenroof_ros.common.errors import ConfigurationError, OccupiedError
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.standard_error import ProgressLines
+from greenroof_ros.graph.domain import choose_transport, make_executor
+from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
+from greenroof_ros.graph.messages import encoder, lacks, message_class, qos_profile, requirements
+from greenroof_ros.graph.publishers import call_node
+
+# More ticks than a check ever takes.
+_LAST_TICK = 1e9
+# The simulated time of the first tick (ns since 1970): a summer's day.
+_EPOCH_NS = 1_751_371_200_000_000_000
+# Within this time the endpoints of topics discover each other on one machine (s).
+_DISCOVERY_S = 2.0
+
+
+class ProblemError(Exception):
+    """The node breaks a rule; the message says how."""
+
+
+def require(right: bool, problem: str) -> None:
+    """Raise a ProblemError unless the node is right."""
+    if not right:
+        raise ProblemError(problem)
+
+
+class NodeCheck(ABC):
+    """Checks one node; a subclass says which topics, and what the node must do.
+
+    Attributes:
+        kind: what the node is, for messages.
+        output: the topic on which it answers a tick, with a number.
+        inputs: the topics that it must subscribe to.
+        optional: the topics that it may subscribe to, and whose quality of service must then fit.
+        played: the topics that the check publishes, in the order of a tick.
+        peers: which nodes the check plays, for messages.
+        checks: the number of findings, for the progress messages.
+        answers: the values received on ``output`` and not counted yet.
+        findings: what was found.
+        result: what the present check found, if it is worth showing.
+        hindered: why no more ticks are tried; empty if they are.
+        ticks: how many ticks were published.
+    """
+
+    kind: ClassVar[str]
+    output: ClassVar[str]
+    inputs: ClassVar[tuple[str, ...]]
+    optional: ClassVar[tuple[str, ...]] = ()
+    played: ClassVar[tuple[str, ...]]
+    peers: ClassVar[str]
+    checks: ClassVar[int]
+
+    def __init__(self, node: Node, tested: str, arrival: float, tau: float, speed: float) -> None:
+        """Prepare a check, in the namespace of the node that plays the peers.
+
+        Args:
+            node: plays the peers.
+            tested: name of the node under test, without namespace.
+            arrival: longest wait for it to join the graph (s).
+            tau: simulated time of a tick (s).
+            speed: simulated time per wall time; 0 for as fast as possible.
+        """
+        self.node = node
+        self.interface = read_topics()
+        self.answers: list[float] = []
+        self.findings: list[Finding] = []
+        self.result = ""
+        self.hindered = ""
+        self.ticks = 0
+        self._tested, self._arrival = tested, arrival
+        self._tau, self._speed = tau, speed
+        self._executor = make_executor()
+        self._executor.add_node(node)
+        self._trying = f"waiting for the {self.kind}"
+        self._lines = ProgressLines()
+        self._publishers: dict[str, Callable[[Any], None]] = {}
+
+    def run(self) -> list[Finding]:
+        """Run all checks, and return a finding for each; only the first if the topics do not fit.
+
+        Raises:
+            ConfigurationError: there is no such node.
+            OccupiedError: a graph already uses it.
+        """
+        self._wait_for_node()
+        unfit = self._unfit()
+        self.findings.append(Finding("its topics fit the interface", unfit))
+        if not unfit:
+            self.join()
+            self.try_all()
+        return self.findings
+
+    @abstractmethod
+    def try_all(self) -> None:
+        """Run all checks in turn, except for the topics."""
+
+    @contextmanager
+    def check(self, title: str) -> Iterator[None]:
+        """Run a check and note its finding."""
+        self._trying = f"check {len(self.findings) + 1} of {self.checks}: {title}"
+        problem, self.result = "", ""
+        try:
+            yield
+        except ProblemError as error:
+            problem = str(error)
+        self.findings.append(Finding(title, problem, self.result))
+
+    # --- the graph ------------------------------------------------------------------------------
+
+    def endpoints(self, name: str) -> list[Any]:
+        """Return the endpoints of the node under test on a topic: publishers of its output."""
+        tested = self._tested, self.node.get_namespace()
+        return [
+            info for info in self._all_endpoints(name)
+            if (info.node_name, info.node_namespace) == tested
+        ]
+
+    def _all_endpoints(self, name: str) -> list[Any]:
+        find = (
+            self.node.get_publishers_info_by_topic if name == self.output
+            else self.node.get_subscriptions_info_by_topic
+        )
+        return list(find(self._name(name)))
+
+    def _name(self, topic: str) -> str:
+        return self.node.resolve_topic_name(self.interface[topic].graph_name)
+
+    def _wait_for_node(self) -> None:
+        """Wait until the node has all its topics; refuse if other nodes publish its inputs."""
+        until, needed = time.monotonic() + self._arrival, (self.output, *self.inputs)
+        while not any(map(self.endpoints, needed)):
+            if time.monotonic() > until:
+                raise ConfigurationError(self._absent())
+            self.spin(0.1)
+        until = time.monotonic() + _DISCOVERY_S
+        while not all(map(self.endpoints, needed)) and time.monotonic() < until:
+            self.spin(0.1)
+        for topic in self.played:
+            publishers = self.node.get_publishers_info_by_topic(self._name(topic))
+            if publishers:
+                raise OccupiedError(
+                    f"{self._name(topic)} already has a publisher "
+                    f"({call_node(publishers[0].node_name)}): the check plays {self.peers} "
+                    "itself; end the graph first"
+                )
+
+    def _absent(self) -> str:
+        names = {
+            call_node(info.node_name) for topic in (self.output, *self.inputs)
+            for info in self._all_endpoints(topic)
+        }
+        return (
+            f"no node {self._tested} publishes {self._name(self.output)} and subscribes to "
+            f"{', '.join(map(self._name, self.inputs))} within {self._arrival:g} s; there is "
+            f"{', '.join(sorted(names)) or 'no node'}. Start the {self.kind} first, in the same "
+            "ROS_DOMAIN_ID and with the same ROS_AUTOMATIC_DISCOVERY_RANGE"
+        )
+
+    def _unfit(self) -> str:
+        """Return what the node's endpoints lack, as a text; empty if they fit."""
+        problems = []
+        for topic in (self.output, *self.inputs, *self.optional):
+            is_output = topic == self.output
+            end = f"{'publisher of' if is_output else 'subscription to'} {topic}"
+            infos = self.endpoints(topic)
+            if not infos and topic not in self.optional:
+                problems.append(f"it has no {end}")
+            qos = self.interface[topic].qos
+            if not is_output:  # only a publisher must have a lease
+                qos = replace(qos, lease_s=math.inf)
+            problems += [
+                f"its {end} {' and '.join(lacking)}; it must be {requirements(qos)}"
+                for info in infos if (lacking := lacks(info.qos_profile, qos))
+            ]
+        return "; ".join(problems)
+
+    def join(self) -> None:
+        """Open the topics, and listen until the node has found them."""
+
+        def receive(message: Float64) -> None:
+            self.answers.append(message.data)
+
+        output = self.interface[self.output]
+        self.node.create_subscription(Float64, output.graph_name, receive, qos_profile(output.qos))
+        for name in (RUN, *self.played):
+            self._publishers[name] = self.open_publisher(self.node, name)
+        # A fixed identity: a node can be checked twice.
+        self._publishers[RUN](RunIdentity(0.0, _LAST_TICK, self._speed).values)
+        self.spin(_DISCOVERY_S)
+
+    def leave(self) -> None:
+        """Close every topic of a tick, as nodes that end do."""
+        names = set(map(self._name, self.played))
+        for publisher in list(self.node.publishers):
+            if publisher.topic_name in names:
+                self.node.destroy_publisher(publisher)
+
+    def open_publisher(self, node: Node, name: str) -> Callable[[Any], None]:
+        """Open a topic, and return a function that publishes a value on it."""
+        topic = self.interface[name]
+        encode = encoder(topic.type)
+        publisher = node.create_publisher(
+            message_class(topic.type), topic.graph_name, qos_profile(topic.qos)
+        )
+        return lambda value: publisher.publish(encode(value))
+
+    # --- ticks ----------------------------------------------------------------------------------
+
+    def begin_tick(self) -> None:
+        """Publish the time of the next tick.
+
+        Raises:
+            ProblemError: no more ticks are tried.
+        """
+        require(not self.hindered, self.hindered)
+        self._lines.tell(self._trying)
+        self.publish(CLOCK, _EPOCH_NS + round(self.ticks * self._tau * 1e9))
+        self.ticks += 1
+
+    def publish(self, topic: str, value: Any) -> None:
+        """Publish a value."""
+        self._publishers[topic](value)
+
+    def wait_for_answer(self, until: float) -> bool:
+        """Wait until the node has answered; return whether it has by then (steady clock, s)."""
+        while not self.answers:
+            left = until - time.monotonic()
+            if left < 0:
+                self.hindered = f"not tried: the {self.kind} does not answer"
+                return False
+            self._executor.spin_once(timeout_sec=left)
+        return True
+
+    def spin(self, seconds: float) -> None:
+        """Receive messages for this time, and show the progress."""
+        until = time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=left)
+        self._lines.tell(self._trying)
+
+
+@contextmanager
+def checking_node(name: str, tested: str) -> Iterator[tuple[Node, str]]:
+    """Join the graph of a node under test.
+
+    Args:
+        name: name of the node that plays the peers.
+        tested: name of the node under test, with its namespace if it has one: ``/site1/pump``.
+
+    Yields:
+        The node that plays the peers, in that namespace, and the tested node's name without it.
+    """
+    choose_transport()
+    namespace, _, tested_name = tested.rpartition("/")
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = Node(name, namespace=namespace or "/")
+        try:
+            yield node, tested_name
+        finally:
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()

@@ -1,0 +1,162 @@
+"""Controllers' nodes under ``check-controller --node``: good ones, and one for each broken rule."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from checked_nodes import changed, in_namespace, start_node, wrong_verdict
+from graphs import Process, environment
+from places import CHECKOUT
+
+pytest.importorskip("rclpy", reason="the check needs ROS 2")
+
+EXAMPLE = (CHECKOUT / "examples" / "controller_node.py").read_text()
+PUBLISH = "        publisher.publish(Float64(data=command()))\n"
+COMMAND = "GAIN * (TARGET - roof)"
+# Variations of the example: changes, and exactly the checks that must fail, with this problem.
+BROKEN: dict[str, tuple[list[tuple[str, str]], dict[str, str]]] = {
+    "obeys_too_much": (
+        [
+            ('tick["weather/frost"] != 0', 'tick["weather/frost"] not in (0.0, 1.0)'),
+            (" or not math.isfinite(roof)", ""),
+            ("SUCTION <= cistern < math.inf", "SUCTION <= cistern"),
+        ],
+        {
+            "commands 0 in frost": r"the command is 0\.9\d+ with 1 on /weather/frost",
+            "while the cistern's level": r"the command is 0\.9\d+ with inf on /cistern/level",
+            "while the roof's level": "the command is nan with nan on /roof/level",
+        },
+    ),
+    "careless": (
+        [
+            ('tick["weather/frost"] != 0', 'tick["weather/frost"] == 1'),
+            (f"max({COMMAND}, 0.0)", COMMAND),
+            ("    if topic in tick:\n", "    if False:\n"),
+            ("len(tick) == len(INPUTS)", 'topic == "forecast/evapotranspiration"'),
+            ("tick.clear()", "pass"),
+            ("node.create_timer", "publisher.publish(Float64())\nnode.create_timer"),
+            ("        raise SystemExit\n", "        pass\n"),
+        ],
+        {
+            "before the first tick": "1 commands came before any input",
+            "finite and not negative": r"the command is -0\.\d+ with .* on /roof/level",
+            "while frost is not finite": r"the command is 0\.9\d+ with nan on /weather/frost",
+            "awaits each input": "answers before /cistern/level of the tick has come",
+            "ends when": "still there 10 s after /clock has lost its publisher",
+        },
+    ),
+    "by_arrival": (  # takes the first message of a tick for the level of the cistern, and so on
+        [(PUBLISH, f"        tick.update(dict(zip(INPUTS, tick.values())))\n{PUBLISH}")],
+        {"awaits each input": r"the command is .* if /cistern/level comes last, but 0\.9\d+ in"},
+    ),
+    "poisoned": (
+        [(COMMAND, f'{COMMAND} + 0.0 * sum(tick["forecast/precipitation"][-10:])')],
+        {"stay valid": "the command is nan with nan on /forecast/precipitation"},
+    ),
+    "silent": (
+        [("        publisher.", '        tick["weather/frost"] == 1 or publisher.')],
+        {"answers every tick": "no command within 2 s in tick 2 with 1 on /weather/frost$"},
+    ),
+    "dead": (
+        [(PUBLISH, f'        tick["weather/frost"] == 1 and exit()\n{PUBLISH}')],
+        {
+            "answers every tick": "tick 2 with 1 on /weather/frost; it has ended$",
+            "ends when": "it has ended before the plant",
+        },
+    ),
+    "doubled": (
+        [(PUBLISH, 2 * PUBLISH)],
+        {"exactly one command": "2 commands instead of 1 after tick 0"},
+    ),
+    "never_waters": (
+        [("GAIN = 20.0", "GAIN = 0.0")],
+        {"waters a dry roof": "the command is 0 at all levels and forecasts"},
+    ),
+    "volatile": (
+        [(", durability=DurabilityPolicy.TRANSIENT_LOCAL", "")],
+        {"topics fit": "its publisher of /pump/command is volatile; it must be reliable, transient "
+                       "local, keep last 64, with a liveliness lease of 1 s; its subscription to "
+                       "/cistern/level is volatile"},
+    ),
+    "without_lease": (
+        [("qos.liveliness_lease_duration = ", "_ = ")],
+        {"topics fit": "its publisher of /pump/command has no liveliness lease; it must be"},
+    ),
+    "deaf": (
+        [('"weather/frost": Float64,', ""), ('tick["weather/frost"] != 0 or ', "")],
+        {"topics fit": "it has no subscription to /weather/frost$"},
+    ),
+}
+# Good nodes: the example, and this package's own; lookahead has a memory, and limits the starts.
+GOOD = ("example", "mpc", "lookahead")
+
+
+def start(domain: int, directory: Path, name: str) -> subprocess.Popen[bytes]:
+    """Start a node in a namespace of its own."""
+    if name in GOOD[1:]:
+        return subprocess.Popen(
+            [sys.executable, "-m", "greenroof_ros.nodes.controller", "--controller", name,
+             *in_namespace(name)],
+            cwd=directory, env=environment(domain),
+        )
+    source = EXAMPLE
+    for old, new in BROKEN.get(name, ([], {}))[0]:
+        source = changed(source, old, new)
+    return start_node(domain, directory, name, source, *in_namespace(name))
+
+
+def check(domain: int, directory: Path, name: str, wait: str = "60") -> Process:
+    node = name if name in GOOD[1:] else "controller"
+    return Process(
+        domain, "check_controller", "--node", f"/{name}/{node}", "--answer-within", "2",
+        "--wait", wait, *(["--horizon", "120"] if name == "lookahead" else []), cwd=directory,
+    )
+
+
+def wrong_verdicts(domain: int, directory: Path) -> list[str]:
+    """Check a few nodes at a time, and return the verdicts that are wrong."""
+    directory.mkdir()
+    names, wrong = [*GOOD, *BROKEN], []
+    for some in (names[::2], names[1::2]):
+        nodes = {name: start(domain, directory, name) for name in some}
+        try:
+            checks = {name: check(domain, directory, name) for name in some}
+            for name, process in checks.items():
+                verdict = wrong_verdict(process, BROKEN.get(name, ([], {}))[1])
+                if verdict:
+                    wrong.append(f"{name}: {verdict}")
+            if "example" in some:
+                assert nodes["example"].wait(60) == 0
+        finally:
+            for node in nodes.values():
+                node.kill()
+                node.wait(60)
+    return wrong
+
+
+def test_good_nodes_pass_and_broken_ones_fail_for_what_is_broken(
+    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the machine can stall, a failed check is repeated."""
+    monkeypatch.setenv("COLUMNS", "1000")  # one line for a row
+    wrong = wrong_verdicts(domain, tmp_path / "once")
+    assert not wrong or not wrong_verdicts(domain, tmp_path / "again"), wrong
+
+
+def test_without_a_node_or_beside_a_graph_it_says_what_to_do(domain: int, tmp_path: Path) -> None:
+    absent = check(domain, tmp_path, "nowhere", "1")
+    weather = 'node.create_publisher(Float64, "weather/frost", qos)\npublisher = '
+    source = changed(EXAMPLE, "\npublisher = ", "\n" + weather)
+    node = start_node(domain, tmp_path, "taken", source, *in_namespace("taken"))
+    try:
+        beside = check(domain, tmp_path, "taken")
+        assert absent.wait(60) == 2
+        assert "no node controller publishes /nowhere/pump/command" in absent.stderr()
+        assert beside.wait(60) == 3
+        assert "/taken/weather/frost already has a publisher (controller)" in beside.stderr()
+    finally:
+        node.terminate()
+        node.wait(60)
