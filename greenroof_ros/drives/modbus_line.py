@@ -423,7 +423,7 @@ class ModbusLine:
         plug = self._client.socket
         if isinstance(plug, socket.socket):
             plug.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        return self.error("connection", f"{action}: no valid answer within {self._timeout_s:g} s")
+        return self.error("connection", f"{action}: no valid answer within {self._timeout_s:.3g} s")
 
     def error(self, kind: str, problem: str) -> DriveError:
         """Return the error of a problem, with the place of the device."""

@@ -452,10 +452,12 @@ def test_reports_of_several_nodes_do_not_mix(monkeypatch: pytest.MonkeyPatch) ->
         for tick in range(20_000):
             for node in ("cistern_sensor", "roof_sensor"):
                 sender.report({"node": node, "state": "ready", "tick": tick})
-        sent, data = False, b""
-        while not sent or not data.endswith(b"\n"):
+        data = b""
+        while not sender.flush(0.0):
             data += os.read(ours.fileno(), 1 << 18)
-            sent = sender.flush(0.0)
+        theirs.close()
+        while part := os.read(ours.fileno(), 1 << 18):
+            data += part
     reports = [read_report(line) for line in data.splitlines()]
     assert None not in reports
     newest = {report["node"]: report["tick"] for report in reports if report}
