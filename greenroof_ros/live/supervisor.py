@@ -424,8 +424,8 @@ class LiveSupervisor(Supervisor):
     """The node processes of a live site, and whether the pump may run.
 
     A node that ends or is silent for too long is restarted after a delay that grows. If a node
-    needs too many restarts, it is given up: the pump is stopped and the site ends. The recorder and
-    gauges are never given up: recording must not stop control.
+    needs too many restarts, it is given up: the pump is stopped and the site ends. The recorder is
+    never given up: recording must not stop control.
 
     The pump node gets a permit four times a second. If it dies, falls silent or disobeys, it is
     killed and the drive is stopped from here.
