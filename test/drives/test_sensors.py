@@ -220,7 +220,7 @@ def gaps(reader: ModbusReader, seconds: float) -> list[float]:
     return [after - before for before, after in pairwise([began, *times, time.monotonic()])]
 
 
-def test_two_sensors_on_a_serial_line_of_which_one_is_silent_or_wrong() -> None:
+def test_a_sensor_beside_a_silent_or_wrong_one_on_a_serial_line() -> None:
     """Readings of the good one are never further apart than its greatest age, 3 s, in any case.
 
     For a silent neighbour they come after at most its period and one timeout, 0.2 + 0.25 s.

@@ -1,7 +1,7 @@
 """A small node for the tests: without ROS, but with socket, signals and exit of a real node.
 
-Its first argument says what it does, or has the names of several nodes with commas. Its second is the directory ``marks`` with files by which a
-test observes and controls it.
+Its first argument says what it does, or has the names of several nodes with commas. Its second is
+the directory ``marks`` with files by which a test observes and controls it.
 """
 
 from __future__ import annotations
