@@ -13,7 +13,7 @@ SHARE = Path("share") / NAME
 NODES = {
     **{name: f"nodes.{name}" for name in ("plant", "weather", "controller", "recorder")},
     **{f"live_{name}": f"live.{name}" for name in ("weather", "controller", "recorder")},
-    **{name: f"live.{name}" for name in ("sensor", "pump", "loop_pump")},
+    **{name: f"live.{name}" for name in ("sensors", "pump", "loop_pump")},
 }
 # ... the node of one of this package's controllers, without ``--controller`` ...
 CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")

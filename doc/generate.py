@@ -596,7 +596,7 @@ def nodes() -> str | None:
         return None
     from greenroof_ros.graph.parameters import default_site, type_name
     from greenroof_ros.live import controller as live_controller
-    from greenroof_ros.live import loop_pump, pump, sensor
+    from greenroof_ros.live import loop_pump, pump, sensors
     from greenroof_ros.live import recorder as live_recorder
     from greenroof_ros.live import weather as live_weather
     from greenroof_ros.nodes import controller, plant, recorder, weather
@@ -607,7 +607,7 @@ def nodes() -> str | None:
         "recorder": recorder.parameters(site), "controllers": controller.parameters(None),
         "live_weather": live_weather.parameters(site),
         "live_controller": live_controller.parameters(None),
-        "live_recorder": live_recorder.parameters(site), "sensor": sensor.parameters(site),
+        "live_recorder": live_recorder.parameters(site), "sensors": sensors.parameters(site),
         "pump": pump.parameters(site), "loop_pump": loop_pump.parameters(site),
     }
     of_nodes: dict[tuple[str, ...], list[str]] = {}

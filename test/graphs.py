@@ -22,7 +22,6 @@ from typing import Any, ClassVar
 from mcap.reader import make_reader
 
 from greenroof_ros.common.processes import asked_to_end_with_this
-from greenroof_ros.drives.sensor_file import QUANTITIES
 
 
 @contextmanager
@@ -175,7 +174,7 @@ class Process:
         cls.started.clear()
 
     def nodes(self) -> dict[str, int]:
-        """Return the process id of each node that this bringup started, by the node's name."""
+        """Return the process id of each node that this bringup started, or of all sensors'."""
         processes = {}
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
         for pid in children.read_text().split():
@@ -185,10 +184,7 @@ class Process:
                 continue
             for word in words:
                 if word.startswith(("greenroof_ros.nodes.", "greenroof_ros.live.")):
-                    name = word.rpartition(".")[2].removeprefix("loop_")
-                    if name == "sensor":
-                        name = QUANTITIES[words[words.index('--of') + 1]].node
-                    processes[name] = int(pid)
+                    processes[word.rpartition(".")[2].removeprefix("loop_")] = int(pid)
         return processes
 
     def wait_for_ticks(self, size: int = 30_000) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from types import ModuleType
 from typing import TypeVar
 
@@ -33,6 +36,23 @@ FAULTS = {**DRIVE_FAULTS, **RELAY_FAULTS}
 T = TypeVar("T")
 
 _PLACE = re.compile(r"(?:tcp|gateway)://127\.0\.0\.1:(\d+), device")
+
+
+@contextmanager
+def serial_line() -> Iterator[tuple[str, ...]]:
+    """Lay a serial line, and return the devices at its two ends."""
+    from greenroof_ros.simulators.server import PseudoLine
+
+    line, loop = PseudoLine(), asyncio.new_event_loop()
+    loop.call_soon(line.join)
+    thread = threading.Thread(target=loop.run_forever)
+    thread.start()
+    try:
+        yield line.ends
+    finally:
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join()
+        loop.close()
 
 
 class Workbench:

@@ -28,7 +28,7 @@ from greenroof_ros.__main__ import COMMANDS as GREENROOF_COMMANDS
 
 NODES = (
     "plant", "weather", "controller", "mpc", "onoff", "anticipating_onoff", "lookahead",
-    "recorder", "live_weather", "live_controller", "live_recorder", "sensor", "pump", "loop_pump",
+    "recorder", "live_weather", "live_controller", "live_recorder", "sensors", "pump", "loop_pump",
 )
 # Each command of `greenroof` by its module; `live` is bringup's.
 COMMANDS = {command.module.partition(".")[0] for command in GREENROOF_COMMANDS.values()}

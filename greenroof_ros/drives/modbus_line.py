@@ -9,6 +9,7 @@ means. The module also codes the values of registers, and has a thread that serv
 from __future__ import annotations
 
 import contextlib
+import copy
 import logging
 import math
 import re
@@ -253,11 +254,7 @@ class _Request:
 
 
 class ModbusLine:
-    """A connection to one device.
-
-    Attributes:
-        where: address and device, for messages.
-    """
+    """A connection to one device; :meth:`to` reaches the others on the same line."""
 
     def __init__(
         self, address: Address, *, port: int, device_id: int, serial: Serial | None = None,
@@ -278,8 +275,7 @@ class ModbusLine:
         check_installed()
         from pymodbus.client import ModbusTcpClient
 
-        self.where = f"{address}, device {device_id}"
-        self._device_id, self._timeout_s = device_id, timeout_s
+        self._address, self._device_id, self._timeout_s = address, device_id, timeout_s
         # The last two requests: the second copy of a write may come after the next request.
         self._recent: deque[_Request] = deque(maxlen=2)
         self._client: ModbusTcpClient | ModbusSerialClient
@@ -292,6 +288,17 @@ class ModbusLine:
                 trace_packet=self._trace,
             )
         self._client.recv = partial(self._receive, self._client.recv)  # type: ignore[method-assign]
+
+    def to(self, device_id: int) -> ModbusLine:
+        """Return this same connection, for requests to another device on it."""
+        other = copy.copy(self)
+        other._device_id = device_id
+        return other
+
+    @property
+    def where(self) -> str:
+        """Address and device, for messages."""
+        return f"{self._address}, device {self._device_id}"
 
     @property
     def connected(self) -> bool:
@@ -416,7 +423,7 @@ class ModbusLine:
         plug = self._client.socket
         if isinstance(plug, socket.socket):
             plug.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        return self.error("connection", f"{action}: no valid answer within {self._timeout_s:g} s")
+        return self.error("connection", f"{action}: no valid answer within {self._timeout_s:.3g} s")
 
     def error(self, kind: str, problem: str) -> DriveError:
         """Return the error of a problem, with the place of the device."""

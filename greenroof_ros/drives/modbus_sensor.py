@@ -1,60 +1,149 @@
-"""Reads a sensor on Modbus."""
+"""Reads sensors on Modbus: a thread for each serial line or TCP port reads its sensors in turn."""
 
 from __future__ import annotations
 
 import math
+import threading
 import time
 
-from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, decode
+from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, Known, ModbusLine, decode
 from greenroof_ros.drives.readings import Reading, Readings
 from greenroof_ros.drives.sensor_file import ModbusSensor
 
+# Longest wait for a connection, and for each answer (s).
+_TIMEOUT_S = 0.5
+# The timeouts that a reading takes at most: one to connect, two for an answer that comes in pieces.
+_TIMEOUTS = 3
 
-class ModbusReader(DeviceThread[Reading]):
-    """Reads a sensor once per period. It connects if needed, and again after every failure.
 
-    A refused value, a failure, or a suspend of the machine empties the filter: the next value then
-    comes from new readings only. The rise of a total remains.
+class SensorLine(DeviceThread[Known]):
+    """Reads the sensors on one line, each once per period; the one that has waited longest first.
+
+    It connects if needed, and again after every failure. A sensor that is absent, hangs or sends
+    nonsense delays each of the others by at most three timeouts per reading. The timeout is 0.5 s,
+    but so short that reading all n sensors of the line takes at most half of the greatest age A of
+    a value: 3 n timeouts <= A / 2. A period is at most A / 2. So the readings of a good sensor are
+    never further apart than A, whatever the others do: at 5 s, two sensors have 0.42 s to answer.
     """
 
-    def __init__(
-        self, sensor: ModbusSensor, unit: str, timeout_s: float = 0.5, spread_s: float = math.inf
-    ) -> None:
-        """Prepare the reader without connecting.
+    def __init__(self, name: str) -> None:
+        """Prepare a line without sensors; see :class:`ModbusReader`.
 
         Args:
-            sensor: what to read.
-            unit: of the quantity, for messages.
-            timeout_s: longest wait for a connection, and for each answer (s).
-            spread_s: longest time over which a rise of a total is spread (s).
+            name: its address, for messages.
+        """
+        super().__init__(f"{name}: reading", Known())
+        self.readers: list[ModbusReader] = []
+
+    def start(self) -> None:
+        """Start the thread, unless it has been started.
 
         Raises:
             ConfigurationError: there is no Modbus library.
         """
-        super().__init__(f"{sensor.address}: reading", Reading(problem="not yet read"))
-        self._sensor, self._timeout_s = sensor, timeout_s
-        self._line = sensor.line(timeout_s)
+        if self._thread.ident is None:
+            age = min(reader.greatest_age for reader in self.readers)
+            self._timeout_s = min(_TIMEOUT_S, age / 2 / (_TIMEOUTS * len(self.readers)))
+            self._line = self.readers[0].sensor.line(self._timeout_s)
+            super().start()
+
+    def close(self) -> None:
+        """End the thread; wait up to four timeouts for it to close the connection."""
+        self._end(4 * _TIMEOUT_S)
+
+    # --- in the thread ----------------------------------------------------------------------------
+
+    def _step(self) -> None:
+        self._reader = reader = min(self.readers, key=lambda reader: reader.due)
+        self._pause_until(reader.due)
+        if self._closing:
+            self._done = True
+            self._line.close()
+            return
+        try:
+            reader.read(self._line.to(reader.sensor.device_id))
+        finally:
+            # Missed readings are not made up for: a sensor that takes longer than its period is
+            # read again after the others that wait.
+            now, period = time.monotonic(), reader.sensor.period
+            reader.due = reader.due + period if reader.due + period > now else now + period
+
+    def _lost(self, error: Exception, problem: str) -> None:
+        self._reader.lose(problem)
+        if not isinstance(error, DriveError):  # `read` has closed it after a DriveError
+            self._line.close()
+
+
+class ModbusReader:
+    """A sensor on a line, and what is known about its quantity.
+
+    A refused value, a failure, or a suspend of the machine empties the filter: the next value then
+    comes from new readings only. The rise of a total remains.
+
+    Attributes:
+        sensor: what is read.
+        greatest_age: age beyond which its quantity is not used (s).
+        due: when it is read next (s, `time.monotonic`).
+    """
+
+    def __init__(
+        self, sensor: ModbusSensor, unit: str, line: SensorLine, greatest_age: float = math.inf,
+        spread_s: float = math.inf,
+    ) -> None:
+        """Add a sensor to a line that has not been started.
+
+        Args:
+            sensor: what to read.
+            unit: of the quantity, for messages.
+            line: reads it.
+            greatest_age: age beyond which its quantity is not used (s).
+            spread_s: longest time over which a rise of a total is spread (s).
+        """
+        self.sensor, self.greatest_age, self.due = sensor, greatest_age, time.monotonic()
         self._readings = Readings(sensor, unit, spread_s)
-        self._due = time.monotonic()
+        self._reading, self._lock = Reading(problem="not yet read"), threading.Lock()
+        self._line = line
+        line.readers.append(self)
 
     @property
     def snapshot(self) -> Reading:
         """What is known now."""
         with self._lock:
-            self._snapshot = self._readings.now(self._snapshot)
-            return self._snapshot
+            self._reading = self._readings.now(self._reading)
+            return self._reading
+
+    def start(self) -> None:
+        """Start its line; see :meth:`SensorLine.start`."""
+        self._line.start()
 
     def close(self) -> None:
-        """End the thread; wait up to four timeouts for it to close the connection."""
-        self._end(4 * self._timeout_s)
+        """Close its line, which ends the reading of the other sensors, too."""
+        self._line.close()
 
-    def read(self) -> float | None:
-        """Read once more, and return the filtered quantity.
+    # --- in the line's thread ---------------------------------------------------------------------
+
+    def read(self, line: ModbusLine) -> None:
+        """Read once more.
 
         Raises:
             DriveError: no answer, a wrong one, or a value out of range.
         """
-        sensor, line = self._sensor, self._line
+        self._readings.forget_after_suspend()
+        value = self._value(line)
+        self._keep(Reading(time.monotonic(), "", value))
+
+    def lose(self, problem: str) -> None:
+        """Note that a reading failed, and why."""
+        self._readings.clear()
+        self._keep(Reading(time.monotonic(), problem))
+
+    def _keep(self, reading: Reading) -> None:
+        with self._lock:
+            self._reading = reading
+
+    def _value(self, line: ModbusLine) -> float | None:
+        """Return the filtered quantity after another reading."""
+        sensor = self.sensor
         try:
             if not line.connected:
                 line.connect()
@@ -73,22 +162,3 @@ class ModbusReader(DeviceThread[Reading]):
             return self._readings.add(raw)
         except ValueError as error:
             raise line.error("answer", str(error)) from error
-
-    # --- in the thread ----------------------------------------------------------------------------
-
-    def _step(self) -> None:
-        self._pause_until(self._due)
-        # After a pause, missed readings are not made up for.
-        self._due = max(self._due + self._sensor.period, time.monotonic())
-        if self._closing:
-            self._done = True
-            self._line.close()
-        else:
-            self._readings.forget_after_suspend()
-            self._update(value=self.read(), read_at=time.monotonic(), problem="")
-
-    def _lost(self, error: Exception, problem: str) -> None:
-        self._readings.clear()
-        self._update(value=None, read_at=time.monotonic(), problem=problem)
-        if not isinstance(error, DriveError):  # `read` has closed it after a DriveError
-            self._line.close()

@@ -114,9 +114,17 @@ class ModbusSensor(Sensor):
         return f"{self.address}, device {self.device_id}"
 
     @property
+    def connection(self) -> str:
+        """Its serial line or TCP port: equal for all sensors that one connection reaches."""
+        address = parse_address(self.address)
+        if address.line:
+            return str(Path(address.line).resolve())
+        return f"{address.host}:{address.port or _MODBUS_PORT}"
+
+    @property
     def place(self) -> tuple[object, ...]:
         """Its register: no two sensors may have the same."""
-        return self.address, self.device_id, self.kind, self.register
+        return self.connection, self.device_id, self.kind, self.register
 
     @property
     def serial(self) -> Serial:
@@ -254,10 +262,14 @@ def _mistakes(
         if isinstance(earlier, ModbusSensor) and isinstance(later, ModbusSensor) and parse_address(
             later.address
         ).shares_line(parse_address(earlier.address)):
-            yield f"{second}.address", (
-                f"is the {of}'s serial line, which only one program can open: connect a Modbus "
-                "TCP gateway to it (tcp://HOST:PORT), or use another line"
-            )
+            if later.device_id == earlier.device_id:
+                yield f"{second}.device_id", (
+                    f"is also the {of}'s, on the same serial line: a late answer would count as "
+                    "the other's; give each sensor a slave address of its own"
+                )
+            for key in ("baud_rate", "parity", "stop_bits"):
+                if getattr(later, key) != (value := getattr(earlier, key)):
+                    yield f"{second}.{key}", f"must be {value}, as for the {of} on the same line"
 
 
 def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:

@@ -51,12 +51,13 @@ def node_command(
     """Return the executable of a node.
 
     Args:
-        make: returns the node; called with the value of the option, if there is an option.
+        make: returns the node, or the nodes of this process; called with the value of the option,
+            if there is an option.
         help_of: returns the text of ``--help``; called likewise, with None if the value is missing.
         option: the option that the node requires, such as ``--of``; empty for none.
         choices: allowed values of the option; empty for any.
         value: fixed value of the option; the command line then has no such option.
-        spin: runs the node and calls its second argument, which can raise, 20 times a second; None
+        spin: runs the nodes and calls its second argument, which can raise, 20 times a second; None
             for a node of a simulated graph.
     """
 
@@ -78,14 +79,14 @@ def node_command(
             return EXIT_DONE
         if of == [None]:
             parser.error(": ".join(filter(None, (f"{option} is missing", " or ".join(choices)))))
-        return run_node(partial(make, *of), spin or spin_alone)
+        return run_nodes(partial(make, *of), spin or spin_alone)
 
     return main
 
 
 def node_help(
     module: str,
-    role: str,
+    role: str | Collection[str],
     purpose: str | None,
     parameters: Callable[[Site], Iterable[Parameter]],
     example: str,
@@ -97,7 +98,7 @@ def node_help(
 
     Args:
         module: its module in this package, and the arguments that it requires.
-        role: its role in the interface.
+        role: its role in the interface, or the roles of all nodes of the process.
         purpose: what it does; a module docstring.
         parameters: returns all parameters that it declares for a site.
         example: the arguments in the example.
@@ -106,6 +107,7 @@ def node_help(
     """
     start = f"python -m greenroof_ros.{module}"
     topics = read_live_topics() if live else read_topics()
+    own = {role} if isinstance(role, str) else set(role)
     sections = {
         "parameters, after --ros-args as -p NAME:=VALUE or by --params-file FILE": [
             (parameter.name, _about(parameter), parameter.description)
@@ -114,7 +116,7 @@ def node_help(
         **{
             heading: [
                 (topic.name, f"{topic.type}{topic.unit and ', unit '}{topic.unit}", topic.meaning)
-                for topic in topics.values() if role in roles(topic)
+                for topic in topics.values() if own & {*roles(topic)}
                 and (heading != "publishes" or not topic.optional or topic.name in outputs)
             ]
             for heading, roles in {
@@ -159,26 +161,30 @@ def _about(parameter: Parameter) -> str:
 # --- the process ----------------------------------------------------------------------------------
 
 
-def run_node(
-    make: Callable[[], GraphNode], spin: Callable[[Any, Callable[[], None]], None]
+def run_nodes(
+    make: Callable[[], GraphNode | Sequence[GraphNode]],
+    spin: Callable[[Any, Callable[[], None]], None],
 ) -> int:
-    """Run one node until its run is over, it is asked to stop, or it fails.
+    """Run the nodes of this process until the run is over, they are asked to stop, or one fails.
 
     Args:
-        make: the node's class, or a function that returns the node.
+        make: the node's class, or a function that returns the node or the nodes.
         spin: see :func:`node_command`.
 
     Returns:
-        An exit code: 0 if the run is over or the node was asked to stop, 1 if the node failed, 2 if
+        An exit code: 0 if the run is over or the nodes were asked to stop, 1 if one failed, 2 if
         arguments or parameters are wrong, 3 if there is another graph.
     """
     signals = Signals()
     with ros(sys.argv):
-        code, failure, node = EXIT_DONE, None, None
+        code, failure = EXIT_DONE, None
+        nodes: Sequence[GraphNode] = ()
         try:
-            node = make()
-            refuse_unknown(node, sys.argv)
-            spin(node, signals.check)
+            made = make()
+            nodes = [made] if isinstance(made, GraphNode) else made
+            for node in nodes:
+                refuse_unknown(node, sys.argv)
+            spin(nodes, signals.check)
         except (ConfigurationError, LockstepError, OSError) as error:
             usage = isinstance(error, ConfigurationError)
             code, failure = exit_code(error) if usage else EXIT_FAILED, str(error)
@@ -186,14 +192,15 @@ def run_node(
         except InterruptedRun:
             pass
         finally:
-            if node is not None and end_nodes([node], failure) is not None:
+            if nodes and end_nodes(nodes, failure) is not None:
                 code = code or EXIT_FAILED
     return code
 
 
-def spin_alone(node: SimulationNode, check: Callable[[], None]) -> None:
+def spin_alone(nodes: Sequence[SimulationNode], check: Callable[[], None]) -> None:
     """Run a node of a simulated graph until its run is over; see :func:`node_command`."""
-    spin([node], _Alone(node, check).over)
+    (node,) = nodes
+    spin(nodes, _Alone(node, check).over)
 
 
 class _Alone:

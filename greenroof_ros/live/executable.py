@@ -1,9 +1,9 @@
-"""The executable of a live node."""
+"""The executable of live nodes."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NoReturn
 
@@ -14,22 +14,24 @@ from greenroof_ros.graph.executable import node_command
 from greenroof_ros.live.node import LiveNode
 
 
-def spin(node: LiveNode, check: Callable[[], None]) -> NoReturn:
-    """Run a live node until it fails or a check ends it.
+def spin(nodes: Sequence[LiveNode], check: Callable[[], None]) -> NoReturn:
+    """Run the live nodes of this process until one fails or a check ends them.
 
     Not with rclpy's fast executor: publisher events can lock it up (rmw_fastrtps, pull request
     890).
 
     Args:
-        node: the node.
+        nodes: the nodes.
         check: called at least 20 times a second; it can raise.
     """
     executor = SingleThreadedExecutor()
-    begin_to_listen(executor, node)
+    for node in nodes:
+        begin_to_listen(executor, node)
     while True:
         check()
-        executor.spin_once(timeout_sec=node.wait_s)
-        node.check(time.monotonic())
+        executor.spin_once(timeout_sec=min(node.wait_s for node in nodes))
+        for node in nodes:
+            node.check(time.monotonic())
 
 
 live_command = partial(node_command, spin=spin)

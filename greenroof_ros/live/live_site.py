@@ -132,11 +132,10 @@ class LiveSite:
         copies = {name: place / name / file.name for name, file in self.files().items()}
         common = {"site_file": str(copies["site"])}
         if self.sensed is not None:
-            for section in self.sensed.by_section:
-                yield NodeStart(
-                    QUANTITIES[section].node, "greenroof_ros.live.sensor", ("--of", section),
-                    {"sensors_file": str(copies["sensors"])},
-                )
+            yield NodeStart(
+                "sensors", "greenroof_ros.live.sensors", ("--sensors", str(copies["sensors"])),
+                several=tuple(QUANTITIES[section].node for section in self.sensed.by_section),
+            )
         if self.weather:
             yield NodeStart(
                 "weather", "greenroof_ros.live.weather", (),

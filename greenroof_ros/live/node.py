@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 from greenroof_ros.common.interface import read_live_topics
@@ -14,7 +13,7 @@ from greenroof_ros.graph.publishers import DISCOVERY_S
 from greenroof_ros.graph.states import READY
 from greenroof_ros.live.engine import LIMITS, RECOVERY, SampleAndHold
 from greenroof_ros.live.inputs import LiveInput, LivePublishers
-from greenroof_ros.live.supervision import SupervisorSocket
+from greenroof_ros.live.supervision import SupervisorSocket, supervisor_socket
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.input_rules import InputRules, LevelRule
 
@@ -27,15 +26,15 @@ _REPORT_S = 0.25
 class SupervisedNode(GraphNode):
     """A node that also reports to the process that started it, if any."""
 
-    @cached_property
+    @property
     def supervisor(self) -> SupervisorSocket:
-        """The node's end of the socket to that process."""
-        return SupervisorSocket()
+        """This process's end of the socket to that process."""
+        return supervisor_socket()
 
     def report_state(self, **values: Any) -> dict[str, Any]:
         """Report the node's state, and return all values of the report."""
         report = super().report_state(**values)
-        self.supervisor.report(report)
+        self.supervisor.report({"node": self.get_name(), **report})
         return report
 
     def end(self, failure: str | None) -> None:

@@ -72,7 +72,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     """
     state: Path = arguments.state or Path("live")
     nodes = list(site.nodes(state, state / "configuration"))
-    modules = {node.name: node.module for node in nodes}
+    modules = {name: node.module for node in nodes for name in node.nodes}
     own_files = own_parameters(arguments, modules, site.controller)
     with (
         only_bringup(arguments.namespace),
@@ -81,7 +81,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     ):
         record, start = _Record(site, state), _Start(arguments.namespace)
         start.look({}, "starting")
-        names = {node.name for node in nodes} | {"plant", *controller_names()}
+        names = modules.keys() | {"plant", *controller_names()}
         refuse_other_nodes(arguments.namespace, names, signals.check)
         supervisor = LiveSupervisor(
             state / "log", _configuration(site, own_files, state, memory),
@@ -437,5 +437,6 @@ def _write_configuration(
             (directory / name / file.name).write_text(edited(file, {}), encoding="utf-8")
         else:
             shutil.copyfile(file, directory / name / file.name)
-    write_parameters(directory, {node.name: node.parameters for node in site.nodes(state, place)})
+    nodes = [node for node in site.nodes(state, place) if node.parameters]
+    write_parameters(directory, {node.name: node.parameters for node in nodes})
     return [place / "parameters.yaml", *(place / "nodes" / file.name for file in own_files)]

@@ -10,12 +10,14 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any
 
 from greenroof_ros.graph.states import STATES
 
-# Environment variable with the file descriptor of a node's end of the socket to its supervisor. The
-# node writes its reports to it, one JSON object per line, with the key "state". The pump node reads
+# Environment variable with the file descriptor of a process's end of the socket to its supervisor.
+# Its nodes write their reports to it, one JSON object per line, with the keys "node" (the node's
+# name; may be missing if the process has only one) and "state". The pump node reads
 # its permit from it, which comes four times a second as one JSON object per line: "inhibit" is why
 # the pump must not run, empty if it may; "at" is the time since the machine started
 # (CLOCK_BOOTTIME, s) at which this was decided.
@@ -45,7 +47,7 @@ def _is_diagnosis(value: object) -> bool:
 
 # Checks of the types that readers of a report rely on.
 _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
-    **dict.fromkeys(("pump", "pump_state", "failure", "fault", "unknown"), _is_text),
+    **dict.fromkeys(("node", "pump", "pump_state", "failure", "fault", "unknown"), _is_text),
     **dict.fromkeys(("cistern_level", "roof_level", "command", "flow", "speed"), _is_number),
     **dict.fromkeys(("warnings", "waiting"), _is_list),
     **dict.fromkeys(("stands", "active"), lambda value: isinstance(value, bool)),
@@ -93,18 +95,19 @@ def read_report(line: bytes) -> dict[str, Any] | None:
 
 
 class SupervisorSocket:
-    """A node's end of the socket: sends its reports and, for the pump node, reads the permit.
+    """A process's end of the socket: sends its nodes' reports; the pump node reads its permit.
 
     Attributes:
-        given: whether the node has a supervisor, which gets its reports and ends it. Without one,
-            the pump needs no permit.
+        given: whether the process has a supervisor, which gets its reports and ends it. Without
+            one, the pump needs no permit.
     """
 
     def __init__(self) -> None:
         """Use the socket that the environment names, if there is one."""
         self.given = SOCKET in os.environ
         self._socket = int(os.environ[SOCKET]) if self.given else -1
-        self._unsent = self._next = b""  # the rest of a report, and the newest one after it
+        self._unsent = b""  # the rest of a report
+        self._next: dict[str, bytes] = {}  # the newest after it, by node
         if self.given:
             os.set_blocking(self._socket, False)
         self._ended = False
@@ -114,11 +117,12 @@ class SupervisorSocket:
     def report(self, report: Mapping[str, Any]) -> None:
         """Send a report to the supervisor, if there is one.
 
-        A stopped supervisor must not block the node: while a report waits, a newer one replaces it.
+        A stopped supervisor must not block the node: while a report waits, a newer one of the same
+        node replaces it.
         A report that is larger than the socket's buffer is sent in pieces, and always whole.
         """
         if self.given:
-            self._next = f"{json.dumps(report)}\n".encode()
+            self._next[report.get("node", "")] = f"{json.dumps(report)}\n".encode()
             self._send()
 
     def _send(self) -> bool:
@@ -126,7 +130,7 @@ class SupervisorSocket:
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while self._unsent or self._next:
                 if not self._unsent:
-                    self._unsent, self._next = self._next, b""
+                    self._unsent = self._next.pop(next(iter(self._next)))
                 self._unsent = self._unsent[os.write(self._socket, self._unsent):]
         return not self._unsent
 
@@ -167,3 +171,9 @@ class SupervisorSocket:
         with contextlib.suppress(IndexError, ValueError, KeyError, TypeError):
             line = json.loads(data.splitlines()[-1])
             self._inhibit, self._at = str(line["inhibit"]), float(line["at"])
+
+
+@cache
+def supervisor_socket() -> SupervisorSocket:
+    """Return this process's end of the socket: reports of several nodes must not mix."""
+    return SupervisorSocket()

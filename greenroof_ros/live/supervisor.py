@@ -102,40 +102,49 @@ class NodeFailed(Exception):
 
 @dataclass(frozen=True)
 class NodeStart:
-    """A node to be started.
+    """The process of a node, or of several, to be started.
 
     Attributes:
-        name: the node's name; the node named ``pump`` gets the permit.
+        name: the node's name, or one for all; the node named ``pump`` gets the permit.
         module: its Python module, such as greenroof_ros.nodes.weather.
         arguments: its command-line arguments, without ROS arguments.
         parameters: the parameters that bringup sets, if they are not written elsewhere.
+        several: the names of the nodes if the process has several.
     """
 
     name: str
     module: str
     arguments: tuple[str, ...] = ()
     parameters: dict[str, Any] = field(default_factory=dict)
+    several: tuple[str, ...] = ()
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """The names of its nodes."""
+        return self.several or (self.name,)
 
 
 class NodeProcess:
-    """The process of a node, with its reports and output.
+    """The process of a node, or of several, with their reports and output.
 
     Attributes:
         process: the operating-system process.
         socket: the supervisor's end of the socket to it.
         heard: when it last reported or was started, or this process resumed (steady clock, s).
         spoke: whether it has reported.
-        last: its last report; empty before the first.
+        reports: the last report of each of its nodes that has reported, by name.
         last_lines: the last lines that it printed.
     """
 
     def __init__(
-        self, process: subprocess.Popen[bytes], to_it: socket.socket, log: RotatingFileHandler
+        self, name: str, process: subprocess.Popen[bytes], to_it: socket.socket,
+        log: RotatingFileHandler,
     ) -> None:
+        self._name = name
         self.process, self.socket = process, to_it
         self.heard = time.monotonic()
         self.spoke = False
-        self.last: dict[str, Any] = {}
+        self.reports: dict[str, dict[str, Any]] = {}
         self.last_lines: deque[str] = deque(maxlen=_LAST_LINES)
         self._log = log
         self._cut = b""
@@ -146,8 +155,8 @@ class NodeProcess:
         self.heard = time.monotonic()
         *lines, cut = (self._cut + data).split(b"\n")
         self._cut = cut[-_LONGEST_REPORT:]
-        for line in lines:
-            self.last = read_report(line) or self.last
+        for report in filter(None, map(read_report, lines)):
+            self.reports[report.get("node", self._name)] = report
 
     def log(self, data: bytes) -> None:
         """Keep its output in its log, and the last lines in memory, as the disk can fail."""
@@ -178,7 +187,7 @@ class Supervisor:
     stops the drive, whatever the pump node reports.
 
     Attributes:
-        nodes: the started nodes, by name.
+        nodes: the started processes of nodes, by name.
         awake_since: when this process began, or last resumed from a pause (steady clock, s).
         may_run: a warning that the pump may still run after the end; empty if it is at rest.
     """
@@ -268,7 +277,7 @@ class Supervisor:
             ends.pop_all()
         for end in (theirs, printing):
             end.close()
-        self.nodes[name] = running = NodeProcess(process, ours, self._logs[name])
+        self.nodes[name] = running = NodeProcess(name, process, ours, self._logs[name])
         self._ears.register(ours, selectors.EVENT_READ, running.hear)
         self._ears.register(printed, selectors.EVENT_READ, running.log)
 
@@ -290,7 +299,9 @@ class Supervisor:
     @property
     def last(self) -> dict[str, dict[str, Any]]:
         """The last report of each node that has reported."""
-        return {name: node.last for name, node in self.nodes.items() if node.last}
+        return {
+            name: report for node in self.nodes.values() for name, report in node.reports.items()
+        }
 
     def listen(self, seconds: float = 0.1) -> None:
         """Read the nodes' reports and output; wait at most this long (s)."""
@@ -325,7 +336,8 @@ class Supervisor:
             return ""
         self._read(0.0)
         ending = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-        why = self.nodes[node].last.get("failure")
+        reports = self.nodes[node].reports.values()
+        why = next(filter(None, (report.get("failure") for report in reports)), None)
         return f"ended ({ending})" + (f": {why}" if why else "")
 
     def check(self, limit: float) -> None:
@@ -412,8 +424,8 @@ class LiveSupervisor(Supervisor):
     """The node processes of a live site, and whether the pump may run.
 
     A node that ends or is silent for too long is restarted after a delay that grows. If a node
-    needs too many restarts, it is given up: the pump is stopped and the site ends. The recorder and
-    gauges are never given up: recording must not stop control.
+    needs too many restarts, it is given up: the pump is stopped and the site ends. The recorder is
+    never given up: recording must not stop control.
 
     The pump node gets a permit four times a second. If it dies, falls silent or disobeys, it is
     killed and the drive is stopped from here.
@@ -523,7 +535,7 @@ class LiveSupervisor(Supervisor):
 
     def _says_it_stands(self) -> bool:
         """Whether the pump node last reported the pump at rest: read, or concluded by timeout."""
-        return self.nodes[PUMP].last.get("stands") is True
+        return self.last.get(PUMP, {}).get("stands") is True
 
     def _disobeys(self, now: float) -> str:
         """Return what the pump node does although it is forbidden; empty if it obeys.
@@ -534,7 +546,7 @@ class LiveSupervisor(Supervisor):
         if not self.inhibit or self._says_it_stands():
             return ""
         passed = now - max(self._inhibited_since, self._kept[PUMP].started, self.awake_since)
-        state = self.nodes[PUMP].last.get("pump_state")
+        state = self.last.get(PUMP, {}).get("pump_state")
         if passed > _OBEYS_S and state in ("running", "starting"):
             return f"ran the pump for {_OBEYS_S:g} s after it was forbidden ({self.inhibit})"
         if passed > _OBEYS_S + LONGEST_RAMP_S and state and not self._met:
@@ -575,31 +587,36 @@ class LiveSupervisor(Supervisor):
 
     @property
     def ready(self) -> set[str]:
-        """The names of the nodes that run and have reported the state *ready*."""
+        """The names of the processes that run, all of whose nodes have reported *ready*."""
         return {
             name for name, record in self._kept.items()
             if record.starts_again is None and self._is_ready(name)
         }
 
     def _is_ready(self, name: str) -> bool:
-        return self.nodes[name].last.get("state") == READY
+        reports = self.nodes[name].reports
+        return all(
+            reports.get(node, {}).get("state") == READY for node in self._kept[name].start.nodes
+        )
 
     def _reason_to_inhibit(self, now: float) -> str:
         """Return why the pump must not run; empty if it may."""
-        reasons = []
-        for name, record in self._kept.items():
-            if name == PUMP or name in _NOT_REQUIRED:
-                continue
-            if record.starts_again is not None or self.nodes[name].process.poll() is not None:
-                reasons.append(f"{name} is missing")
-            elif not self._is_ready(name):
-                waiting = self.nodes[name].last.get("waiting")
-                reasons.append(
-                    f"{name} waits for {', '.join(waiting)}" if waiting else f"{name} is starting"
-                )
-            elif now - self.nodes[name].heard > SILENT_S:
-                reasons.append(f"{name} is silent")
-        return ", ".join(reasons)
+        return ", ".join(
+            f"{node} {why}" for name, record in self._kept.items() for node in record.start.nodes
+            if node != PUMP and node not in _NOT_REQUIRED
+            and (why := self._reason_of(name, node, now))
+        )
+
+    def _reason_of(self, name: str, node: str, now: float) -> str:
+        """Return why a node of a process keeps the pump off; empty if it does not."""
+        if self._kept[name].starts_again is not None or self.nodes[name].process.poll() is not None:
+            return "is missing"
+        process = self.nodes[name]
+        report = process.reports.get(node, {})
+        if report.get("state") != READY:
+            waiting = report.get("waiting")
+            return f"waits for {', '.join(waiting)}" if waiting else "is starting"
+        return "is silent" if now - process.heard > SILENT_S else ""
 
 
 def _unrecorded(name: str) -> str:

@@ -151,7 +151,7 @@ def test_a_serial_line_of_a_sensor_and_the_drive(
 NODES = {
     name: f"greenroof_ros.{module}" for name, module in {
         "plant": "nodes.plant", "weather": "live.weather", "onoff": "live.controller",
-        "pump": "live.pump", "recorder": "live.recorder", "roof_sensor": "live.sensor",
+        "pump": "live.pump", "recorder": "live.recorder", "roof_sensor": "live.sensors",
     }.items()
 }
 

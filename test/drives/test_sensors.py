@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import time
 from contextlib import closing
-from itertools import chain, repeat
+from itertools import chain, pairwise, repeat
 from pathlib import Path
 
 import pytest
 from graphs import free_ports
-from modbus_wire import Answer, Registers, Wire
+from modbus_wire import Answer, Registers, SerialWire, Wire, crc
 from places import CONFIG
 from simulators import until
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives import readings
-from greenroof_ros.drives.modbus_sensor import ModbusReader
+from greenroof_ros.drives.modbus_line import DriveError
+from greenroof_ros.drives.modbus_sensor import ModbusReader, SensorLine
 from greenroof_ros.drives.sensor_file import ModbusSensor, read_sensors
 
 SHIPPED = (CONFIG / "sensors.yaml").read_text()
@@ -28,6 +29,12 @@ def sensor(at: str, **changed: object) -> ModbusSensor:
         "scale": 1e-4, "low": 0.0, "high": 6.0, "median": 1, "period": 0.05,
     }
     return ModbusSensor(**{**values, **changed})  # type: ignore[arg-type]
+
+
+def reading(sensor: ModbusSensor, timeout_s: float = 0.2) -> ModbusReader:
+    """The reader of a sensor alone on its line: three timeouts are half of the greatest age."""
+    line = SensorLine(sensor.address)
+    return ModbusReader(sensor, "m", line, greatest_age=6 * timeout_s)
 
 
 def levels(readings: list[str], **changed: object) -> list[float | str]:
@@ -44,7 +51,7 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
 
     results: list[float | str] = []
     with closing(Wire(answer)) as wire, closing(
-        ModbusReader(sensor(wire.at, **changed), "m", timeout_s=0.3)
+        reading(sensor(wire.at, **changed), timeout_s=0.3)
     ) as client:
         before = client.snapshot
         client.start()
@@ -107,7 +114,7 @@ def test_no_level_of_before_a_suspend_counts_after_it(monkeypatch: pytest.Monkey
 def test_a_sensor_that_comes_and_goes_is_read_again_by_itself() -> None:
     """Nobody there, then a sensor, then silence, then the sensor again; threads raise nothing."""
     port = free_ports(1)[0]
-    with closing(ModbusReader(sensor(f"tcp://127.0.0.1:{port}"), "m", timeout_s=0.2)) as exchange:
+    with closing(reading(sensor(f"tcp://127.0.0.1:{port}"))) as exchange:
         assert exchange.snapshot.problem == "not yet read"
         exchange.start()
         until(lambda: "cannot connect" in exchange.snapshot.problem)
@@ -131,7 +138,7 @@ def test_a_sensor_that_comes_and_goes_is_read_again_by_itself() -> None:
 
 def test_no_error_ends_the_reading_for_good() -> None:
     """A host name with an empty part gives a UnicodeError: it is reported, and tried again."""
-    with closing(ModbusReader(sensor("tcp://no..where:502"), "m", timeout_s=0.2)) as exchange:
+    with closing(reading(sensor("tcp://no..where:502"))) as exchange:
         exchange.start()
         until(lambda: "tcp://no..where:502: reading failed: Unicode" in exchange.snapshot.problem)
         first = exchange.snapshot
@@ -152,10 +159,10 @@ def test_all_water_of_a_counter_arrives_tip_by_tip(kind: str, start: int) -> Non
         return {16 + i: int.from_bytes(data[2 * i:2 * i + 2], "big") for i in range(width)}
 
     gauge = Registers(words(0))
-    with closing(Wire(gauge)) as wire, closing(ModbusReader(sensor(
+    with closing(Wire(gauge)) as wire, closing(reading(sensor(
         wire.at, type=kind, word_order="high first" if width > 1 else "", kind="holding",
         counts=True, scale=0.0002, high=0.001,
-    ), "m/s", timeout_s=0.2)) as reader:
+    ))) as reader:
         reader.start()
         until(lambda: reader.snapshot.value == 0.0)
         total, before, value = 0.0, time.monotonic(), 0.0
@@ -171,6 +178,121 @@ def test_all_water_of_a_counter_arrives_tip_by_tip(kind: str, start: int) -> Non
             before, value = now, reader.snapshot.value or 0.0
             assert value <= 0.001
     assert total == pytest.approx(0.001, rel=0.02)
+
+
+# --- several on one line --------------------------------------------------------------------------
+
+
+class TwoSensors:
+    """The other end of a serial line with the devices 1 and 2, at 1.0 m and 3.0 m."""
+
+    def __init__(self) -> None:
+        self.data = {1: "2710", 2: "7530"}
+        self.delay_s = 0.0  # before device 1 answers
+
+    def __call__(self, request: bytes) -> bytes:
+        if request[0] == 1:
+            time.sleep(self.delay_s)
+        if not (data := bytes.fromhex(self.data[request[0]])):
+            return b""
+        frame = bytes([request[0], 4, len(data)]) + data
+        return frame + crc(frame)
+
+
+def both(at: str, greatest_age: float) -> list[ModbusReader]:
+    """Return the readers of both sensors, not started; device 1 is due far more often."""
+    line = SensorLine(at)
+    return [
+        ModbusReader(sensor(at, device_id=number, period=period), "m", line, greatest_age)
+        for number, period in ((1, 0.05), (2, 0.2))
+    ]
+
+
+def gaps(reader: ModbusReader, seconds: float) -> list[float]:
+    """Return the times between the good readings of the next seconds; all must be 3.0 m."""
+    began, times = time.monotonic(), []
+    while time.monotonic() - began < seconds:
+        now = reader.snapshot
+        if not now.problem and now.read_at not in times:
+            assert now.value == 3.0
+            times.append(now.read_at)
+        time.sleep(0.005)
+    return [after - before for before, after in pairwise([began, *times, time.monotonic()])]
+
+
+def test_a_sensor_beside_a_silent_or_wrong_one_on_a_serial_line() -> None:
+    """Readings of the good one are never further apart than its greatest age, 3 s, in any case.
+
+    For a silent neighbour they come after at most its period and one timeout, 0.2 + 0.25 s.
+    """
+    devices = TwoSensors()
+    with closing(SerialWire(devices)) as wire:
+        first, second = both(wire.line, 3.0)
+        with closing(first):
+            for reader in (first, second):
+                reader.start()
+            until(lambda: (first.snapshot.value, second.snapshot.value) == (1.0, 3.0))
+            for data, problem in (
+                ("", "no valid answer within 0.25 s"), ("FFFF", "which is not from 0 to 6 m"),
+                ("27102710", "2 registers, not 1"),
+            ):
+                devices.data[1] = data
+                until(lambda problem=problem: problem in first.snapshot.problem)
+                assert first.snapshot.value is None
+                apart = gaps(second, 3.0)
+                assert max(apart) < 3.0 and sorted(apart)[len(apart) // 2] < 0.75, data
+            devices.data[1] = "2710"
+            until(lambda: first.snapshot.value == 1.0)
+            assert second.snapshot.value == 3.0
+
+
+def test_a_late_answer_of_one_sensor_is_no_level_of_the_other() -> None:
+    """Device 1 answers after 0.35 s, 0.1 s after the timeout: device 2 has been asked by then."""
+    devices = TwoSensors()
+    devices.delay_s = 0.35
+    with closing(SerialWire(devices)) as wire:
+        first, second = both(wire.line, 3.0)
+        with closing(first):
+            first.start()
+            until(lambda: "no valid answer" in first.snapshot.problem)
+            until(lambda: second.snapshot.value is not None)
+            assert len(gaps(second, 3.0)) > 2
+            assert first.snapshot.value is None
+
+
+def test_nothing_else_opens_a_line_that_is_read() -> None:
+    """Neither a drive nor another program: bytes of two would mix."""
+    with closing(SerialWire(TwoSensors())) as wire:
+        first, second = both(wire.line, 3.0)
+        with closing(first):
+            first.start()
+            until(lambda: second.snapshot.value == 3.0)
+            with pytest.raises(DriveError, match="cannot connect"):
+                sensor(wire.line).line(0.2).connect()
+        sensor(wire.line).line(0.2).connect()
+
+
+def test_sensors_behind_one_gateway_share_a_connection() -> None:
+    """Then device 9 is lost, which the gateway reports: the other sensor is read on."""
+    answers = {1: "01 04 02 7530", 9: "09 04 02 2710"}
+
+    def answer(request: bytes) -> Answer:
+        body = bytes.fromhex(answers[request[6]])
+        return [(0.0, request[:4] + len(body).to_bytes(2, "big") + body)]
+
+    with closing(Wire(answer)) as wire:
+        line = SensorLine(wire.at)
+        good, lost = (
+            ModbusReader(sensor(wire.at, device_id=number), "m", line) for number in (1, 9)
+        )
+        with closing(good):
+            good.start()
+            until(lambda: (good.snapshot.value, lost.snapshot.value) == (3.0, 1.0))
+            assert wire.connections == 1
+            answers[9] = "09 84 0B"
+            until(lambda: "device 9: reading register 16: refused with exception 11" in (
+                lost.snapshot.problem))
+            assert len(gaps(good, 1.0)) > 3
 
 
 # --- the file -------------------------------------------------------------------------------------
@@ -192,23 +314,56 @@ def test_the_shipped_file_is_read() -> None:
         (["high: 6.0 ", "high: -6.0 "], 19, "cistern.high = -6.0: must be above low, 0 m"),
         (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot give 0 to 6 m"),
         (["5031", "5030"], 27, "roof.register = 0: is also the cistern's: both sensors would be"),
-        # Each sensor has its own process, and only one can open the line, by whichever name.
-        (
-            ["tcp://127.0.0.1:5030", "/dev/ttyS0", "tcp://127.0.0.1:5031", "LINK"], 25,
-            "is the cistern's serial line, which only one program can open",
-        ),
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(
     tmp_path: Path, changes: list[str], line: int, message: str
 ) -> None:
     """Errors common to all files, such as an unknown key, are in test_drive_files.py."""
-    link, text = tmp_path / "line", SHIPPED
-    link.symlink_to("/dev/ttyS0")
+    text = SHIPPED
     for old, new in zip(changes[::2], changes[1::2], strict=True):
-        text = text.replace(old, new.replace("LINK", str(link)), 1)
+        text = text.replace(old, new, 1)
     file = tmp_path / "own.yaml"
     file.write_text(text)
+    with pytest.raises(ConfigurationError) as caught:
+        read_sensors(file)
+    assert message in str(caught.value)
+    assert f"own.yaml, line {line}: " in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("device_id", "keys", "line", "message"),
+    [
+        (2, "", 0, ""),
+        (2, "parity: even\n  stop_bits: 1\n  baud_rate: 19200", 0, ""),  # the defaults
+        (1, "", 27, "roof.register = 0: is also the cistern's: both sensors would be the same"),
+        (1, "register: 4", 26, "roof.device_id = 1: is also the cistern's, on the same serial "
+         "line: a late answer would count as the other's; give each sensor a slave address of its "
+         "own"),
+        (2, "baud_rate: 9600", 37, "roof.baud_rate = 9600: must be 19200, as for the cistern on "
+         "the same line"),
+        (2, "parity: none", 37, "roof.parity = 'none': must be even, as for the cistern"),
+        (2, "stop_bits: 2", 37, "roof.stop_bits = 2: must be 1, as for the cistern"),
+    ],
+)
+def test_two_sensors_on_one_serial_line(
+    tmp_path: Path, device_id: int, keys: str, line: int, message: str
+) -> None:
+    """By whichever name. They need slave addresses of their own, and the same settings."""
+    link, file = tmp_path / "line", tmp_path / "own.yaml"
+    link.symlink_to("/dev/ttyS0")
+    cistern, roof = SHIPPED.split("\nroof:")
+    roof = roof.replace("tcp://127.0.0.1:5031", str(link)).replace(": 1   ", f": {device_id}   ")
+    if keys.startswith("register"):
+        roof = roof.replace("register: 0", keys)
+    elif keys:
+        roof += f"  {keys}\n"
+    file.write_text(f"{cistern.replace('tcp://127.0.0.1:5030', '/dev/ttyS0')}\nroof:{roof}")
+    if not message:
+        sensors = read_sensors(file)
+        assert isinstance(sensors.cistern, ModbusSensor) and isinstance(sensors.roof, ModbusSensor)
+        assert sensors.cistern.connection == sensors.roof.connection == "/dev/ttyS0"
+        return
     with pytest.raises(ConfigurationError) as caught:
         read_sensors(file)
     assert message in str(caught.value)

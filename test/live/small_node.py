@@ -1,7 +1,7 @@
 """A small node for the tests: without ROS, but with socket, signals and exit of a real node.
 
-Its first argument says what it does. Its second is the directory ``marks`` with files by which a
-test observes and controls it.
+Its first argument says what it does, or has the names of several nodes with commas. Its second is
+the directory ``marks`` with files by which a test observes and controls it.
 """
 
 from __future__ import annotations
@@ -26,13 +26,19 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     with (marks / "starts").open("a") as stream:
         stream.write(f"{kind} {os.getpid()} {time.monotonic()}\n")
-    print(f"{kind} was started", flush=True)
+    several = kind.split(",") if "," in kind else []
+    print(f"{kind} {'were' if several else 'was'} started", flush=True)
     if kind == "wrong":
         report("ended", failure="parameter x must be a number")
         sys.exit(2)
     if kind == "fails":
         sys.exit(1)
     os.set_blocking(SOCKET, False)
+    while several:
+        for node in several:
+            waits = (marks / f"{node}-waits").exists()
+            report("starting" if waits else "ready", node=node)
+        time.sleep(0.05)
     while True:
         state = marks / f"{kind}-says"
         numbers: dict[str, object] = {}

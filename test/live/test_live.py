@@ -349,9 +349,9 @@ def test_no_command_of_what_was_before_a_suspend(
 
 
 @pytest.mark.parametrize(("name", "command", "options"), [
-    ("weather", "weather", {"live": "true", "forecast": "forecast.csv"}),
-    ("onoff", "controller --controller onoff", {"live": "true"}),
-    ("roof_sensor", "sensor --of roof", {"sensors_file": CONFIG / "sensors.yaml"}),
+    ("weather", "live.weather", {"forecast": "forecast.csv"}),
+    ("onoff", "live.controller --controller onoff", {}),
+    ("roof_sensor", f"live.sensors --sensors {CONFIG}/sensors.yaml", {}),
 ])
 def test_nothing_takes_a_live_node_off_the_system_clock(
     observer: Observer, name: str, command: str, options: dict[str, object]
@@ -415,10 +415,11 @@ AT_ZERO: dict[str, tuple[str, list[int], list[float]]] = {
 def test_the_noise_of_a_sensor_at_zero_counts_as_zero(observer: Observer, section: str) -> None:
     """Nothing holds less than no water, so the topic begins at 0; a frost is below 0."""
     _, read, published = AT_ZERO[section]
-    remaining = cycle(read)
+    remaining, names = cycle(read), list({"cistern": 0, "roof": 0, section: 0})
 
     def answer(request: bytes) -> list[tuple[float, bytes]]:
-        raw = next(remaining).to_bytes(2, "big", signed=True)
+        its_own = request[9] == names.index(section)  # each has a register of its own
+        raw = (next(remaining) if its_own else 0).to_bytes(2, "big", signed=True)
         return [(0.0, request[:4] + bytes([0, 5, request[6], 4, 2]) + raw)]
 
     values = observer.hear(QUANTITIES[section].topic_name)
@@ -430,9 +431,9 @@ def test_the_noise_of_a_sensor_at_zero_counts_as_zero(observer: Observer, sectio
         file = observer.cwd / "sensors.yaml"
         file.write_text("".join(
             f"{name}:{sensor}{number}\n  {AT_ZERO[name][0]}\n"
-            for number, name in enumerate({"cistern": 0, "roof": 0, section: 0})
+            for number, name in enumerate(names)
         ))
-        observer.start(f"live.sensor --of {section}", sensors_file=file)
+        observer.start(f"live.sensors --sensors {file}")
         observer.until(lambda: len(values) > len(read), LATE, "values")
     assert {float(f"{value:.6g}") for value in values} == set(published)
 

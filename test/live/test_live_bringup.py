@@ -28,7 +28,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from ros_rig import FORECASTS, OK, USUAL_EVAPOTRANSPIRATION, Site, newest, write_forecast
 from rosbags.highlevel import AnyReader
-from simulators import Simulator
+from simulators import Simulator, serial_line
 
 from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.pumping.ledger import Ledger
@@ -278,6 +278,41 @@ def test_a_live_site_with_drive_and_sensors(
     summary = summary_of(tmp_path / "run")
     assert summary["status"] == "failed" and "THE PUMP MAY BE RUNNING" in summary["reason"]
     assert (tmp_path / "run" / "pump.json").is_file()
+
+
+def test_both_level_sensors_on_one_serial_line(
+    domain: int, tmp_path: Path, hardware: Hardware
+) -> None:
+    """The pump stops while their process is dead, and for one that is silent beside the other.
+
+    A dead process is one incident and one restart, and the sensor that answers is never lost.
+    """
+    options = hardware.be_a_site()
+    with serial_line() as ends:
+        for name, end in zip(("simulated", "sensors"), ends, strict=True):
+            cistern, roof = (CONFIG / "sensors.yaml").read_text().split("\nroof:")
+            text = f"{cistern}\nroof:{roof.replace('device_id: 1', 'device_id: 2')}"
+            (tmp_path / f"{name}.yaml").write_text(re.sub(r"tcp://[\d.:]+", end, text))
+        with Simulator(
+            "site_simulator", "--sensors", str(tmp_path / "simulated.yaml"), "--workbench", "0",
+            "--drive-at", hardware.workbench, "--rain", "0", "--initial", "high-low",
+        ) as tanks:
+            write_forecast(tmp_path / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
+            with live(domain, tmp_path, *options) as process:
+                hardware.until_it_pumps()
+                os.kill(process.nodes()["sensors"], signal.SIGKILL)
+                wait_for(lambda: hardware.speed() == 0, 60, "a pump that stands")
+                process.until_said("incident 1: sensors: ended (SIGKILL); starts again in 1 s")
+                hardware.until_it_pumps()
+                process.until_said("incident 1 is over")
+                tanks.inject("roof_silent")
+                process.until_said(f"roof_sensor: {ends[1]}, device 2: reading register 0: no ")
+                wait_for(lambda: hardware.speed() == 0, 60, "a pump that stands")
+                tanks.inject("none")
+                hardware.until_it_pumps()
+    nodes = [incident["node"] for incident in summary_of(tmp_path / "run")["incidents"]]
+    assert nodes.count("sensors") == 1 and "roof_sensor" in nodes
+    assert "cistern_sensor" not in nodes
 
 
 def test_its_status_is_an_alarm_while_a_dead_pump_node_is_not_replaced(

@@ -251,27 +251,49 @@ def test_a_node_that_fails_again_and_again_is_given_up(
 
 
 @limits(restarts=1)
-@pytest.mark.parametrize(
-    ("name", "besides"), [("recorder", "; nothing is recorded until then"), ("rain_gauge", "")]
-)
-def test_a_node_that_the_pump_does_not_need_ends_nothing(
-    site: Site, name: str, besides: str
-) -> None:
+def test_a_recorder_that_fails_ends_nothing(site: Site) -> None:
     """It is tried again, at growing intervals; the pump does not wait for it."""
     (site.marks / "weather-waits").touch()
     site.add("weather", "pump")
-    site.supervisor.add(NodeStart(name, "small_node", ("wrong", str(site.marks))))
+    site.supervisor.add(NodeStart("recorder", "small_node", ("wrong", str(site.marks))))
     site.until(lambda: site.supervisor.inhibit == "weather is starting")
     (site.marks / "weather-waits").unlink()
     site.until_ready()
     site.until(lambda: len(site.failures) == 2)
     site.until_ready()
-    assert name not in str([permit["inhibit"] for permit in site.permits()])
+    assert "recorder" not in str([permit["inhibit"] for permit in site.permits()])
     site.end()
     assert site.failures == [
-        (name, "ended (exit code 2): parameter x must be a number; "
-         f"starts again in {wait} s{besides}") for wait in (1, 600)
+        ("recorder", "ended (exit code 2): parameter x must be a number; "
+         f"starts again in {wait} s; nothing is recorded until then") for wait in (1, 600)
     ]
+
+
+def test_a_process_of_several_nodes(site: Site) -> None:
+    """Each is reported by its name; the process is restarted, and counts, once.
+
+    The pump does not wait for a gauge that is not ready.
+    """
+    several = ("cistern_sensor", "roof_sensor", "rain_gauge")
+    site.supervisor.add(NodeStart(
+        "sensors", "small_node", (",".join(several), str(site.marks)), several=several,
+    ))
+    (site.marks / "roof_sensor-waits").touch()
+    (site.marks / "rain_gauge-waits").touch()
+    site.until(lambda: site.supervisor.inhibit == "roof_sensor is starting")
+    assert site.supervisor.last.keys() == {*several}
+    assert not site.supervisor.ready
+    (site.marks / "roof_sensor-waits").unlink()
+    site.until(lambda: not site.supervisor.inhibit)
+    (site.marks / "rain_gauge-waits").unlink()
+    site.until(lambda: site.supervisor.ready == {"sensors"})
+    os.kill(site.pid("sensors"), signal.SIGKILL)
+    site.until(
+        lambda: site.supervisor.inhibit == "cistern_sensor is missing, roof_sensor is missing"
+    )
+    site.until_ready()
+    assert site.failures == [("sensors", "ended (SIGKILL); starts again in 1 s")]
+    assert "were started" in (site.directory / "sensors.log").read_text()
 
 
 def _open_files() -> Counter[str]:
@@ -419,6 +441,27 @@ def test_what_comes_for_a_permit(monkeypatch: pytest.MonkeyPatch, line: str) -> 
         assert problems == [fresh, fresh, late, late]
         end.write(b'{"inhibit": "", "at": 3701.0}\n')
         assert reader.missing(3701.0) == ""
+
+
+def test_reports_of_several_nodes_do_not_mix(monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the supervisor is stopped, the newest of each node waits."""
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        monkeypatch.setenv(SOCKET, str(theirs.fileno()))
+        sender = SupervisorSocket()
+        for tick in range(20_000):
+            for node in ("cistern_sensor", "roof_sensor"):
+                sender.report({"node": node, "state": "ready", "tick": tick})
+        data = b""
+        while not sender.flush(0.0):
+            data += os.read(ours.fileno(), 1 << 18)
+        theirs.close()
+        while part := os.read(ours.fileno(), 1 << 18):
+            data += part
+    reports = [read_report(line) for line in data.splitlines()]
+    assert None not in reports
+    newest = {report["node"]: report["tick"] for report in reports if report}
+    assert newest == {"cistern_sensor": 19_999, "roof_sensor": 19_999}
 
 
 def test_a_report_of_any_size_arrives_whole(monkeypatch: pytest.MonkeyPatch) -> None:

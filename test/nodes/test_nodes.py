@@ -173,7 +173,8 @@ REFUSED = {
     **{
         f"live.{node} --ros-args -p use_sim_time:=true": ("use_sim_time", "must be false")
         for node in (
-            "weather", "controller --controller mpc", "pump", "recorder", "sensor --of roof",
+            "weather", "controller --controller mpc", "pump", "recorder",
+            f"sensors --sensors {CONFIG}/sensors.yaml",
         )
     },
     "nodes.weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
@@ -181,13 +182,13 @@ REFUSED = {
         ("forecast", "perfect", "must be a FILE.csv"),
     "nodes.recorder --ros-args -p directory:=.": ("directory", "exists"),
     # A level counts for 5 s (level_limit), which must cover two readings.
-    "live.sensor --of cistern --ros-args -p sensors_file:=sensors.yaml":
+    "live.sensors --sensors sensors.yaml":
         ("line 22: cistern.period = 2.6: must be at most 2.5 s",),
-    "live.sensor --of cistern --ros-args -p sensors_file:=sensors_mqtt.yaml -p level_limit:=4.0":
+    "live.sensors --sensors sensors_mqtt.yaml --ros-args -p level_limit:=4.0":
         ("line 16: cistern.max_age = 5.0: must be at most 4 s, level_limit",),
-    "live.sensor --of rain_gauge --ros-args -p sensors_file:=gauge.yaml":
-        ("gauge.yaml: rain_gauge: is missing",),
-    "live.sensor --of cistern --ros-args -p sensors_file:=login.yaml":
+    "live.sensors": ("--sensors is missing",),
+    "live.sensors --sensors none.yaml": ("none.yaml: ",),
+    "live.sensors --sensors login.yaml":
         ("/no/greenroof/broker.yaml: ",),
     f"live.pump {DRIVE} -p site_file:=slow.yaml -p command_limit:=3.0":
         ("command_limit of pump = 3.0: must be more than tau of the",),
@@ -202,7 +203,6 @@ def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
     for file, name, old, new in (
         ("site.yaml", "slow.yaml", "tau: 1.0 ", "tau: 3.0 "),
         ("sensors.yaml", "sensors.yaml", "period: 1.0", "period: 2.6"),
-        ("sensors.yaml", "gauge.yaml", "", ""),
         ("sensors_mqtt.yaml", "sensors_mqtt.yaml", "", ""),
         ("sensors_mqtt.yaml", "login.yaml", "# login: /etc", "login: /no"),
     ):
@@ -257,7 +257,7 @@ def parameters_of(watcher: Observer, node: str) -> dict[str, str]:
 
 def test_help_is_what_the_nodes_have(domain: int, tmp_path: Path, observer: Observer) -> None:
     """It lists the parameters of each node, started by the help's example; help starts none."""
-    for command in ("nodes.controller", "live.controller", "live.sensor"):
+    for command in ("nodes.controller", "live.controller", "live.sensors"):
         assert "[--ros-args ...]" in help_of(tmp_path, command)
     weights = re.findall(r"^    (\w+):", (CONFIG / "mpc.yaml").read_text(), re.MULTILINE)
     of_mpc = section(help_of(tmp_path, "nodes.controller --controller mpc"), "parameters")

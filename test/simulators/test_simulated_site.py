@@ -18,7 +18,7 @@ from simulators import Simulator, refusal, until
 
 from greenroof_ros import site_simulator
 from greenroof_ros.drives.modbus_line import Address
-from greenroof_ros.drives.modbus_sensor import ModbusReader
+from greenroof_ros.drives.modbus_sensor import ModbusReader, SensorLine
 from greenroof_ros.drives.mqtt_sensor import MqttReader
 from greenroof_ros.drives.sensor_file import ModbusSensor, MqttSensor, Sensors, read_sensors
 from greenroof_ros.simulators.faults import DEFAULT
@@ -96,7 +96,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
         ) as site:
             first, last = at_tick(1), at_tick(40)
             levels = [
-                ModbusReader(sensor, "m").read() for sensor in sensors.by_section.values()
+                read_once(sensor) for sensor in sensors.by_section.values()
                 if isinstance(sensor, ModbusSensor)
             ]
             now = rows()[-1]
@@ -125,6 +125,15 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
     assert levels[0] == pytest.approx(now["cistern_level_m"], abs=8e-4)
     assert levels[1] == pytest.approx(now["roof_level_m"], abs=4e-4)
     assert levels[2] == pytest.approx(6.1261e-3, rel=1e-3)
+
+
+def read_once(sensor: ModbusSensor) -> float:
+    """Return what a sensor on Modbus reads."""
+    with closing(ModbusReader(sensor, "m", SensorLine(sensor.address))) as reader:
+        reader.start()
+        until(lambda: reader.snapshot.value is not None, 20)
+        assert reader.snapshot.value is not None
+        return reader.snapshot.value
 
 
 def test_a_leak(capsys: pytest.CaptureFixture[str]) -> None:
@@ -199,7 +208,7 @@ def test_sensors_on_mqtt_beside_one_on_modbus(tmp_path: Path) -> None:
             readers[section] = stack.enter_context(closing(MqttReader(section, sensor, "m")))
             readers[section].start()
         assert isinstance(sensors.cistern, ModbusSensor)
-        assert ModbusReader(sensors.cistern, "m").read() == pytest.approx(2.0, abs=1e-3)
+        assert read_once(sensors.cistern) == pytest.approx(2.0, abs=1e-3)
         until(lambda: all(reader.snapshot.value for reader in readers.values()), 20)
         assert readers["roof"].snapshot.value == pytest.approx(0.05, abs=5e-4)
         assert readers["rain_gauge"].snapshot.value == pytest.approx(1e-5, rel=0.6)

@@ -31,7 +31,7 @@ from greenroof_ros.model.site import read_site
 # Constant weather: mm/h, mm/day.
 _RAIN, _EVAPOTRANSPIRATION = 0.0, 3.0
 _START_S, _SAMPLE_S = 60.0, 15.0
-_NODES = ("cistern_sensor", "controller", "pump", "weather", "recorder", "roof_sensor")
+_NODES = ("sensors", "controller", "pump", "weather", "recorder")
 # Size of the bag's disk (MB), and the part of the run during which it is full (1).
 _DISK_MB, _FULL_FROM, _FULL_TO = 64, 0.45, 0.52
 

@@ -89,6 +89,7 @@ class Case:
 
 # --- processes ------------------------------------------------------------------------------------
 
+PROCESSES = ("onoff", "weather", "sensors", "pump", "recorder")
 NODES = ("onoff", "weather", "cistern_sensor", "roof_sensor", "pump", "recorder")
 
 
@@ -106,7 +107,8 @@ def _process(node: str, fault: str) -> Expected:
     if node == "pump":
         return Expected(bound="permit" if fault == "term" else "drive", signs=(failed,))
     if fault == "stop long":
-        return Expected(bound="silent", signs=(_NO_PERMIT, (node, "not_heard")))
+        heard = "cistern_sensor" if node == "sensors" else node
+        return Expected(bound="silent", signs=(_NO_PERMIT, (heard, "not_heard")))
     return Expected(bound="permit", signs=(_NO_PERMIT, failed))
 
 
@@ -114,7 +116,7 @@ def _processes(repeats: int) -> Iterator[Case]:
     for number in range(repeats):
         rig = f"site:{DRIVES[number % 4]}"
         for fault in ("kill", "term", "stop short", "stop long"):
-            for node in (*NODES, "bringup"):
+            for node in (*PROCESSES, "bringup"):
                 yield Case(rig, fault, node, number, _process(node, fault))
         # A requested end is no failure, whatever happened before.
         yield Case(rig, "term after an incident", "bringup", number, _process("bringup", "term"))
@@ -351,9 +353,7 @@ def _brokers(repeats: int) -> Iterator[Case]:
                     bound="level", signs=(*_level(tank), sensor)))
         yield Case(rig, "kill", "site_simulator", number, replace(
             level, signs=(*level.signs, *lost)))
-        yield Case(
-            rig, "stop long", "cistern_sensor", number, _process("cistern_sensor", "stop long")
-        )
+        yield Case(rig, "stop long", "sensors", number, _process("sensors", "stop long"))
 
 
 def _dry(repeats: int) -> Iterator[Case]:

@@ -1,9 +1,9 @@
-"""The node of a sensor: publishes its readings.
+"""The nodes of all sensors, in one process: they publish the readings.
 
-``python -m greenroof_ros.live.sensor --of cistern`` publishes /cistern/level, and likewise for
-each section of ``config/sensors.yaml``: once per period for a sensor on Modbus, at each message for
-a sensor on MQTT. A bad reading is not published, and /diagnostics says why; the last value then
-becomes too old for its readers.
+``python -m greenroof_ros.live.sensors --sensors sensors.yaml`` makes a node for each section of the
+file, such as /cistern_sensor, which publishes /cistern/level: once per period for a sensor on
+Modbus, at each message for a sensor on MQTT. A bad reading is not published, and /diagnostics says
+why; the last value then becomes too old for its readers.
 """
 
 from __future__ import annotations
@@ -13,17 +13,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.drives.modbus_sensor import ModbusReader
+from greenroof_ros.drives.modbus_sensor import ModbusReader, SensorLine
 from greenroof_ros.drives.mqtt_sensor import MqttReader
-from greenroof_ros.drives.sensor_file import (
-    QUANTITIES,
-    TANKS,
-    ModbusSensor,
-    default_sensors,
-    read_sensors,
-)
+from greenroof_ros.drives.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, STALE, WARN
@@ -40,34 +33,27 @@ _AWAITED_S = 5.0
 
 def parameters(site: Site | None = None) -> list[Parameter]:
     """Return the parameters of sensor nodes, which are the same at every site."""
-    sensors = Parameter(
-        "sensors_file", str(default_sensors()), meaning="the sensors and their addresses"
-    )
-    limits = dict.fromkeys(LIMITS[quantity.topic_name] for quantity in QUANTITIES.values())
-    return [sensors, *limits]
+    return list(dict.fromkeys(LIMITS[quantity.topic_name] for quantity in QUANTITIES.values()))
 
 
 class SensorNode(LiveNode):
     """Publishes the readings of a sensor."""
 
-    def __init__(self, section: str) -> None:
-        """Read the sensors' file, and begin to read the sensor.
+    def __init__(self, section: str, file: Path, lines: dict[str, SensorLine]) -> None:
+        """Read the sensor's section; nothing is connected yet.
 
         Args:
             section: section of the file, such as ``cistern``.
+            file: the sensors' file.
+            lines: the lines of the sensors on Modbus, by connection; this sensor is added.
 
         Raises:
-            ConfigurationError: the file is wrong, or has no such section.
+            ConfigurationError: the file is wrong.
         """
         quantity = QUANTITIES[section]
         super().__init__(quantity.node, quantity.node)
         values = declare(self, parameters())
-        file = Path(values["sensors_file"])
-        sensor = read_sensors(file, values).by_section.get(section)
-        if sensor is None:
-            raise ConfigurationError(
-                "is missing: it describes the sensor", file=file, key=section
-            )
+        sensor = read_sensors(file, values).by_section[section]
         self._topic, unit = quantity.topic_name, quantity.topic.unit
         self._lowest = quantity.topic.low
         # A missing level stops the pump; other missing quantities may not.
@@ -80,13 +66,17 @@ class SensorNode(LiveNode):
         self.reports.hardware = str(sensor)
         self._reader: ModbusReader | MqttReader
         if isinstance(sensor, ModbusSensor):
-            self._reader, self._hangs_s = ModbusReader(
-                sensor, unit, spread_s=quantity.spread_s
-            ), _PERIODS * sensor.period
+            line = lines.setdefault(sensor.connection, SensorLine(sensor.address))
+            age = values[quantity.limit]
+            self._reader = ModbusReader(sensor, unit, line, age, quantity.spread_s)
+            # Besides, the other sensors on its line can take half of the greatest age.
+            self._hangs_s = _PERIODS * sensor.period + age / 2
         else:
-            self._reader, self._hangs_s = MqttReader(
-                quantity.node, sensor, unit, quantity.spread_s
-            ), math.inf
+            self._reader = MqttReader(quantity.node, sensor, unit, quantity.spread_s)
+            self._hangs_s = math.inf
+
+    def start(self) -> None:
+        """Begin to read the sensor."""
         self._reader.start()
 
     def on_timer(self, now: float) -> None:
@@ -124,15 +114,29 @@ class SensorNode(LiveNode):
         self._reader.close()
 
 
-def _help(section: str | None) -> str:
+def sensor_nodes(file: str) -> list[SensorNode]:
+    """Return a node for each sensor in a file, which is being read.
+
+    Raises:
+        ConfigurationError: the file or a parameter is wrong, or a library is missing.
+    """
+    lines: dict[str, SensorLine] = {}
+    nodes = [
+        SensorNode(section, Path(file), lines) for section in read_sensors(Path(file)).by_section
+    ]
+    for node in nodes:
+        node.start()
+    return nodes
+
+
+def _help(file: str | None) -> str:
     return node_help(
-        f"live.sensor --of {section or 'SECTION'}", QUANTITIES[section or TANKS[0]].node,
-        f"{__doc__}\nSECTION is {', '.join(QUANTITIES)}.", parameters,
-        "--ros-args -p sensors_file:=my_sensors.yaml", live=True,
+        "live.sensors --sensors FILE", [quantity.node for quantity in QUANTITIES.values()],
+        __doc__, parameters, "--ros-args -p level_limit:=4.0", live=True,
     )
 
 
-main = live_command(SensorNode, _help, "--of", tuple(QUANTITIES))
+main = live_command(sensor_nodes, _help, "--sensors")
 
 
 if __name__ == "__main__":
