@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import numpy as np
 
 from greenroof_ros.common.interface import Topic
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.graph.messages import decoder
 from greenroof_ros.graph.publishers import Publishers
 
@@ -84,7 +84,4 @@ class Input:
 
 def accepted(topic: Topic) -> str:
     """Return what the values of a topic must be, as a clause."""
-    unit = "" if topic.unit == "1" else f" {topic.unit}"
-    if topic.high < sys.float_info.max:
-        return f"must be from {topic.low:g} to {topic.high:g}{unit}"
-    return f"must be finite and at least {topic.low:g}{unit}"
+    return Range(topic.low, topic.high, topic.unit).expected()

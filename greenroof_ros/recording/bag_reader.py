@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.interface import Topic, find_namespace, read_topics
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import from_epoch_ns
 from greenroof_ros.formats.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.model.plant import maximum_pump_flow
@@ -356,7 +357,7 @@ def _without_outliers(
         len(wrong) >= _MOST_OUTLIERS * len(values) or 2 * large >= np.count_nonzero(values)
     ):
         raise ConfigurationError(
-            f"must be from {topic.low:g} to {high:g} {topic.unit}{why}, but is "
+            f"{Range(topic.low, high, topic.unit).expected()}{why}, but is "
             f"{values[wrong[0]]:g} {topic.unit} at "
             f"{from_epoch_ns(int(times[wrong[0]])).isoformat()}; is a unit wrong?",
             file=bag, key=topic.name,

@@ -28,6 +28,7 @@ from urllib.parse import urlsplit
 from aiohttp import web
 
 from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.graph.looker import StopFailedError
 from greenroof_ros.watch import words
 from greenroof_ros.watch.document import LEAST_HOURS, MOST_HOURS, document, series
@@ -420,11 +421,10 @@ async def _sent(
 
 def _number(body: Mapping[str, object], name: str, unit: str) -> float:
     """Return a number from a request for a dose; the pump node checks its range."""
-    value = body.get(name)
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        with suppress(OverflowError):
-            return float(value)
-    raise web.HTTPBadRequest(reason=f"{name} must be a number ({unit})")
+    try:
+        return Range(unit=unit).check(body.get(name))
+    except ValueError as error:
+        raise web.HTTPBadRequest(reason=f"{name} {error}") from None
 
 
 def _hours(text: str) -> float:

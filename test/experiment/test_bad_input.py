@@ -31,7 +31,7 @@ OPTIONS = {
     "--noise-seed 0.5": "must be a whole number from 0 to 2147483647",
     "--weight 0,1": "must be a number greater than 0, with a decimal point, not 0,1",
     "--gaps fil": "argument --gaps: 'fil' is not known; did you mean fill?",
-    "--speed fast": "must be max, or a number greater than 0, not fast",
+    "--speed fast": "must be a number greater than 0, or max, not fast",
     "--cistern 60": "--cistern and --roof",
     "--initial low-low --cistern 60 --roof 2": "--initial",
     "--hours 0.0001": "whole number of ticks",
