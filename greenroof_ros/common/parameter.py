@@ -101,20 +101,20 @@ def entry(
         default: the default of an optional key.
         factory: makes the default, if that is a mapping.
     """
-    metadata = {"entry": Parameter("", None, unit, low, high, meaning, among=choices)}
+    value = None if default is MISSING else default
+    metadata = {"entry": Parameter("", value, unit, low, high, meaning, among=choices)}
     result: Any = field(default=default, default_factory=factory, metadata=metadata)
     return result
 
 
 @dataclass(frozen=True)
 class Key:
-    """A key of a file: a field of a dataclass."""
+    """A key of a file: a field of a dataclass, which is required if it has no default."""
 
     name: str
     kind: Any
     entry: Parameter
     optional: bool
-    default: Any
 
 
 def keys(kind: Any) -> list[Key]:
@@ -122,9 +122,9 @@ def keys(kind: Any) -> list[Key]:
     hints = get_type_hints(kind)
     return [
         Key(
-            attribute.name, hints[attribute.name], attribute.metadata["entry"],
+            attribute.name, hints[attribute.name],
+            replace(attribute.metadata["entry"], name=attribute.name),
             attribute.default is not MISSING or attribute.default_factory is not MISSING,
-            attribute.default,
         )
         for attribute in fields(kind) if "entry" in attribute.metadata
     ]
@@ -132,10 +132,7 @@ def keys(kind: Any) -> list[Key]:
 
 def parameters_of(kind: Any) -> list[Parameter]:
     """Return the keys of a dataclass as parameters; a required key has the default None."""
-    return [
-        replace(key.entry, name=key.name, default=None if key.default is MISSING else key.default)
-        for key in keys(kind)
-    ]
+    return [key.entry for key in keys(kind)]
 
 
 class _Wrong(Exception):

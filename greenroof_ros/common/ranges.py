@@ -48,32 +48,30 @@ class Range:
         low, high = (
             str(end) if isinstance(end, int) else f"{end:.9g}" for end in (self.low, self.high)
         )
-        if self.high >= sys.float_info.max:
-            return f"at least {low}" if self.low > -sys.float_info.max else ""
-        return f"{low} to {high}" if self.low > -sys.float_info.max else f"at most {high}"
+        if 0 < self.low <= _TINY:
+            ends = ["greater than 0"]
+        else:
+            ends = [f"at least {low}"] * (self.low > -sys.float_info.max)
+        if -_TINY <= self.high < 0:
+            ends += ["less than 0"]
+        else:
+            ends += [f"at most {high}"] * (self.high < sys.float_info.max)
+        both = " and ".join(ends)
+        return f"{low} to {high}" if both == f"at least {low} and at most {high}" else both
 
     def __str__(self) -> str:
         """Return what a value must be: ``a number from 0 to 1 m``."""
-        return self._words(self.limits)
+        kind = "a finite" if self.high == sys.float_info.max else "a"
+        limits = self.limits
+        of = "of " if limits.startswith("at ") else "from " if " to " in limits else ""
+        unit = "" if self.unit == "1" else self.unit
+        words = (kind, "whole" * self.whole, "number", of + limits, unit)
+        return ", or ".join((" ".join(filter(None, words)), *self.words))
 
     def expected(self, value: object = None) -> str:
         """Return the sentence about a wrong value: ``must be a number from 0 to 1 m``."""
-        number = value if isinstance(value, (int, float)) else math.nan
-        limits = self.limits
-        if 0 < self.low <= _TINY and not number > 0:
-            limits = "greater than 0"
-        elif -_TINY <= self.high < 0 and not number < 0:
-            limits = "less than 0"
         comma = isinstance(value, str) and re.fullmatch(r"[-+]?\d*,\d+", value.strip())
-        return f"must be {self._words(limits)}{', with a decimal point' if comma else ''}"
-
-    def _words(self, limits: str) -> str:
-        kind = "a whole number" if self.whole else "a number"
-        if self.high == sys.float_info.max:
-            kind = kind.replace("a ", "a finite ", 1)
-        of = " from " if " to " in limits else " of " if limits.startswith("at") else " "
-        unit = f" {self.unit}" if self.unit not in ("", "1") else ""
-        return ", or ".join((f"{kind}{of if limits else ''}{limits}{unit}", *self.words))
+        return f"must be {self}{', with a decimal point' if comma else ''}"
 
     def check(self, value: object) -> float:
         """Return a value as a number: an int if it must be whole, otherwise a float.

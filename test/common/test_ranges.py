@@ -31,11 +31,9 @@ FINITE = Range(0.0, sys.float_info.max, "m3/s")
         (SHARE, None, "must be a number from 0 to 1"),
         (LEVEL, 2.6, "must be a number from -0.1 to 2.5 m"),
         (LEVEL, "2,5", "must be a number from -0.1 to 2.5 m, with a decimal point"),
-        (POSITIVE, 0, "must be a number greater than 0 m2"),
-        (POSITIVE, "wide", "must be a number greater than 0 m2"),
-        (POSITIVE, 1e10, "must be a number from 1e-12 to 1e+09 m2"),
-        (NEGATIVE, 0.0, "must be a number less than 0"),
-        (NEGATIVE, -1e10, "must be a number from -1e+09 to -1e-12"),
+        (POSITIVE, 0, "must be a number greater than 0 and at most 1e+09 m2"),
+        (POSITIVE, 1e10, "must be a number greater than 0 and at most 1e+09 m2"),
+        (NEGATIVE, 0.0, "must be a number of at least -1e+09 and less than 0"),
         (PORT, 0, "must be a whole number from 1 to 65535"),
         (PORT, 80.0, "must be a whole number from 1 to 65535"),
         (Range(0, 2**40, whole=True), -1, "must be a whole number from 0 to 1099511627776"),
@@ -43,7 +41,7 @@ FINITE = Range(0.0, sys.float_info.max, "m3/s")
         (Range(high=4.0, unit="s"), 5.0, "must be a number of at most 4 s"),
         (FINITE, math.inf, "must be a finite number of at least 0 m3/s"),
         (Range(), 10**400, "must be a number"),
-        (Range(1e-9, 1e9, words=("max",)), "fast", "must be a number greater than 0, or max"),
+        (Range(1e-9, words=("max",)), "fast", "must be a number greater than 0, or max"),
     ],
 )
 def test_the_sentence_about_a_wrong_value(allowed: Range, wrong: object, sentence: str) -> None:

@@ -123,9 +123,9 @@ TWELVE = "twelve numbers in brackets, January to December, each a number from 0 
     ("base", "changes", "key", "reason"),
     [
         # Out of range: with a unit, without one, and a whole number.
-        (PAPERS, {"a2": "-68.8"}, "a2", "a number greater than 0 m2 (bottom surface area"),
-        (PAPERS, {"a2": "1e10"}, "a2", "a number from 1e-12 to 1e+09 m2 (bottom surface area of"),
-        (PAPERS, {"a_hat": "0"}, "a_hat", "a number less than 0 s2/m5 (coefficient of the pump"),
+        (PAPERS, {"a2": "-68.8"}, "a2", "a number greater than 0 and at most 1e+09 m2 (bottom"),
+        (PAPERS, {"a2": "1e10"}, "a2", "a number greater than 0 and at most 1e+09 m2 (bottom"),
+        (PAPERS, {"a_hat": "0"}, "a_hat", "a number of at least -1e+09 and less than 0 s2/m5 (co"),
         (PAPERS, {"k_L": "-1.0e-9"}, "k_L", "a number from 0 to 1e+09 (minor loss coeffi"),
         (PAPERS, {"M": "1001"}, "M", "a whole number from 1 to 1000 ticks (look-ahead"),
         # A value that contradicts another.
