@@ -39,7 +39,6 @@ from greenroof_ros.__main__ import COMMANDS, GROUPS
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic, markdown_table, read_conditions, read_topics
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
-from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.drives import drive_file, relay_file, sensor_file
 from greenroof_ros.forecast.skill import Climate, Errors
@@ -111,8 +110,7 @@ def quality() -> str:
     shown = {name: (label, unit) for name, label, _, unit in displays()}
 
     def values(topic: Topic) -> str:
-        limits = Range(topic.low, topic.high).limits or "finite"
-        return limits if "Float64" in topic.type else "any"
+        return topic.range.limits or "finite" if "Float64" in topic.type else "any"
 
     def messages(topic: Topic) -> str:
         if not topic.publishers:

@@ -678,7 +678,7 @@ class Table:
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            low, high = (end * unit.per_ours + unit.zero for end in (low, high))
+            low, high = (float(f"{end * unit.per_ours + unit.zero:g}") for end in (low, high))
             expected = Range(low, high, unit.name).expected(text)
             raise self.refuse(
                 expected + (", or empty" if "" in missing else "") + hint, column, row

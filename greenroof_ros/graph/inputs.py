@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.common.interface import Topic
-from greenroof_ros.common.ranges import Range
 from greenroof_ros.graph.messages import decoder
 from greenroof_ros.graph.publishers import Publishers
 
@@ -78,10 +76,5 @@ class Input:
 
     def _refuse(self, value: float, instead: Any) -> None:
         self.refused += 1
-        self.refusal = f"was refused: {value!r}; it {accepted(self.topic)}"
+        self.refusal = f"was refused: {value!r}; it {self.topic.range.expected()}"
         self.value = instead
-
-
-def accepted(topic: Topic) -> str:
-    """Return what the values of a topic must be, as a clause."""
-    return Range(topic.low, topic.high, topic.unit).expected()
