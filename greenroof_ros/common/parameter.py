@@ -109,7 +109,7 @@ def entry(
 
 @dataclass(frozen=True)
 class Key:
-    """A key of a file: a field of a dataclass, which is required if it has no default."""
+    """A key of a file: a field of a dataclass."""
 
     name: str
     kind: Any

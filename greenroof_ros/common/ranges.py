@@ -16,6 +16,7 @@ from greenroof_ros.common.errors import ConfigurationError
 
 # A limit this near 0 only excludes 0.
 _TINY = 1e-9
+_GREATEST = sys.float_info.max
 
 
 @dataclass(frozen=True)
@@ -48,20 +49,18 @@ class Range:
         low, high = (
             str(end) if isinstance(end, int) else f"{end:.9g}" for end in (self.low, self.high)
         )
-        if 0 < self.low <= _TINY:
-            ends = ["greater than 0"]
-        else:
-            ends = [f"at least {low}"] * (self.low > -sys.float_info.max)
-        if -_TINY <= self.high < 0:
-            ends += ["less than 0"]
-        else:
-            ends += [f"at most {high}"] * (self.high < sys.float_info.max)
-        both = " and ".join(ends)
-        return f"{low} to {high}" if both == f"at least {low} and at most {high}" else both
+        above = "greater than 0" if 0 < self.low <= _TINY else f"at least {low}"
+        below = "less than 0" if -_TINY <= self.high < 0 else f"at most {high}"
+        if self.low <= -_GREATEST:
+            return "" if self.high >= _GREATEST else below
+        if self.high >= _GREATEST:
+            return above
+        both = f"{above} and {below}"
+        return both if " than " in both else f"{low} to {high}"
 
     def __str__(self) -> str:
         """Return what a value must be: ``a number from 0 to 1 m``."""
-        kind = "a finite" if self.high == sys.float_info.max else "a"
+        kind = "a finite" if self.high == _GREATEST else "a"
         limits = self.limits
         of = "of " if limits.startswith("at ") else "from " if " to " in limits else ""
         unit = "" if self.unit == "1" else self.unit
