@@ -36,7 +36,6 @@ from who_publishes import WAYS, drawing
 from worth import drawing as drawing_of_worth
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
-from greenroof_ros.common.errors import span as accepted
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic, markdown_table, read_conditions, read_topics
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
@@ -98,16 +97,6 @@ def number(value: object) -> str:
     return f"`{digits}.0`" if whole and isinstance(value, float) else f"`{digits}`"
 
 
-def span(low: float, high: float) -> str:
-    """Return a range."""
-    if not max(abs(low), abs(high)) < sys.float_info.max:
-        low, high = max(low, -math.inf), math.inf if high >= sys.float_info.max else high
-        if low <= -sys.float_info.max:
-            return "finite" if math.isinf(high) else f"at most {high:g}"
-        return f"{low:g} or more"
-    return f"{low:g} to {high:g}"
-
-
 # --- topics ---------------------------------------------------------------------------------------
 
 
@@ -119,6 +108,9 @@ def topics() -> str:
 def quality() -> str:
     """Return range and quality of service of each topic, and how tools show it."""
     shown = {name: (label, unit) for name, label, _, unit in displays()}
+
+    def values(topic: Topic) -> str:
+        return topic.range.limits or "finite" if "Float64" in topic.type else "any"
 
     def messages(topic: Topic) -> str:
         if not topic.publishers:
@@ -140,8 +132,8 @@ def quality() -> str:
         (
             (
                 f"`{topic.name}`",
-                span(topic.low, topic.high) if "Float64" in topic.type else "any",
-                messages(topic), service(topic), *shown.get(f"`{topic.name}`", ("", "")),
+                values(topic), messages(topic), service(topic),
+                *shown.get(f"`{topic.name}`", ("", "")),
             )
             for topic in read_topics().values()
         ),
@@ -163,7 +155,7 @@ def controllers() -> str:
         parts.append(markdown(header, (
             (
                 f"`{each.name}`", "integer" if each.whole else "double", number(each.default),
-                each.unit, span(each.low, each.high), "yes" if each.may_change else "no",
+                each.unit, each.limits, "yes" if each.may_change else "no",
                 each.meaning,
             )
             for each in first
@@ -275,12 +267,8 @@ def _keys(parts: Mapping[str, Any]) -> str:
     """Return every key of the parts of a file."""
 
     def limits(key: Key) -> str:
-        entry = key.entry
-        if math.isfinite(entry.low) or math.isfinite(entry.high):
-            texts = [accepted(entry.low, entry.high)]
-        else:
-            texts = []
-        return ", ".join([*texts, *(f"`{choice}`" for choice in entry.among if choice)])
+        choices = (f"`{choice}`" for choice in key.entry.among if choice)
+        return ", ".join(filter(None, (key.entry.range.limits, *choices)))
 
     return "\n".join(
         f"### {title[0].upper()}{title[1:]}\n\n"
@@ -389,8 +377,7 @@ def pump_settings() -> str:
         ("parameter", "default", "unit", "range", "meaning"),
         (
             (
-                f"`{entry.name}`", number(entry.default), entry.unit, span(entry.low, entry.high),
-                entry.meaning,
+                f"`{entry.name}`", number(entry.default), entry.unit, entry.limits, entry.meaning,
             )
             for entry in pump_parameters(site)
         ),

@@ -7,7 +7,6 @@ import errno
 import functools
 import io
 import itertools
-import math
 import os
 import re
 import signal
@@ -24,10 +23,9 @@ from greenroof_ros.common.errors import (
     OccupiedError,
     alike,
     must_be_one_of,
-    span,
-    with_point,
 )
 from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.common.ranges import Range
 
 EXIT_DONE = 0
 EXIT_FAILED = 1
@@ -227,7 +225,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def within(
-    low: float, high: float, kind: Callable[[str], float] = float, *, word: str = ""
+    low: float, high: float, kind: type[float] = float, *, word: str = ""
 ) -> Callable[[str], float]:
     """Return a parser of an option that must be a number in a range; a whole number for ``int``.
 
@@ -237,24 +235,16 @@ def within(
         kind: ``float`` or ``int``.
         word: a word that the option accepts, too; it stands for 0.
     """
-    number = "a whole number" if kind is int else "a number"
-    number = f"{word}, or {number}" if word else number
-    limits = f"from {low} to {high}" if kind is int else f"from {low:g} to {high:g}"
+    allowed = Range(low, high, whole=kind is int, words=(word,) if word else ())
 
     def parse(text: str) -> float:
-        if word and text == word:
-            return 0.0
         try:
-            value = kind(text)
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high:
-            expected = limits if kind is int else span(low, high, value) + with_point(text)
-            raise argparse.ArgumentTypeError(f"must be {number} {expected}, not {text}")
-        return value
+            return 0.0 if text in allowed.words else allowed.parse(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(f"{error}, not {text}") from None
 
     # The documentation shows this as what the option accepts.
-    parse.__name__ = f"{number.removeprefix('a ')} {limits}"
+    parse.__name__ = str(allowed).removeprefix("a ")
     return parse
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from difflib import SequenceMatcher
@@ -101,24 +99,3 @@ def must_be_one_of(known: Collection[str], name: str, otherwise: str = "") -> st
     if alike(name, known):
         return f"is not known; {did_you_mean(name, known)}"
     return f"must be one of {', '.join(known)}{otherwise}"
-
-
-def with_point(value: object) -> str:
-    """Return a clause for a message if a value is no number only because of its decimal comma."""
-    comma = isinstance(value, str) and re.fullmatch(r"[-+]?\d*,\d+", value.strip())
-    return ", with a decimal point" if comma else ""
-
-
-# A limit this near 0 only excludes 0.
-_TINY = 1e-9
-
-
-def span(low: float, high: float, value: float | None = None) -> str:
-    """Return a range in words; for a message about a value outside, if that value is given."""
-    if value is not None and 0 < low <= _TINY and not value > 0:
-        return "greater than 0"
-    if value is not None and -_TINY <= high < 0 and not value < 0:
-        return "less than 0"
-    if math.isinf(high):
-        return f"{low:.9g} or more"
-    return f"at most {high:.9g}" if math.isinf(low) else f"from {low:.9g} to {high:.9g}"

@@ -6,7 +6,6 @@ import codecs
 import ctypes
 import functools
 import hashlib
-import math
 import os
 import re
 from collections.abc import Callable, Container, Iterator
@@ -16,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from greenroof_ros.common.errors import ConfigurationError, with_point
+from greenroof_ros.common.errors import ConfigurationError
 
 try:
     from yaml import CBaseLoader as _LibYaml
@@ -308,21 +307,3 @@ def replace_text(file: Path, text: str) -> None:
         stream.flush()
         os.fsync(stream.fileno())
     part.replace(file)
-
-
-def number(path: Path, mapping: YamlMapping, key: str) -> float:
-    """Return the number under a key.
-
-    Raises:
-        ConfigurationError: it is not a number. ``nan`` and ``inf`` are returned.
-    """
-    value = mapping[key]
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ConfigurationError(
-            f"must be a number{with_point(value)}", file=path, line=mapping.lines[key], key=key,
-            value=value,
-        )
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf

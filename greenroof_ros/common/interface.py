@@ -13,6 +13,7 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
+from greenroof_ros.common.ranges import Range
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,11 @@ class Topic:
     live: bool = True
     live_publishers: tuple[str, ...] = ()
     live_subscribers: tuple[str, ...] = ()
+
+    @property
+    def range(self) -> Range:
+        """The numbers that its values may be."""
+        return Range(self.low, self.high, self.unit)
 
     @property
     def graph_name(self) -> str:

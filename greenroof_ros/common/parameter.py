@@ -17,14 +17,9 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, NewType, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from greenroof_ros.common.errors import (
-    ConfigurationError,
-    did_you_mean,
-    must_be_one_of,
-    span,
-    with_point,
-)
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean, must_be_one_of
 from greenroof_ros.common.files import YamlMapping
+from greenroof_ros.common.ranges import Range
 
 Record = TypeVar("Record")
 # A whole number that a file may write in hexadecimal, such as 0x047E.
@@ -75,20 +70,14 @@ class Parameter:
         return f"{self.meaning} ({self.unit})" if self.unit else self.meaning
 
     @property
+    def range(self) -> Range:
+        """The numbers that it may be."""
+        return Range(self.low, self.high, self.unit, self.whole)
+
+    @property
     def limits(self) -> str:
         """Its range, or the allowed texts; empty if there is no limit."""
-        if math.isinf(self.low):
-            return " or ".join(self.among)
-        return f"{self.low} to {self.high}" if self.whole else f"{self.low:g} to {self.high:g}"
-
-    def expected(self, value: float) -> str:
-        """Return what a number must be, for a message about a value that is not accepted."""
-        kind = "a whole number " if self.whole else ""
-        return f"must be {kind}{span(self.low, self.high, value)}"
-
-    def accepts(self, value: float) -> bool:
-        """Return whether a number is in the range, and whole if it must be."""
-        return self.low <= value <= self.high and not (self.whole and value % 1)
+        return " or ".join(self.among) or self.range.limits
 
 
 def entry(
@@ -112,7 +101,8 @@ def entry(
         default: the default of an optional key.
         factory: makes the default, if that is a mapping.
     """
-    metadata = {"entry": Parameter("", None, unit, low, high, meaning, among=choices)}
+    value = None if default is MISSING else default
+    metadata = {"entry": Parameter("", value, unit, low, high, meaning, among=choices)}
     result: Any = field(default=default, default_factory=factory, metadata=metadata)
     return result
 
@@ -125,7 +115,6 @@ class Key:
     kind: Any
     entry: Parameter
     optional: bool
-    default: Any
 
 
 def keys(kind: Any) -> list[Key]:
@@ -133,9 +122,9 @@ def keys(kind: Any) -> list[Key]:
     hints = get_type_hints(kind)
     return [
         Key(
-            attribute.name, hints[attribute.name], attribute.metadata["entry"],
+            attribute.name, hints[attribute.name],
+            replace(attribute.metadata["entry"], name=attribute.name),
             attribute.default is not MISSING or attribute.default_factory is not MISSING,
-            attribute.default,
         )
         for attribute in fields(kind) if "entry" in attribute.metadata
     ]
@@ -143,10 +132,7 @@ def keys(kind: Any) -> list[Key]:
 
 def parameters_of(kind: Any) -> list[Parameter]:
     """Return the keys of a dataclass as parameters; a required key has the default None."""
-    return [
-        replace(key.entry, name=key.name, default=None if key.default is MISSING else key.default)
-        for key in keys(kind)
-    ]
+    return [key.entry for key in keys(kind)]
 
 
 class _Wrong(Exception):
@@ -283,12 +269,8 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
         return " ".join(value.split())
     if kind is Word and isinstance(value, str) and _HEXADECIMAL.fullmatch(value):
         value = int(value, 16)
-    whole = kind in (int, Word)
-    if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
-        expected = "a whole number" if whole else f"a number{with_point(value)}"
-        if kind is Word:
-            expected += ", such as 0x047E or 1150"
-        raise _Wrong(parts, f"must be {' or '.join((expected, *entry.among))}", value)
-    if not entry.low <= value <= entry.high:
-        raise _Wrong(parts, f"must be {span(entry.low, entry.high, value)}", value)
-    return value if whole else float(value)
+    try:
+        return replace(entry.range, whole=kind in (int, Word), words=entry.among).check(value)
+    except ValueError as error:
+        example = ", such as 0x047E or 1150" if kind is Word else ""
+        raise _Wrong(parts, f"{error}{example}", value) from None

@@ -149,10 +149,10 @@ def _parameters(trial: _Trial) -> None:
             )
         if not (parameter.unit and parameter.meaning):
             raise _ProblemError(f"{parameter.name} has no unit ('1' if none) or no meaning")
-        if not parameter.accepts(parameter.default):
+        if parameter.default not in parameter.range:
             raise _ProblemError(
                 f"the default of {parameter.name}, {parameter.default:g}, "
-                f"{parameter.expected(parameter.default)}"
+                f"{parameter.range.expected(parameter.default)}"
             )
 
 

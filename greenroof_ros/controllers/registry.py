@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean, must_be_one_of
-from greenroof_ros.common.files import YamlMapping, number, read_ros_parameters, shared_directory
+from greenroof_ros.common.files import YamlMapping, read_ros_parameters, shared_directory
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.protocol import Controller, ControllerClass
 from greenroof_ros.model.site import Site
@@ -212,16 +212,10 @@ def read_numbers(
     Raises:
         ConfigurationError: a value is not a number, or not in its range.
     """
-    values = {}
-    for key in (key for key in entries if key in parameters):
-        value, parameter = number(path, entries, key), parameters[key]
-        if not parameter.accepts(value):
-            raise ConfigurationError(
-                parameter.expected(value), file=path, line=entries.lines[key], key=key,
-                value=entries[key],
-            )
-        values[key] = int(value) if parameter.whole else value
-    return values
+    return {
+        key: parameters[key].range.read(value, file=path, line=entries.lines[key], key=key)
+        for key, value in entries.items() if key in parameters
+    }
 
 
 def controller_names() -> list[str]:

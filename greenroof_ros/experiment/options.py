@@ -119,11 +119,10 @@ def _add_parameters(
 ) -> None:
     """Add an option for each parameter; the names of their arguments begin with the prefix."""
     for parameter in parameters:
-        low, high = parameter.low, parameter.high
         unit = "" if parameter.unit in ("", "1") else f"{parameter.unit}, "
         group.add_argument(
             _option(parameter.name), dest=f"{prefix}{parameter.name}", metavar="X",
-            type=within(int(low), int(high), int) if parameter.whole else within(low, high),
+            type=within(parameter.low, parameter.high, type(parameter.default)),
             help=f"{parameter.meaning} ({unit}default: {parameter.default:g})",
         )
 

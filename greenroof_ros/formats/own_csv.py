@@ -12,6 +12,7 @@ from zoneinfo import ZoneInfo
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import read_lines
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import parse_time, to_minutes
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
@@ -46,7 +47,9 @@ _MOST_BYTES, _CHUNK = 16_000_000, 1_000_000
 _COMMENT = re.compile(r"\s*(#|$)")
 # The place of a weather file, in a comment at its head.
 _PLACE = re.compile(r"\b(latitude|longitude)\s*[:=]\s*([-+]?\d+(?:\.\d*)?)", re.IGNORECASE)
-_ENDS = {"latitude": 90.0, "longitude": 180.0}
+_ENDS = {
+    "latitude": Range(-90.0, 90.0, "degrees"), "longitude": Range(-180.0, 180.0, "degrees"),
+}
 _MEMBERS = ("(whole)", 0.0, MOST_MEMBERS - 1.0)
 _OPTIONAL = {"available", "member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
 
@@ -98,12 +101,7 @@ def _place(file: Path) -> dict[Path, tuple[float, float]]:
     with file.open(encoding="utf-8-sig") as stream:
         for number, line in enumerate(itertools.takewhile(_COMMENT.match, stream), 1):
             for key, text in _PLACE.findall(line.lower()):
-                if abs(float(text)) > _ENDS[key]:
-                    raise ConfigurationError(
-                        f"must be from {-_ENDS[key]:g} to {_ENDS[key]:g} degrees",
-                        file=file, line=number, key=key, value=text,
-                    )
-                found[key] = float(text)
+                found[key] = _ENDS[key].read(float(text), file=file, line=number, key=key)
     return {file: (found["latitude"], found["longitude"])} if len(found) == 2 else {}
 
 

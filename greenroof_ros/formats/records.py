@@ -16,8 +16,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError, with_point
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_lines
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import (
     DEFAULT_START,
     FIRST_YEAR,
@@ -677,11 +678,10 @@ class Table:
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            ends = [f"{end * unit.per_ours + unit.zero:g}" for end in (low, high)]
+            low, high = (float(f"{end * unit.per_ours + unit.zero:g}") for end in (low, high))
+            expected = Range(low, high, unit.name).expected(text)
             raise self.refuse(
-                f"must be a number from {' to '.join(ends)} {unit.name}{with_point(text)}"
-                + (", or empty" if "" in missing else "") + hint,
-                column, row,
+                expected + (", or empty" if "" in missing else "") + hint, column, row
             )
         return value
 

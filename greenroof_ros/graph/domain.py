@@ -20,6 +20,7 @@ from typing import Any
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError, with_extra
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import LockedError, take_name
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.graph.rclpy_internals import waiting_in
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -110,7 +111,7 @@ def _domain() -> int:
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not text.isdecimal() or int(text) > _LAST_DOMAIN:
         raise ConfigurationError(
-            f"must be a number from 0 to {_LAST_DOMAIN}", key="ROS_DOMAIN_ID", value=text
+            Range(0, _LAST_DOMAIN, whole=True).expected(), key="ROS_DOMAIN_ID", value=text
         )
     return int(text)
 

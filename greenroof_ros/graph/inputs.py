@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from array import array
 from typing import Any
 
 import numpy as np
 
-from greenroof_ros.common.interface import Topic
 from greenroof_ros.graph.messages import decoder
 from greenroof_ros.graph.publishers import Publishers
 
@@ -81,13 +79,5 @@ class Input:
 
     def _refuse(self, value: float, instead: Any) -> None:
         self.refused += 1
-        self.refusal = f"was refused: {value!r}; it {accepted(self.topic)}"
+        self.refusal = f"was refused: {value!r}; it {self.topic.range.expected()}"
         self.value = instead
-
-
-def accepted(topic: Topic) -> str:
-    """Return what the values of a topic must be, as a clause."""
-    unit = "" if topic.unit == "1" else f" {topic.unit}"
-    if topic.high < sys.float_info.max:
-        return f"must be from {topic.low:g} to {topic.high:g}{unit}"
-    return f"must be finite and at least {topic.low:g}{unit}"

@@ -19,7 +19,7 @@ from rclpy.time import Time
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.interface import Qos, Topic, read_topics
 from greenroof_ros.graph.graph_node import GraphNode
-from greenroof_ros.graph.inputs import Input, accepted
+from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.lockstep import CLOCK, RUN, Lockstep
 from greenroof_ros.graph.messages import LockstepError, decoder, qos_profile
 from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
@@ -188,8 +188,8 @@ class SimulationNode(GraphNode):
         for entry in self.inputs.values():
             if entry.refused:
                 self._warn(
-                    f"refused a value on {entry.name}: it {accepted(entry.topic)}; it acts as 0, "
-                    "and further ones are only counted"
+                    f"refused a value on {entry.name}: it {entry.topic.range.expected()}; it acts "
+                    "as 0, and further ones are only counted"
                 )
 
     def _warn(self, sentence: str) -> None:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
@@ -26,14 +25,9 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.model.site import Site, read_site
 
-# For each Python type: its name in ROS 2, and what a value must be, for messages.
-_KINDS = {
-    float: ("double", "a number such as 1.0"),
-    int: ("integer", "a whole number"),
-    bool: ("bool", "true or false"),
-    str: ("string", "a text"),
-    list: ("string array", "a list of texts"),
-}
+# The name of each Python type in ROS 2.
+_KINDS = {float: "double", int: "integer", bool: "bool", str: "string", list: "string array"}
+_TEXTS = {bool: "true or false", str: "text", list: "a list of texts"}
 _SECTION = "ros__parameters"
 
 
@@ -50,7 +44,7 @@ def default_site() -> Site:
 
 def type_name(parameter: Parameter) -> str:
     """Return the ROS 2 name of a parameter's type."""
-    return _KINDS[type(parameter.default)][0]
+    return _KINDS[type(parameter.default)]
 
 
 # --- declared by a node -----------------------------------------------------------------------
@@ -83,61 +77,49 @@ def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
 def _declare(node: Node, parameter: Parameter) -> Any:
     if node.has_parameter(parameter.name):
         return node.get_parameter(parameter.name).value
-    key = f"parameter {parameter.name} of {node.get_name()}"
+    # Of any type at first, so that a wrong value is refused in our words, not in rclpy's.
+    anything = ParameterDescriptor(dynamic_typing=True)
+    given = node.declare_parameter(parameter.name, parameter.default, anything).value
+    node.undeclare_parameter(parameter.name)
     try:
-        value = _declare_as_given(node, parameter)
-    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        raise ConfigurationError(f"{_expected(parameter)} ({error})", key=key) from error
-    if parameter.among and value not in parameter.among:
-        raise ConfigurationError(_expected(parameter), key=key, value=value)
-    return value
-
-
-def _declare_as_given(node: Node, parameter: Parameter) -> Any:
-    """Declare it with the value that is given; convert a whole number if a double is required."""
-    try:
-        return node.declare_parameter(
-            parameter.name, parameter.default, _descriptor(parameter)
-        ).value
-    except InvalidParameterTypeException:
-        if not isinstance(parameter.default, float):
-            raise
-        anything = ParameterDescriptor(dynamic_typing=True)
-        value = node.declare_parameter(parameter.name, parameter.default, anything).value
-        node.undeclare_parameter(parameter.name)
-        if type(value) is not int:
-            raise
+        value = _checked(parameter, given)
+    except ValueError as error:
+        key = f"parameter {parameter.name} of {node.get_name()}"
+        raise ConfigurationError(str(error), key=key, value=given) from None
     return node.declare_parameter(
-        parameter.name, float(value), _descriptor(parameter), ignore_override=True
+        parameter.name, value, _descriptor(parameter), ignore_override=True
     ).value
 
 
-def _expected(parameter: Parameter) -> str:
-    """Return what a value must be, for error messages."""
-    if parameter.among:
-        return f"must be {parameter.limits}"
-    return (
-        f"must be {_KINDS[type(parameter.default)][1]}"
-        f"{parameter.limits and ' from '}{parameter.limits}"
-    )
+def _checked(parameter: Parameter, value: Any) -> Any:
+    """Return a value of a parameter in the parameter's type.
+
+    Raises:
+        ValueError: it is wrong; the message says what it must be.
+    """
+    kind = type(parameter.default)
+    if kind in (int, float):
+        return parameter.range.check(value)
+    texts = type(value) is not list or (value and {*map(type, value)} == {str})
+    if type(value) is kind and texts and (value in parameter.among or not parameter.among):
+        return value
+    raise ValueError(f"must be {parameter.limits or _TEXTS[kind]}")
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return the descriptor of a parameter, which ROS tools show."""
     descriptor = ParameterDescriptor(
         description=parameter.description, read_only=not parameter.may_change,
-        additional_constraints=_expected(parameter) if parameter.among else "",
+        additional_constraints=f"must be {parameter.limits}" if parameter.among else "",
     )
     if math.isinf(parameter.low):
         return descriptor
+    ends = map(int if parameter.whole else float, (parameter.low, parameter.high))
+    limits = dict(zip(("from_value", "to_value"), ends, strict=True))
     if parameter.whole:
-        integers = IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high))
-        descriptor.integer_range = [integers]
+        descriptor.integer_range = [IntegerRange(**limits)]
     else:
-        numbers = FloatingPointRange(
-            from_value=float(parameter.low), to_value=float(parameter.high)
-        )
-        descriptor.floating_point_range = [numbers]
+        descriptor.floating_point_range = [FloatingPointRange(**limits)]
     return descriptor
 
 

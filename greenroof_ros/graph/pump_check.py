@@ -209,8 +209,8 @@ class PumpCheck(NodeCheck):
         self.spin(began + self._limits.period - time.monotonic())
         flow = self.answers[0]
         self._count_answers(1)
-        high = self.interface["/pump/flow"].high
-        require(0 <= flow <= high, f"its flow is {flow:g} m3/s, but must be from 0 to {high:g}")
+        allowed = self.interface["/pump/flow"].range
+        require(flow in allowed, f"its flow is {flow:g} m3/s, but {allowed.expected()}")
         least = (self._site.suction_level + self._least_above_suction) * self._site.a1
         self._volumes = [max(cistern - flow * tau, least), roof + flow * tau]
         return flow

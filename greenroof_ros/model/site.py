@@ -5,14 +5,14 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Container, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta, timezone, tzinfo
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.common.errors import ConfigurationError, did_you_mean, span, with_point
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, entry, keys, parameters_of
@@ -498,31 +498,25 @@ def read_site(path: Path) -> Site:
                     file=path, key=name,
                 )
             continue
-        entry, value, whole = key.entry, entries[name][2], key.kind is int
-        limits = f"from {entry.low:g} to {entry.high:g}"
+        file, line, value = entries[name]
+        allowed = replace(key.entry.range, whole=key.kind is int)
         if name == _CLIMATE:
-            if not isinstance(value, list) or len(value) != 12 or not all(
-                type(month) in (int, float) and entry.low <= month <= entry.high for month in value
+            if not isinstance(value, list) or len(value) != 12 or any(
+                month not in allowed for month in value
             ):
                 raise refuse(
-                    name, f"must be twelve numbers in brackets, January to December, each {limits} "
-                    f"{entry.unit}",
+                    name, f"must be twelve numbers in brackets, January to December, each {allowed}"
                 )
             values[name] = tuple(map(float, value))
-            continue
-        if name in _OF_CLOCK:
+        elif name in _OF_CLOCK:
             try:
                 values[name] = _of_clock(name, value)
             except (TypeError, OSError, ValueError, KeyError):
                 raise refuse(name, _OF_CLOCK[name]) from None
-            continue
-        if type(value) not in (int, float):
-            raise refuse(name, f"must be a number{with_point(value)}")
-        if not entry.low <= value <= entry.high or (whole and value % 1):
-            unit = "" if entry.unit == "1" else f"{entry.unit}, "
-            limits = f"a whole number {limits}" if whole else span(entry.low, entry.high, value)
-            raise refuse(name, f"must be {limits} ({unit}{entry.meaning})")
-        values[name] = int(value) if whole else float(value)
+        else:
+            values[name] = allowed.read(
+                value, file=file, line=line, key=name, about=f" ({key.entry.meaning})"
+            )
     for name in _FOLLOW_FROM.keys() - values.keys():
         values[name] = _product(name, values)
     site = Site(**values)

@@ -43,6 +43,7 @@ from typing import Any
 
 from greenroof_ros.common.disk import DISK, PATIENCE_S, Newest
 from greenroof_ros.common.processes import LockedError, take_lock
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import to_people
 
 DAY_S = 86_400.0
@@ -460,23 +461,19 @@ def _parse(line: bytes, number: int) -> tuple[int, Record]:
     return sequence, Record(**content | {"starts": tuple(content["starts"])})
 
 
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and 0 <= value <= MOST
-
-
 _TEXT_KIND = "text", lambda value: isinstance(value, str)
-_NUMBER_KIND = f"a number from 0 to {MOST:g}", _is_number
+_NUMBER = Range(0.0, MOST)
 # What each key of a line must be, and the check of it.
 _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "sequence": ("a whole number above 0", lambda value: type(value) is int and value > 0),
-    "hold_until": (
-        "a number or null", lambda value: value is None or _is_number(value)
-    ),
+    "hold_until": ("a number or null", lambda value: value is None or value in _NUMBER),
     **dict.fromkeys(("hold_owner", "hold_reason", "unknown", "fault", "fault_code"), _TEXT_KIND),
-    **dict.fromkeys(("elapsed", "day_run", "day_volume", "written_at"), _NUMBER_KIND),
+    **dict.fromkeys(
+        ("elapsed", "day_run", "day_volume", "written_at"), (str(_NUMBER), _NUMBER.__contains__)
+    ),
     "starts": (
         "a list of numbers",
-        lambda value: isinstance(value, list) and all(map(_is_number, value)),
+        lambda value: isinstance(value, list) and all(each in _NUMBER for each in value),
     ),
     "on": ("true or false", lambda value: isinstance(value, bool)),
 }

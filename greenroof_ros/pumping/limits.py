@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, replace
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Parameter, entry, keys
+from greenroof_ros.common.parameter import Parameter, entry, parameters_of
 from greenroof_ros.common.times import to_people
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.pump_speed import flow_at, speed_for
@@ -152,8 +152,8 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
         "greatest_volume_per_day": _volume_per_day(site),
     }
     return tuple(
-        replace(key.entry, name=key.name, default=of_site.get(key.name, key.default))
-        for key in keys(PumpSettings)
+        replace(entry, default=of_site.get(entry.name, entry.default))
+        for entry in parameters_of(PumpSettings)
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import tzinfo
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -328,7 +329,7 @@ def _as_the_plant_took_it(
         return series, []
     return series._replace(values=np.where(fine, series.values, 0.0)), [
         f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were refused in the run, "
-        f"and acted as 0: not from {topic.low:g} to {topic.high:g} {topic.unit}"
+        f"and acted as 0: a value {topic.range.expected()}"
     ]
 
 
@@ -356,7 +357,7 @@ def _without_outliers(
         len(wrong) >= _MOST_OUTLIERS * len(values) or 2 * large >= np.count_nonzero(values)
     ):
         raise ConfigurationError(
-            f"must be from {topic.low:g} to {high:g} {topic.unit}{why}, but is "
+            f"{replace(topic.range, high=high).expected()}{why}, but is "
             f"{values[wrong[0]]:g} {topic.unit} at "
             f"{from_epoch_ns(int(times[wrong[0]])).isoformat()}; is a unit wrong?",
             file=bag, key=topic.name,

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from greenroof_ros.common.errors import ConfigurationError, must_be_one_of
+from greenroof_ros.common.ranges import Range
 
 DEVICE_ID = 247
 SPEED, FAULT, PARAMETER, POWER_CYCLE, LOCAL, CISTERN_LEVEL = range(6)
@@ -128,8 +129,8 @@ def _read_fault(text: str, known: Mapping[str, Fault]) -> tuple[str, int]:
         raise ConfigurationError(f"{name} has no parameter", key="--fault", value=text)
     if not parameter.isdecimal() or int(parameter) >= DEFAULT:
         raise ConfigurationError(
-            f"its parameter ({known[name].parameter}) must be a whole number from 0 to 65534",
-            key="--fault", value=text,
+            f"its parameter ({known[name].parameter}) "
+            + Range(0, DEFAULT - 1, whole=True).expected(), key="--fault", value=text,
         )
     return name, int(parameter)
 

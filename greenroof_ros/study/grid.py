@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import (
     YamlMapping,
-    number,
     read_yaml,
     shared_directory,
     unique_name,
 )
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.registry import (
     ControllerChoice,
     controller_names,
@@ -74,6 +74,7 @@ _CONTROLLERS = (
     f"must hold controllers, each with its parameters: {', '.join(controller_names())}, or "
     "package.module:Class"
 )
+_ANY = Range()
 _FILE, _START = "must be the name of a file", "must be a time such as 2021-07-07T02:00"
 _NAME = "must be a name of your own"
 _TEXTS = {
@@ -295,7 +296,7 @@ class _Grid:
             self._keys(block, {key: _FILE}, symbols)
             for values in self._combinations(block, dict.fromkeys([key, *block])):
                 path = file = self._file(values, key)
-                own = {name: number(self._path, values, name) for name in values if name != key}
+                own = {name: self._number(values, name) for name in values if name != key}
                 read_site(file)
                 if own:
                     label = "_".join(f"{name}-{shortest(value)}" for name, value in own.items())
@@ -319,7 +320,7 @@ class _Grid:
             place = self._place(window, "file", name)
             with self._at(window, "file"):
                 files += find_files([name], "file", place)
-        hours = number(self._path, window, "hours") if "hours" in window else None
+        hours = self._number(window, "hours") if "hours" in window else None
         with self._at(window, "hours"):
             steps = count_ticks(site, hours, "hours")
         gaps = window.get("gaps", REFUSE)
@@ -538,17 +539,15 @@ class _Grid:
                 raise self._refuse(
                     self._mapping, "initial", f"a state must give either {key} or {key}_level"
                 )
-            volume = number(self._path, state, given[0]) * (1.0 if key in state else area)
-            if not volume >= 0:
-                raise self._refuse(self._mapping, "initial", "volumes must not be negative")
-            volumes.append(volume)
+            volume = self._number(state, given[0], Range(0.0))
+            volumes.append(volume * (1.0 if key in state else area))
         return volumes[0], volumes[1]
 
     def _bound_block(self, site: Site) -> float | None:
         """Return ``bound_block:`` (s), whole ticks of a site or 0; None if there is no such key."""
         if "bound_block" not in self._mapping:
             return None
-        seconds = number(self._path, self._mapping, "bound_block")
+        seconds = self._number(self._mapping, "bound_block")
         ticks = seconds / site.tau if math.isfinite(seconds) else -1.0
         if ticks < 0 or not math.isclose(ticks, round(ticks), rel_tol=1e-9, abs_tol=1e-9):
             raise self._refuse(
@@ -648,6 +647,9 @@ class _Grid:
         if not values:
             raise self._refuse(mapping, key, "is empty")
         return values
+
+    def _number(self, mapping: YamlMapping, key: str, allowed: Range = _ANY) -> float:
+        return allowed.read(mapping[key], file=self._path, line=mapping.lines[key], key=key)
 
     def _text(self, mapping: YamlMapping, key: str) -> str:
         if not isinstance(mapping[key], str):

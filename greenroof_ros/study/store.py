@@ -208,7 +208,7 @@ def _numbers() -> dict[str, str]:
     parts = ["model", "formats", "weather", "forecast", "controllers", "experiment"]
     parts += ["study/case_run.py", "recording/results_table.py"]
     # They read the numbers of sites, controllers and windows.
-    parts += ["common/files.py", "common/parameter.py", "common/times.py"]
+    parts += ["common/files.py", "common/parameter.py", "common/ranges.py", "common/times.py"]
     for part in parts:
         path = package / part
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:

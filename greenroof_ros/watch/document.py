@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.watch import tiles, words
 from greenroof_ros.watch.account import ENTRIES, HOLDS_NS
 from greenroof_ros.watch.history import Gaps, stretch_of
@@ -39,7 +40,7 @@ LINES = {
 _LEVELS = "roof", "cistern"  # change slowly, all others in steps
 
 # How much of the past a series may show (h), and about how many points a line has.
-LEAST_HOURS, MOST_HOURS, _POINTS = 0.1, 168.0, 400
+HOURS, _POINTS = Range(0.1, 168.0), 400
 # The most characters of all alarms, and of all events: the document must stay below 100 kB.
 _MOST_ALARMS, _MOST_EVENTS = 55_000, 25_000
 
@@ -339,7 +340,7 @@ def series(store: Store, hours: float) -> dict[str, Any]:
 
     Args:
         store: state of the graph.
-        hours: how far back, from ``LEAST_HOURS`` to ``MOST_HOURS``.
+        hours: how far back, in :data:`HOURS`.
     """
     with store.lock:
         now, site = store.now, store.site

@@ -28,9 +28,10 @@ from urllib.parse import urlsplit
 from aiohttp import web
 
 from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.graph.looker import StopFailedError
 from greenroof_ros.watch import words
-from greenroof_ros.watch.document import LEAST_HOURS, MOST_HOURS, document, series
+from greenroof_ros.watch.document import HOURS, document, series
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import Place, listen
 from greenroof_ros.watch.parts import Parts
@@ -420,22 +421,19 @@ async def _sent(
 
 def _number(body: Mapping[str, object], name: str, unit: str) -> float:
     """Return a number from a request for a dose; the pump node checks its range."""
-    value = body.get(name)
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        with suppress(OverflowError):
-            return float(value)
-    raise web.HTTPBadRequest(reason=f"{name} must be a number ({unit})")
+    try:
+        return Range().check(body.get(name))
+    except ValueError as error:
+        raise web.HTTPBadRequest(reason=f"{name} {error} ({unit})") from None
 
 
 def _hours(text: str) -> float:
     """Return how much of the past is requested (h); 0 for the summary alone."""
     with suppress(ValueError):
         hours = float(text)
-        if hours == 0 or LEAST_HOURS <= hours <= MOST_HOURS:
+        if hours == 0 or hours in HOURS:
             return hours
-    raise web.HTTPBadRequest(
-        reason=f"hours must be from {LEAST_HOURS:g} to {MOST_HOURS:g}, or 0"
-    )
+    raise web.HTTPBadRequest(reason=f"hours {HOURS.expected()}, or 0")
 
 
 async def _body(request: web.Request) -> dict[str, Any]:

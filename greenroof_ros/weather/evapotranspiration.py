@@ -16,6 +16,7 @@ from eto import ETo
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
     FOR_EVAPOTRANSPIRATION,
@@ -31,7 +32,7 @@ from greenroof_ros.model.site import Site
 FAO56 = "fao56"
 _PLACE = ("latitude", "longitude", "elevation", "utc_offset")
 _MJ_PER_M2_AND_HOUR = 3600e-6  # per W/m2
-_FURTHEST_NORTH = 66.0  # degrees, and as far south
+_LATITUDES = Range(-66.0, 66.0, "degrees")  # between the polar circles
 _METRES_PER_SECOND = 1 / 3.6  # per km/h
 
 
@@ -156,11 +157,11 @@ def check_latitude(site: Site) -> None:
     Raises:
         ConfigurationError: it is there.
     """
-    if abs(site.latitude or 0.0) > _FURTHEST_NORTH:
+    if (site.latitude or 0.0) not in _LATITUDES:
         raise ConfigurationError(
-            f"must be from {-_FURTHEST_NORTH:g} to {_FURTHEST_NORTH:g} degrees to compute "
-            "evapotranspiration by FAO-56, which divides the day by sunrise and sunset; give "
-            "evapotranspiration in a column, or monthly_evapotranspiration in the site file",
+            f"{_LATITUDES.expected()} to compute evapotranspiration by FAO-56, which divides the "
+            "day by sunrise and sunset; give evapotranspiration in a column, or "
+            "monthly_evapotranspiration in the site file",
             key="latitude", value=site.latitude,
         )
 

@@ -147,7 +147,7 @@ def test_all_else_in_a_site_file_stays() -> None:
     steep = {"a_hat": (-4.1e17, "steep")}
     assert refusal(edited_site_file, PAPER, steep, []).startswith(
         f"{PAPER}: the fitted values do not make a valid site; nothing is written: "
-        "a_hat = -4.1e+17: must be from"
+        "a_hat = -4.1e+17: must be a number from"
     )
     assert now[:2] == ["# Why.", ""]
     gone = [line for line in was if line not in now]

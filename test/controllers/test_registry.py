@@ -60,7 +60,7 @@ def test_a_file_for_all_nodes(tmp_path: Path) -> None:
         ),
         (
             "onoff", "/**/onoff:\n  ros__parameters:\n    fraction: -1.0\n",
-            r"mine.yaml, line 3: fraction = -1.0: must be greater than 0$",
+            r"fraction = -1.0: must be a number greater than 0 and at most 1000000$",
         ),
         (
             "lookahead", "lookahead: {ros__parameters: {days_after: 1.5}}\n",

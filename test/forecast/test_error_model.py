@@ -137,7 +137,7 @@ def test_skill_files(tmp_path: Path) -> None:
     assert f"forecast_skill: {copy}" in write_configuration(tmp_path, run, {}).read_text()
     assert copy.read_bytes() == file.read_bytes()
     for old, new, words in (
-        ("memory: 8", "memory: -8", r"climate\.memory = -8.4: must be from 0.5 to 24"),
+        ("memory: 8", "memory: -8", r"climate\.memory = -8.4: must be a number from 0.5 to 24"),
         ("  wetness: ", "# wetness: ", r"errors\.wetness: is missing: shift of z toward rain"),
     ):
         file.write_text(package.replace(old, new))

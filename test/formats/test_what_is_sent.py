@@ -691,7 +691,7 @@ def test_far_north(tmp_path: Path, latitude: float) -> None:
     assert read.evapotranspiration == pytest.approx(4.02)
     assert "monthly means, for want of sunrise each day" in read.notes[-1]
     alone = replace(site, monthly_evapotranspiration=None)
-    refusal(read_weather, [JULY], alone, match=r"latitude = .*: must be from -66 to 66 degrees")
+    refusal(read_weather, [JULY], alone, match=r"latitude = .*: must be a number from -66 to 66")
 
 
 # --- times as seconds since 1970 ------------------------------------------------------------------

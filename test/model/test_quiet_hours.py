@@ -121,7 +121,7 @@ def test_of_a_site(tmp_path: Path) -> None:
         ("time_zone", "Etc/GMT-5", "+5 h; in names that begin with Etc/ the sign is reversed"),
         ("time_zone", "America/Halifax", "its standard time is -4 h"),  # -05:00 never, -04:00 now
         ("time_zone", "UTC", "must be the zone of utc_offset, -5 h; its standard time is +0 h"),
-        ("greatest_dose", "0", "must be from 0.001 to 1000000"),
+        ("greatest_dose", "0", "must be a number from 0.001 to 1000000"),
     ],
 )
 def test_wrong_ones_are_refused_with_line_and_value(

@@ -164,7 +164,8 @@ DRIVE = "--ros-args -p drive:=abb_acs880 -p address:=tcp://127.0.0.1:1"
 REFUSED = {
     "nodes.plant --nonsense": ("--nonsense",),
     "nodes.controller --controller pid --help": ("pid", "mpc", "package.module:Class"),
-    "nodes.controller --controller mpc --ros-args -p weight:=-1.0": ("weight", "-1.0", "1e-09"),
+    "nodes.controller --controller mpc --ros-args -p weight:=-1.0":
+        ("weight", "-1.0", "greater than 0"),
     "nodes.controller --controller mpc --ros-args -p weight:=heavy": ("weight", "heavy", "number"),
     "nodes.plant --ros-args -p initial_roof_volume:=250.0":
         ("at most 159.96 m3", "250 mm is 17.2 m3"),

@@ -166,7 +166,10 @@ def test_what_decides_whether_a_run_still_counts(
     with monkeypatch.context() as patch:
         patch.setattr(store_module, "read_skill", lambda _: "other constants")
         assert "other versions of the code or its packages" in refusal(finished)
-    for name in ("model/plant.py", "common/files.py", "common/parameter.py", "common/times.py"):
+    for name in (
+        "model/plant.py", "common/files.py", "common/parameter.py", "common/ranges.py",
+        "common/times.py",
+    ):
         code = (package / name).read_text()
         (package / name).write_text(f"{code}A = 1\n")
         assert "other versions of the code or its packages" in refusal(finished), name

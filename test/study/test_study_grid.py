@@ -35,7 +35,8 @@ WRONG = {
     "site-kind": (edited(SITE, "site: [10]"), "line 2: site: must be the name of a file, {file"),
     "site-value": (  # the error is in the grid, not in the copy of the site file with the value
         edited(SITE, "site: {file: site.yaml, tau: [1.0, 0.0]}"),
-        "grid.yaml, line 2: site.yaml with these values: tau = 0.0: must be from 0.001 to 3600 (s,",
+        "grid.yaml, line 2: site.yaml with these values: tau = 0.0: must be a number from 0.001 to "
+        "3600 s (duration of a tick)",
     ),
     "no-file": (edited("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
     "bound-block": (GRID + "bound_block: 0.5\n", "line 14: bound_block = 0.5: must be a whole num"),
@@ -47,14 +48,14 @@ WRONG = {
     "initial": (edited("low-low", "low"), "line 8: initial: 'low' must be one of low-low, hig"),
     "own-state": (edited("low-low", "site"), "line 8: initial: site needs initial_cistern and in"),
     "one-value": (edited("40.0", "[40, 41]"), "cistern = [40, 41]: must be a number"),
-    "volume": (edited("roof: 0.5", "roof: -0.5"), "initial: volumes must not be negative"),
+    "volume": (edited("roof: 0.5", "roof: -0.5"), "line 8: roof = -0.5: must be a number of at"),
     "half-state": (edited(", roof: 0.5", ""), "initial: a state must give either roof or roof_"),
     "state-twice": (edited("name: dry", "name: low-low"), "initial: has low-low twice"),
     "deep": (edited("40.0", "4.0e+6"), "line 8: cistern = 4000000.0: must be at most 400 m3, a"),
     "controller": (edited("onoff:", "pid:"), "line 13: controller = 'pid': must be one of mpc"),
     "own-site": (edited("onoff:", "onoff: {site: x.yaml}"), "x.yaml is not under 'site:' of the"),
     "parameter": (edited("weight", "weights"), "line 11: weights: is not a parameter of mpc; d"),
-    "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be greater than 0"),
+    "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than 0"),
     "no-values": (edited("[1.0e-3, 0.1]", "[]"), "line 11: weight: is empty"),
     "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': 'perfekt' is not"),
     "forecast-skill": (

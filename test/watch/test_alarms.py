@@ -552,7 +552,10 @@ def test_a_watcher_that_stood_still_takes_nobody_for_silent() -> None:
 
 
 @pytest.mark.parametrize(("part", "level", "what", "code"), [
-    ("inputs", ERROR, "/weather/frost was refused: nan; it must be from 0 to 1", "input_refused"),
+    (
+        "inputs", ERROR, "/weather/frost was refused: nan; it must be a number from 0 to 1",
+        "input_refused",
+    ),
     ("inputs", ERROR, "/roof/level received; used after 10 s of good values", "input_recovering"),
     ("frost", ERROR, "/weather/frost has not come yet", "input_waiting"),
     ("levels", ERROR, "/roof/level has not come yet", "input_silent"),

@@ -1,0 +1,114 @@
+"""Ranges of numbers: the only check of a number that a user gives, and the only sentence about it.
+
+Site, controller, drive, sensor and node parameters, studies, options and topics use it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from greenroof_ros.common.errors import ConfigurationError
+
+# A limit this near 0 only excludes 0.
+_TINY = 1e-9
+_GREATEST = sys.float_info.max
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers that a value may be.
+
+    Attributes:
+        low: the minimum. Up to 1e-9 above 0 it means greater than 0.
+        high: the maximum, likewise. The greatest float means any finite number.
+        unit: of the numbers; empty or ``1`` if there is none to show.
+        whole: whether they are whole numbers.
+        words: texts that are accepted as well, for messages.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    unit: str = ""
+    whole: bool = False
+    words: tuple[str, ...] = ()
+
+    def __contains__(self, value: object) -> bool:
+        return (
+            isinstance(value, int if self.whole else (int, float)) and not isinstance(value, bool)
+            and self.low <= value <= self.high
+        )
+
+    @property
+    def limits(self) -> str:
+        """Its ends, as in ``0 to 1``; empty if there are none."""
+        low, high = (
+            str(end) if isinstance(end, int) else f"{end:.9g}" for end in (self.low, self.high)
+        )
+        above = "greater than 0" if 0 < self.low <= _TINY else f"at least {low}"
+        below = "less than 0" if -_TINY <= self.high < 0 else f"at most {high}"
+        if self.low <= -_GREATEST:
+            return "" if self.high >= _GREATEST else below
+        if self.high >= _GREATEST:
+            return above
+        both = f"{above} and {below}"
+        return both if " than " in both else f"{low} to {high}"
+
+    def __str__(self) -> str:
+        """Return what a value must be: ``a number from 0 to 1 m``."""
+        kind = "a finite" if self.high == _GREATEST else "a"
+        limits = self.limits
+        of = "of " if limits.startswith("at ") else "from " if " to " in limits else ""
+        unit = "" if self.unit == "1" else self.unit
+        words = (kind, "whole" * self.whole, "number", of + limits, unit)
+        return ", or ".join((" ".join(filter(None, words)), *self.words))
+
+    def expected(self, value: object = None) -> str:
+        """Return the sentence about a wrong value: ``must be a number from 0 to 1 m``."""
+        comma = isinstance(value, str) and re.fullmatch(r"[-+]?\d*,\d+", value.strip())
+        return f"must be {self}{', with a decimal point' if comma else ''}"
+
+    def check(self, value: object) -> float:
+        """Return a value as a number: an int if it must be whole, otherwise a float.
+
+        Raises:
+            ValueError: it is not a number of this range; the message is the sentence about it.
+        """
+        if value in self:
+            with suppress(OverflowError):
+                return value if self.whole else float(value)  # type: ignore[return-value,arg-type]
+        raise ValueError(self.expected(value))
+
+    def parse(self, text: str) -> float:
+        """Return the number in a text; see :meth:`check`."""
+        value: object = text
+        with suppress(ValueError):
+            value = int(text) if self.whole else float(text)
+        return self.check(value)
+
+    def read(
+        self, value: object, *, file: Path, line: int | None, key: str, about: str = ""
+    ) -> float:
+        """Return the number under a key of a file; a whole one may be written as 5.0.
+
+        Args:
+            value: what the file has.
+            file: the file.
+            line: of the key.
+            key: its name.
+            about: end of the message.
+
+        Raises:
+            ConfigurationError: it is not a number of this range.
+        """
+        plain = self.whole and isinstance(value, float) and value.is_integer()
+        try:
+            return self.check(int(value) if plain else value)  # type: ignore[call-overload]
+        except ValueError as error:
+            raise ConfigurationError(
+                f"{error}{about}", file=file, line=line, key=key, value=value
+            ) from None
