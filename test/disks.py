@@ -140,8 +140,9 @@ def bad_disk(directory: Path) -> dict[str, str]:
     file to this length once reading has begun. The kernel's answers are as read(2) has them.
     """
     library = directory / "bad_disk.so"
-    subprocess.run(
+    if shutil.which("cc") is None or subprocess.run(
         ["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", library, "-ldl"], input=_BAD_DISK,
-        text=True, check=True,
-    )
+        text=True, check=False, stderr=subprocess.DEVNULL,
+    ).returncode:
+        pytest.skip("a failing disk needs a C compiler (gcc, libc6-dev)")
     return {"LD_PRELOAD": str(library)}

@@ -79,6 +79,8 @@ _MOST_WRONG = 0.01
 _MOST_NAMED = 3
 # Equal cells of a table are kept once, for so many different ones.
 _MOST_CELLS = 10_000
+# The longest line that can be one cut off (bytes).
+_LONGEST_LINE = 10_000
 # A comment, or a spreadsheet's line that names the separator.
 _NO_RECORD = re.compile(r'\s*("?#|sep=.$)')
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(\d+)$", re.ASCII)
@@ -903,7 +905,8 @@ def table_of(
 
     Raises:
         ConfigurationError: there is no header or no row, a row has more or fewer cells than the
-            header, or a quote is left open or followed by text. A row is refused when it is read.
+            header, or a quote is left open or followed by text. A row is refused when it is read;
+            one that is cut off by the end of the file is only noted.
     """
     numbered = iter(lines)
     line, text = next(numbered, (0, ""))
@@ -916,8 +919,13 @@ def table_of(
     first = next((index for index, name in enumerate(header) if observed(name)), 0)
 
     def rows() -> Iterator[tuple[int, list[str]]]:
+        begun = False
         for line, text in numbered:
             cells = _cells(file, line, text, separator)
+            if begun and len(cells) < len(header) and text == _cut_line(file):
+                table.notes.append(f"{file.name}: line {line} is cut off, and left out")
+                return
+            begun = True
             if len(cells) <= first:
                 cells += [""] * (len(header) - len(cells))
             elif not any(cells[len(header) :]):
@@ -936,6 +944,15 @@ def table_of(
     if not table.lines:
         raise ConfigurationError("has a header but no records", file=file)
     return table
+
+
+def _cut_line(file: Path) -> str:
+    """Return what follows a file's last line end: a line cut off, as where a logger lost power."""
+    if not file.is_file():
+        return ""
+    with file.open("rb") as stream:
+        stream.seek(max(0, file.stat().st_size - _LONGEST_LINE))
+        return stream.read().rpartition(b"\n")[2].decode(errors="replace")
 
 
 def _cells(file: Path, line: int, text: str, separator: str) -> list[str]:

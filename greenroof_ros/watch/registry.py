@@ -46,7 +46,7 @@ _MISSING = {
     "temperature_unknown", "gauge_bad", "frost_unknown", "cistern_level_unknown",
     "roof_level_unknown", "no_permit", "not_active", "drive_awaited", "drive_guards_later",
     "drive_not_ready", "drive_speed_unknown", "delivery_blind", "no_run", "waits",
-    "values_refused", "forecast_service_silent", "temperature_not_fetched", "thermometer_lost",
+    "forecast_service_silent", "temperature_not_fetched", "thermometer_lost",
     "drive_lost", "sensor_lost", "broker_lost", "stands_unknown",
 }
 # A name that ROS allows for a node; the name becomes part of commands that are advised.

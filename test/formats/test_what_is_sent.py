@@ -596,6 +596,21 @@ def test_what_spreadsheets_add(tmp_path: Path, header: str, rows: list[str]) -> 
     assert read_weather([file], TORONTO, rain_only=True).precipitation.tolist() == [0.5, 1.0]
 
 
+@pytest.mark.parametrize("rest", ["2", "2021-07-07T0", "2021-07-07T02:00Z", "2021-07-07T02:00Z,"])
+def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path, rest: str) -> None:
+    """As where a logger lost power. With a line end, a wrong row is refused like any other."""
+    file = tmp_path / "logger.csv"
+    rows = ["2021-07-07T00:00Z,0.5,20", "2021-07-07T01:00Z,1.0,21", rest]
+    text = "\n".join(["time,precipitation [mm/h],temperature [degC]", *rows])
+    file.write_text(text)
+    read = read_weather([file], TORONTO, rain_only=True)
+    assert read.precipitation.tolist() == [0.5, 1.0]
+    assert "logger.csv: line 4 is cut off, and left out" in read.notes
+    if rest == "2":
+        file.write_text(f"{text}\n")
+        assert "line 4: time = '2'" in refusal(read_weather, [file], TORONTO)
+
+
 @pytest.mark.parametrize(
     ("time", "what"),
     [

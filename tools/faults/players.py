@@ -41,8 +41,8 @@ _WRONG: dict[str, Callable[[float], float]] = {
 }
 # Delay of a delayed topic (s), and factor of the period of a slow one.
 _DELAY_S, _SLOW = 2.0, 4.0
-# Resolution of a coarse sensor (m), below frozen_movement.
-_COARSE_M = 0.008
+# Resolution of a coarse sensor (m), below level_tolerance and frozen_movement.
+_COARSE_M = 0.005
 
 
 class _Played:
