@@ -173,8 +173,16 @@ def scratch_directory(place: str | None = None) -> Iterator[Path]:
     for left in Path(place or tempfile.gettempdir()).glob(f"{_SCRATCH}*"):
         with contextlib.suppress(OSError), _locked(left):  # another user's, or in use
             shutil.rmtree(left)
-    with tempfile.TemporaryDirectory(prefix=_SCRATCH, dir=place) as name, _locked(Path(name)):
-        yield Path(name)
+    with contextlib.ExitStack() as ends:
+        directory, locked = Path(), False
+        while not (locked and directory.exists()):
+            directory, locked = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=place)), False
+            # Until it is locked, another process may take it for one that was left, and remove it.
+            with contextlib.suppress(FileNotFoundError, BlockingIOError):
+                ends.enter_context(_locked(directory))
+                locked = True
+        ends.callback(shutil.rmtree, directory, ignore_errors=True)
+        yield directory
 
 
 @contextlib.contextmanager

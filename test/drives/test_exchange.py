@@ -430,6 +430,16 @@ def test_its_own_timeout_is_read_though_no_stop_was_ever_taken(bench: Bench) -> 
     wait(lambda: "so nothing is sent for 2.5 s" in bench.now.problem)
 
 
+def until_silent(bench: Bench, raw: int) -> None:
+    """Give a running drive a timeout (0.1 s), and let it refuse to stop until it is left alone."""
+    bench.run()
+    bench.drive.values[5815] = raw
+    wait(lambda: round(bench.now.timeout_s or 0.0, 3) == raw / 10)
+    bench.drive.refused = {0}
+    bench.speed = None
+    wait(lambda: bench.now.state is State.SILENT)
+
+
 @pytest.mark.parametrize("raw", [16434, 65535, 101])
 def test_a_timeout_above_the_limit_makes_no_silence_longer_than_the_limit(
     raw: int, monkeypatch: pytest.MonkeyPatch
@@ -437,12 +447,7 @@ def test_a_timeout_above_the_limit_makes_no_silence_longer_than_the_limit(
     """58.16 is in tenths of a second: another master wrote it, or a bit of the answer flipped."""
     monkeypatch.setattr(exchange, "SETTINGS_S", 0.1)
     with closing(Bench(timeout_limit_s=1.2 if raw > 101 else 10.0)) as bench:
-        bench.run()
-        bench.drive.values[5815] = raw
-        wait(lambda: round(bench.now.timeout_s or 0.0, 3) == raw / 10)
-        bench.drive.refused = {0}
-        bench.speed = None
-        wait(lambda: bench.now.state is State.SILENT)
+        until_silent(bench, raw)
         limit = bench.exchange._timeout_limit_s
         assert f"so nothing is sent for {limit:g} s" in bench.now.problem
         assert f"{raw / 10:g} s was read, which is not relied on" in bench.now.problem
@@ -455,12 +460,7 @@ def test_a_timeout_above_the_limit_makes_no_silence_longer_than_the_limit(
 def test_no_silence_is_longer_than_the_limit(raw: int, silence: str) -> None:
     """Not even by the margin of 1 s that is added to the drive's own timeout, here 0.1 to 0.5 s."""
     with closing(Bench(timeout_limit_s=1.2)) as bench:
-        bench.run()
-        bench.drive.values[5815] = raw
-        wait(lambda: round(bench.now.timeout_s or 0.0, 3) == raw / 10)
-        bench.drive.refused = {0}
-        bench.speed = None
-        wait(lambda: bench.now.state is State.SILENT)
+        until_silent(bench, raw)
         assert f"so nothing is sent for {silence} s" in bench.now.problem
 
 
