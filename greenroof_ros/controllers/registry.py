@@ -36,7 +36,7 @@ DEFAULT = "mpc"
 FOR_A_SITE = "lookahead"
 """the default of a live site, which the paper's controller does not fit"""
 EXTERNAL = "external"
-"""stands for a controller node that the user runs; its parameters are those of the forecasts"""
+"""stands for a controller node that the user runs; its parameters are the forecasts'"""
 # Parameters that rclpy declares in every node.
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
 # A controller's node is named after it. These nodes run beside it.
