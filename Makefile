@@ -66,8 +66,8 @@ run: $(FOR_RUN)
 	@$(BIN)/python -m greenroof_ros.bringup $(or $(ARGS),--controller mpc)
 
 study: $(FOR_STUDY)
-	@$(BIN)/python -m greenroof_ros.study; code=$$?; \
-	    $(BIN)/python -m greenroof_ros.report studies/paper --force && exit $$code
+	@$(BIN)/python -m greenroof_ros study; code=$$?; \
+	    $(BIN)/python -m greenroof_ros report studies/paper --force && exit $$code
 
 # Without ARGS every test, four processes more than there are cores, since graphs mostly wait.
 # Which tests may run side by side, test/conftest.py says.

@@ -19,10 +19,9 @@ NODES = {
 CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 # ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
 COMMANDS = (
-    "bringup.__main__", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "forecast_simulator", "fetch_forecast", "hold",
-    "release", "dose", "status", "calibrate", "verify", "bridge", "study.__main__",
-    "report.__main__", "watch.__main__",
+    "simulate", "bound", "recover", "topics", "check_controller", "check_pump", "drive_simulator",
+    "site_simulator", "forecast_simulator", "fetch_forecast", "hold", "release", "dose", "status",
+    "calibrate", "verify", "bridge", "study", "report", "watch",
 )
 # Colcon calls one of these, and setup.cfg says where executables go. Pip calls neither, and would
 # put names such as `report` and `watch` on everybody's PATH.
@@ -30,7 +29,8 @@ IN_WORKSPACE = not {"install", "develop"}.isdisjoint(sys.argv)
 EXECUTABLES = [
     *(f"{name} = {NAME}.{module}:main" for name, module in NODES.items()),
     *(f"{name} = {NAME}.nodes.controller:{name}" for name in CONTROLLERS),
-    *(f"{name.split('.')[0]} = {NAME}.{name}:main" for name in COMMANDS),
+    f"bringup = {NAME}.bringup.__main__:main",
+    *(f"{name} = {NAME}.commands.{name}:main" for name in COMMANDS),
 ]
 
 
@@ -73,9 +73,9 @@ setup(
         "Topic :: Scientific/Engineering :: Hydrology",
     ],
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={f"{NAME}.report": ["*.html"], f"{NAME}.watch": ["page/*"],
-                  f"{NAME}.calibration": ["page.html", "findings.yaml"],
-                  f"{NAME}.verification": ["page.html", "findings.yaml"]},
+    package_data={f"{NAME}.analysis.report": ["*.html"], f"{NAME}.watch": ["page/*"],
+                  f"{NAME}.analysis.calibration": ["page.html", "findings.yaml"],
+                  f"{NAME}.analysis.verification": ["page.html", "findings.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE.as_posix(), ["package.xml"]),

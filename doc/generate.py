@@ -40,14 +40,14 @@ from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic, markdown_table, read_conditions, read_topics
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
-from greenroof_ros.drives import drive_file, relay_file, sensor_file
 from greenroof_ros.forecast.skill import Climate, Errors
+from greenroof_ros.live.drives import drive_file, relay_file, sensor_file
+from greenroof_ros.live.pumping.interlocks import INTERLOCKS
+from greenroof_ros.live.pumping.limits import pump_parameters
+from greenroof_ros.live.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS, SITE_FAULTS, Fault
+from greenroof_ros.live.simulators.forecast_service import FAULTS as FORECAST_FAULTS
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import read_site, site_parameters
-from greenroof_ros.pumping.interlocks import INTERLOCKS
-from greenroof_ros.pumping.limits import pump_parameters
-from greenroof_ros.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS, SITE_FAULTS, Fault
-from greenroof_ros.simulators.forecast_service import FAULTS as FORECAST_FAULTS
 
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",
@@ -465,7 +465,7 @@ def which_controller() -> str:
 def parser_of(name: str, arguments: Sequence[str] = ()) -> argparse.ArgumentParser:
     """Return the parser of a command's options, as it is with some arguments."""
     with mock.patch.object(sys, "argv", [name, *arguments]):
-        module = importlib.import_module(f"greenroof_ros.{COMMANDS[name].module}")
+        module = COMMANDS[name].load()
         parser: argparse.ArgumentParser = module.make_parser()
         return parser
 

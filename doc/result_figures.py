@@ -8,7 +8,7 @@ import altair as alt
 import vl_convert
 from result_tables import LEAST, Figure, Mark, numbers_of
 
-from greenroof_ros.report.drawing import COLOURS, CONFIG
+from greenroof_ros.analysis.report.drawing import COLOURS, CONFIG
 
 _CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead", LEAST)
 # Widths (px): a figure, a letter of its rows' names; height of a row (px).

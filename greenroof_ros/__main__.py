@@ -6,6 +6,7 @@ import importlib
 import os
 import sys
 from dataclasses import dataclass
+from types import ModuleType
 
 from greenroof_ros import __version__
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command
@@ -17,12 +18,17 @@ class Command:
     """A command: a module of its own, imported when the command is chosen.
 
     Attributes:
-        module: in this package; has ``main`` and ``make_parser``.
+        module: in ``greenroof_ros.commands``, or with its folder; has ``main`` and ``make_parser``.
         about: the command in one line, for the help.
     """
 
     module: str
     about: str
+
+    def load(self) -> ModuleType:
+        """Import the command's module."""
+        folder = "" if "." in self.module else "commands."
+        return importlib.import_module(f"greenroof_ros.{folder}{self.module}")
 
 
 # Grouped by what a user wants to do; then by name.
@@ -36,15 +42,15 @@ GROUPS = {
         "dose": Command("dose", "let the pump deliver a volume once, now"),
     },
     "see what it does, or did": {
-        "watch": Command("watch.__main__", "show a run or a site, on a page in a browser"),
+        "watch": Command("watch", "show a run or a site, on a page in a browser"),
         "status": Command("status", "say once how it is, with an exit code for scripts"),
         "bridge": Command("bridge", "publish a site on MQTT, for Home Assistant; with a stop"),
-        "report": Command("report.__main__", "make figures and tables of runs, studies and bags"),
+        "report": Command("report", "make figures and tables of runs, studies and bags"),
         "recover": Command("recover", "restore a bag after a crash or a full disk"),
     },
     "compare controllers, without ROS": {
         "simulate": Command("simulate", "run once, in one process, with the graph's numbers"),
-        "study": Command("study.__main__", "run a grid of runs: the paper's 30, or yours"),
+        "study": Command("study", "run a grid of runs: the paper's 30, or yours"),
         "bound": Command("bound", "compute the least deviation that is possible"),
     },
     "fit it to your site": {
@@ -93,7 +99,7 @@ def main() -> None:
     if name not in COMMANDS:
         _explain()
     sys.argv = [f"greenroof {name}", *words[len(name.split()):]]
-    importlib.import_module(f"greenroof_ros.{COMMANDS[name].module}").main()
+    COMMANDS[name].load().main()
 
 
 def _name(words: list[str]) -> str:
@@ -129,7 +135,7 @@ def _complete() -> None:
             branches[above] = branches[""].add_parser(above).add_subparsers()
         parents = []
         if name == _name(words):
-            parents = [importlib.import_module(f"greenroof_ros.{entry.module}").make_parser()]
+            parents = [entry.load().make_parser()]
         branches[above].add_parser(last, parents=parents, add_help=not parents)
     argcomplete.autocomplete(parser)
 

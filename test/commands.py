@@ -23,10 +23,13 @@ import traceback
 from functools import cache
 from pathlib import Path
 
+from places import module_of
+
 # Without the nodes: each must be the main module of its process.
 _ROOMS = (
-    "common", "controllers", "experiment", "pumping", "drives", "recording", "simulators", "watch",
-    "report", "study", "calibration", "verification", "graph", "bringup",
+    "common", "controllers", "experiment", "live.pumping", "live.drives", "recording",
+    "live.simulators", "watch", "analysis.report", "analysis.study", "analysis.calibration",
+    "analysis.verification", "graph", "bringup",
 )
 _OF_ROS = ("graph", "bringup")
 _LIMIT_S = 900
@@ -40,7 +43,7 @@ def run_command(
     assert server.stdin is not None and server.stdout is not None
     with tempfile.TemporaryDirectory() as scratch:
         out, err = (Path(scratch) / name for name in ("out", "err"))
-        request = (f"greenroof_ros.{module}", arguments, str(cwd), env, str(out), str(err))
+        request = (module_of(module), arguments, str(cwd), env, str(out), str(err))
         server.stdin.write(json.dumps(request) + "\n")
         server.stdin.flush()
         code = int(server.stdout.readline())

@@ -26,5 +26,13 @@ def guarding(make: str, directory: Path) -> str:
     return str(copy)
 
 
+_COMMANDS = {path.stem for path in (CHECKOUT / "greenroof_ros" / "commands").glob("*.py")}
+
+
+def module_of(name: str) -> str:
+    """Return the module of a command, such as ``simulate``, or of a node, ``nodes.plant``."""
+    return f"greenroof_ros.{'commands.' if name in _COMMANDS else ''}{name}"
+
+
 Once = Callable[[str, Callable[[Path], object]], Path]
 """Fills a named directory, unless another worker has, and returns it: see the ``once`` fixture."""

@@ -15,13 +15,13 @@ from types import ModuleType
 from typing import TypeVar
 
 import pytest
-from places import CHECKOUT
+from places import CHECKOUT, module_of
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import asked_to_end_with_this
-from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine, parse_address
-from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.faults import (
+from greenroof_ros.live.drives.modbus_line import Address, DriveError, ModbusLine, parse_address
+from greenroof_ros.live.simulators import faults
+from greenroof_ros.live.simulators.faults import (
     DEFAULT,
     DRIVE_FAULTS,
     RELAY_FAULTS,
@@ -41,7 +41,7 @@ _PLACE = re.compile(r"(?:tcp|gateway)://127\.0\.0\.1:(\d+), device")
 @contextmanager
 def serial_line() -> Iterator[tuple[str, ...]]:
     """Lay a serial line, and return the devices at its two ends."""
-    from greenroof_ros.simulators.server import PseudoLine
+    from greenroof_ros.live.simulators.server import PseudoLine
 
     line, loop = PseudoLine(), asyncio.new_event_loop()
     loop.call_soon(line.join)
@@ -108,7 +108,7 @@ class Simulator(Workbench):
 
     def __init__(self, module: str, *options: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", f"greenroof_ros.{module}", *options],
+            [sys.executable, "-m", module_of(module), *options],
             cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             stdin=subprocess.DEVNULL, env=asked_to_end_with_this(),
         )

@@ -10,10 +10,10 @@ from collections.abc import Iterable
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
+from greenroof_ros.analysis.study.case_run import bound_case, run_case
+from greenroof_ros.analysis.study.grid import read_grid
+from greenroof_ros.analysis.study.store import Store
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.study.case_run import bound_case, run_case
-from greenroof_ros.study.grid import read_grid
-from greenroof_ros.study.store import Store
 
 CONFIG = shared_directory() / "config"
 WEATHER = CONFIG / "weather" / "toronto_2021-07.csv"
@@ -36,7 +36,7 @@ controllers:
 def study(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
     """Run the study command until it ends."""
     return subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.study", *options],
+        [sys.executable, "-m", "greenroof_ros", "study", *options],
         cwd=directory, capture_output=True, text=True, timeout=600, check=False,
     )
 
@@ -44,7 +44,7 @@ def study(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
 def begun(directory: Path, *options: str, **variables: str) -> subprocess.Popen[str]:
     """Start the study command on the grid in a directory, in a separate session."""
     return subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros.study", "grid.yaml", "--output", "out", *options],
+        [sys.executable, "-m", "greenroof_ros", "study", "grid.yaml", "--output", "out", *options],
         cwd=directory, env={**os.environ, **variables}, stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True, start_new_session=True,
     )

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from graphs import bring_up, environment
 from paper import metrics_of, paper_run
-from places import CHECKOUT
+from places import CHECKOUT, module_of
 from studies import GRID, rows_of
 
-from greenroof_ros.study.grid import read_grid
+from greenroof_ros.analysis.study.grid import read_grid
 
 EXAMPLE = "examples.proportional:Proportional"
 FILE = str(CHECKOUT / "examples" / "proportional.yaml")
@@ -23,7 +23,7 @@ TICKS = 361
 def run(directory: Path, module: str, *options: str) -> str:
     """Run a command, which must succeed, and return its output."""
     result = subprocess.run(
-        [sys.executable, "-m", f"greenroof_ros.{module}", *options],
+        [sys.executable, "-m", module_of(module), *options],
         cwd=directory, env=environment(0), capture_output=True, text=True, timeout=120, check=False,
     )
     assert result.returncode == 0, result.stderr
@@ -50,8 +50,8 @@ def test_a_console_script_finds_a_class_beside_the_current_directory(tmp_path: P
     """Its parameter is an option."""
     (tmp_path / "mine.py").write_text((CHECKOUT / "examples" / "proportional.py").read_text())
     done = subprocess.run(
-        [sys.executable, "-P", "-c", "from greenroof_ros.simulate import main; main()", "--hours",
-         "0.02", "--json", "--controller", "mine:Proportional", "--gain", "40"],
+        [sys.executable, "-P", "-c", "from greenroof_ros.commands.simulate import main; main()",
+         "--hours", "0.02", "--json", "--controller", "mine:Proportional", "--gain", "40"],
         cwd=tmp_path, env=environment(0), capture_output=True, text=True, timeout=120, check=False,
     )
     assert done.returncode == 0, done.stderr

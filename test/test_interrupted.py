@@ -69,7 +69,7 @@ def test_a_background_command_ignores_it_as_the_shell_asked(tmp_path: Path) -> N
 
 def test_a_program_that_imports_the_package_keeps_its_own_handler() -> None:
     program = (
-        "import signal, greenroof_ros.simulate\n"
+        "import signal, greenroof_ros.commands.simulate\n"
         "print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
     )
     done = subprocess.run(

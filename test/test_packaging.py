@@ -30,7 +30,7 @@ NODES = (
     "plant", "weather", "controller", "mpc", "onoff", "anticipating_onoff", "lookahead",
     "recorder", "live_weather", "live_controller", "live_recorder", "sensors", "pump", "loop_pump",
 )
-# Each command of `greenroof` by its module; `live` is bringup's.
+# Each command of `greenroof` by its module.
 COMMANDS = {command.module.partition(".")[0] for command in GREENROOF_COMMANDS.values()}
 GREENROOF = "greenroof"
 # What `ros2 run` finds in a workspace; pip installs only the first.
@@ -252,12 +252,12 @@ def test_pip_install_simulates_and_reads_copies_of_its_grids(
     share = pip_installed / "share" / "greenroof_ros"
     shutil.copy(share / "config" / "studies" / "paper.yaml", tmp_path)
     count = (
-        "import pathlib, greenroof_ros.study.grid as grid\n"
+        "import pathlib, greenroof_ros.analysis.study.grid as grid\n"
         "print(len(grid.read_grid(pathlib.Path('paper.yaml'))))"
     )
     for command in (
         [commands / GREENROOF, "simulate", "--hours", "0.01"],
-        [commands / "python", "-m", "greenroof_ros.simulate", "--hours", "0.01"],
+        [commands / "python", "-m", "greenroof_ros", "simulate", "--hours", "0.01"],
     ):
         assert run(*command, cwd=tmp_path, env=pip_environment).strip()
     printed = run(commands / "python", "-c", count, cwd=tmp_path, env=pip_environment)

@@ -12,8 +12,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from paper import PAPER_SITE
 
-from greenroof_ros.calibration.csv_record import read_csv_record
-from greenroof_ros.calibration.record import Record
+from greenroof_ros.analysis.calibration.csv_record import read_csv_record
+from greenroof_ros.analysis.calibration.record import Record
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import hargreaves, over_the_day

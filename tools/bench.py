@@ -141,7 +141,7 @@ def measure_study() -> float:
         def timed(module: str, *options: str) -> float:
             began = time.perf_counter()
             subprocess.run(
-                [sys.executable, "-m", f"greenroof_ros.{module}", "--output", *options],
+                [sys.executable, "-m", "greenroof_ros", module, "--output", *options],
                 cwd=directory, check=True, capture_output=True,
             )
             return time.perf_counter() - began

@@ -14,18 +14,18 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from greenroof_ros.calibration.bag_record import read_bag_record
-from greenroof_ros.calibration.checks import (
+from greenroof_ros.analysis.calibration.bag_record import read_bag_record
+from greenroof_ros.analysis.calibration.checks import (
     FINDINGS,
     check_fit,
     check_record,
     level_sensor,
     outages_found,
 )
-from greenroof_ros.calibration.csv_record import read_csv_record
-from greenroof_ros.calibration.fit import Fit, fit, measured_roof, reachable_target
-from greenroof_ros.calibration.pumps import fit_pumps
-from greenroof_ros.calibration.record import (
+from greenroof_ros.analysis.calibration.csv_record import read_csv_record
+from greenroof_ros.analysis.calibration.fit import Fit, fit, measured_roof, reachable_target
+from greenroof_ros.analysis.calibration.pumps import fit_pumps
+from greenroof_ros.analysis.calibration.record import (
     Record,
     Steps,
     comparable,
@@ -34,8 +34,8 @@ from greenroof_ros.calibration.record import (
     month_numbers,
     time_name,
 )
-from greenroof_ros.calibration.scores import Scores, score
-from greenroof_ros.calibration.site_file import (
+from greenroof_ros.analysis.calibration.scores import Scores, score
+from greenroof_ros.analysis.calibration.site_file import (
     CROP_NOTE,
     INTERVAL_NOTE,
     edited_site_file,
@@ -217,7 +217,7 @@ def _calibrate(
         findings: earlier findings.
     """
     with in_extra("study"):
-        from greenroof_ros.calibration.page import render
+        from greenroof_ros.analysis.calibration.page import render
     measured: Path = arguments.measured
     months: str | None = arguments.months
     zone = None if arguments.time_zone is None else _zone(arguments.time_zone)

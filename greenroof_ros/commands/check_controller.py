@@ -90,7 +90,7 @@ def main() -> int:
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     if arguments.node is not None:
         with importing_ros():
-            from greenroof_ros.graph.controller_check import check_controller_node
+            from greenroof_ros.commands.checks.controller import check_controller_node
         findings = check_controller_node(
             arguments.node, site, horizon=arguments.horizon, answer=arguments.answer_within,
             arrival=arguments.wait,

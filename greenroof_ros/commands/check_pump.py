@@ -85,7 +85,7 @@ def main() -> int:
     """Check the driver named on the command line."""
     arguments = make_parser().parse_args()
     with importing_ros():
-        from greenroof_ros.graph.pump_check import Limits, check_pump
+        from greenroof_ros.commands.checks.pump_driver import Limits, check_pump
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     times = {limit: getattr(arguments, limit) for _, limit, *_ in _TIMES}
     limits = Limits(command=arguments.command, **times)

@@ -10,15 +10,15 @@ from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError, must_be_one_of
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.mqtt import parse_topic
-from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.drives.modbus_line import Address, check_installed
-from greenroof_ros.drives.relay_file import read_relay_file
+from greenroof_ros.live.drives.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.live.drives.modbus_line import Address, check_installed
+from greenroof_ros.live.drives.relay_file import read_relay_file
+from greenroof_ros.live.simulators import faults
+from greenroof_ros.live.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS
 from greenroof_ros.model.site import read_site
-from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS
 
 if TYPE_CHECKING:
-    from greenroof_ros.simulators.server import Bench
+    from greenroof_ros.live.simulators.server import Bench
 
 _PORT = 5020
 _LAST_PORT = 65535
@@ -137,8 +137,8 @@ def main() -> int:
 
 
 def _drive(path: Path, arguments: argparse.Namespace) -> Bench:
-    from greenroof_ros.simulators.control_profiles import profile_of
-    from greenroof_ros.simulators.simulated_drive import DriveBench, DriveSettings
+    from greenroof_ros.live.simulators.control_profiles import profile_of
+    from greenroof_ros.live.simulators.simulated_drive import DriveBench, DriveSettings
 
     file = read_drive_file(path)
     address = Address(host=arguments.host, port=arguments.port)
@@ -156,7 +156,7 @@ def _drive(path: Path, arguments: argparse.Namespace) -> Bench:
 
 
 def _relay(path: Path, arguments: argparse.Namespace) -> Bench:
-    from greenroof_ros.simulators.simulated_relay import RelayBench, relay_of
+    from greenroof_ros.live.simulators.simulated_relay import RelayBench, relay_of
 
     broker, device = parse_topic(arguments.at, "--at")
     make, as_delivered = relay_of(read_relay_file(path).make), arguments.as_delivered

@@ -9,8 +9,8 @@ from pathlib import Path
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import DEFAULT_START, read_start
+from greenroof_ros.live.simulators.forecast_service import FAULTS, NONE, ForecastService
 from greenroof_ros.model.site import read_site
-from greenroof_ros.simulators.forecast_service import FAULTS, NONE, ForecastService
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import FILL
 

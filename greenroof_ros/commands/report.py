@@ -12,13 +12,13 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
+from greenroof_ros.analysis.report.run import Assumptions
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
-from greenroof_ros.report.run import Assumptions
 
 if TYPE_CHECKING:
-    from greenroof_ros.report.groups import Report
+    from greenroof_ros.analysis.report.groups import Report
 
 # Shown on the terminal; the report has all tables.
 _MOST_TABLES = 3
@@ -135,8 +135,8 @@ def main() -> int:
     """Make a report as the command line says."""
     arguments = make_parser().parse_args()
     with in_extra("study"):
-        from greenroof_ros.report import figures, groups, page
-        from greenroof_ros.report.sources import find_runs
+        from greenroof_ros.analysis.report import figures, groups, page
+        from greenroof_ros.analysis.report.sources import find_runs
     output: Path = arguments.output or arguments.paths[0] / "report"
     with _writing(output):
         former = _former_report(output, figures.is_figure, force=arguments.force)
@@ -169,7 +169,7 @@ def main() -> int:
 
 def _show(report: Report) -> None:
     """Print problems of runs, the best runs of the first windows, and counts of other runs."""
-    from greenroof_ros.report.groups import SEASONS, SEEDS, TOTAL, who
+    from greenroof_ros.analysis.report.groups import SEASONS, SEEDS, TOTAL, who
 
     console = Console()
     for name, run in report.runs.items():

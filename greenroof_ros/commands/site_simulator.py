@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
-from greenroof_ros.drives.modbus_line import Address, check_installed, parse_address
-from greenroof_ros.drives.sensor_file import default_sensors, read_sensors
 from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
-from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.faults import SITE_FAULTS
+from greenroof_ros.live.drives.modbus_line import Address, check_installed, parse_address
+from greenroof_ros.live.drives.sensor_file import default_sensors, read_sensors
+from greenroof_ros.live.simulators import faults
+from greenroof_ros.live.simulators.faults import SITE_FAULTS
 
 _WORKBENCH = 5032
 _MM_PER_HOUR = 1e-3 / 3600
@@ -81,7 +81,7 @@ def main() -> int:
     """Simulate the site that the command line asks for."""
     arguments = make_parser().parse_args()
     check_installed()
-    from greenroof_ros.simulators.simulated_site import SiteBench
+    from greenroof_ros.live.simulators.simulated_site import SiteBench
     sensors = read_sensors(arguments.sensors or default_sensors())
     drive = None
     if arguments.drive_at is not None:

@@ -13,6 +13,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Column, Table
 
+from greenroof_ros.analysis.study.case_run import bound_case, run_case
+from greenroof_ros.analysis.study.grid import Case, contents, read_grid
+from greenroof_ros.analysis.study.store import Store
+from greenroof_ros.analysis.study.workers import Workers, processes
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -27,10 +31,6 @@ from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.standard_error import progress_bar
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.recording.results_table import differing, shortest
-from greenroof_ros.study.case_run import bound_case, run_case
-from greenroof_ros.study.grid import Case, contents, read_grid
-from greenroof_ros.study.store import Store
-from greenroof_ros.study.workers import Workers, processes
 
 _REFRESH_S = 0.5
 # Runs with the same values in these columns share a table on the terminal.
@@ -136,7 +136,7 @@ def main() -> int:
                 cores = len(os.sched_getaffinity(0))
                 those = processes(arguments.jobs or cores, files)
             else:
-                from greenroof_ros.study.cluster import cluster  # needs an extra
+                from greenroof_ros.analysis.study.cluster import cluster  # needs an extra
 
                 those = cluster(arguments.scheduler, files)
             with those as workers:

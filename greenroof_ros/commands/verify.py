@@ -15,6 +15,14 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from greenroof_ros.analysis.verification.checks import check_forecasts
+from greenroof_ros.analysis.verification.pairs import (
+    Class,
+    Sum,
+    issued_forecasts,
+    tally,
+)
+from greenroof_ros.analysis.verification.scores import SHOWN, Tally
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming, shared_directory
@@ -23,14 +31,6 @@ from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
 from greenroof_ros.forecast.choice import MODELS
 from greenroof_ros.model.site import read_site
-from greenroof_ros.verification.checks import check_forecasts
-from greenroof_ros.verification.pairs import (
-    Class,
-    Sum,
-    issued_forecasts,
-    tally,
-)
-from greenroof_ros.verification.scores import SHOWN, Tally
 from greenroof_ros.weather.reading import find_files, read_weather
 
 _DESCRIPTION = """\
@@ -118,7 +118,7 @@ def main() -> int:
         refuse_unwritable(file, (".html", ".csv"), "--output")
     with in_extra("study"):  # fail before the work if a page needs it
         if any(file.suffix == ".html" for file in arguments.output):
-            from greenroof_ros.verification.page import render
+            from greenroof_ros.analysis.verification.page import render
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     weather = read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)

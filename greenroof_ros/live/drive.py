@@ -13,13 +13,13 @@ from typing import Any
 from greenroof_ros.common.command_line import namespace, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import ControllerChoice
-from greenroof_ros.drives.drive_file import find_drive_file
-from greenroof_ros.drives.placed import Placed, place_drive
 from greenroof_ros.experiment.run_directory import writable
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.graph.states import PUMP
+from greenroof_ros.live.drives.drive_file import find_drive_file
+from greenroof_ros.live.drives.placed import Placed, place_drive
+from greenroof_ros.live.pumping.ledger import state_directory
 from greenroof_ros.live.supervisor import StopDrive
-from greenroof_ros.pumping.ledger import state_directory
 
 # Option value for a node that the user runs.
 EXTERNAL = "external"
@@ -124,8 +124,8 @@ class DriveChoice:
         """
         if speed == 1:
             return
-        from greenroof_ros.drives.drive import no_real_time
-        from greenroof_ros.drives.modbus_line import DriveError
+        from greenroof_ros.live.drives.drive import no_real_time
+        from greenroof_ros.live.drives.modbus_line import DriveError
 
         placed = self.read()
         until = time.monotonic() + _SIMULATOR_S
@@ -155,8 +155,8 @@ class DriveChoice:
         Raises:
             ConfigurationError: the file or the address is wrong.
         """
-        from greenroof_ros.drives.exchange import stop_drive
-        from greenroof_ros.drives.lock import DriveInUseError
+        from greenroof_ros.live.drives.exchange import stop_drive
+        from greenroof_ros.live.drives.lock import DriveInUseError
 
         placed = self.read()
         placed.connection()  # loads its library now: the disk may hang when it is needed

@@ -2,7 +2,7 @@
 
 There is no plant and no clock topic. A node does not wait for an input that is missing, late or
 wrong: it learns which inputs are not good, by the rules of
-:mod:`greenroof_ros.pumping.input_rules`, and acts accordingly.
+:mod:`greenroof_ros.live.pumping.input_rules`, and acts accordingly.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.reports import ERROR, OK, WARN
 from greenroof_ros.live.inputs import LiveInput
-from greenroof_ros.model.site import Site
-from greenroof_ros.pumping.input_rules import (
+from greenroof_ros.live.pumping.input_rules import (
     LevelRule,
     Wetting,
     cistern_reach,
     expected_movement,
     roof_reach,
 )
+from greenroof_ros.model.site import Site
 
 # A gap longer than this means that this process was paused (s): its inputs are outdated. Messages
 # that come within this time after the pause are ignored, since they may have waited.

@@ -16,7 +16,7 @@ from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
-from greenroof_ros.pumping.input_rules import InputRules, Verdict
+from greenroof_ros.live.pumping.input_rules import InputRules, Verdict
 
 # How many messages of a topic can wait for the recorder if it or the machine is busy.
 _RECORDED_DEPTH = 1000

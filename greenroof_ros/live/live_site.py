@@ -11,9 +11,6 @@ from greenroof_ros.common.command_line import Parser, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.controllers.registry import FOR_A_SITE
-from greenroof_ros.drives.drive import PlacedDrive
-from greenroof_ros.drives.modbus_line import parse_address
-from greenroof_ros.drives.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.graph.states import PUMP, RECORDER
@@ -24,6 +21,9 @@ from greenroof_ros.live.drive import (
     chosen_drive,
     refuse,
 )
+from greenroof_ros.live.drives.drive import PlacedDrive
+from greenroof_ros.live.drives.modbus_line import parse_address
+from greenroof_ros.live.drives.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.model.site import read_site
 

@@ -10,12 +10,12 @@ from functools import partial
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.drives.drive import no_real_time
 from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live import pump_behaviour
+from greenroof_ros.live.drives.drive import no_real_time
 from greenroof_ros.live.pump_behaviour import (
     COMMAND_LIMIT,
     PumpBehaviour,

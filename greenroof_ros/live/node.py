@@ -13,9 +13,9 @@ from greenroof_ros.graph.publishers import DISCOVERY_S
 from greenroof_ros.graph.states import READY
 from greenroof_ros.live.engine import LIMITS, RECOVERY, SampleAndHold
 from greenroof_ros.live.inputs import LiveInput, LivePublishers
+from greenroof_ros.live.pumping.input_rules import InputRules, LevelRule
 from greenroof_ros.live.supervision import SupervisorSocket, supervisor_socket
 from greenroof_ros.model.site import Site
-from greenroof_ros.pumping.input_rules import InputRules, LevelRule
 
 # How long a node waits for messages at most before it checks its clocks and signals again (s).
 _CHECK_S = 0.05

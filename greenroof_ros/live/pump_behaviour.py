@@ -30,12 +30,12 @@ from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
-from greenroof_ros.drives.drive import DriveStatus
-from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
-from greenroof_ros.drives.exchange import RESET_S, UNREAD_S
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.parameters import site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
+from greenroof_ros.live.drives.drive import DriveStatus
+from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
+from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S
 from greenroof_ros.live.engine import LIMITS, PAUSE_S
 from greenroof_ros.live.lifecycle import (
     ACTIVE,
@@ -47,11 +47,11 @@ from greenroof_ros.live.lifecycle import (
 )
 from greenroof_ros.live.node import SupervisedNode
 from greenroof_ros.live.pump_drive import PumpDrive
+from greenroof_ros.live.pumping.dose import DONE
+from greenroof_ros.live.pumping.ledger import MOST, Ledger, state_directory
+from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
+from greenroof_ros.live.pumping.pump_control import Decision, Observation, PumpControl
 from greenroof_ros.model.site import Site
-from greenroof_ros.pumping.dose import DONE
-from greenroof_ros.pumping.ledger import MOST, Ledger, state_directory
-from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
-from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
 
 COMMAND_LIMIT = LIMITS["/pump/command"]
 # Longest wait of *configure* and *cleanup* for the drive (s): no command is handled meanwhile, and

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives.drive import DriveStatus
-from greenroof_ros.drives.drive_file import find_drive_file
-from greenroof_ros.drives.exchange import DriveExchange, Snapshot
-from greenroof_ros.drives.placed import place_drive
+from greenroof_ros.live.drives.drive import DriveStatus
+from greenroof_ros.live.drives.drive_file import find_drive_file
+from greenroof_ros.live.drives.exchange import DriveExchange, Snapshot
+from greenroof_ros.live.drives.placed import place_drive
 from greenroof_ros.live.lifecycle import RefusedError
 
 # The drive's thread stops the drive after this time without a call (s): this node hangs.

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.drives.modbus_sensor import ModbusReader, SensorLine
-from greenroof_ros.drives.mqtt_sensor import MqttReader
-from greenroof_ros.drives.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, STALE, WARN
+from greenroof_ros.live.drives.modbus_sensor import ModbusReader, SensorLine
+from greenroof_ros.live.drives.mqtt_sensor import MqttReader
+from greenroof_ros.live.drives.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.engine import LIMITS
 from greenroof_ros.live.executable import live_command
 from greenroof_ros.live.node import LiveNode

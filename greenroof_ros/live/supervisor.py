@@ -31,10 +31,10 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.processes import asked_to_end_with_this
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
-from greenroof_ros.drives.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.graph.domain import LEASE
 from greenroof_ros.graph.states import PUMP, READY, RECORDER
+from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
+from greenroof_ros.live.drives.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.live.supervision import SOCKET, read_report, read_socket
 
 # How long to wait after asking a process to end before killing it (s). The pump node gets longer:

@@ -22,7 +22,7 @@ from greenroof_ros.common.interface import read_conditions, read_topics
 from greenroof_ros.experiment.incidents import INCIDENTS, PROCESS, Incident, read_incidents
 from greenroof_ros.experiment.summary import SUMMARY
 from greenroof_ros.graph.states import PUMP
-from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
+from greenroof_ros.live.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.registry import ERROR, STALE, WARN, Registry, Trouble
 from greenroof_ros.watch.wire import Status
 from greenroof_ros.watch.words import plain, sentence

@@ -30,7 +30,7 @@ def watcher(namespace: str, site_file: Path) -> Iterator[None]:
     """
     options = ["--site", str(site_file), *(["--namespace", namespace] if namespace else [])]
     process = subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros.watch", *options],
+        [sys.executable, "-m", "greenroof_ros", "watch", *options],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         errors="replace",
         start_new_session=True,  # Ctrl-C is for the run, which ends the watcher

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, RECORDER, STARTING, STATES
-from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
+from greenroof_ros.live.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.wire import Status
 from greenroof_ros.watch.words import plain, sentence
 

@@ -22,12 +22,12 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import Signals, take_lock
 from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.drives.drive_file import find_drive_file
-from greenroof_ros.drives.lock import DriveLock
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run_directory import write_parameters
 from greenroof_ros.live import in_the_loop, site_run
 from greenroof_ros.live.drive import DriveChoice, chosen_drive, own_parameters
+from greenroof_ros.live.drives.drive_file import find_drive_file
+from greenroof_ros.live.drives.lock import DriveLock
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.live_site import make_parser as live_site_parser
 from greenroof_ros.live.supervisor import NodeFailed

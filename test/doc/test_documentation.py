@@ -16,7 +16,7 @@ sys.path.append(str(CHECKOUT / "doc"))
 
 import generate
 
-from greenroof_ros.drives.sensor_file import read_sensors
+from greenroof_ros.live.drives.sensor_file import read_sensors
 
 DOC = CHECKOUT / "doc"
 PAGES = [

@@ -11,8 +11,8 @@ from places import CHECKOUT
 from results.__main__ import TABLES
 from results.reduction import read, runs, seasons, seeds, write
 
-from greenroof_ros.study.case_run import lay_out, run_case
-from greenroof_ros.study.grid import contents, read_grid
+from greenroof_ros.analysis.study.case_run import lay_out, run_case
+from greenroof_ros.analysis.study.grid import contents, read_grid
 
 sys.path.append(str(CHECKOUT / "doc"))
 

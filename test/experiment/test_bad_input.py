@@ -10,9 +10,9 @@ from commands import run_command
 from graphs import environment
 from paper import PAPER_SITE
 
+from greenroof_ros.commands.simulate import main
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.own_csv import read_forecasts
-from greenroof_ros.simulate import main
 from greenroof_ros.weather.reading import read_weather
 
 HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day]"

@@ -24,8 +24,8 @@ from paper import (
     sites,
 )
 
-from greenroof_ros import bound as module
-from greenroof_ros.bound import main
+from greenroof_ros.commands import bound as module
+from greenroof_ros.commands.bound import main
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.plan import recursion_plan

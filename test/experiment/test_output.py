@@ -20,8 +20,8 @@ def run_in_shell(command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run a shell line, in which $SIMULATE is a short run, and return its output."""
     return subprocess.run(
         command, shell=True, cwd=cwd, capture_output=True, text=True, timeout=60, check=False,
-        env={"SIMULATE": f"{sys.executable} -m greenroof_ros.simulate --hours 0.01 --output run",
-             "VERIFY": f"{sys.executable} -m greenroof_ros.verify",
+        env={"SIMULATE": f"{sys.executable} -m greenroof_ros simulate --hours 0.01 --output run",
+             "VERIFY": f"{sys.executable} -m greenroof_ros verify",
              "PYTHONPATH": ":".join(filter(None, sys.path)), "LC_ALL": "C.UTF-8"},
     )
 

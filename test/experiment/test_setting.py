@@ -15,8 +15,8 @@ from commands import run_command
 from paper import paper_run
 from places import CHECKOUT, CONFIG
 
-from greenroof_ros import simulate
 from greenroof_ros.bringup import simulated
+from greenroof_ros.commands import simulate
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.options import run_from_arguments

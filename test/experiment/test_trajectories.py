@@ -11,11 +11,11 @@ from graphs import environment
 from paper import paper_run
 from studies import edited
 
+from greenroof_ros.analysis.study.case_run import lay_out, run_case
+from greenroof_ros.analysis.study.grid import contents, read_grid
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.recording.trajectory import read_parquet
-from greenroof_ros.study.case_run import lay_out, run_case
-from greenroof_ros.study.grid import contents, read_grid
 
 COLUMNS = ("time", "cistern", "roof", "precipitation", "command", "pump_flow", "frost")
 

@@ -33,8 +33,8 @@ from greenroof_ros.formats.open_meteo import VARIABLES
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import HOUR, PRECIPITATION, TEMPERATURE, Issue
+from greenroof_ros.live.simulators.forecast_service import ForecastService
 from greenroof_ros.model.site import read_site
-from greenroof_ros.simulators.forecast_service import ForecastService
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import FILL
 

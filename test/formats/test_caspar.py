@@ -20,8 +20,8 @@ from archives import write_runs
 from paper import PAPER_SITE
 from refusals import refusal
 
+from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.study.grid import read_grid
 
 TORONTO = replace(PAPER_SITE, latitude=43.63, longitude=-79.40)
 # A rotated grid of 2.5 km about the site; its point [1, 2] is the nearest.

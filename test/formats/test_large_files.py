@@ -17,8 +17,8 @@ from places import CONFIG, DATA
 from refusals import refusal
 from twins import TWIN
 
-from greenroof_ros.calibrate import read_pump_data
-from greenroof_ros.calibration.csv_record import read_csv_record
+from greenroof_ros.analysis.calibration.csv_record import read_csv_record
+from greenroof_ros.commands.calibrate import read_pump_data
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.reading import read_archive, read_records
 from greenroof_ros.model.site import read_site

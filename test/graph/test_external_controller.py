@@ -161,7 +161,7 @@ def test_a_node_that_never_comes_is_named(domain: int, tmp_path: Path) -> None:
 
 def test_only_a_graph_can_use_it(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.simulate", "--controller", "external"],
+        [sys.executable, "-m", "greenroof_ros", "simulate", "--controller", "external"],
         cwd=tmp_path, env=environment(0), capture_output=True, text=True, check=False,
     )
     assert done.returncode == 2

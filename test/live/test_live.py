@@ -42,10 +42,10 @@ from ros_rig import (
 )
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
-from greenroof_ros.drives.sensor_file import QUANTITIES
+from greenroof_ros.live.drives.sensor_file import QUANTITIES
+from greenroof_ros.live.simulators.forecast_service import ForecastService
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
-from greenroof_ros.simulators.forecast_service import ForecastService
 from greenroof_ros.watch.alarms import advise
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import FILL

@@ -31,7 +31,7 @@ from rosbags.highlevel import AnyReader
 from simulators import Simulator, serial_line
 
 from greenroof_ros.experiment.incidents import read_incidents
-from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.live.pumping.ledger import Ledger
 
 NOBODY = (
     "--controller", "mpc", "--sensors", "external", "--pump", "external", "--weather", "external",

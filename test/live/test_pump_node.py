@@ -33,9 +33,9 @@ from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.times import to_people
-from greenroof_ros.drives.exchange import Snapshot
+from greenroof_ros.live.drives.exchange import Snapshot
 from greenroof_ros.live.pump_drive import PumpDrive
-from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.live.pumping.ledger import Ledger
 
 
 @pytest.fixture

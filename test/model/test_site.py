@@ -11,11 +11,11 @@ from hypothesis import example, given, settings
 from paper import PAPER_SITE, TABLE_I, paper_run, sites
 from studies import GRID, grid
 
+from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.model.site import Site, edited, read_site
-from greenroof_ros.study.grid import read_grid
 
 MEASURED = {
     "field_capacity": 0.6, "wilting_point": 0.05, "depletion_fraction": 0.5,

@@ -14,7 +14,7 @@ from test_nodes import parameter
 
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.controllers.registry import BUILT_IN
-from greenroof_ros.drives.sensor_file import QUANTITIES
+from greenroof_ros.live.drives.sensor_file import QUANTITIES
 
 SENSORS = [quantity.node for quantity in QUANTITIES.values()]
 

@@ -24,12 +24,12 @@ from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from greenroof_ros.commands.recover import restore
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.recording.bag_reader import count_ticks
 from greenroof_ros.recording.bag_writer import BagWriter, LiveBag
 from greenroof_ros.recording.results_table import parameter_columns, row_parameters
-from greenroof_ros.recover import restore
 
 START_NS = 1625641200 * 10**9  # 07:00 UTC, by date -d
 TOPICS = (
@@ -287,7 +287,7 @@ def test_a_disk_that_fails_while_it_is_read(tmp_path: Path, what: str, where: fl
     size = (tmp_path / "bag" / "bag_0.mcap").stat().st_size
     at = int(where * size) // 4096 * 4096
     done = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.recover", "bag", "--output", "new"], cwd=tmp_path,
+        [sys.executable, "-m", "greenroof_ros", "recover", "bag", "--output", "new"], cwd=tmp_path,
         env={**environment(0), **bad_disk(tmp_path), what: str(at)}, capture_output=True,
         text=True, check=False,
     )

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from said import ERROR, HELD, HOLD, OK, STALE, WARN, node, silent_sensor
 
 from greenroof_ros.common.interface import read_conditions
-from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
+from greenroof_ros.live.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.alarms import (
     _NEEDS_A_HAND,
     _PARTS_OF_REASON,

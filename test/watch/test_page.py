@@ -20,9 +20,9 @@ from page_server import page_files, served
 from places import CONFIG
 from said import ERROR, HELD, HOLD, SECOND, START, incident, node, store
 
+from greenroof_ros.analysis.report.drawing import COLOURS
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
-from greenroof_ros.report.drawing import COLOURS
 from greenroof_ros.watch import feed
 from greenroof_ros.watch.alarms import Alarms
 from greenroof_ros.watch.document import document as read_document

@@ -70,14 +70,14 @@ def test_wrong_usage_is_unknown_not_an_alarm(
 def test_without_ros_or_an_output_it_is_unknown(unused_domain: int, tmp_path: Path) -> None:
     environ = environment(unused_domain)
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT.replace("greenroof_ros.watch", "greenroof_ros.status"),
-         "rclpy"], cwd=tmp_path, env=environ, capture_output=True, text=True, check=False,
+        [sys.executable, "-c", WITHOUT.replace("commands.watch", "commands.status"), "rclpy"],
+        cwd=tmp_path, env=environ, capture_output=True, text=True, check=False,
     )
     assert done.returncode == 3
     assert "no ROS 2 here: source yours" in done.stderr and "Traceback" not in done.stderr
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "greenroof_ros.status", "--help"], cwd=tmp_path, env=environ,
+            [sys.executable, "-m", "greenroof_ros", "status", "--help"], cwd=tmp_path, env=environ,
             stdout=full, stderr=subprocess.PIPE, text=True, check=False,
         )
     assert done.returncode == 3
@@ -224,7 +224,7 @@ def test_it_needs_no_terminal_and_leaves_nothing(domain: int, tmp_path: Path) ->
     outputs = set()
     for term in ("xterm-256color", ""):
         done = subprocess.run(
-            [sys.executable, "-m", "greenroof_ros.status"], cwd=tmp_path, check=False,
+            [sys.executable, "-m", "greenroof_ros", "status"], cwd=tmp_path, check=False,
             env={**environment(domain), "TERM": term, "FORCE_COLOR": "1", "LC_ALL": "C"},
             stdin=subprocess.DEVNULL, capture_output=True, timeout=60,
         )

@@ -155,7 +155,7 @@ WITHOUT = """
 import sys, runpy
 sys.modules[sys.argv[1]] = None
 del sys.argv[1]
-runpy.run_module("greenroof_ros.watch", run_name="__main__", alter_sys=True)
+runpy.run_module("greenroof_ros.commands.watch", run_name="__main__", alter_sys=True)
 """
 
 
@@ -241,7 +241,7 @@ def _watcher_of(bringup: Process) -> int:
     children = Path(f"/proc/{bringup.process.pid}/task/{bringup.process.pid}/children")
     for pid in children.read_text().split():
         with suppress(OSError):  # it has just ended
-            if b"greenroof_ros.watch" in Path(f"/proc/{pid}/cmdline").read_bytes():
+            if b"greenroof_ros\0watch" in Path(f"/proc/{pid}/cmdline").read_bytes():
                 return int(pid)
     return 0
 

@@ -9,9 +9,9 @@ from faults.rig import Simulator
 from graphs import Process, free_ports, summary_of
 from markdown_tables import head, row
 
+from greenroof_ros.live.pumping.limits import Pulses, PumpSettings, pump_parameters
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import read_site
-from greenroof_ros.pumping.limits import Pulses, PumpSettings, pump_parameters
 
 HEAD = head([
     "controller", "drive", "length", "pumped (m3)", "simulated (m3)", "difference (m3)",

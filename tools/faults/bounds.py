@@ -5,8 +5,8 @@ doc/reference/interlocks.md and doc/reference/live-inputs.md give the same figur
 
 from __future__ import annotations
 
-from greenroof_ros.drives.exchange import FIRST_WAIT_S, RUNS_ON_S, SEEN_S, SILENCE_MARGIN_S
 from greenroof_ros.live import supervision
+from greenroof_ros.live.drives.exchange import FIRST_WAIT_S, RUNS_ON_S, SEEN_S, SILENCE_MARGIN_S
 from greenroof_ros.live.engine import LIMITS
 from greenroof_ros.live.pump import parameters as parameters_of_pump
 from greenroof_ros.live.supervisor import ENDING_S, PERMIT_S, SILENT_S

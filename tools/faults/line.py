@@ -8,9 +8,9 @@ import socket
 import threading
 import time
 
-from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine
-from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.server import Device, Server, StandingFault
+from greenroof_ros.live.drives.modbus_line import Address, DriveError, ModbusLine
+from greenroof_ros.live.simulators import faults
+from greenroof_ros.live.simulators.server import Device, Server, StandingFault
 
 
 class Line:

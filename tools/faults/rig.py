@@ -29,13 +29,13 @@ from places import CONFIG, guarding
 from ros_rig import write_forecast
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.drives.modbus_line import Address, parse_address
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import read_incidents
+from greenroof_ros.live.drives.modbus_line import Address, parse_address
+from greenroof_ros.live.pumping.limits import settings_for
+from greenroof_ros.live.simulators.control_profiles import AbbDrives
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.pumping.limits import settings_for
-from greenroof_ros.simulators.control_profiles import AbbDrives
 
 START_S = 60.0
 # Time from the simulated drive's power-up until it answers (s).

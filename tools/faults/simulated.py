@@ -144,7 +144,7 @@ def _ends(case: Case, run: Process, directory: Path, began: float, outcome: Outc
 def _restore(outcome: Outcome, run: Path, *options: str) -> bool:
     """Restore the bag of a run with the command ``recover``; return whether that worked."""
     done = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.recover", str(run), *options], capture_output=True,
+        [sys.executable, "-m", "greenroof_ros", "recover", str(run), *options], capture_output=True,
         text=True, env=environment(0), timeout=60,
     )
     if done.returncode not in (EXIT_DONE, EXIT_FAILED):  # a kill can cut the last chunk

@@ -11,8 +11,8 @@ from contextlib import suppress
 
 from simulators import FAULTS, Workbench
 
-from greenroof_ros.drives.modbus_line import Address, DriveError
-from greenroof_ros.simulators.faults import DEFAULT, SITE_FAULTS
+from greenroof_ros.live.drives.modbus_line import Address, DriveError
+from greenroof_ros.live.simulators.faults import DEFAULT, SITE_FAULTS
 
 _PERIOD_S = 0.05
 # Six minutes of samples, longer than the longest case.

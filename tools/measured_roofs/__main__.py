@@ -32,15 +32,15 @@ from markdown_tables import head, row
 from measured_roofs.others import bucket, swmm
 from measured_roofs.roofs import ROOFS, STEP_S, read_roof, warm
 
-from greenroof_ros.calibration import simulation
-from greenroof_ros.calibration.fit import fit, measured_roof
-from greenroof_ros.calibration.record import comparable, halve, storms
-from greenroof_ros.calibration.scores import score
-from greenroof_ros.calibration.simulation import least_reading
+from greenroof_ros.analysis.calibration import simulation
+from greenroof_ros.analysis.calibration.fit import fit, measured_roof
+from greenroof_ros.analysis.calibration.record import comparable, halve, storms
+from greenroof_ros.analysis.calibration.scores import score
+from greenroof_ros.analysis.calibration.simulation import least_reading
+from greenroof_ros.analysis.report.drawing import COLOURS, Figure, Panel
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.model.site import read_site
 from greenroof_ros.model.soil import MeasuredSoil
-from greenroof_ros.report.drawing import COLOURS, Figure, Panel
 
 OURS, SWMM, BUCKET = MODELS = "fitted roof", "SWMM", "bucket"
 LEAST_MM = 5.0

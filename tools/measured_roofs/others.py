@@ -10,7 +10,7 @@ from measured_roofs.roofs import STEP_S, Roof, temperatures
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from greenroof_ros.calibration.record import Record, sums
+from greenroof_ros.analysis.calibration.record import Record, sums
 
 Values = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greenroof_ros.calibration.csv_record import read_csv_record
-from greenroof_ros.calibration.record import Record, in_months
+from greenroof_ros.analysis.calibration.csv_record import read_csv_record
+from greenroof_ros.analysis.calibration.record import Record, in_months
 from greenroof_ros.model.site import Site
 
 STEP_S = 300

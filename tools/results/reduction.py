@@ -11,9 +11,9 @@ import numpy as np
 import polars as pl
 from sizing.__main__ import interval
 
+from greenroof_ros.analysis.report.intervals import Deviations, compare, worst_tenth
 from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.results_table import differing, row_parameters
-from greenroof_ros.report.intervals import Deviations, compare, worst_tenth
 
 Rows: TypeAlias = list[dict[str, str]]
 

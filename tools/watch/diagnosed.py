@@ -18,7 +18,7 @@ from rclpy.node import Node
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.states import ENDED, STARTING, STATES
-from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
+from greenroof_ros.live.pumping.interlocks import INTERLOCKS, LATCHED
 
 # A node reports four times a second; bringup holds the pump after 2 s (doc/explanation/live.md).
 SILENT_S = 2.0

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from greenroof_ros.calibration.record import Record, Values
+from greenroof_ros.analysis.calibration.record import Record, Values
+from greenroof_ros.analysis.report.bags import run_directory
+from greenroof_ros.analysis.report.run import read_about
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.plant import pumps_run
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
-from greenroof_ros.report.bags import run_directory
-from greenroof_ros.report.run import read_about
 from greenroof_ros.weather.evapotranspiration import FAO56
 
 # Duration of the steps (s): short relative to storms, long relative to a sensor's noise.

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greenroof_ros.calibration.record import (
+from greenroof_ros.analysis.calibration.record import (
     DAY_S,
     HOUR_S,
     Record,
@@ -25,7 +25,7 @@ from greenroof_ros.calibration.record import (
     storms,
     time_name,
 )
-from greenroof_ros.calibration.scores import Scores
+from greenroof_ros.analysis.calibration.scores import Scores
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.quality import Finding, Findings
 from greenroof_ros.formats.records import gaps

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.calibration.record import (
+from greenroof_ros.analysis.calibration.record import (
     DAY_S,
     HOUR_S,
     Record,

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import OptimizeResult, least_squares
 
-from greenroof_ros.calibration.record import TOGETHER, Record, Steps, Values, time_name
-from greenroof_ros.calibration.simulation import Simulated, least_reading, simulate
+from greenroof_ros.analysis.calibration.record import TOGETHER, Record, Steps, Values, time_name
+from greenroof_ros.analysis.calibration.simulation import Simulated, least_reading, simulate
 from greenroof_ros.model.site import Site
 
 Tell = Callable[[str, float], None]

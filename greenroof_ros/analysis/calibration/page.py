@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import altair as alt
 import numpy as np
 
-from greenroof_ros.calibration.fit import FILLED, Fit
-from greenroof_ros.calibration.record import (
+from greenroof_ros.analysis.calibration.fit import FILLED, Fit
+from greenroof_ros.analysis.calibration.record import (
     DAY_S,
     HOUR_S,
     TOGETHER,
@@ -18,11 +18,9 @@ from greenroof_ros.calibration.record import (
     sums,
     time_name,
 )
-from greenroof_ros.calibration.scores import Scores
-from greenroof_ros.calibration.site_file import CROP_NOTE, INTERVAL_NOTE
-from greenroof_ros.common.quality import Finding
-from greenroof_ros.model.site import site_parameters
-from greenroof_ros.report.drawing import (
+from greenroof_ros.analysis.calibration.scores import Scores
+from greenroof_ros.analysis.calibration.site_file import CROP_NOTE, INTERVAL_NOTE
+from greenroof_ros.analysis.report.drawing import (
     COLOURS,
     Figure,
     Panel,
@@ -32,7 +30,9 @@ from greenroof_ros.report.drawing import (
     series_panel,
     short,
 )
-from greenroof_ros.report.page import page_of
+from greenroof_ros.analysis.report.page import page_of
+from greenroof_ros.common.quality import Finding
+from greenroof_ros.model.site import site_parameters
 
 MEASURED, SIMULATED = "measured", "simulated"
 # A scatter leaves out points with both values below this share of the largest: there are thousands

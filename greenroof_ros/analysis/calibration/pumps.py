@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
-from greenroof_ros.calibration.checks import FINDINGS
-from greenroof_ros.calibration.fit import HARDLY, Parameter, freedom, half_intervals, moves
-from greenroof_ros.calibration.record import Record, Steps, Values, greatest_rise, lately
+from greenroof_ros.analysis.calibration.checks import FINDINGS
+from greenroof_ros.analysis.calibration.fit import HARDLY, Parameter, freedom, half_intervals, moves
+from greenroof_ros.analysis.calibration.record import Record, Steps, Values, greatest_rise, lately
 from greenroof_ros.common.quality import Finding
 from greenroof_ros.formats.records import gaps
 from greenroof_ros.model.plant import maximum_pump_flow

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.calibration.record import DAY_S, HOUR_S, TOGETHER, Values
+from greenroof_ros.analysis.calibration.record import DAY_S, HOUR_S, TOGETHER, Values
 
 
 class Scores(NamedTuple):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greenroof_ros.calibration.record import Record, Values
+from greenroof_ros.analysis.calibration.record import Record, Values
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import MeasuredSoil
 

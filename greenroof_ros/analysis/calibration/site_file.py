@@ -10,7 +10,7 @@ from typing import Any
 
 from ruamel.yaml.comments import CommentedMap
 
-from greenroof_ros.calibration.fit import FILLED, Fit
+from greenroof_ros.analysis.calibration.fit import FILLED, Fit
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.pump_curve import PumpCurve
 from greenroof_ros.model.site import edited, read_site, site_parameters, site_yaml

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.analysis.report.run import Note, Row, Run, labels, meaning_of_initial, read_about
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import file_digest, shared_directory
 from greenroof_ros.common.times import to_people
@@ -27,7 +28,6 @@ from greenroof_ros.model.soil import soil_of
 from greenroof_ros.recording.bag_reader import Recorded, load_bag
 from greenroof_ros.recording.bag_writer import METADATA, recovered_bag
 from greenroof_ros.recording.trajectory import Trajectory
-from greenroof_ros.report.run import Note, Row, Run, labels, meaning_of_initial, read_about
 from greenroof_ros.weather.reading import read_weather
 
 MOST_POINTS = 500

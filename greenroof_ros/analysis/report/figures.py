@@ -16,10 +16,7 @@ from typing import NamedTuple
 import altair as alt
 import polars as pl
 
-from greenroof_ros.common.files import shared_directory
-from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.model.site import PLACE, read_site
-from greenroof_ros.report.drawing import (
+from greenroof_ros.analysis.report.drawing import (
     COLOURS,
     SHAPES,
     Chart,
@@ -32,7 +29,7 @@ from greenroof_ros.report.drawing import (
     short,
     value_axis,
 )
-from greenroof_ros.report.groups import (
+from greenroof_ros.analysis.report.groups import (
     SEASONS,
     SEEDS,
     SKY,
@@ -43,8 +40,11 @@ from greenroof_ros.report.groups import (
     unique,
     who,
 )
-from greenroof_ros.report.run import NO_ERRORS, Row, controller_name
-from greenroof_ros.report.trajectories import trajectories, weather
+from greenroof_ros.analysis.report.run import NO_ERRORS, Row, controller_name
+from greenroof_ros.analysis.report.trajectories import trajectories, weather
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.model.site import PLACE, read_site
 
 _PAPER_START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 _PAPER_HOURS = 12.0

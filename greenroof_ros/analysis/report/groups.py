@@ -17,15 +17,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.onoff import OnOff
-from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.forecast.skill import SKILLS
-from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
-from greenroof_ros.recording.results_table import differing
-from greenroof_ros.report.bags import Drawn, drawn, measured, near_hours
-from greenroof_ros.report.intervals import Deviations, compare, worst_tenth
-from greenroof_ros.report.run import (
+from greenroof_ros.analysis.report.bags import Drawn, drawn, measured, near_hours
+from greenroof_ros.analysis.report.intervals import Deviations, compare, worst_tenth
+from greenroof_ros.analysis.report.run import (
     NO_ERRORS,
     PAPERS_CONTROLLERS,
     Assumptions,
@@ -35,7 +29,13 @@ from greenroof_ros.report.run import (
     controller_name,
     parameter_text,
 )
-from greenroof_ros.report.sources import Sources
+from greenroof_ros.analysis.report.sources import Sources
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.onoff import OnOff
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.forecast.skill import SKILLS
+from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
+from greenroof_ros.recording.results_table import differing
 
 SINGLE, SEEDS, SEASONS = "single", "seeds", "seasons"
 """the kinds of cases"""

@@ -11,12 +11,12 @@ import jinja2
 import vl_convert
 from markupsafe import Markup
 
+from greenroof_ros.analysis.report.drawing import CONFIG, Figure, Rows
+from greenroof_ros.analysis.report.groups import Report
+from greenroof_ros.analysis.report.tables import incident_tables, make_tables
+from greenroof_ros.analysis.report.words import LEADING, cautions, make_warnings, sentences
 from greenroof_ros.experiment.summary import versions, versions_text
 from greenroof_ros.model.site import site_parameters
-from greenroof_ros.report.drawing import CONFIG, Figure, Rows
-from greenroof_ros.report.groups import Report
-from greenroof_ros.report.tables import incident_tables, make_tables
-from greenroof_ros.report.words import LEADING, cautions, make_warnings, sentences
 
 
 def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:

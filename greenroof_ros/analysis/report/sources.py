@@ -15,6 +15,16 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from greenroof_ros.analysis.report.bags import read_run, run_directory
+from greenroof_ros.analysis.report.run import (
+    NO_ERRORS,
+    Row,
+    Run,
+    labels,
+    meaning_of_initial,
+    notes_of,
+    parameters,
+)
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import file_digest, read_text
 from greenroof_ros.common.times import to_people
@@ -24,16 +34,6 @@ from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.bag_reader import Recorded
 from greenroof_ros.recording.results_table import row_parameters
 from greenroof_ros.recording.trajectory import read_parquet
-from greenroof_ros.report.bags import read_run, run_directory
-from greenroof_ros.report.run import (
-    NO_ERRORS,
-    Row,
-    Run,
-    labels,
-    meaning_of_initial,
-    notes_of,
-    parameters,
-)
 
 _NEEDED = (
     "run", "site", "weather", "start", "hours", "evapotranspiration", "controller", "initial",

@@ -8,12 +8,21 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
+from greenroof_ros.analysis.report.groups import (
+    SEASONS,
+    SEEDS,
+    SINGLE,
+    TOTAL,
+    Report,
+    facts,
+    heading,
+    who,
+)
+from greenroof_ros.analysis.report.intervals import Ratio
+from greenroof_ros.analysis.report.run import Row
 from greenroof_ros.common.times import hours_minutes_seconds, to_people
 from greenroof_ros.experiment import summary
 from greenroof_ros.model.metrics import METRICS, Metric
-from greenroof_ros.report.groups import SEASONS, SEEDS, SINGLE, TOTAL, Report, facts, heading, who
-from greenroof_ros.report.intervals import Ratio
-from greenroof_ros.report.run import Row
 
 _METRICS = {metric.name: metric for metric in METRICS}
 

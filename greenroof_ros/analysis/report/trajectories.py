@@ -7,10 +7,10 @@ from datetime import datetime
 
 import altair as alt
 
+from greenroof_ros.analysis.report.drawing import Figure, Panel, Rows, pointed, series_panel, short
+from greenroof_ros.analysis.report.groups import SKY, Report, unique
+from greenroof_ros.analysis.report.run import Row, controller_name
 from greenroof_ros.model.site import Site
-from greenroof_ros.report.drawing import Figure, Panel, Rows, pointed, series_panel, short
-from greenroof_ros.report.groups import SKY, Report, unique
-from greenroof_ros.report.run import Row, controller_name
 
 _GREY = "#555555"
 _FULL_FLOW = "full flow; the pump cannot deliver more"

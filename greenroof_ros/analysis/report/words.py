@@ -6,10 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
-from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.model.metrics import METRICS
-from greenroof_ros.recording.results_table import shortest
-from greenroof_ros.report.groups import (
+from greenroof_ros.analysis.report.groups import (
     SEASONS,
     SEEDS,
     SINGLE,
@@ -20,7 +17,10 @@ from greenroof_ros.report.groups import (
     lowest,
     who,
 )
-from greenroof_ros.report.run import Note, Row, Run, controller_name
+from greenroof_ros.analysis.report.run import Note, Row, Run, controller_name
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.recording.results_table import shortest
 
 LEADING = (
     "sizing", "season-comparisons", "seasons", "forecast-errors", "total-deviation-1",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.analysis.study.grid import Case, in_directory
 from greenroof_ros.common.files import naming
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
@@ -16,7 +17,6 @@ from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.results_table import summary_columns
-from greenroof_ros.study.grid import Case, in_directory
 from greenroof_ros.weather.reading import read_weather
 
 

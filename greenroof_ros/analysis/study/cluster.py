@@ -13,10 +13,10 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
+from greenroof_ros.analysis.study.case_run import lay_out
+from greenroof_ros.analysis.study.workers import Workers, WorkersGoneError
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.experiment.summary import versions
-from greenroof_ros.study.case_run import lay_out
-from greenroof_ros.study.workers import Workers, WorkersGoneError
 
 with in_extra("dask"):
     import dask

@@ -14,13 +14,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TextIO
 
+from greenroof_ros.analysis.study.case_run import Outcome, lay_out
+from greenroof_ros.analysis.study.grid import Case, contents
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import naming
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.recording.results_table import parameter_columns
-from greenroof_ros.study.case_run import Outcome, lay_out
-from greenroof_ros.study.grid import Case, contents
 
 _OUTCOME = "outcome.json"
 _DIGEST = "digest"
@@ -203,10 +203,10 @@ def _numbers() -> dict[str, str]:
     For this package they are a digest of the relevant code, without comments and docstrings, and
     the constants of the named forecast skills.
     """
-    package = Path(__file__).parent.parent
+    package = Path(__file__).parents[2]
     digest = hashlib.sha256()
     parts = ["model", "formats", "weather", "forecast", "controllers", "experiment"]
-    parts += ["study/case_run.py", "recording/results_table.py"]
+    parts += ["analysis/study/case_run.py", "recording/results_table.py"]
     # They read the numbers of sites, controllers and windows.
     parts += ["common/files.py", "common/parameter.py", "common/ranges.py", "common/times.py"]
     for part in parts:

@@ -1,6 +1,6 @@
 """The workers of a study's runs: processes of this machine.
 
-A Dask cluster's are in :mod:`greenroof_ros.study.cluster`.
+A Dask cluster's are in :mod:`greenroof_ros.analysis.study.cluster`.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
 
+from greenroof_ros.analysis.study.case_run import lay_out
 from greenroof_ros.common.files import naming
 from greenroof_ros.common.processes import end_with, scratch_directory
-from greenroof_ros.study.case_run import lay_out
 
 # Imported once by the fork server, not by each worker.
 _PRELOADED = [
-    "greenroof_ros.study.case_run", "greenroof_ros.controllers.mpc",
+    "greenroof_ros.analysis.study.case_run", "greenroof_ros.controllers.mpc",
     "greenroof_ros.controllers.lookahead", "osqp", "polars", "scipy.optimize",
 ]
 

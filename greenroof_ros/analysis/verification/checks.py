@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from statistics import median
 
+from greenroof_ros.analysis.verification.pairs import Class
+from greenroof_ros.analysis.verification.scores import Scores, Tally
 from greenroof_ros.common.quality import Finding, Findings
-from greenroof_ros.verification.pairs import Class
-from greenroof_ros.verification.scores import Scores, Tally
 
 _FINDINGS = Findings(Path(__file__).with_name("findings.yaml"))
 

@@ -8,8 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import altair as alt
 import numpy as np
 
-from greenroof_ros.common.quality import Finding
-from greenroof_ros.report.drawing import (
+from greenroof_ros.analysis.report.drawing import (
     Figure,
     Panel,
     Rows,
@@ -18,9 +17,10 @@ from greenroof_ros.report.drawing import (
     series_panel,
     short,
 )
-from greenroof_ros.report.page import page_of
-from greenroof_ros.verification.pairs import Class, IssuedForecasts, Sum
-from greenroof_ros.verification.scores import SHOWN, TENTHS, Tally
+from greenroof_ros.analysis.report.page import page_of
+from greenroof_ros.analysis.verification.pairs import Class, IssuedForecasts, Sum
+from greenroof_ros.analysis.verification.scores import SHOWN, TENTHS, Tally
+from greenroof_ros.common.quality import Finding
 
 # Name in Scores, title of the panel, and title of its axis.
 _BY_LEAD = (

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.analysis.verification.scores import Tally
 from greenroof_ros.common.times import hours_since_1970, to_people
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import make_model
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR, ISSUE_HOURS, PRECIPITATION
 from greenroof_ros.model.site import Site
-from greenroof_ros.verification.scores import Tally
 from greenroof_ros.weather.series import Weather, on_the_hours
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ from typing import ClassVar
 from rclpy.node import Node
 from std_msgs.msg import String
 
+from greenroof_ros.commands.checks.node import NodeCheck, checking_node, require
 from greenroof_ros.common.command_line import Finding
 from greenroof_ros.graph.messages import qos_profile
-from greenroof_ros.graph.node_check import NodeCheck, checking_node, require
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.site import Site
 

@@ -8,8 +8,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives.drive_file import Codes, Condition, DriveFile, Register, Step, Timeout
-from greenroof_ros.drives.modbus_line import SIMULATOR, Address, DriveError, decode, limits
+from greenroof_ros.live.drives.drive_file import (
+    Codes,
+    Condition,
+    DriveFile,
+    Register,
+    Step,
+    Timeout,
+)
+from greenroof_ros.live.drives.modbus_line import SIMULATOR, Address, DriveError, decode, limits
 from greenroof_ros.model.pump_speed import STANDS
 
 # Time between two checks whether a drive has reached a state (s).

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.drives.drive import DriveStatus
-from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
-from greenroof_ros.drives.lock import DriveInUseError, DriveLock
-from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, Known
-from greenroof_ros.drives.placed import Connection, Placed
+from greenroof_ros.live.drives.drive import DriveStatus
+from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
+from greenroof_ros.live.drives.lock import DriveInUseError, DriveLock
+from greenroof_ros.live.drives.modbus_line import DeviceThread, DriveError, Known
+from greenroof_ros.live.drives.placed import Connection, Placed
 
 # Wait before a new attempt to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0

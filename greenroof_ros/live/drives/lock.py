@@ -5,8 +5,8 @@ from __future__ import annotations
 import socket
 
 from greenroof_ros.common.processes import LockedError, take_name
-from greenroof_ros.drives.modbus_line import DriveError
-from greenroof_ros.drives.placed import Placed
+from greenroof_ros.live.drives.modbus_line import DriveError
+from greenroof_ros.live.drives.placed import Placed
 
 
 class DriveInUseError(DriveError):

@@ -21,9 +21,9 @@ from string import Template
 from typing import Any
 
 from greenroof_ros.common.mqtt import Broker, make_client
-from greenroof_ros.drives.drive import DriveStatus
-from greenroof_ros.drives.modbus_line import SIMULATOR, Address, DriveError
-from greenroof_ros.drives.relay_file import Message, RelayFile, Timer, Value
+from greenroof_ros.live.drives.drive import DriveStatus
+from greenroof_ros.live.drives.modbus_line import SIMULATOR, Address, DriveError
+from greenroof_ros.live.drives.relay_file import Message, RelayFile, Timer, Value
 
 # Longest wait for the broker (s).
 _CONNECT_S = 3.0

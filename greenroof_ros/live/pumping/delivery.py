@@ -56,10 +56,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from greenroof_ros.live.pumping.limits import PumpSettings
 from greenroof_ros.model.plant import low_outlet_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
-from greenroof_ros.pumping.limits import PumpSettings
 
 _M_PER_S = 1e-3 / 3600
 """m/s per mm/h"""

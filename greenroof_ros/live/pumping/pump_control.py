@@ -6,19 +6,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from greenroof_ros.model.pump_speed import STANDS, flow_at
-from greenroof_ros.model.site import Site
-from greenroof_ros.pumping.delivery import DeliveryCheck
-from greenroof_ros.pumping.dose import FULL, INTERLOCK, UNSEEN, Dose, Doses
-from greenroof_ros.pumping.interlocks import (
+from greenroof_ros.live.pumping.delivery import DeliveryCheck
+from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Dose, Doses
+from greenroof_ros.live.pumping.interlocks import (
     ENABLE,
     INHIBIT,
     INTERLOCKS,
     LATCHED,
     evaluate,
 )
-from greenroof_ros.pumping.ledger import SAVE_EVERY_S, Ledger
-from greenroof_ros.pumping.limits import Limits, Pulses, PumpSettings
+from greenroof_ros.live.pumping.ledger import SAVE_EVERY_S, Ledger
+from greenroof_ros.live.pumping.limits import Limits, Pulses, PumpSettings
+from greenroof_ros.model.pump_speed import STANDS, flow_at
+from greenroof_ros.model.site import Site
 
 # A measured flow above this multiple of the maximum flow is not believed.
 _GREATEST_FLOW = 1.5

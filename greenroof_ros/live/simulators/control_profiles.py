@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.simulators.simulated_drive import Motion, SimulatedDrive
+from greenroof_ros.live.simulators.simulated_drive import Motion, SimulatedDrive
 
 
 class _Abb(enum.Enum):

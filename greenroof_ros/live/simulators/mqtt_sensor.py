@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from greenroof_ros.common.mqtt import make_client
-from greenroof_ros.drives.sensor_file import MqttSensor
+from greenroof_ros.live.drives.sensor_file import MqttSensor
 
 # Number of messages within the longest silence that the sensor file allows.
 _MESSAGES = 5

@@ -19,13 +19,13 @@ from typing import Any, ClassVar
 from pymodbus.constants import ExcCodes
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives.drive_file import DriveFile, Register
-from greenroof_ros.drives.modbus_line import SIMULATOR, Address, decode, encode
+from greenroof_ros.live.drives.drive_file import DriveFile, Register
+from greenroof_ros.live.drives.modbus_line import SIMULATOR, Address, decode, encode
+from greenroof_ros.live.simulators import faults
+from greenroof_ros.live.simulators.server import Bench, Device, PseudoLine, Server
 from greenroof_ros.model.initial_state import default_state
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
-from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.server import Bench, Device, PseudoLine, Server
 
 _RATED_RPM = 1500
 _RATED_FREQUENCY = 500

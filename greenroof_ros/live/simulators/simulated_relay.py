@@ -17,9 +17,9 @@ from typing import Any, ClassVar
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import Broker, make_client
-from greenroof_ros.drives.modbus_line import SIMULATOR, Address
-from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.server import Bench
+from greenroof_ros.live.drives.modbus_line import SIMULATOR, Address
+from greenroof_ros.live.simulators import faults
+from greenroof_ros.live.simulators.server import Bench
 
 _STEP_S = 0.01
 # A topic, and the payload that is published there.

@@ -10,14 +10,20 @@ from functools import partial
 from typing import TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine, encode, parse_address
-from greenroof_ros.drives.sensor_file import ModbusSensor, Sensors
+from greenroof_ros.live.drives.modbus_line import (
+    Address,
+    DriveError,
+    ModbusLine,
+    encode,
+    parse_address,
+)
+from greenroof_ros.live.drives.sensor_file import ModbusSensor, Sensors
+from greenroof_ros.live.simulators import faults
+from greenroof_ros.live.simulators.mqtt_sensor import SimulatedMqttSensor
+from greenroof_ros.live.simulators.server import Bench, Device, Server
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
-from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.mqtt_sensor import SimulatedMqttSensor
-from greenroof_ros.simulators.server import Bench, Device, Server
 
 # Readings of the drive's speed per tick, if there is time for as many.
 _LOOKS = 20

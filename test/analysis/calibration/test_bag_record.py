@@ -12,7 +12,7 @@ import pytest
 from refusals import refusal
 from twins import TWIN
 
-from greenroof_ros.calibration.bag_record import read_bag_record
+from greenroof_ros.analysis.calibration.bag_record import read_bag_record
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.model.site import edited

@@ -15,8 +15,8 @@ from places import CHECKOUT
 from refusals import refusal
 from twins import TWIN, record_rows, summed, write
 
-from greenroof_ros.calibrate import read_pump_data
-from greenroof_ros.calibration.site_file import edited_site_file
+from greenroof_ros.analysis.calibration.site_file import edited_site_file
+from greenroof_ros.commands.calibrate import read_pump_data
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.model.site import edited, read_site
 

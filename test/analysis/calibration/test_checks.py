@@ -12,11 +12,16 @@ import pytest
 from refusals import refusal
 from twins import DAY, TWIN, a_record, record_of, record_rows
 
-from greenroof_ros.calibration.checks import FINDINGS, check_fit, check_record, level_sensor
-from greenroof_ros.calibration.csv_record import read_csv_record
-from greenroof_ros.calibration.record import Record, in_months
-from greenroof_ros.calibration.scores import Scores, score
-from greenroof_ros.calibration.simulation import simulate
+from greenroof_ros.analysis.calibration.checks import (
+    FINDINGS,
+    check_fit,
+    check_record,
+    level_sensor,
+)
+from greenroof_ros.analysis.calibration.csv_record import read_csv_record
+from greenroof_ros.analysis.calibration.record import Record, in_months
+from greenroof_ros.analysis.calibration.scores import Scores, score
+from greenroof_ros.analysis.calibration.simulation import simulate
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.quality import Severity, accept
 from greenroof_ros.model.site import read_site

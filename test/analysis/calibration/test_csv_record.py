@@ -13,8 +13,8 @@ import pytest
 from refusals import refusal
 from twins import TWIN
 
-from greenroof_ros.calibration.csv_record import read_csv_record
-from greenroof_ros.calibration.record import Record
+from greenroof_ros.analysis.calibration.csv_record import read_csv_record
+from greenroof_ros.analysis.calibration.record import Record
 from greenroof_ros.model.site import Site
 
 ROWS = 120

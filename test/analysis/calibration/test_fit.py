@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import t as student
 from twins import DAY, FILLED_AT_FIRST, TWIN, record_of, record_rows
 
-from greenroof_ros.calibration.fit import (
+from greenroof_ros.analysis.calibration.fit import (
     FILLED,
     Parameter,
     fit,
@@ -21,7 +21,7 @@ from greenroof_ros.calibration.fit import (
     moves,
     ranges,
 )
-from greenroof_ros.calibration.record import Record
+from greenroof_ros.analysis.calibration.record import Record
 
 ELSEWHERE = replace(
     TWIN, field_capacity=0.3, z_cap=3.0, wilting_point=0.02, depletion_fraction=0.5,

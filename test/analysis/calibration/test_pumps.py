@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from twins import DAY, NOISE_M, STEP_S, TWIN, a_record, storms
 
-from greenroof_ros.calibration.pumps import PumpFit, fit_pumps
-from greenroof_ros.calibration.record import Record
+from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
+from greenroof_ros.analysis.calibration.record import Record
 from greenroof_ros.common.quality import Severity
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site

@@ -10,7 +10,7 @@ import pytest
 from refusals import refusal
 from twins import a_record
 
-from greenroof_ros.calibration.record import (
+from greenroof_ros.analysis.calibration.record import (
     Outage,
     Record,
     Storm,

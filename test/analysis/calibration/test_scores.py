@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greenroof_ros.calibration.record import time_name
-from greenroof_ros.calibration.scores import efficiency, kling_gupta, score
+from greenroof_ros.analysis.calibration.record import time_name
+from greenroof_ros.analysis.calibration.scores import efficiency, kling_gupta, score
 
 
 def test_nash_and_sutcliffe_kling_and_gupta() -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from twins import TWIN, a_record, storms
 
-from greenroof_ros.calibration.record import Record
-from greenroof_ros.calibration.simulation import least_reading, simulate
+from greenroof_ros.analysis.calibration.record import Record
+from greenroof_ros.analysis.calibration.simulation import least_reading, simulate
 from greenroof_ros.model.plant import Plant
 
 TICK_S = 5.0

@@ -22,17 +22,17 @@ from places import CONFIG
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from greenroof_ros.analysis.report.drawing import Figure
+from greenroof_ros.analysis.report.figures import make_figures
+from greenroof_ros.analysis.report.groups import Report
+from greenroof_ros.analysis.report.page import render
+from greenroof_ros.analysis.report.run import Assumptions
+from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.recording.trajectory import Trajectory
-from greenroof_ros.report.drawing import Figure
-from greenroof_ros.report.figures import make_figures
-from greenroof_ros.report.groups import Report
-from greenroof_ros.report.page import render
-from greenroof_ros.report.run import Assumptions
-from greenroof_ros.report.sources import find_runs
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 START_NS = 1_625_641_200 * 10**9  # date -d 2021-07-07T02:00-05:00 +%s

@@ -9,13 +9,13 @@ import pytest
 from inputs import trajectory_of
 from paper import PAPER_SITE, paper_run, site_file
 
+from greenroof_ros.analysis.report.bags import measured, near_hours
+from greenroof_ros.analysis.report.run import Row, Run
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_reader import Recorded
 from greenroof_ros.recording.trajectory import Trajectory
-from greenroof_ros.report.bags import measured, near_hours
-from greenroof_ros.report.run import Row, Run
 
 TARGET = 68.8 * 0.0457
 

@@ -15,7 +15,7 @@ from inputs import command, report_of, simulate, small_bag, write_bag, write_stu
 from places import CONFIG
 from refusals import refusal
 
-from greenroof_ros.report.sources import find_runs
+from greenroof_ros.analysis.report.sources import find_runs
 
 
 def bag(**changes: Any) -> Callable[[Path], Any]:
@@ -164,7 +164,7 @@ def test_without_the_extra(tmp_path: Path, missing: str) -> None:
     small_bag(tmp_path / "in")
     code = (
         f"import sys; sys.modules[{missing!r}] = None; sys.argv[1:] = ['in'];"
-        "from greenroof_ros.report.__main__ import main; sys.exit(main())"
+        "from greenroof_ros.commands.report import main; sys.exit(main())"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment(0), capture_output=True,

@@ -31,15 +31,15 @@ from inputs import (
 from paper import PAPER_SITE, site_file
 from refusals import refusal
 
+from greenroof_ros.analysis.report.bags import MOST_POINTS, near_hours, thin
+from greenroof_ros.analysis.report.drawing import value_axis
+from greenroof_ros.analysis.report.figures import is_figure, published_totals
+from greenroof_ros.analysis.report.groups import SEEDS, Report
+from greenroof_ros.analysis.report.tables import make_tables
+from greenroof_ros.analysis.report.words import cautions, sentences
+from greenroof_ros.commands.report import _former_report
 from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
 from greenroof_ros.recording.trajectory import Trajectory
-from greenroof_ros.report.__main__ import _former_report
-from greenroof_ros.report.bags import MOST_POINTS, near_hours, thin
-from greenroof_ros.report.drawing import value_axis
-from greenroof_ros.report.figures import is_figure, published_totals
-from greenroof_ros.report.groups import SEEDS, Report
-from greenroof_ros.report.tables import make_tables
-from greenroof_ros.report.words import cautions, sentences
 
 TOTAL = "total_deviation_m3"
 

@@ -43,15 +43,15 @@ from places import CHECKOUT, CONFIG
 from refusals import refusal
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from greenroof_ros.analysis.report.sources import find_runs
+from greenroof_ros.analysis.report.tables import incident_tables
+from greenroof_ros.commands.recover import recover
+from greenroof_ros.commands.report import _show
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.recording.bag_writer import BagWriter
 from greenroof_ros.recording.trajectory import Trajectory, read_parquet
-from greenroof_ros.recover import recover
-from greenroof_ros.report.__main__ import _show
-from greenroof_ros.report.sources import find_runs
-from greenroof_ros.report.tables import incident_tables
 
 TOTAL = "total_deviation_m3"
 

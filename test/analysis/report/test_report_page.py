@@ -23,7 +23,7 @@ from inputs import (
 )
 from places import CONFIG
 
-from greenroof_ros.report.page import render
+from greenroof_ros.analysis.report.page import render
 
 WEIGHTS = ("0.00001", "0.0001", "0.001", "0.01", "0.1")
 FRACTIONS = ("0.2", "0.5", "1", "1.5", "2")

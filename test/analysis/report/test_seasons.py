@@ -11,12 +11,12 @@ import scipy.stats
 from inputs import figures_of, page_of, report_of, study_of
 from studies import record, run_here
 
+from greenroof_ros.analysis.report.drawing import Figure
+from greenroof_ros.analysis.report.groups import SEASONS, Report
+from greenroof_ros.analysis.report.intervals import Comparison, Deviations, compare, worst_tenth
+from greenroof_ros.analysis.report.tables import make_tables
+from greenroof_ros.analysis.report.words import cautions, sentences
 from greenroof_ros.model.site import edited
-from greenroof_ros.report.drawing import Figure
-from greenroof_ros.report.groups import SEASONS, Report
-from greenroof_ros.report.intervals import Comparison, Deviations, compare, worst_tenth
-from greenroof_ros.report.tables import make_tables
-from greenroof_ros.report.words import cautions, sentences
 
 YEARS = range(2015, 2026)
 ONOFF = {year: 100.0 + 10 * (year - 2015) for year in YEARS}

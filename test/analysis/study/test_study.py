@@ -15,9 +15,9 @@ from places import Once
 from studies import GRID, begun, edited, grid, rows_of, store_of, stored, study
 
 import greenroof_ros
+from greenroof_ros.analysis.study import store as store_module
+from greenroof_ros.analysis.study.case_run import Outcome
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.study import store as store_module
-from greenroof_ros.study.case_run import Outcome
 
 
 def test_bound_beside_each_run(papers: Path) -> None:

@@ -14,10 +14,10 @@ from places import DATA
 from refusals import refusal
 from studies import CONFIG, GRID, WEATHER, edited, grid, record, run_here
 
+from greenroof_ros.analysis.study.case_run import bound_case, lay_out, run_case
+from greenroof_ros.analysis.study.grid import contents, read_grid
+from greenroof_ros.commands.study import show
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
-from greenroof_ros.study.__main__ import show
-from greenroof_ros.study.case_run import bound_case, lay_out, run_case
-from greenroof_ros.study.grid import contents, read_grid
 
 SITE = f"site: {CONFIG / 'site.yaml'}"
 HOURS = "    hours: 0.25\n"

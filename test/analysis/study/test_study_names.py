@@ -10,12 +10,12 @@ import pytest
 from paper import site_file
 from studies import WEATHER, archive, rows_of, run_here
 
-from greenroof_ros.report.figures import make_figures
-from greenroof_ros.report.groups import Report
-from greenroof_ros.report.run import Assumptions
-from greenroof_ros.report.sources import find_runs
-from greenroof_ros.report.tables import make_tables
-from greenroof_ros.study.__main__ import Names, show
+from greenroof_ros.analysis.report.figures import make_figures
+from greenroof_ros.analysis.report.groups import Report
+from greenroof_ros.analysis.report.run import Assumptions
+from greenroof_ros.analysis.report.sources import find_runs
+from greenroof_ros.analysis.report.tables import make_tables
+from greenroof_ros.commands.study import Names, show
 
 # Windows, forecasts, errors and settings: files with one name in two folders, and numbers that
 # differ in late digits.

@@ -20,7 +20,7 @@ from graphs import alive, wait_for
 from places import DATA
 from studies import CONFIG, WEATHER, archive, begun, edited, grid, rows_of, run_here, stored, study
 
-from greenroof_ros.study.grid import read_grid
+from greenroof_ros.analysis.study.grid import read_grid
 
 
 def children(process: int) -> Iterator[int]:

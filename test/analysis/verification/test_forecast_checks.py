@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from greenroof_ros.verification.checks import check_forecasts
-from greenroof_ros.verification.pairs import Class, Sum
-from greenroof_ros.verification.scores import Tally
+from greenroof_ros.analysis.verification.checks import check_forecasts
+from greenroof_ros.analysis.verification.pairs import Class, Sum
+from greenroof_ros.analysis.verification.scores import Tally
 
 
 def cases(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from greenroof_ros.verification.scores import Tally, crps, rank_counts
+from greenroof_ros.analysis.verification.scores import Tally, crps, rank_counts
 
 Array = NDArray[np.float64]
 

@@ -20,10 +20,15 @@ from places import CHECKOUT
 from simulators import until as wait
 
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.drives import exchange
-from greenroof_ros.drives.drive import DriveStatus, PlacedDrive
-from greenroof_ros.drives.drive_file import DriveFile, Timeouts, find_drive_file, read_drive_file
-from greenroof_ros.drives.exchange import (
+from greenroof_ros.live.drives import exchange
+from greenroof_ros.live.drives.drive import DriveStatus, PlacedDrive
+from greenroof_ros.live.drives.drive_file import (
+    DriveFile,
+    Timeouts,
+    find_drive_file,
+    read_drive_file,
+)
+from greenroof_ros.live.drives.exchange import (
     PAUSE_S,
     DriveExchange,
     Obedience,
@@ -32,8 +37,8 @@ from greenroof_ros.drives.exchange import (
     State,
     stop_drive,
 )
-from greenroof_ros.drives.lock import DriveInUseError, DriveLock
-from greenroof_ros.drives.modbus_line import (
+from greenroof_ros.live.drives.lock import DriveInUseError, DriveLock
+from greenroof_ros.live.drives.modbus_line import (
     DriveError,
     ModbusLine,
     parse_address,
@@ -854,7 +859,7 @@ def test_the_waits_fit_into_the_longer_ones_of_pump_control_bringup_and_service(
 
     Then the pump node's end; the supervisor's stop, perhaps after another one; the other nodes.
     """
-    from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
+    from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
     from greenroof_ros.live.supervisor import ENDING_S, KILLING_S, PUMP_ENDING_S
 
     assert exchange.UNREAD_S == exchange.RUNS_ON_S + exchange.LONGEST_WAIT_S == 15

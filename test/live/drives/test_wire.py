@@ -27,9 +27,9 @@ from modbus_wire import (
 )
 from simulators import until
 
-from greenroof_ros.drives.drive import Drive, DriveStatus
-from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.drives.modbus_line import (
+from greenroof_ros.live.drives.drive import Drive, DriveStatus
+from greenroof_ros.live.drives.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.live.drives.modbus_line import (
     DriveError,
     ModbusLine,
     Serial,

@@ -12,10 +12,10 @@ from paper import PAPER_SITE, site_with
 from places import CONFIG
 from pump_rig import Rig
 
+from greenroof_ros.live.pumping.delivery import DeliveryCheck
+from greenroof_ros.live.pumping.limits import settings_for
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.pumping.delivery import DeliveryCheck
-from greenroof_ros.pumping.limits import settings_for
 
 NOISE = 0.005
 """standard deviation of a reading (m)"""

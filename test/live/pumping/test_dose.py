@@ -10,7 +10,7 @@ import pytest
 from paper import PAPER_SITE
 from pump_rig import Rig
 
-from greenroof_ros.pumping.limits import settings_for
+from greenroof_ros.live.pumping.limits import settings_for
 
 SITE = replace(PAPER_SITE, greatest_dose=0.5)
 

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE
 from places import CHECKOUT
 
-from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.pumping.input_rules import (
+from greenroof_ros.live.pumping.input_rules import (
     InputRules,
     LevelRule,
     Movement,
@@ -25,6 +24,7 @@ from greenroof_ros.pumping.input_rules import (
     expected_movement,
     roof_reach,
 )
+from greenroof_ros.model.site import Site, read_site
 
 # A tank with water that rises by at most 1 mm/s and falls by at most 2 mm/s.
 TANK = Reach(lambda level: 0.001, lambda level: 0.002, math.inf)

@@ -15,15 +15,15 @@ from places import CHECKOUT
 from pump_rig import Rig
 
 from greenroof_ros.common.interface import read_conditions
-from greenroof_ros.pumping.interlocks import (
+from greenroof_ros.live.pumping.interlocks import (
     ENABLE,
     INHIBIT,
     INTERLOCKS,
     LATCHED,
     evaluate,
 )
-from greenroof_ros.pumping.limits import pump_parameters, settings_for
-from greenroof_ros.pumping.pump_control import Decision
+from greenroof_ros.live.pumping.limits import pump_parameters, settings_for
+from greenroof_ros.live.pumping.pump_control import Decision
 
 
 def codes(decision: Decision) -> list[str]:

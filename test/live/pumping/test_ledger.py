@@ -24,9 +24,9 @@ from paper import PAPER_SITE
 from pump_rig import Rig
 
 from greenroof_ros.common.times import to_people
-from greenroof_ros.pumping.ledger import Ledger, Record, state_directory
-from greenroof_ros.pumping.limits import settings_for
-from greenroof_ros.pumping.pump_control import PumpControl
+from greenroof_ros.live.pumping.ledger import Ledger, Record, state_directory
+from greenroof_ros.live.pumping.limits import settings_for
+from greenroof_ros.live.pumping.pump_control import PumpControl
 
 
 class Clock:
@@ -340,7 +340,7 @@ def test_a_file_of_another_owner_is_an_unknown_state() -> None:
 _READS = """
 import os, sys, time
 from pathlib import Path
-from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.live.pumping.ledger import Ledger
 os.setuid(65534)  # nobody
 ledger = Ledger(Path(sys.argv[1]), time.time)
 print(ledger.record.unknown)
@@ -415,7 +415,7 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
     program = (
         "import sys, time\n"
         "from pathlib import Path\n"
-        "from greenroof_ros.pumping.ledger import Ledger\n"
+        "from greenroof_ros.live.pumping.ledger import Ledger\n"
         "ledger = Ledger(Path(sys.argv[1]), time.time)\n"
         "while True:\n"
         "    ledger.hold('the page', 'x' * 350)\n"
@@ -438,7 +438,7 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
 _DIES = """
 import os, signal, sys, time
 from pathlib import Path
-from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.live.pumping.ledger import Ledger
 left = int(sys.argv[2])
 def die(event, arguments):
     global left

@@ -12,10 +12,10 @@ from paper import PAPER_SITE, site_with
 from pump_rig import Rig
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
+from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
+from greenroof_ros.live.pumping.ledger import Ledger
+from greenroof_ros.live.pumping.limits import Limits, Pulses, PumpSettings, settings_for
 from greenroof_ros.model.plant import maximum_pump_flow, pump_flow
-from greenroof_ros.pumping.ledger import Ledger
-from greenroof_ros.pumping.limits import Limits, Pulses, PumpSettings, settings_for
 
 # A fifth of the maximum flow at 3 m, 0.00842205 m3/s, for 10 s.
 LEAST_PULSE = 0.0168441

@@ -11,11 +11,11 @@ from paper import PAPER_SITE, paper_run
 from pump_rig import Rig
 
 from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.live.pumping.ledger import Ledger
+from greenroof_ros.live.pumping.limits import settings_for
+from greenroof_ros.live.pumping.pump_control import Observation, PumpControl
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import maximum_pump_flow
-from greenroof_ros.pumping.ledger import Ledger
-from greenroof_ros.pumping.limits import settings_for
-from greenroof_ros.pumping.pump_control import Observation, PumpControl
 
 
 def test_states_of_a_run_by_hand() -> None:

@@ -19,18 +19,18 @@ from paper import PAPER_SITE
 from places import guarding
 from simulators import DEFAULT, Simulator, refusal, until
 
-from greenroof_ros import drive_simulator
-from greenroof_ros.drives.drive import Drive, PlacedDrive
-from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.drives.exchange import DriveExchange
-from greenroof_ros.drives.modbus_line import (
+from greenroof_ros.commands import drive_simulator
+from greenroof_ros.live.drives.drive import Drive, PlacedDrive
+from greenroof_ros.live.drives.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.live.drives.exchange import DriveExchange
+from greenroof_ros.live.drives.modbus_line import (
     Address,
     DriveError,
     parse_address,
     parse_drive_address,
 )
-from greenroof_ros.simulators.control_profiles import profile_of
-from greenroof_ros.simulators.simulated_drive import DriveBench, DriveSettings, SimulatedDrive
+from greenroof_ros.live.simulators.control_profiles import profile_of
+from greenroof_ros.live.simulators.simulated_drive import DriveBench, DriveSettings, SimulatedDrive
 
 FREE = ("--port", "0", "--workbench", "0")
 

@@ -16,13 +16,13 @@ from paper import PAPER_SITE
 from places import CONFIG
 from simulators import Simulator, refusal, until
 
-from greenroof_ros import site_simulator
-from greenroof_ros.drives.modbus_line import Address
-from greenroof_ros.drives.modbus_sensor import ModbusReader, SensorLine
-from greenroof_ros.drives.mqtt_sensor import MqttReader
-from greenroof_ros.drives.sensor_file import ModbusSensor, MqttSensor, Sensors, read_sensors
-from greenroof_ros.simulators.faults import DEFAULT
-from greenroof_ros.simulators.simulated_site import SiteBench
+from greenroof_ros.commands import site_simulator
+from greenroof_ros.live.drives.modbus_line import Address
+from greenroof_ros.live.drives.modbus_sensor import ModbusReader, SensorLine
+from greenroof_ros.live.drives.mqtt_sensor import MqttReader
+from greenroof_ros.live.drives.sensor_file import ModbusSensor, MqttSensor, Sensors, read_sensors
+from greenroof_ros.live.simulators.faults import DEFAULT
+from greenroof_ros.live.simulators.simulated_site import SiteBench
 
 SENSORS = read_sensors(CONFIG / "sensors.yaml")
 

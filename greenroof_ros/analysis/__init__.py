@@ -1,0 +1,1 @@
+"""What is made of runs and records: studies, reports, calibration, forecast scores; no ROS."""

@@ -1,0 +1,1 @@
+"""Checks of nodes in other packages: whether they keep to the interface."""
