@@ -48,7 +48,7 @@ def make_parser() -> Parser:
         prog="greenroof check-controller",
         description=f"{_CLASS}\n\n{_NODE}",
         epilog="examples:\n  greenroof check-controller my_package.my_module:MyController\n"
-        "  python examples/controller_node.py &\n"
+        "  python my_controller_node.py &\n"
         "  greenroof check-controller --node controller\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 it cannot be imported, or there is no "
         "such node, 3 a graph is running",

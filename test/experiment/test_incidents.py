@@ -36,7 +36,7 @@ def report_of(node: str, code: str = "a_code", **parts: str) -> dict[str, dict[s
 def test_every_part_of_a_node_has_a_rule_or_none_on_purpose() -> None:
     """These parts change nothing, or another part is lost with them."""
     package = Path(incidents.__file__).parents[1]
-    text = "".join(file.read_text() for file in (package / "nodes").glob("*.py"))
+    text = "".join(file.read_text() for file in (package / "live").glob("*.py"))
     parts = set(re.findall(r'\.(?:say|diagnose|_say_gauge)\(\s*"([a-z ]+)"', text))
     assert {"drive", "levels", "forecast", "rain gauge"} < parts
     assert parts - incidents._RULES.keys() == {

@@ -177,7 +177,7 @@ def examples() -> list[str]:
     whole = "\n".join(map(str, texts)).replace("\\\n", " ")
     found = re.findall(r"greenroof ((?:run|simulate) [^#\n]*)", whole)
     return [line for line in found if not re.search(
-        r"--(weather|site|drive|drive-at) ", line
+        r"--(weather|site|drive|drive-at) |external", line
     )]
 
 
