@@ -156,7 +156,7 @@ def test_the_table_is_whole() -> None:
     assert kinds == sorted(kinds, key=[LATCHED, INHIBIT, ENABLE].index)
     assert list(read_conditions())[:len(rows)] == list(INTERLOCKS)
     for code, row in INTERLOCKS.items():
-        folder = "" if "/" in row.source else "pumping"
+        folder = "" if "/" in row.source else "live/pumping"
         assert f'"{code}"' in (PACKAGE / folder / f"{row.source}.py").read_text(), code
     settings = {parameter.name for parameter in pump_parameters(PAPER_SITE)}
     of_nodes = {
@@ -230,12 +230,12 @@ def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
     """In each call of ``diagnose`` and ``diagnose_problem``, code and cause follow the problem."""
     positions = {"diagnose": slice(3, 5), "diagnose_problem": slice(3, 6)}
     texts, reported = set[str](), set[str]()
-    for room in ("graph", "live", "watch", "pumping", "drives"):
+    for room in ("graph", "live", "watch", "live/pumping", "live/drives"):
         for file in (PACKAGE / room).glob("*.py"):
             tree = ast.parse(file.read_text(encoding="utf-8"))
             texts |= texts_in(tree)
             for call in ast.walk(tree):
-                if isinstance(call, ast.Call) and room not in ("watch", "pumping", "drives"):
+                if isinstance(call, ast.Call) and room not in ("watch", "live/pumping", "live/drives"):
                     name = getattr(call.func, "attr", getattr(call.func, "id", ""))
                     for argument in call.args[positions.get(name, slice(0))]:
                         reported |= texts_in(argument)
