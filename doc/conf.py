@@ -32,6 +32,8 @@ templates_path = ["_templates"]
 # A broken link is an error (-W). Not documented here are names outside this package, private ones,
 # names of types, and constants, which have comments in the source.
 nitpicky = True
+# An attribute named as a builtin, such as Parameter.range, is no other target for the builtin.
+suppress_warnings = ["ref.python"]
 nitpick_ignore_regex = [
     (r"py:.*", r"(?!greenroof_ros).*"), (r"py:.*", r".*\._\w+"), (r"py:data", r".*"),
     (r"py:class", r".*\.(Amount|Cell|Record)"),
