@@ -36,7 +36,7 @@ nitpicky = True
 suppress_warnings = ["ref.python"]
 nitpick_ignore_regex = [
     (r"py:.*", r"(?!greenroof_ros).*"), (r"py:.*", r".*\._\w+"), (r"py:data", r".*"),
-    (r"py:class", r".*\.(Amount|Cell|Record)"),
+    (r"py:(class|obj)", r".*\.(Amount|Cell|Record|K|Word)"),
 ]
 
 highlight_language = "none"

@@ -211,7 +211,9 @@ class DriveExchange(DeviceThread[Snapshot]):
     """Keeps a drive at the speed asked for last, or off, from its own thread.
 
     Every period it writes the control word and reads the status, which keeps the drive's own
-    communication timeout from passing; if this thread dies, that timeout stops the drive::
+    communication timeout from passing; if this thread dies, that timeout stops the drive:
+
+    .. code-block:: text
 
         CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; it turns, or is at rest
           ^    ^         |    ^            |
