@@ -29,8 +29,9 @@ SITE: Sample = {f"site:danfoss_fc202/{fault}/0": outcome for fault, outcome in {
     "kill/pump": (["pump", "node_failed"], "ran again"),
     "term/pump": (["pump", "node_failed"], "ran again"),
     "stop long/pump": (["pump", "node_failed"], "ran again"),
-    "kill/weather": (["pump: supervisor", "no_permit"], "ran again"),
-    "stop long/bringup": (["pump: supervisor", "no_permit"], "ran again"),
+    "kill/weather": (["weather", "node_failed"], "ran again"),
+    "kill/onoff": (["pump: pump", "no_command"], "ran again"),
+    "stop long/bringup": ("", "ran again"),
     "kill/bringup": ("", "ended"),
     # Only the drive's own timeout can stop the pump.
     "kill both/pump and bringup": ("", "ended"),
@@ -51,7 +52,7 @@ OTHERS: Sample = {
     "simulated/stop short/bringup/0": ("", SAME),
     "simulated/stop long/bringup/0": ("", SAME),
     "loop:danfoss_fc202/kill/pump/0": ("pump", "ended"),
-    "loop:danfoss_fc202/stop long/bringup/0": (["pump: supervisor", "no_permit"], "ran again"),
+    "loop:danfoss_fc202/stop long/bringup/0": (["pump: pump", "no_command"], "ran again"),
     "relayed:danfoss_fc202/off/weather.precipitation/0": ("/weather/precipitation", "ended"),
     "service/fails/limit/0": (
         "429", "ran on; without a thermometer until the forecast was too old",

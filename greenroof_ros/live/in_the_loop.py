@@ -104,7 +104,7 @@ class DriveInLoop:
         self._supervisor.__exit__(None, None, None)
 
     def check(self, tick: int) -> None:
-        """Give the pump node its permit, read its reports, and check that it runs.
+        """Read the pump node's reports, and check that it runs.
 
         Args:
             tick: of the run; -1 before the first.
@@ -113,7 +113,6 @@ class DriveInLoop:
             NodeFailed: the pump node ended or hangs.
         """
         supervisor = self._supervisor
-        supervisor.permit("")
         supervisor.listen(0.0)
         self.log.look(supervisor.last, tick)
         for report in supervisor.last.values():
@@ -139,7 +138,6 @@ class DriveInLoop:
         report: dict[str, Any] = {}
         while not report.get("active"):
             self._signals.check()
-            supervisor.permit("waiting for nodes")
             supervisor.listen(0.1)
             report = supervisor.last.get(PUMP, {})
             diagnoses = report.get("diagnoses", {})

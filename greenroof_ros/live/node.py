@@ -14,7 +14,7 @@ from greenroof_ros.graph.states import READY
 from greenroof_ros.live.engine import LIMITS, RECOVERY, SampleAndHold
 from greenroof_ros.live.inputs import LiveInput, LivePublishers
 from greenroof_ros.live.pumping.input_rules import InputRules, LevelRule
-from greenroof_ros.live.supervision import SupervisorSocket, supervisor_socket
+from greenroof_ros.live.supervision import supervisor_socket
 from greenroof_ros.model.site import Site
 
 # How long a node waits for messages at most before it checks its clocks and signals again (s).
@@ -26,21 +26,16 @@ _REPORT_S = 0.25
 class SupervisedNode(GraphNode):
     """A node that also reports to the process that started it, if any."""
 
-    @property
-    def supervisor(self) -> SupervisorSocket:
-        """This process's end of the socket to that process."""
-        return supervisor_socket()
-
     def report_state(self, **values: Any) -> dict[str, Any]:
         """Report the node's state, and return all values of the report."""
         report = super().report_state(**values)
-        self.supervisor.report({"node": self.get_name(), **report})
+        supervisor_socket().report({"node": self.get_name(), **report})
         return report
 
     def end(self, failure: str | None) -> None:
         """Report that the node ends, and wait until its readers have everything; see the base."""
         super().end(failure)
-        self.supervisor.flush(FLUSH_S)
+        supervisor_socket().flush(FLUSH_S)
 
 
 class LiveNode(SupervisedNode):

@@ -434,7 +434,6 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
                 reasons["drive_timeout"] = self._drive.timeout_problem(self._drive.snapshot)
             reasons["drive_guards_later"] = self._drive.snapshot.unguarded
             reasons["no_run"] = self.missing_run()
-        reasons["no_permit"] = self.supervisor.missing(boot_time())
         reasons["two_controllers"] = second_publisher(self._inputs.command)
         # Another pump node may have the same drive: then neither runs it.
         reasons["two_pumps"] = self.second_pump()
@@ -559,9 +558,6 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         if inputs.frost.good:
             frost, code = "there is frost" if inputs.frost.value > 0 else "", "frost"
         diagnose_problem("frost", frost, "there is no frost", code, WARN)
-        if self.supervisor.given:
-            missing = self.supervisor.missing(boot_time())  # a permit may have come since `now`
-            diagnose_problem("supervisor", missing, "bringup lets the pump run", "no_permit", WARN)
         self._diagnose_drive(now)
 
     def _numbers(self) -> dict[str, dict[str, float | None]]:

@@ -80,7 +80,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         scratch_directory(_IN_MEMORY) as memory,
     ):
         record, start = _Record(site, state), _Start(arguments.namespace)
-        start.look({}, "starting")
+        start.look({}, "the nodes are starting")
         names = modules.keys() | {"plant", *controller_names()}
         refuse_other_nodes(arguments.namespace, names, signals.check)
         supervisor = LiveSupervisor(
@@ -116,17 +116,17 @@ def _keep_up(
             supervisor.listen()
             signals.check()  # before look(): a node stopped by a service manager has not failed
             supervisor.look()
+            unready = supervisor.unready
             record.look(supervisor, starting=start.late)
-            start.look(supervisor.last, supervisor.inhibit)
-            if not ready and supervisor.all_ready:
+            start.look(supervisor.last, unready)
+            if not ready and not unready:
                 ready = True
                 say("all nodes are here")
                 notify("READY=1")
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
                 notified = now
-                why = supervisor.inhibit
-                status = f"the pump is kept off: {why}" if why else values_of(supervisor.last)
+                status = unready or values_of(supervisor.last)
                 notify("WATCHDOG=1", f"STATUS={status}", *([] if ready else [_STILL_STARTING]))
     finally:
         notify("STOPPING=1")
@@ -181,12 +181,12 @@ class _Start:
         """
         return time.monotonic() < self._late_until
 
-    def look(self, reports: Mapping[str, Mapping[str, Any]], inhibit: str) -> None:
+    def look(self, reports: Mapping[str, Mapping[str, Any]], unready: str) -> None:
         """Print what is missing if that has changed, and the end of the start.
 
         Args:
             reports: the last report of each node.
-            inhibit: why the pump must not run; empty if it may.
+            unready: which nodes are not ready, and why; empty if all are.
         """
         if self._over:
             return
@@ -200,10 +200,12 @@ class _Start:
             for part in lost_parts if not (part.rule.follows and part.rule.stops_pump in causes)
         }
         pump, levels = reports.get(PUMP, {}), levels_of(reports)
-        why = inhibit or (pump.get("active") is False and str(pump.get("pump")))
+        why = unready or (
+            pump.get("active") is False and f"the pump is kept off: {pump.get('pump')}"
+        )
         stopped = any(part.rule.stops_pump for part in lost_parts)
         if why and not stopped:
-            missing[why,] = f"  the pump is kept off: {why}"
+            missing[why,] = f"  {why}"
         self._over = not (stopped or why or None in _levels(reports).values())
         codes, now = list(missing), time.monotonic()
         if codes != self._seen[0]:

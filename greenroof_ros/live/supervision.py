@@ -1,4 +1,4 @@
-"""Messages between a supervisor and its nodes: states, reports and the pump's permit.
+"""Reports of nodes to the supervisor that started them.
 
 They use a socket, since discovery in the graph can take seconds. This module needs no ROS.
 """
@@ -17,13 +17,8 @@ from greenroof_ros.graph.states import STATES
 
 # Environment variable with the file descriptor of a process's end of the socket to its supervisor.
 # Its nodes write their reports to it, one JSON object per line, with the keys "node" (the node's
-# name; may be missing if the process has only one) and "state". The pump node reads
-# its permit from it, which comes four times a second as one JSON object per line: "inhibit" is why
-# the pump must not run, empty if it may; "at" is the time since the machine started
-# (CLOCK_BOOTTIME, s) at which this was decided.
+# name; may be missing if the process has only one) and "state".
 SOCKET = "GREENROOF_ROS_SUPERVISOR"
-# The greatest age of a permit (s).
-_GREATEST_AGE_S = 2.0
 
 
 def _is_text(value: object) -> bool:
@@ -60,21 +55,6 @@ _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
 }
 
 
-def read_socket(number: int) -> bytes:
-    """Return the data waiting in a socket; empty if the other side has ended in any way.
-
-    Args:
-        number: the socket's file descriptor.
-
-    Raises:
-        BlockingIOError: no data is waiting.
-    """
-    try:
-        return os.read(number, 1 << 18)  # more than a socket holds
-    except ConnectionResetError:  # the other side ended with data unread
-        return b""
-
-
 def read_report(line: bytes) -> dict[str, Any] | None:
     """Return the report in a line from the socket; None if it is not a report.
 
@@ -95,24 +75,16 @@ def read_report(line: bytes) -> dict[str, Any] | None:
 
 
 class SupervisorSocket:
-    """A process's end of the socket: sends its nodes' reports; the pump node reads its permit.
-
-    Attributes:
-        given: whether the process has a supervisor, which gets its reports and ends it. Without
-            one, the pump needs no permit.
-    """
+    """A process's end of the socket: sends its nodes' reports."""
 
     def __init__(self) -> None:
         """Use the socket that the environment names, if there is one."""
-        self.given = SOCKET in os.environ
-        self._socket = int(os.environ[SOCKET]) if self.given else -1
+        self._given = SOCKET in os.environ
+        self._socket = int(os.environ[SOCKET]) if self._given else -1
         self._unsent = b""  # the rest of a report
         self._next: dict[str, bytes] = {}  # the newest after it, by node
-        if self.given:
+        if self._given:
             os.set_blocking(self._socket, False)
-        self._ended = False
-        self._inhibit = ""
-        self._at: float | None = None
 
     def report(self, report: Mapping[str, Any]) -> None:
         """Send a report to the supervisor, if there is one.
@@ -121,7 +93,7 @@ class SupervisorSocket:
         node replaces it.
         A report that is larger than the socket's buffer is sent in pieces, and always whole.
         """
-        if self.given:
+        if self._given:
             self._next[report.get("node", "")] = f"{json.dumps(report)}\n".encode()
             self._send()
 
@@ -140,37 +112,6 @@ class SupervisorSocket:
         while not (sent := self._send()) and time.monotonic() < until:
             time.sleep(0.05)
         return sent
-
-    def missing(self, now: float) -> str:
-        """Return why the pump must not run; empty if it may.
-
-        Args:
-            now: time since the machine started (s); includes suspends, so permits expire in them.
-        """
-        if not self.given:
-            return ""
-        self._read()
-        if self._ended:
-            return "bringup has ended"
-        if self._at is None:
-            return "bringup has given no permit yet"
-        if not 0 <= now - self._at <= _GREATEST_AGE_S:  # also if it is in the future or NaN
-            return f"bringup has given no permit for {_GREATEST_AGE_S:g} s"
-        return self._inhibit
-
-    def _read(self) -> None:
-        """Take the newest line that has come."""
-        data = b""
-        with contextlib.suppress(BlockingIOError):
-            while not self._ended:
-                read = read_socket(self._socket)
-                self._ended = not read
-                data += read
-        # Lines are whole: they are short enough to be written at once. A line in another form, as
-        # from a bringup of another version, is no permit.
-        with contextlib.suppress(IndexError, ValueError, KeyError, TypeError):
-            line = json.loads(data.splitlines()[-1])
-            self._inhibit, self._at = str(line["inhibit"]), float(line["at"])
 
 
 @cache

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import json
 import logging
-import math
+import os
 import selectors
 import signal
 import socket
@@ -30,12 +29,10 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.processes import asked_to_end_with_this
-from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.domain import LEASE
 from greenroof_ros.graph.states import PUMP, READY, RECORDER
-from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.live.drives.sensor_file import QUANTITIES, TANKS
-from greenroof_ros.live.supervision import SOCKET, read_report, read_socket
+from greenroof_ros.live.supervision import SOCKET, read_report
 
 # How long to wait after asking a process to end before killing it (s). The pump node gets longer:
 # it waits until the pump is at rest, for as long as the speed falls.
@@ -45,10 +42,8 @@ KILLING_S = 5.0
 # How long a started node may be silent at first (s): imports take seconds on a busy machine.
 START_LIMIT_S = 30.0
 _LAST_LINES = 15
-# Largest report of a node (bytes); a line that is longer is none.
-_LONGEST_REPORT = 10_000_000
-# How often the pump node gets its permit (s).
-PERMIT_S = 0.25
+# Largest report of a node; a line that is longer is none. More than a socket holds (both bytes).
+_LONGEST_REPORT, _MOST_READ = 10_000_000, 1 << 18
 # Nodes that fall silent for one reason do so within this time (s): they report every 0.25 s.
 _SAME_SILENCE_S = 0.5
 # Size at which a node's log is renamed to .log.1, replacing the previous one: a live site runs for
@@ -57,18 +52,15 @@ _LOG_BYTES, _WRITTEN_S = 10_000_000, 2.0
 # A gap longer than this means that this process was paused (s): the nodes were not silent then.
 _PAUSE_S = 1.0
 
-# Live: the pump is stopped after a node has been silent for this long (s); nodes report four times
-# a second. A silent pump node is killed then, unless it last reported the pump at rest.
+# Live: a pump node that is silent for this long (s) is killed, unless it last reported the pump at
+# rest; nodes report four times a second.
 SILENT_S = 2.0
-# How long after the permit is withdrawn the pump node may still report that it runs the pump (s).
-# The pump itself may turn longer, by the drive's ramp.
-_OBEYS_S = 2.0
 # The longest wait before a restart (s): it is 1, 2, 4, ... s, by the restarts in the last 10 min.
 _LONGEST_WAIT_S = 10.0
 _WINDOW_S = 600.0
 # How long a killed node still counts as a second publisher after its restart (s).
 _LIVE_LEASE_S = "3"
-# Nodes without which the pump may run; a node that needs a gauge reports its absence itself.
+# Nodes without which the site works; a node that needs a gauge reports its absence itself.
 _NOT_REQUIRED = {
     RECORDER, *(quantity.node for section, quantity in QUANTITIES.items() if section not in TANKS)
 }
@@ -105,7 +97,7 @@ class NodeStart:
     """The process of a node, or of several, to be started.
 
     Attributes:
-        name: the node's name, or one for all; the node named ``pump`` gets the permit.
+        name: the node's name, or one for all.
         module: its Python module, such as greenroof_ros.nodes.weather.
         arguments: its command-line arguments, without ROS arguments.
         parameters: the parameters that bringup sets, if they are not written elsewhere.
@@ -188,7 +180,6 @@ class Supervisor:
 
     Attributes:
         nodes: the started processes of nodes, by name.
-        awake_since: when this process began, or last resumed from a pause (steady clock, s).
         may_run: a warning that the pump may still run after the end; empty if it is at rest.
     """
 
@@ -208,8 +199,6 @@ class Supervisor:
         """
         self.nodes: dict[str, NodeProcess] = {}
         self.may_run = ""
-        self._permitted = -math.inf  # when the pump node last got its permit (s)
-        self._inhibit = ""
         self._stop_drive = stop_drive
         self._on_failure = on_failure
         self._directory = logs
@@ -223,7 +212,7 @@ class Supervisor:
         if namespace:
             self._ros_arguments += ["-r", f"__ns:={namespace}"]
         self._ears = selectors.DefaultSelector()
-        self._looked = self.awake_since = time.monotonic()
+        self._looked = time.monotonic()
 
     def __enter__(self) -> Supervisor:
         """Return the supervisor; nothing is started."""
@@ -281,19 +270,6 @@ class Supervisor:
         self._ears.register(ours, selectors.EVENT_READ, running.hear)
         self._ears.register(printed, selectors.EVENT_READ, running.log)
 
-    def permit(self, inhibit: str) -> None:
-        """Send the pump node, if there is one, its permit if that has changed or is due.
-
-        Args:
-            inhibit: why the pump must not run; empty if it may.
-        """
-        now, node = boot_time(), self.nodes.get(PUMP)
-        if node and (inhibit != self._inhibit or now - self._permitted >= PERMIT_S):
-            self._permitted, self._inhibit = now, inhibit
-            line = json.dumps({"inhibit": inhibit, "at": now})
-            with contextlib.suppress(OSError):  # the node does not read, or has ended
-                node.socket.send(f"{line}\n".encode(), socket.MSG_DONTWAIT)
-
     # --- hearing --------------------------------------------------------------------------------
 
     @property
@@ -308,7 +284,6 @@ class Supervisor:
         self._read(seconds)  # may find nothing if this process was paused in it
         now = time.monotonic()
         if now - self._looked > _PAUSE_S:
-            self.awake_since = now
             for node in self.nodes.values():
                 node.heard = now
         self._looked = now
@@ -316,7 +291,7 @@ class Supervisor:
     def _read(self, seconds: float) -> None:
         """Wait for data from the nodes, at most this long (s), and read all that is there."""
         for key, _ in self._ears.select(seconds):
-            data = read_socket(key.fd)
+            data = os.read(key.fd, _MOST_READ)
             if data:
                 key.data(data)
             else:
@@ -421,17 +396,13 @@ class _Kept:
 
 
 class LiveSupervisor(Supervisor):
-    """The node processes of a live site, and whether the pump may run.
+    """The node processes of a live site.
 
-    A node that ends or is silent for too long is restarted after a delay that grows. If a node
-    needs too many restarts, it is given up: the pump is stopped and the site ends. The recorder is
-    never given up: recording must not stop control.
-
-    The pump node gets a permit four times a second. If it dies, falls silent or disobeys, it is
-    killed and the drive is stopped from here.
-
-    Attributes:
-        inhibit: why the pump must not run; empty if it may.
+    It starts, restarts and ends them, and has no part in whether the pump may run. A node that ends
+    or is silent for too long is restarted after a delay that grows. If a node needs too many
+    restarts, it is given up: the pump is stopped and the site ends. The recorder is never given up:
+    recording must not stop control. If the pump node dies or falls silent, it is killed and the
+    drive is stopped from here.
     """
 
     def __init__(
@@ -458,9 +429,6 @@ class LiveSupervisor(Supervisor):
         """
         super().__init__(logs, parameters, namespace, stop_drive, on_failure)
         self._environment[LEASE] = _LIVE_LEASE_S
-        self.inhibit = "starting"
-        self._inhibited_since = time.monotonic()
-        self._met = False
         self._kept: dict[str, _Kept] = {}
         self._silence_s = silence_s
         self._restarts = restarts
@@ -495,7 +463,7 @@ class LiveSupervisor(Supervisor):
                 self._on_failure(name, f"cannot be started: {why}; {again}")
 
     def look(self) -> None:
-        """Restart failed nodes, and send the pump node its permit; called repeatedly.
+        """Restart failed nodes; called repeatedly.
 
         Raises:
             NodeFailed: a required node was restarted too often; or it was never ready and ended
@@ -514,45 +482,22 @@ class LiveSupervisor(Supervisor):
             _, message = self._stopping.result()
             self._on_failure(PUMP, f"did not stop the drive; {message}")
             self._stopping = None
-        before, self.inhibit = self.inhibit, self._reason_to_inhibit(now)
-        if self.inhibit and not before:
-            self._inhibited_since, self._met = now, False
-        self.permit(self.inhibit)
 
     def _killed(self, name: str, now: float) -> str:
-        """Kill a node that hangs or does not obey, and return why; empty if it does neither."""
+        """Kill a node that hangs, and return why; empty if it does not."""
         node = self.nodes[name]
         limit = self._silence_s if node.spoke else max(self._silence_s, START_LIMIT_S)
         if name == PUMP and node.spoke and not self._says_it_stands():
             limit = SILENT_S
-        why = self._disobeys(now) if name == PUMP else ""
-        if now - node.heard > limit:
-            why = f"had not answered for {limit:g} s{' (stopped)' if node.is_stopped else ''}"
-        if not why:
+        if now - node.heard <= limit:
             return ""
+        stopped = " (stopped)" if node.is_stopped else ""
         node.kill()
-        return f"{why}: killed"
+        return f"had not answered for {limit:g} s{stopped}: killed"
 
     def _says_it_stands(self) -> bool:
         """Whether the pump node last reported the pump at rest: read, or concluded by timeout."""
         return self.last.get(PUMP, {}).get("stands") is True
-
-    def _disobeys(self, now: float) -> str:
-        """Return what the pump node does although it is forbidden; empty if it obeys.
-
-        If the pump still turns although the node reports that it ordered a stop, this is returned
-        once per inhibit: the node can be right, and then another stop is no use.
-        """
-        if not self.inhibit or self._says_it_stands():
-            return ""
-        passed = now - max(self._inhibited_since, self._kept[PUMP].started, self.awake_since)
-        state = self.last.get(PUMP, {}).get("pump_state")
-        if passed > _OBEYS_S and state in ("running", "starting"):
-            return f"ran the pump for {_OBEYS_S:g} s after it was forbidden ({self.inhibit})"
-        if passed > _OBEYS_S + LONGEST_RAMP_S and state and not self._met:
-            self._met = True
-            return f"did not stop the pump within {_OBEYS_S + LONGEST_RAMP_S:g} s ({self.inhibit})"
-        return ""
 
     def _failed(self, name: str, failure: str, now: float) -> None:
         """Report that a node failed and schedule its restart; for the pump node, stop the drive.
@@ -581,11 +526,6 @@ class LiveSupervisor(Supervisor):
             self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
 
     @property
-    def all_ready(self) -> bool:
-        """Whether every node that the pump needs is ready, the pump node included."""
-        return self._kept.keys() - _NOT_REQUIRED <= self.ready
-
-    @property
     def ready(self) -> set[str]:
         """The names of the processes that run, all of whose nodes have reported *ready*."""
         return {
@@ -599,24 +539,23 @@ class LiveSupervisor(Supervisor):
             reports.get(node, {}).get("state") == READY for node in self._kept[name].start.nodes
         )
 
-    def _reason_to_inhibit(self, now: float) -> str:
-        """Return why the pump must not run; empty if it may."""
+    @property
+    def unready(self) -> str:
+        """Which of the nodes that the pump needs are not ready, and why; empty if all are."""
         return ", ".join(
             f"{node} {why}" for name, record in self._kept.items() for node in record.start.nodes
-            if node != PUMP and node not in _NOT_REQUIRED
-            and (why := self._reason_of(name, node, now))
+            if node not in _NOT_REQUIRED and (why := self._why_unready(name, node))
         )
 
-    def _reason_of(self, name: str, node: str, now: float) -> str:
-        """Return why a node of a process keeps the pump off; empty if it does not."""
+    def _why_unready(self, name: str, node: str) -> str:
+        """Return why a node of a process is not ready; empty if it is."""
         if self._kept[name].starts_again is not None or self.nodes[name].process.poll() is not None:
             return "is missing"
-        process = self.nodes[name]
-        report = process.reports.get(node, {})
-        if report.get("state") != READY:
-            waiting = report.get("waiting")
-            return f"waits for {', '.join(waiting)}" if waiting else "is starting"
-        return "is silent" if now - process.heard > SILENT_S else ""
+        report = self.nodes[name].reports.get(node, {})
+        if report.get("state") == READY:
+            return ""
+        waiting = report.get("waiting")
+        return f"waits for {', '.join(waiting)}" if waiting else "is starting"
 
 
 def _unrecorded(name: str) -> str:

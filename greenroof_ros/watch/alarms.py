@@ -51,7 +51,6 @@ _PARTS_OF_REASON = {
     **dict.fromkeys(
         ("no_command", "command_unknown", "command_refused", "two_controllers"), ("command",)
     ),
-    "no_permit": ("supervisor",),
     "two_pumps": ("flow",),
     **dict.fromkeys(
         ("not_active", "drive_lost", "drive_local", "second_master", "start_failed",
@@ -331,7 +330,7 @@ def _candidates(
         return
     if part and node in troubles:  # the node as a whole, such as a silent node
         yield node
-    if part == "supervisor" or not part:
+    if not part:
         yield from _other_nodes(node, trouble, troubles)
     if part in _TAKES_IN and code in _ABSENT:
         yield from _publishers(trouble, troubles)
@@ -347,12 +346,10 @@ def _candidates(
 
 
 def _other_nodes(node: str, trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[str]:
-    """Yield nodes wrong as a whole: those waited for, or for the supervisor any but the pump."""
+    """Yield nodes wrong as a whole that are waited for."""
     for name, other in troubles.items():
         waited_for = {name.rpartition("/")[2], other.role} & set(trouble.names)
-        if name != node and ": " not in name and (
-            waited_for or (trouble.part == "supervisor" and other.role != PUMP)
-        ):
+        if name != node and ": " not in name and waited_for:
             yield name
 
 

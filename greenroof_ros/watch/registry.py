@@ -44,7 +44,7 @@ _MISSING = {
     "input_waiting", "input_silent", "input_refused", "input_recovering", "no_command",
     "command_unknown", "no_forecast", "forecast_missing", "forecast_not_fetched",
     "temperature_unknown", "gauge_bad", "frost_unknown", "cistern_level_unknown",
-    "roof_level_unknown", "no_permit", "not_active", "drive_awaited", "drive_guards_later",
+    "roof_level_unknown", "not_active", "drive_awaited", "drive_guards_later",
     "drive_not_ready", "drive_speed_unknown", "delivery_blind", "no_run", "waits",
     "forecast_service_silent", "temperature_not_fetched", "thermometer_lost",
     "drive_lost", "sensor_lost", "broker_lost", "stands_unknown",

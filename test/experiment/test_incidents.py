@@ -40,7 +40,7 @@ def test_every_part_of_a_node_has_a_rule_or_none_on_purpose() -> None:
     parts = set(re.findall(r'\.(?:say|diagnose|_say_gauge)\(\s*"([a-z ]+)"', text))
     assert {"drive", "levels", "forecast", "rain gauge"} < parts
     assert parts - incidents._RULES.keys() == {
-        "delivery", "dose", "drive file", "drive timeout", "forecast service", "supervisor",
+        "delivery", "dose", "drive file", "drive timeout", "forecast service",
     }
 
 

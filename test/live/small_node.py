@@ -11,7 +11,6 @@ import os
 import signal
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 
 SOCKET = int(os.environ["GREENROOF_ROS_SUPERVISOR"])
@@ -33,7 +32,6 @@ def main() -> None:
         sys.exit(2)
     if kind == "fails":
         sys.exit(1)
-    os.set_blocking(SOCKET, False)
     while several:
         for node in several:
             waits = (marks / f"{node}-waits").exists()
@@ -47,8 +45,6 @@ def main() -> None:
         if (marks / f"{kind}-stands").exists():
             numbers["stands"] = json.loads((marks / f"{kind}-stands").read_text())
         report("starting" if (marks / f"{kind}-waits").exists() else "ready", **numbers)
-        with suppress(BlockingIOError), (marks / "permits").open("ab") as stream:
-            stream.write(os.read(SOCKET, 65536))  # the pump node's permits
         time.sleep(0.05)
 
 

@@ -538,7 +538,7 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
 def test_a_drive_in_the_loop(tmp_path: Path, hardware: Hardware) -> None:
     """At real time unless an option says otherwise; the drive stands at the end, even an early one.
 
-    A blocked terminal stops no pump, although the permit is given by the process that prints.
+    A blocked terminal stops no pump, although the plant is in the process that prints.
     """
     with full_pipe() as (reading, full):
         early = hardware.in_the_loop(*PUMPING, "--hours", "1", output="early", stderr=full)

@@ -353,7 +353,7 @@ def test_a_state_of_the_pump_that_its_cause_does_not_tell(
 
 @pytest.mark.parametrize(("state", "part", "code"), [
     ("drive_lost", "drive", "drive_lost"), ("not_active", "drive timeout", "drive_timeout"),
-    ("no_permit", "supervisor", "no_permit"), ("two_controllers", "command", "two_controllers"),
+    ("two_controllers", "command", "two_controllers"),
     ("roof_level_unknown", "levels", "input_frozen"), ("frost", "frost", "frost"),
     ("frost_unknown", "frost", "temperature_unknown"), ("two_pumps", "flow", "two_pumps"),
 ])
@@ -561,7 +561,6 @@ def test_a_watcher_that_stood_still_takes_nobody_for_silent() -> None:
     ("levels", ERROR, "/roof/level has not come yet", "input_silent"),
     ("thermometer", WARN, "/gauge/temperature received", "gauge_bad"),
     ("pump", WARN, "held: no frost is known", "frost_unknown"),
-    ("supervisor", WARN, "bringup: roof_sensor is starting", "no_permit"),
     ("drive", ERROR, "the drive is being called", "drive_lost"),
     ("sensor", ERROR, "no value yet", "sensor_lost"),
 ])

@@ -19,8 +19,7 @@ from disks import disk_if_allowed, fill
 from endurance.figures import Figures
 from endurance.loop import run_to_its_end
 from faults.rig import Simulator
-from faults.watcher import Watcher
-from graphs import Process, free_ports, summary_of, wait_for
+from graphs import Process, free_ports, summary_of
 from markdown_tables import head, row
 from places import CONFIG
 from rich.progress import Progress
@@ -131,13 +130,7 @@ class LiveRun(ExitStack):
             "--drive-at", self._drive.place, "--state", "state", "--restarts", "1000",
             cwd=self._directory,
         )
-        watcher = Watcher(self._domain)
-        try:
-            wait_for(
-                lambda: watcher.codes.get("pump: supervisor") == "", _START_S, "the pump's permit"
-            )
-        finally:
-            watcher.close()
+        bringup.until_said("all nodes are here", _START_S)
         return bringup
 
     def _fill(self, passed: float) -> None:

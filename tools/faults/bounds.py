@@ -5,11 +5,10 @@ doc/reference/interlocks.md and doc/reference/live-inputs.md give the same figur
 
 from __future__ import annotations
 
-from greenroof_ros.live import supervision
 from greenroof_ros.live.drives.exchange import FIRST_WAIT_S, RUNS_ON_S, SEEN_S, SILENCE_MARGIN_S
 from greenroof_ros.live.engine import LIMITS
 from greenroof_ros.live.pump import parameters as parameters_of_pump
-from greenroof_ros.live.supervisor import ENDING_S, PERMIT_S, SILENT_S
+from greenroof_ros.live.supervisor import ENDING_S
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import FLUSH_S
@@ -60,9 +59,6 @@ def bounds(site: Site) -> dict[str, float]:
         # The same for an intermittent level: it first arrives for 2 s.
         "intermittent": 2.0 + _limit("/cistern/level") + site.tau + step,
         "frost": _limit("/weather/frost") + step,
-        # The permit is withdrawn at once if a node ended, and after its silence if it hangs.
-        "permit": supervision._GREATEST_AGE_S + step,
-        "silent": SILENT_S + PERMIT_S + step,
         # The drive stops by itself, or bringup stops it.
         "drive": DRIVE_TIMEOUT_S + end,
         "supervised": SILENCE_S + end,

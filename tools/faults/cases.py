@@ -28,9 +28,6 @@ def _level(tank: str, why: str = "") -> tuple[Sign, ...]:
     return _pump(f"{tank}_level_unknown") + ((("pump: levels", why),) if why else ())
 
 
-# The pump's own state may have another reason in front of it, such as a level that jumped.
-_NO_PERMIT: Sign = ("pump: supervisor", "no_permit")
-
 
 @dataclass(frozen=True)
 class Expected:
@@ -100,16 +97,18 @@ def _process(node: str, fault: str) -> Expected:
         return Expected(stops=False)
     if node == "recorder":
         return Expected(stops=False, signs=(failed,), watch=12.0)
-    if node == "bringup":
-        if fault == "stop long":
-            return Expected(bound="permit", signs=(_NO_PERMIT,))
-        return Expected(bound="permit", recovery="ends")
+    if node == "bringup":  # the other processes do without it, until they are asked to end
+        return Expected(stops=False, watch=12.0) if fault == "stop long" else Expected(
+            recovery="ends")
     if node == "pump":
-        return Expected(bound="permit" if fault == "term" else "drive", signs=(failed,))
-    if fault == "stop long":
-        heard = "cistern_sensor" if node == "sensors" else node
-        return Expected(bound="silent", signs=(_NO_PERMIT, (heard, "not_heard")))
-    return Expected(bound="permit", signs=(_NO_PERMIT, failed))
+        return Expected(bound="step" if fault == "term" else "drive", signs=(failed,))
+    if node == "weather":  # it is started again before frost is unknown
+        return Expected(stops=False, bound="supervised", signs=(failed,))
+    if node == "sensors":  # after the first failures it is started again before levels are unknown
+        unknown = fault == "stop long"
+        return Expected(stops=unknown or None, bound="level", signs=(
+            failed, *(_level("cistern") if unknown else ())))
+    return Expected(bound="command", signs=(failed, *_pump("no_command")))
 
 
 def _processes(repeats: int) -> Iterator[Case]:
@@ -519,8 +518,8 @@ def _loop(repeats: int) -> Iterator[Case]:
             yield Case(where, fault, "pump", number, Expected(
                 bound="drive", names="pump", recovery="ends"))
             yield Case(where, fault, "bringup", number, Expected(
-                bound="permit", signs=(_NO_PERMIT,)) if fault == "stop long" else Expected(
-                bound="permit", recovery="ends"))
+                bound="command", signs=_pump("no_command")) if fault == "stop long" else Expected(
+                recovery="ends"))
         for topic in ("/clock", *_OBEYED, *FORECASTS, "/weather/precipitation", "/pump/flow"):
             for fault in ("intruder", "10000 hostile")[:1 if number else 2]:
                 yield Case(f"loop:{DRIVES[number % 4]}", fault, topic, number, Expected(

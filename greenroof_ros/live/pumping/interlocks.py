@@ -95,7 +95,6 @@ INTERLOCKS = {
     ),
     "drive_guards_later": Interlock(ENABLE, _NODE),
     "no_run": Interlock(ENABLE, _NODE),
-    "no_permit": Interlock(ENABLE, _NODE),
     "two_controllers": Interlock(ENABLE, _NODE),
     "two_pumps": Interlock(ENABLE, _NODE),
     "no_command": Interlock(ENABLE, _NODE, "command_limit"),

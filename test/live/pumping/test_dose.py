@@ -121,7 +121,7 @@ def test_what_cannot_begin_within_a_minute_expires() -> None:
     ("change", "cause"),
     [
         ({"frost": True}, "frost"), ({"roof_level": None}, "roof_level_unknown"),
-        ({"reasons": {"no_permit": "bringup has ended"}}, "no_permit"),
+        ({"reasons": {"drive_lost": "no connection"}}, "drive_lost"),
         ({"command": None}, "command_unknown"),
     ],
 )

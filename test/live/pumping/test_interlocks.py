@@ -33,7 +33,7 @@ def codes(decision: Decision) -> list[str]:
 AT_NIGHT = replace(PAPER_SITE, quiet_hours=("22:00-24:00",), time_zone="UTC")
 NODE = [
     "not_active", "drive_lost", "drive_local", "second_master", "start_failed", "drive_timeout",
-    "drive_guards_later", "no_run", "no_permit", "two_controllers", "two_pumps", "no_command",
+    "drive_guards_later", "no_run", "two_controllers", "two_pumps", "no_command",
 ]
 CAUSES: dict[str, dict[str, Any]] = {
     "drive_fault": {"change": {"drive_fault": "overload"}},
@@ -103,10 +103,10 @@ def test_they_are_named_in_the_order_of_the_table() -> None:
     rig = Rig()
     rig.ledger.hold("the operator")
     rig.ledger.fault("burst pipe", "delivery")
-    rig.change = {"frost": True, "roof_level": None, "reasons": {"no_permit": "bringup has ended"}}
+    rig.change = {"frost": True, "roof_level": None, "reasons": {"no_run": "no plant yet"}}
     decision = rig.step(0.5)
     assert codes(decision) == [
-        "delivery", "hold", "roof_level_unknown", "frost", "no_permit",
+        "delivery", "hold", "roof_level_unknown", "frost", "no_run",
     ]
     assert decision.state == "fault"
 
