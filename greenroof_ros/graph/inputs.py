@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.graph.messages import decoder
 from greenroof_ros.graph.publishers import Publishers
+from greenroof_ros.pumping.input_rules import AWAITED
 
 
 class Input:
@@ -22,7 +25,7 @@ class Input:
         topic: the topic in the interface.
         name: the topic's full name in ROS, with its namespace.
         value: the newest value: nanoseconds for a clock, otherwise a number or an array of numbers.
-        refusal: why the newest value was refused, as a clause; empty if it may be acted on.
+        refusal: why the newest value was refused; empty if it may be acted on.
         refused: how many values were refused.
     """
 
@@ -47,14 +50,11 @@ class Input:
         return not self.refusal
 
     @property
-    def code(self) -> str:
-        """The code of a refusal; empty if the newest value may be acted on."""
-        return "input_refused" if self.refusal else ""
-
-    @property
-    def problem(self) -> str:
-        """Why the newest value must not be acted on, as a sentence."""
-        return f"{self.name} {self.refusal}"
+    def problem(self) -> Problem | None:
+        """Why the newest value must not be acted on; None if it may be."""
+        if self.good:
+            return None
+        return Problem.of("input_refused", "refused", topic=self.name, why=self.refusal)
 
     def receive(self, message: bytes) -> None:
         """Keep the value of a message, or 0 if the value must be refused."""
@@ -79,5 +79,20 @@ class Input:
 
     def _refuse(self, value: float, instead: Any) -> None:
         self.refused += 1
-        self.refusal = f"was refused: {value!r}; it {self.topic.range.expected()}"
+        self.refusal = f"{value!r}; it {self.topic.range.expected()}"
         self.value = instead
+
+
+def bad_inputs(inputs: Iterable[Input]) -> Problem | None:
+    """Return what is wrong with the inputs that are not good, under the code of the worst.
+
+    That is the first that breaks a rule, or else the first that is awaited.
+    """
+    problems = [problem for entry in inputs if (problem := entry.problem) is not None]
+    if not problems:
+        return None
+    worst = min(problems, key=lambda problem: problem.code in AWAITED)
+    return Problem(
+        worst.code, "; ".join(problem.sentence for problem in problems),
+        {**worst.values, "topics": " ".join(str(each.values["topic"]) for each in problems)},
+    )

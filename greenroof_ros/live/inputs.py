@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 import time
 from dataclasses import replace
 from typing import Any
@@ -11,10 +12,11 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.inputs import Input
-from greenroof_ros.graph.messages import qos_profile
+from greenroof_ros.graph.messages import LockstepError, qos_profile
 from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
 from greenroof_ros.pumping.input_rules import InputRules, Verdict
 
@@ -104,7 +106,7 @@ class LivePublishers(Publishers):
 
 
 class LiveInput(Input):
-    """An input with the rules that its values must keep; the refusal is of the first broken one.
+    """An input with the rules that its values must keep.
 
     Attributes:
         rules: the rules.
@@ -125,32 +127,50 @@ class LiveInput(Input):
         """
         super().__init__(publishers)
         self.rules = rules
-        self.heard = False
+        self.heard = self._unknown = False
         self.optional = optional
         self.judge()
 
     @property
-    def code(self) -> str:
-        """The code of the broken rule; empty if the newest value may be acted on."""
-        return self.verdict.code
+    def good(self) -> bool:
+        """Whether the newest value may be acted on."""
+        return self.verdict.good
+
+    @property
+    def problem(self) -> Problem | None:
+        """Which rule is broken, if any."""
+        return self.verdict.problem(self.name)
+
+    def receive(self, message: bytes) -> None:
+        """Keep the value of a message, or 0 if the value must be refused, and judge it."""
+        self.heard, self._unknown = True, False
+        try:
+            super().receive(message)
+        except (LockstepError, ValueError, struct.error) as error:
+            self.refused += 1
+            self.refusal = str(error)
+        case = "unknown" if self._unknown else "refused"
+        self.rules.came(boot_time(), self.value, Verdict(
+            "input_refused", case, {} if self._unknown else {"why": self.refusal}
+        ) if self.refusal else None)
+        self.judge()
 
     def judge(self) -> None:
         """Judge the newest value at the present time."""
         self.verdict: Verdict = self.rules.judge(boot_time(), self.publishers.second())
-        self.refusal = self.verdict.why
 
     def refuse(self, why: str) -> None:
         """Refuse the newest value, because the node cannot act on it.
 
         Args:
-            why: the reason, as a clause.
+            why: the reason.
         """
         self.refused += 1
-        self.rules.refuse(boot_time(), f"was refused: {why}")
+        self.rules.refuse(boot_time(), why)
         self.judge()
 
     def _refuse(self, value: float, instead: Any) -> None:
         if self.topic.may_be_unknown and math.isnan(value):
-            self.value, self.refusal = instead, "is not known to its publisher"
+            self.value, self.refusal, self._unknown = instead, "unknown", True
             return
         super()._refuse(value, instead)

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.drives.modbus_sensor import ModbusReader, SensorLine
 from greenroof_ros.drives.mqtt_sensor import MqttReader
@@ -84,10 +85,7 @@ class SensorNode(LiveNode):
         reading = self._reader.snapshot
         if now - max(reading.read_at, self._started) > self._hangs_s:
             self._value = None
-            self.reports.diagnose(
-                self._part, STALE, "the sensor is no longer read: the reader hangs",
-                "sensor_hangs",
-            )
+            self.reports.diagnose(self._part, Problem.of("sensor_hangs"), level=STALE)
         elif reading.read_at > self._published or reading.value != self._newest or (
             math.isinf(reading.read_at) and now - self._started > _AWAITED_S
         ):
@@ -101,8 +99,10 @@ class SensorNode(LiveNode):
                 self._value = max(reading.value, self._lowest)
                 self.publish(self._topic, self._value)
             self.reports.numbers[self._part] = {"value": self._value}
-            self.reports.diagnose_problem(
-                self._part, reading.problem, "the sensor is read", reading.code, self._level
+            self.reports.diagnose(
+                self._part,
+                Problem.of(reading.code, why=reading.problem) if reading.problem else None,
+                "the sensor is read", self._level,
             )
 
     def progress(self) -> dict[str, Any]:

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
+from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.common.disk import DISK, Newest
 from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.common.processes import (
     InterruptedRun,
     LockedError,

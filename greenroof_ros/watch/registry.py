@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.conditions import LATCHED, read_conditions, read_interlocks
 from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, RECORDER, STARTING, STATES
-from greenroof_ros.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.wire import Status
 from greenroof_ros.watch.words import plain, sentence
 
@@ -39,16 +39,6 @@ _NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
 _LAST_TICK, _LAST_NS = 2**40, 2**63
 # While all nodes have run for less than this (s), what is missing may still come: the site starts.
 _START_S = 60.0
-# Codes of what is missing then. What was good before is lost: that is an alarm.
-_MISSING = {
-    "input_waiting", "input_silent", "input_refused", "input_recovering", "no_command",
-    "command_unknown", "no_forecast", "forecast_missing", "forecast_not_fetched",
-    "temperature_unknown", "gauge_bad", "frost_unknown", "cistern_level_unknown",
-    "roof_level_unknown", "no_permit", "not_active", "drive_awaited", "drive_guards_later",
-    "drive_not_ready", "drive_speed_unknown", "delivery_blind", "no_run", "waits",
-    "forecast_service_silent", "temperature_not_fetched", "thermometer_lost",
-    "drive_lost", "sensor_lost", "broker_lost", "stands_unknown",
-}
 # A name that ROS allows for a node; the name becomes part of commands that are advised.
 _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _PLANT = "plant"
@@ -86,8 +76,9 @@ class Trouble:
 
     @property
     def is_missing(self) -> bool:
-        """Whether it is something that has not come yet, if the site is starting."""
-        return bool(self.role) and self.code in _MISSING and not self.was_good
+        """Whether it may still come, if the site is starting; what was good before is lost."""
+        condition = read_conditions().get(self.code)
+        return bool(self.role) and condition is not None and condition.late and not self.was_good
 
     @property
     def hides_pump(self) -> bool:
@@ -105,6 +96,8 @@ class _Part:
     heard: float  # wall time (s)
     first: bool  # whether the device, or the node of the part, was heard only once by then
     good: bool = False  # whether it was ever OK
+    topics: tuple[str, ...] = ()  # that it is about
+    gist: str = ""  # of a drive's fault or warning: with another one it is another alarm
 
 
 @dataclass
@@ -258,7 +251,13 @@ class Registry:
                 status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
                 sentence(status.message) or "says nothing",
                 plain(status.values.get("code", ""), _NAME), wall, first, good,
+                tuple(map(self._in_namespace, plain(status.values.get("topics", "")).split())),
+                plain(status.values.get("fault", status.values.get("warning", ""))),
             )
+
+    def _in_namespace(self, topic: str) -> str:
+        """Return a topic's name in the interface, without the graph's namespace."""
+        return topic.removeprefix(self._namespace.rstrip("/"))
 
     def _values_of(self, name: str, status: Status) -> dict[str, Any] | None:
         """Return the values that a node of this graph reports; None for any other status."""
@@ -551,15 +550,18 @@ def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
     level, code, gist = said.level, said.code, ""
     if (node.role, part) == (PUMP, PUMP):
         gist = node.text("fault")
-        latched = code in INTERLOCKS and INTERLOCKS[code].kind == LATCHED
+        interlock = read_interlocks().get(code)
+        latched = interlock is not None and interlock.kind == LATCHED
         if node.may_turn:
             level = ERROR  # it may flood the roof, whatever is commanded
             code = code if latched else "stands_unknown"
         elif node.hold and node.values.get("stands") is False and not latched:
             code = "stop_not_followed"
     elif code in ("drive_fault", "drive_warning"):
-        gist = said.message  # it has the drive's number of the fault
-    return Trouble(level, said.message, code, node.role, part, (), gist, said.first, said.good)
+        gist = said.gist
+    return Trouble(
+        level, said.message, code, node.role, part, said.topics, gist, said.first, said.good
+    )
 
 
 def _read_value(text: str) -> Any:
