@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ import numpy as np
 from greenroof_ros.common.conditions import Problem
 from greenroof_ros.graph.messages import decoder
 from greenroof_ros.graph.publishers import Publishers
-from greenroof_ros.pumping.input_rules import AWAITED
 
 
 class Input:
@@ -81,18 +79,3 @@ class Input:
         self.refused += 1
         self.refusal = f"{value!r}; it {self.topic.range.expected()}"
         self.value = instead
-
-
-def bad_inputs(inputs: Iterable[Input]) -> Problem | None:
-    """Return what is wrong with the inputs that are not good, under the code of the worst.
-
-    That is the first that breaks a rule, or else the first that is awaited.
-    """
-    problems = [problem for entry in inputs if (problem := entry.problem) is not None]
-    if not problems:
-        return None
-    worst = min(problems, key=lambda problem: problem.code in AWAITED)
-    return Problem(
-        worst.code, "; ".join(problem.sentence for problem in problems),
-        {**worst.values, "topics": " ".join(str(each.values["topic"]) for each in problems)},
-    )

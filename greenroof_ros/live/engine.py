@@ -14,9 +14,8 @@ from typing import Any
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
-from greenroof_ros.graph.inputs import bad_inputs
 from greenroof_ros.graph.reports import ERROR, WARN, Reports
-from greenroof_ros.live.inputs import LiveInput
+from greenroof_ros.live.inputs import LiveInput, bad_inputs
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.input_rules import (
     AWAITED,

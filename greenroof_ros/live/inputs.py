@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +19,7 @@ from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import LockstepError, qos_profile
 from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
-from greenroof_ros.pumping.input_rules import InputRules, Verdict
+from greenroof_ros.pumping.input_rules import AWAITED, InputRules, Verdict
 
 # How many messages of a topic can wait for the recorder if it or the machine is busy.
 _RECORDED_DEPTH = 1000
@@ -174,3 +175,18 @@ class LiveInput(Input):
             self.value, self.refusal, self._unknown = instead, "unknown", True
             return
         super()._refuse(value, instead)
+
+
+def bad_inputs(inputs: Iterable[Input]) -> Problem | None:
+    """Return what is wrong with the inputs that are not good, under the code of the worst.
+
+    That is the first that breaks a rule, or else the first that is awaited.
+    """
+    problems = [problem for entry in inputs if (problem := entry.problem) is not None]
+    if not problems:
+        return None
+    worst = min(problems, key=lambda problem: problem.code in AWAITED)
+    return Problem(
+        worst.code, "; ".join(problem.sentence for problem in problems),
+        {**worst.values, "topics": " ".join(str(each.values["topic"]) for each in problems)},
+    )

@@ -33,10 +33,11 @@ from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, Snapshot
-from greenroof_ros.graph.inputs import Input, bad_inputs
+from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.parameters import site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
 from greenroof_ros.live.engine import LIMITS, PAUSE_S
+from greenroof_ros.live.inputs import bad_inputs
 from greenroof_ros.live.lifecycle import (
     ACTIVE,
     INACTIVE,
