@@ -148,6 +148,11 @@ class Problem:
             values["case"] = " ".join(cases)
         return cls(code, _FORMATTER.vformat(template, (), values), values)
 
+    @classmethod
+    def if_any(cls, code: str, why: str) -> Problem | None:
+        """Return a condition whose only value is a reason; None if there is no reason."""
+        return cls.of(code, why=why) if why else None
+
 
 class _Formatter(Formatter):
     """Formats as :meth:`str.format` does; ``duration`` writes a time (s) in words."""

@@ -234,8 +234,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             problem = self._drive.timeout_problem(self._drive.snapshot)
         if problem is None:
             self._take_state()
-            if why := self._ledger.why_not_kept():
-                problem = Problem.of("state_not_kept", why=why)
+            problem = Problem.if_any("state_not_kept", self._ledger.why_not_kept())
         if problem is not None:
             raise RefusedError(f"not activated: {problem.sentence}")
         file = self._drive.placed.file
@@ -425,29 +424,30 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             yield absence
         if self.lifecycle_state != ACTIVE:
             # While the drive is not heard, the refusal may be out of date.
-            yield Problem.of("not_active", "inactive") if absence or not self.refusal else (
-                Problem.of("not_active", "refused", refusal=self.refusal)
-            )
+            yield self._not_active("inactive", "" if absence else self.refusal)
             return
         status = self._drive.status(now)
         if status is not None:
             if not status.remote:
                 yield Problem.of("drive_local", "local")
-            if why := snapshot.second_master:
-                yield Problem.of("second_master", why=why)
-            if why := snapshot.start_failed:
-                yield Problem.of("start_failed", why=why)
-            if why := snapshot.unguarded:
-                yield Problem.of("drive_guards_later", "why", why=why)
-            unsafe = None if self._without_timeout else self._drive.timeout_problem(snapshot)
-            yield from filter(None, (unsafe, self.missing_run()))
-        if why := self.supervisor.missing(boot_time()):
-            yield Problem.of("no_permit", why=why)
+            yield from filter(None, (
+                Problem.if_any("second_master", snapshot.second_master),
+                Problem.if_any("start_failed", snapshot.start_failed),
+                Problem.if_any("drive_guards_later", snapshot.unguarded),
+                None if self._without_timeout else self._drive.timeout_problem(snapshot),
+                self.missing_run(),
+            ))
         yield from filter(None, (
+            Problem.if_any("no_permit", self.supervisor.missing(boot_time())),
             second_publisher(self._inputs["command"], "two_controllers"),
             # Another pump node may have the same drive: then neither runs it.
             self.second_pump(), self._silence(),
         ))
+
+    def _not_active(self, case: str, refusal: str) -> Problem:
+        if refusal:
+            return Problem.of("not_active", "refused", refusal=refusal)
+        return Problem.of("not_active", case)
 
     def _silence(self) -> Problem | None:
         """Return that commands are missing, or that this node was paused; None if neither."""
@@ -555,17 +555,14 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             known_for if decision.blind_for else "what is pumped is compared with both levels",
             WARN,
         )
-        not_kept = self._ledger.problem
         diagnose(
-            "state file", Problem.of("state_not_kept", why=not_kept) if not_kept else None,
+            "state file", Problem.if_any("state_not_kept", self._ledger.problem),
             "holds and faults are kept",
         )
         if self.supervisor.given:
-            missing = self.supervisor.missing(boot_time())  # a permit may have come since `now`
-            diagnose(
-                "supervisor", Problem.of("no_permit", why=missing) if missing else None,
-                "bringup lets the pump run", WARN,
-            )
+            # A permit may have come since `now`.
+            missing = Problem.if_any("no_permit", self.supervisor.missing(boot_time()))
+            diagnose("supervisor", missing, "bringup lets the pump run", WARN)
         self._diagnose_drive(now)
 
     def _diagnose_inputs(self) -> None:
@@ -577,16 +574,13 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
                 parts.setdefault(part, []).append(row.name)
         for part, names in parts.items():
             problem, level = bad_inputs(self._inputs[name] for name in names), ERROR
-            if part == "frost":
-                level = WARN
-                if problem is not None and problem.code == "input_refused":  # a NaN says so
-                    problem = replace(problem, code="temperature_unknown")
-            if problem is None:
-                # What the value itself says against running the pump is as well said here.
+            if problem is None:  # perhaps a good value keeps the pump off
                 level, problem = WARN, next((
                     reason for code, reason in self._decision.interlocks.items()
                     if part in read_interlocks()[code].explained_by
                 ), None)
+            elif part == "frost":
+                level, problem = WARN, replace(problem, code=self._cause("frost_unknown"))
             well = " and ".join(name.replace("_", " ") for name in names)
             self.reports.diagnose(part, problem, f"known: {well}", level)
 
@@ -635,9 +629,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
     def _diagnose_drive(self, now: float) -> None:
         if self.lifecycle_state == UNCONFIGURED and not self._autostart:
-            why = Problem.of("not_active", "unconfigured") if not self.refusal else (
-                Problem.of("not_active", "refused", refusal=self.refusal)
-            )
+            why = self._not_active("unconfigured", self.refusal)
             self.reports.diagnose("drive", why, level=WARN)
             return
         snapshot, status = self._drive.snapshot, self._drive.status(now)
@@ -665,21 +657,15 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     def _diagnose_timeout(self, snapshot: Snapshot) -> None:
         """Report whether the drive's own communication timeout stops the pump."""
         guard = self._drive.placed.guard
-        traps = "" if guard is None else guard.traps
+        well = f"without this machine the drive stops after {snapshot.timeout_s or 0:g} s"
+        if guard is not None and guard.traps:
+            well += f"; beware: {guard.traps}"
         problem, level = self._drive.timeout_problem(snapshot), ERROR
-        if problem is not None and self._without_timeout:
+        if problem is None:
+            problem, level = Problem.if_any("drive_guards_later", snapshot.unguarded), WARN
+        elif self._without_timeout:
             problem, level = replace(problem, code="drive_timeout_waived"), WARN
-        elif problem is None and snapshot.unguarded:
-            more = {"traps": traps} if traps else {}
-            problem, level = Problem.of(
-                "drive_guards_later", "why", *more, why=snapshot.unguarded, **more
-            ), WARN
-        beware = f"; beware: {traps}" if traps else ""
-        self.reports.diagnose(
-            "drive timeout", problem,
-            f"without this machine the drive stops after {snapshot.timeout_s or 0:g} s{beware}",
-            level,
-        )
+        self.reports.diagnose("drive timeout", problem, well, level)
 
 
 def second_publisher(entry: Input, code: str) -> Problem | None:

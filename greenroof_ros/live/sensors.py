@@ -100,9 +100,8 @@ class SensorNode(LiveNode):
                 self.publish(self._topic, self._value)
             self.reports.numbers[self._part] = {"value": self._value}
             self.reports.diagnose(
-                self._part,
-                Problem.of(reading.code, why=reading.problem) if reading.problem else None,
-                "the sensor is read", self._level,
+                self._part, Problem.if_any(reading.code, reading.problem), "the sensor is read",
+                self._level,
             )
 
     def progress(self) -> dict[str, Any]:

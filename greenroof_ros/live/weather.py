@@ -140,12 +140,8 @@ class WeatherNode(LiveNode):
         now = from_epoch_ns(self.get_clock().now().nanoseconds)
         rain = self._rain_gauge.value if self._rain_gauge.good else None
         if self._fetcher is not None:
-            unfetched = self._fetcher.problem
-            self.reports.diagnose(
-                "forecast service",
-                Problem.of("forecast_not_fetched", why=unfetched) if unfetched else None,
-                ATTRIBUTION, WARN,
-            )
+            unfetched = Problem.if_any("forecast_not_fetched", self._fetcher.problem)
+            self.reports.diagnose("forecast service", unfetched, ATTRIBUTION, WARN)
         forecast = self._forecast
         outlook = None if forecast is None else self._outlook(forecast, now, rain)
         temperature = math.nan if outlook is None else outlook.temperature
@@ -232,11 +228,9 @@ class WeatherNode(LiveNode):
         self._front[0] = outlook.issued.timestamp()
         age = (now - outlook.issued).total_seconds()
         self.reports.numbers["forecast"] = {"issued_ago_s": age}
-        issued, trouble = to_people(outlook.issued), None
+        issued, trouble = to_people(outlook.issued), Problem.if_any("forecast_short", short)
         if problem:
             trouble = Problem.of("forecast_unreadable", issued=issued, why=problem)
-        elif short:
-            trouble = Problem.of("forecast_short", why=short)
         self.reports.diagnose(
             "forecast", trouble, f"the newest forecast was issued at {issued}", WARN
         )

@@ -466,10 +466,8 @@ class PumpControl:
         if worst:
             self._ledger.fault(latched[worst].sentence, worst)
         record = self._ledger.record
-        if record.unknown:
-            reasons.append(Problem.of("record_unknown", why=record.unknown))
-        if held := self._ledger.held:
-            reasons.append(held)
+        kept = Problem.if_any("record_unknown", record.unknown), self._ledger.held
+        reasons += [reason for reason in kept if reason is not None]
         if record.fault:
             row = interlocks.get(record.fault_code)
             known = row is not None and row.kind == LATCHED

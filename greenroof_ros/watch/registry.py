@@ -12,11 +12,17 @@ import re
 import socket
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.conditions import LATCHED, read_conditions, read_interlocks
+from greenroof_ros.common.conditions import (
+    LATCHED,
+    Problem,
+    Value,
+    read_conditions,
+    read_interlocks,
+)
 from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, RECORDER, STARTING, STATES
 from greenroof_ros.watch.wire import Status
 from greenroof_ros.watch.words import plain, sentence
@@ -486,7 +492,8 @@ class Registry:
             silent = wall - part.heard > _FOREIGN_SILENT_S
             # A device that was heard only once may never have meant to report regularly.
             if silent and not part.first and not self._has_ended(name, part):
-                troubles[name] = Trouble(STALE, f"not heard for {_FOREIGN_SILENT_S:g} s")
+                silence = _seen(STALE, "", "not_heard", time=_FOREIGN_SILENT_S)
+                troubles[name] = replace(silence, code="")
             elif part.level != OK and not silent:
                 troubles[name] = Trouble(part.level, part.message, at_least=part.first)
         for node in self._latest.values():
@@ -502,38 +509,33 @@ class Registry:
         name, role = node.name, node.role
         if node.over:
             if failure := node.text("failure"):
-                yield name, Trouble(
-                    ERROR, f"ended: {failure}", "node_failed", role, at_least=node.first
+                yield name, replace(
+                    _seen(ERROR, role, "node_failed", failure=failure), at_least=node.first
                 )
             return
         silent = wall - node.heard > SILENT_S
-        not_heard = f"not heard for {SILENT_S:g} s"
+        not_heard = _seen(STALE, role, "not_heard", time=SILENT_S)
         twin = self._rival(node, wall, "name")
         waiting = node.values.get("waiting")
         if silent:
-            yield name, Trouble(STALE, not_heard, "not_heard", role)
+            yield name, not_heard
         elif twin is not None:
             older, newer = sorted((node, twin), key=lambda process: process.began)
-            yield name, Trouble(
-                ERROR,
-                f"two processes report under this name: {older.process} and {newer.process}",
-                "two_processes", role,
+            yield name, _seen(
+                ERROR, role, "two_processes", older=older.process, newer=newer.process
             )
         elif node.state == STARTING and wall - node.since > _WAITS_S and isinstance(waiting, list):
             who = tuple(map(str, waiting[:10]))
-            yield name, Trouble(
-                WARN, f"waits for {plain(', '.join(who))}", "waits", role, names=who
+            yield name, replace(
+                _seen(WARN, role, "waits", peers=plain(", ".join(who))), names=who
             )
         if wall - node.refused_at <= SILENT_S:
-            topics = plain(", ".join(node.refused))
-            yield f"{name}: refused", Trouble(
-                WARN, f"values of {topics} are refused: not plausible", "values_refused", role,
-                "refused", names=node.refused,
-            )
+            refused = _seen(WARN, role, "values_refused", topics=plain(", ".join(node.refused)))
+            yield f"{name}: refused", replace(refused, part="refused", names=node.refused)
         for part, said in node.parts.items():
             # The last troubles of a silent node stay.
             if not silent and wall - said.heard > SILENT_S:
-                yield f"{name}: {part}", Trouble(STALE, not_heard, "not_heard", role, part)
+                yield f"{name}: {part}", replace(not_heard, part=part)
             elif said.level != OK:
                 yield f"{name}: {part}", _trouble_of_part(node, part, said)
 
@@ -543,6 +545,11 @@ def _hold_in(values: Mapping[str, Any]) -> str:
     hold = values.get("hold")
     said = hold.get("said") if isinstance(hold, dict) else None
     return said if isinstance(said, str) else ""
+
+
+def _seen(level: int, role: str, code: str, **values: Value) -> Trouble:
+    """Return a trouble that is seen from here."""
+    return Trouble(level, Problem.of(code, **values).sentence, code, role)
 
 
 def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:

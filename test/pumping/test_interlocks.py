@@ -7,6 +7,7 @@ import math
 import time
 from dataclasses import replace
 from datetime import datetime
+from string import Formatter
 from typing import Any
 
 import pytest
@@ -22,6 +23,7 @@ from greenroof_ros.common.conditions import (
     read_conditions,
     read_interlocks,
 )
+from greenroof_ros.common.interface import read_topics
 from greenroof_ros.pumping.inputs import INPUTS
 from greenroof_ros.pumping.interlocks import evaluate
 from greenroof_ros.pumping.limits import pump_parameters, settings_for
@@ -158,14 +160,16 @@ def test_the_table_is_whole() -> None:
         folder = "" if "/" in row.source else "pumping"
         assert f'"{code}"' in (PACKAGE / folder / f"{row.source}.py").read_text(), code
     settings = {parameter.name for parameter in pump_parameters(PAPER_SITE)}
+    of_inputs = {entry.name for row in INPUTS for entry in row.parameters} | {
+        topic.greatest_age.parameter for topic in read_topics().values() if topic.greatest_age
+    }
     of_nodes = {
-        "state_file", "level_limit", "frost_limit", "command_limit", "recovery_time", "autostart",
-        "exchange_period", "drive_timeout_limit", "local_settings_stop_the_pump",
-        "activate_without_drive_timeout", "unknown_frost_may_pump", "frozen_movement",
-        "jump_tolerance", *(entry.name for row in INPUTS for entry in row.parameters),
+        "state_file", "recovery_time", "autostart", "exchange_period", "drive_timeout_limit",
+        "local_settings_stop_the_pump", "activate_without_drive_timeout", "unknown_frost_may_pump",
+        "frozen_movement", "jump_tolerance",
     }
     named = {name for row in rows for name in row.limit}
-    assert named <= settings | of_nodes
+    assert named <= settings | of_inputs | of_nodes
 
 
 # --- who may release and clear --------------------------------------------------------------------
@@ -228,25 +232,40 @@ def texts_in(tree: ast.AST) -> set[str]:
 
 
 def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
-    """In each ``Problem.of``: its code, its cases and the values of their sentences."""
+    """Each ``Problem.of`` has a code of the table, its cases, and all values of its sentences."""
     conditions, texts, reported = read_conditions(), set[str](), set[str]()
     for room in ("graph", "live", "watch", "pumping", "drives"):
         for file in (PACKAGE / room).glob("*.py"):
             tree = ast.parse(file.read_text(encoding="utf-8"))
             texts |= texts_in(tree)
             for call in ast.walk(tree):
-                if isinstance(call, ast.Call) and ast.unparse(call.func) == "Problem.of":
-                    first = call.args[0]
-                    if isinstance(first, ast.Constant):
-                        reported.add(first.value)
-                        known = conditions[first.value].sentence
-                        cases = texts_in(ast.Tuple([*call.args[1:]]))
-                        assert (isinstance(known, str) and not cases) or cases <= set(known), cases
+                if isinstance(call, ast.Call) and ast.unparse(call.func).startswith("Problem."):
+                    reported |= check_problem(call)
     assert {"no_forecast", "limited", "state_not_kept"} <= reported
     of_inputs = {text for text in texts if text.startswith("input_") and text.isidentifier()}
     assert len(of_inputs) == 8
-    assert reported | of_inputs <= conditions.keys()
-    assert conditions.keys() <= texts
+    assert reported | of_inputs <= conditions.keys() <= texts
+
+
+def check_problem(call: ast.Call) -> set[str]:
+    """Check a call with a code that is written out, and return that."""
+    code, *cases = call.args
+    if not isinstance(code, ast.Constant):
+        return set()
+    row = read_conditions()[code.value]
+    if isinstance(row.sentence, str):
+        templates = [row.sentence or row.meaning]
+        assert not cases or ast.unparse(call.func) == "Problem.if_any", code.value
+    else:
+        written = [row.sentence[case] for each in cases for case in texts_in(each)]
+        templates = written or list(row.sentence.values())
+        assert cases, code.value
+    given = {keyword.arg for keyword in call.keywords} | {
+        "why" for _ in cases if ast.unparse(call.func) == "Problem.if_any"
+    }
+    needed = {name for text in templates for _, name, *_ in Formatter().parse(text) if name}
+    assert needed <= given or None in given, (code.value, needed, given)
+    return {code.value}
 
 
 # --- when it may run ------------------------------------------------------------------------------
