@@ -17,7 +17,7 @@ def evaluate(reasons: Iterable[Problem]) -> dict[str, Problem]:
         reasons: against running the pump.
 
     Raises:
-        KeyError: a code is not that of an interlock.
+        KeyError: a code is no interlock.
     """
     present = {reason.code: reason for reason in reasons}
     interlocks = read_interlocks()

@@ -257,9 +257,8 @@ def check_problem(call: ast.Call) -> set[str]:
         templates = [row.sentence or row.meaning]
         assert not cases or ast.unparse(call.func) == "Problem.if_any", code.value
     else:
-        written = [row.sentence[case] for each in cases for case in texts_in(each)]
-        templates = written or list(row.sentence.values())
         assert cases, code.value
+        templates = [row.sentence[case] for each in cases for case in texts_in(each)]
     given = {keyword.arg for keyword in call.keywords} | {
         "why" for _ in cases if ast.unparse(call.func) == "Problem.if_any"
     }
