@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from string import Formatter
 from typing import Any
 
@@ -152,6 +152,23 @@ class Problem:
     def if_any(cls, code: str, why: str) -> Problem | None:
         """Return a condition whose only value is a reason; None if there is no reason."""
         return cls.of(code, why=why) if why else None
+
+
+def joined(problems: Sequence[Problem], worst: Problem | None = None) -> Problem | None:
+    """Return problems as one, with the code and the values of the worst; None if there is none.
+
+    Args:
+        problems: the problems, in the order of their sentences.
+        worst: by default the first.
+    """
+    if not problems:
+        return None
+    topics = {str(topic): None for each in problems if (topic := each.values.get("topic"))}
+    worst = worst or problems[0]
+    return replace(
+        worst, sentence="; ".join(each.sentence for each in problems),
+        values={**worst.values, **({"topics": " ".join(topics)} if topics else {})},
+    )
 
 
 class _Formatter(Formatter):

@@ -13,7 +13,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Problem, joined
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.inputs import Input
@@ -151,9 +151,8 @@ class LiveInput(Input):
             self.refused += 1
             self.refusal = str(error)
         case = "unknown" if self._unknown else "refused"
-        self.rules.came(boot_time(), self.value, Verdict(
-            "input_refused", case, {} if self._unknown else {"why": self.refusal}
-        ) if self.refusal else None)
+        refused = Verdict("input_refused", case, {"why": self.refusal})
+        self.rules.came(boot_time(), self.value, refused if self.refusal else None)
         self.judge()
 
     def judge(self) -> None:
@@ -183,10 +182,4 @@ def bad_inputs(inputs: Iterable[Input]) -> Problem | None:
     That is the first that breaks a rule, or else the first that is awaited.
     """
     problems = [problem for entry in inputs if (problem := entry.problem) is not None]
-    if not problems:
-        return None
-    worst = min(problems, key=lambda problem: problem.code in AWAITED)
-    return Problem(
-        worst.code, "; ".join(problem.sentence for problem in problems),
-        {**worst.values, "topics": " ".join(str(each.values["topic"]) for each in problems)},
-    )
+    return joined(problems, min(problems, key=lambda each: each.code in AWAITED, default=None))

@@ -27,7 +27,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import SetBool, Trigger
 
-from greenroof_ros.common.conditions import Problem, read_interlocks
+from greenroof_ros.common.conditions import Problem, joined, read_interlocks
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.drives.drive import DriveStatus
@@ -537,11 +537,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             ERROR if decision.state == "fault" else WARN if wrong else OK,
             self._cause(first.code) if first else "", log=False,
         )
-        limited = decision.warnings and Problem(
-            "limited", "; ".join(warning.sentence for warning in decision.warnings),
-            decision.warnings[0].values,
-        )
-        diagnose("limits", limited or None, "nothing limits the pump", WARN, log=False)
+        diagnose("limits", joined(decision.warnings), "nothing limits the pump", WARN, log=False)
         if self._site.greatest_dose is not None:
             self._diagnose_dose()
         diagnose("flow", self.second_pump(), f"source: {decision.source}")
@@ -600,13 +596,12 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
     def _cause(self, code: str) -> str:
         """Return the code that caused an interlock; empty if unknown."""
-        problem = next((
-            self._inputs[row.name].problem for row in INPUTS
-            if row.unknown == code and row.name in self._inputs
-        ), None)
-        cause = problem.code if problem else ""
-        unknown = code == "frost_unknown" and cause == "input_refused"  # a NaN says so
-        return "temperature_unknown" if unknown else cause
+        of_code = (row.name for row in INPUTS if row.unknown == code and row.name in self._inputs)
+        problem = bad_inputs(self._inputs[name] for name in of_code)
+        if problem is None:
+            return ""
+        unknown = code == "frost_unknown" and problem.code == "input_refused"  # a NaN says so
+        return "temperature_unknown" if unknown else problem.code
 
     def _diagnose_dose(self) -> None:
         """Report the progress of a dose and, for a minute, how it ended."""

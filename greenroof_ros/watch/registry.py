@@ -257,13 +257,12 @@ class Registry:
                 status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
                 sentence(status.message) or "says nothing",
                 plain(status.values.get("code", ""), _NAME), wall, first, good,
-                tuple(map(self._in_namespace, plain(status.values.get("topics", "")).split())),
+                tuple(
+                    topic.removeprefix(self._namespace.rstrip("/"))
+                    for topic in plain(status.values.get("topics", "")).split()
+                ),
                 plain(status.values.get("fault", status.values.get("warning", ""))),
             )
-
-    def _in_namespace(self, topic: str) -> str:
-        """Return a topic's name in the interface, without the graph's namespace."""
-        return topic.removeprefix(self._namespace.rstrip("/"))
 
     def _values_of(self, name: str, status: Status) -> dict[str, Any] | None:
         """Return the values that a node of this graph reports; None for any other status."""
