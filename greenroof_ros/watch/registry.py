@@ -252,15 +252,13 @@ class Registry:
         if key in known or len(known) < most:
             first = key not in known if node is None else node.first
             good = status.level == OK or (key in known and known[key].good)
+            topics = plain(status.values.get("topics", status.values.get("topic", "")))
             # An unknown level is an error.
             known[key] = _Part(
                 status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
                 sentence(status.message) or "says nothing",
                 plain(status.values.get("code", ""), _NAME), wall, first, good,
-                tuple(
-                    topic.removeprefix(self._namespace.rstrip("/"))
-                    for topic in plain(status.values.get("topics", "")).split()
-                ),
+                tuple(topic.removeprefix(self._namespace.rstrip("/")) for topic in topics.split()),
                 plain(status.values.get("fault", status.values.get("warning", ""))),
             )
 
