@@ -36,13 +36,13 @@ from who_publishes import WAYS, drawing
 from worth import drawing as drawing_of_worth
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
+from greenroof_ros.common.conditions import read_conditions, read_interlocks
 from greenroof_ros.common.files import read_yaml, shared_directory
-from greenroof_ros.common.interface import Topic, markdown_table, read_conditions, read_topics
+from greenroof_ros.common.interface import Topic, markdown_table, read_topics
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.forecast.skill import Climate, Errors
 from greenroof_ros.live.drives import drive_file, relay_file, sensor_file
-from greenroof_ros.live.pumping.interlocks import INTERLOCKS
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.live.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS, SITE_FAULTS, Fault
 from greenroof_ros.live.simulators.forecast_service import FAULTS as FORECAST_FAULTS
@@ -404,10 +404,10 @@ def interlocks() -> str | None:
         (
             (
                 f"`{code}`", meanings[code].meaning, f"`{entry.source}`",
-                ", ".join(limit(name) for name in entry.limit.split(", ") if name), entry.kind,
+                ", ".join(limit(name) for name in entry.limit), entry.kind,
                 re.sub(r"~/\w+", r"`\g<0>`", entry.clears_by),
             )
-            for code, entry in INTERLOCKS.items()
+            for code, entry in read_interlocks().items()
         ),
     )
 
@@ -416,7 +416,7 @@ def conditions() -> str:
     """Return each code that a status may have; interlocks with the same advice share a row."""
     codes: dict[tuple[str, str], list[str]] = {}
     for code, condition in read_conditions().items():
-        meaning = "an interlock" if code in INTERLOCKS else condition.meaning
+        meaning = "an interlock" if condition.interlock is not None else condition.meaning
         codes.setdefault((meaning, condition.advise("/pump")), []).append(f"`{code}`")
     return markdown(
         ("code", "meaning", "what to do"),

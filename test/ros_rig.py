@@ -23,8 +23,9 @@ from places import CONFIG
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.common.files import read_yaml
-from greenroof_ros.common.interface import read_conditions, read_live_topics, read_topics
+from greenroof_ros.common.interface import read_live_topics, read_topics
 from greenroof_ros.graph.messages import message_class, qos_profile
 
 OK, WARN, ERROR, STALE = b"\x00", b"\x01", b"\x02", b"\x03"

@@ -1,4 +1,4 @@
-"""The interface, ``msg_defs/``: every topic of the graph, and what each condition code means."""
+"""The interface, ``msg_defs/topics.yaml``: every topic of the graph."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import sys
 from array import array
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +53,23 @@ class Display:
 
 
 @dataclass(frozen=True)
+class Age:
+    """The greatest age of a topic's values in a live graph, as a parameter of its readers.
+
+    Attributes:
+        parameter: its name.
+        quantity: what the values are, in words.
+        default: s.
+        most: greatest value of the parameter (s).
+    """
+
+    parameter: str
+    quantity: str
+    default: float
+    most: float
+
+
+@dataclass(frozen=True)
 class Topic:
     """One topic of the graph; ``msg_defs/topics.yaml`` explains each attribute."""
 
@@ -75,6 +92,7 @@ class Topic:
     live: bool = True
     live_publishers: tuple[str, ...] = ()
     live_subscribers: tuple[str, ...] = ()
+    greatest_age: Age | None = None
 
     @property
     def range(self) -> Range:
@@ -92,8 +110,12 @@ def _topics() -> dict[str, Topic]:
     """Read the interface, once per process: every site, node and page asks for it."""
     interface: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "topics.yaml")
     profiles = {name: Qos(name=name, **profile) for name, profile in interface["qos"].items()}
+    ages = {name: Age(parameter=name, **age) for name, age in interface["greatest_ages"].items()}
     return {
-        name: _topic(name, profiles[entry.pop("qos")], **entry)
+        name: _topic(
+            name, profiles[entry.pop("qos")],
+            greatest_age=ages.get(entry.pop("greatest_age", "")), **entry,
+        )
         for name, entry in interface["topics"].items()
     }
 
@@ -221,45 +243,3 @@ def _roles(simulated: Collection[str], live: Collection[str]) -> str:
     """Return who publishes or subscribes, first in a simulation, then in a live graph."""
     words = [", ".join(simulated)] if simulated else []
     return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)
-
-
-@dataclass(frozen=True)
-class Condition:
-    """What the table of conditions says about one code.
-
-    Attributes:
-        meaning: when a status has this code.
-        advice: what to do, as the table words it.
-        by_role: what to do instead, by the role of the node.
-    """
-
-    meaning: str
-    advice: str
-    by_role: Mapping[str, str] = field(default_factory=dict)
-
-    def advise(self, node: str, role: str = "", reset: str = "") -> str:
-        """Return what to do.
-
-        Args:
-            node: fully qualified name of the node, for the services that the advice names.
-            role: role of that node in the interface.
-            reset: how to clear a fault, in words; empty for the command.
-        """
-        return self.by_role.get(role, self.advice).format(
-            node=node,
-            reset=reset or f"ros2 service call {node}/reset std_srvs/srv/Trigger",
-            release=command_for(node, "release"),
-        )
-
-
-def command_for(node: str, name: str) -> str:
-    """Return how a command of ``greenroof`` is called for the graph of a node."""
-    namespace = node.rpartition("/")[0].strip("/")
-    return f"greenroof {name}" + (f" --namespace {namespace}" if namespace else "")
-
-
-@functools.cache
-def read_conditions() -> dict[str, Condition]:
-    """Return every condition, by its code, in the order of the table."""
-    table = read_yaml(shared_directory() / "msg_defs" / "conditions.yaml")
-    return {code: Condition(**row) for code, row in table.items()}

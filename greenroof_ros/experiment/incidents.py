@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from greenroof_ros.common.conditions import read_interlocks
 from greenroof_ros.common.disk import DISK
 
 # The file's name in the directory of a run, beside the bag, and its name once it is full.
@@ -45,6 +46,8 @@ class Rule(NamedTuple):
     stops_pump: bool = True
 
 
+# The parts of the pump node that report its inputs.
+_PUMP_INPUTS = {interlock.input for interlock in read_interlocks().values()} - {""}
 # By part, or by a code of its diagnosis, which has priority. A sensor's value counts for some
 # seconds, so that one bad answer changes nothing; inputs count again some time after a loss.
 _RULES = {
@@ -55,7 +58,7 @@ _RULES = {
         ("forecast", "rain gauge", "thermometer", "gauge"),
         Rule(_NOT_GOOD, 3.0, stops_pump=False),
     ),
-    **dict.fromkeys(("levels", "inputs", "command", "frost"), Rule(lasts_s=30.0, follows=True)),
+    **dict.fromkeys(("inputs", *_PUMP_INPUTS), Rule(lasts_s=30.0, follows=True)),
     "no_forecast": Rule(_NOT_GOOD, 30.0, follows=True, stops_pump=False),
 }
 

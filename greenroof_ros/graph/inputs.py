@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.graph.messages import decoder
 from greenroof_ros.graph.publishers import Publishers
 
@@ -22,7 +23,7 @@ class Input:
         topic: the topic in the interface.
         name: the topic's full name in ROS, with its namespace.
         value: the newest value: nanoseconds for a clock, otherwise a number or an array of numbers.
-        refusal: why the newest value was refused, as a clause; empty if it may be acted on.
+        refusal: why the newest value was refused; empty if it may be acted on.
         refused: how many values were refused.
     """
 
@@ -47,14 +48,11 @@ class Input:
         return not self.refusal
 
     @property
-    def code(self) -> str:
-        """The code of a refusal; empty if the newest value may be acted on."""
-        return "input_refused" if self.refusal else ""
-
-    @property
-    def problem(self) -> str:
-        """Why the newest value must not be acted on, as a sentence."""
-        return f"{self.name} {self.refusal}"
+    def problem(self) -> Problem | None:
+        """Why the newest value must not be acted on; None if it may be."""
+        if self.good:
+            return None
+        return Problem.of("input_refused", "refused", topic=self.name, why=self.refusal)
 
     def receive(self, message: bytes) -> None:
         """Keep the value of a message, or 0 if the value must be refused."""
@@ -79,5 +77,5 @@ class Input:
 
     def _refuse(self, value: float, instead: Any) -> None:
         self.refused += 1
-        self.refusal = f"was refused: {value!r}; it {self.topic.range.expected()}"
+        self.refusal = f"{value!r}; it {self.topic.range.expected()}"
         self.value = instead

@@ -7,7 +7,7 @@ import os
 import socket
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from typing import Any
 
@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock
 from rclpy.node import Node
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.states import STARTING
@@ -38,6 +39,7 @@ class Diagnosis:
         code: for programs; empty if all is well.
         cause: the code of the cause; empty if unknown.
         since: when the present code began, by the system clock (s since 1970).
+        values: what the sentence is made of.
     """
 
     level: bytes
@@ -45,6 +47,7 @@ class Diagnosis:
     code: str
     cause: str
     since: float
+    values: Mapping[str, float | str] = field(default_factory=dict)
 
     def for_programs(self) -> dict[str, str]:
         """Return its code, the start of that code (ISO 8601), and its cause; each can be empty."""
@@ -59,7 +62,7 @@ class Reports:
     the node's fully qualified name; its values are JSON. The status of a part adds the part's name:
     ``/mpc: inputs``. Name and hardware of a status stay the same after a restart, since tools use
     them as its identity. A status that is not OK, or comes from a waiting node, has a code of
-    :mod:`greenroof_ros.common.interface`: programs use the code, never the sentence.
+    :mod:`greenroof_ros.common.conditions`: programs use code and values, never the sentence.
 
     Attributes:
         state: the node's state.
@@ -93,49 +96,33 @@ class Reports:
         self.publisher = node.create_publisher(DiagnosticArray, topic.graph_name, profile)
 
     def diagnose(
-        self, part: str, level: bytes, message: str, code: str = "", cause: str = "", *,
-        log: bool = True,
+        self, part: str, problem: Problem | None, well: str = "", level: bytes = ERROR,
+        cause: str = "", *, log: bool = True,
     ) -> None:
         """Set the diagnosis of a part; a change is logged, and reported soon.
 
         Args:
             part: the part's name.
-            level: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
-            message: a sentence.
-            code: a code of :mod:`greenroof_ros.common.interface`; empty if the part is well.
-            cause: the code of the cause; empty if unknown.
+            problem: what is wrong; None if nothing is.
+            well: the sentence to report if nothing is.
+            level: of the problem: ``WARN``, ``ERROR`` or ``STALE``; or ``OK`` if it is as intended.
+            cause: the code of its cause; empty if unknown.
             log: false for a message that changes too often to be logged.
         """
         before = self.diagnoses.get(part)
-        self.diagnoses[part] = _dated(before, level, message, code, cause)
-        if not log or self.diagnoses[part] == before:
+        if problem is None:
+            problem, level = Problem("", well), OK
+        diagnosis = self.diagnoses[part] = _dated(before, level, problem, cause)
+        if not log or diagnosis == before:
             return
         self.urgent = True
         logger = self._node.get_logger()
         if level == WARN:
-            logger.warning(message)
+            logger.warning(diagnosis.message)
         elif level != OK:
-            logger.error(message)
+            logger.error(diagnosis.message)
         elif before is not None:
-            logger.info(message)
-
-    def diagnose_problem(
-        self, part: str, problem: str, well: str, code: str, level: bytes = ERROR, cause: str = ""
-    ) -> None:
-        """Set the diagnosis of a part to a problem, or to OK if there is none.
-
-        Args:
-            part: the part's name.
-            problem: a sentence; empty if there is no problem.
-            well: the sentence to report if there is no problem.
-            code: the problem's code; see :meth:`diagnose`.
-            level: the problem's level; likewise.
-            cause: the code of its cause; likewise.
-        """
-        if problem:
-            self.diagnose(part, level, problem, code, cause)
-        else:
-            self.diagnose(part, OK, well)
+            logger.info(diagnosis.message)
 
     def publish(self, values: dict[str, Any]) -> dict[str, Any]:
         """Publish the node's state with these values; return all, with the parts' diagnoses.
@@ -152,7 +139,7 @@ class Reports:
             level, code = WARN, "input_publishers"
         elif self.state == STARTING:
             code = "peers_awaited"
-        self._own = diagnosis = _dated(self._own, level, self.state, code)
+        self._own = diagnosis = _dated(self._own, level, Problem(code, self.state))
         of_code = {key: text for key, text in diagnosis.for_programs().items() if text}
         values = {
             "role": self._role, "process": self._process,
@@ -189,15 +176,18 @@ class Reports:
 
 
 def _dated(
-    before: Diagnosis | None, level: bytes, message: str, code: str, cause: str = ""
+    before: Diagnosis | None, level: bytes, problem: Problem, cause: str = ""
 ) -> Diagnosis:
     """Return a diagnosis; it keeps the start of the previous one if that has the same code."""
-    since = time.time() if before is None or before.code != code else before.since
-    return Diagnosis(level, message, code, cause, since)
+    since = time.time() if before is None or before.code != problem.code else before.since
+    return Diagnosis(level, problem.sentence, problem.code, cause, since, problem.values)
 
 
 def _values(diagnosis: Diagnosis, numbers: Mapping[str, float | None]) -> list[KeyValue]:
     """Return the values in the status of a part: its numbers, code, start and cause."""
-    values = {key: f"{number:.6g}" for key, number in numbers.items() if number is not None}
+    values = {
+        key: value if isinstance(value, str) else f"{value:.6g}"
+        for key, value in {**diagnosis.values, **numbers}.items() if value is not None
+    }
     values |= diagnosis.for_programs()
     return [KeyValue(key=key, value=value) for key, value in values.items() if value]

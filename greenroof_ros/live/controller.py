@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.disk import Kept
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
@@ -30,7 +31,7 @@ from greenroof_ros.controllers.protocol import (
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.node_controller import NodeController, controller_help
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.reports import ERROR, OK, WARN
+from greenroof_ros.graph.reports import WARN
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.executable import live_command
 from greenroof_ros.live.node import LiveNode
@@ -144,12 +145,12 @@ class ControllerNode(LiveNode):
         try:
             command, decides = self._decide_or_refuse(allowed)
         except ConfigurationError as error:
-            self.reports.diagnose("command", ERROR, str(error), "controller_failed")
+            self.reports.diagnose("command", Problem.of("controller_failed", why=str(error)))
             command, decides = 0.0, False
         else:
             if "command" in self.reports.diagnoses:
                 now = "commands again" if decides else "is idle"
-                self.reports.diagnose("command", OK, f"the controller {now}")
+                self.reports.diagnose("command", None, f"the controller {now}")
         self._diagnose_forecast()
         self._keep_learned(_KEEP_S)
         cistern, roof = self._cistern.value, self._roof.value
@@ -243,8 +244,8 @@ class ControllerNode(LiveNode):
 
     def _bad_forecasts(self) -> str:
         return "; ".join(
-            forecast.problem for forecast in (self._rain, self._evapotranspiration)
-            if not forecast.good
+            problem.sentence for forecast in (self._rain, self._evapotranspiration)
+            if (problem := forecast.problem) is not None
         )
 
     def _diagnose_forecast(self) -> None:
@@ -259,19 +260,21 @@ class ControllerNode(LiveNode):
         problem = self._bad_forecasts()
         if not problem:
             self._missing_since, self._without_since = math.inf, ""
-            self.reports.diagnose("forecast", OK, "the forecast is good")
+            self.reports.diagnose("forecast", None, "the forecast is good")
             return
         now = time.monotonic()
         self._missing_since = min(self._missing_since, now)
-        if not needs:
-            problem = f"it commands without a forecast: {problem}"
-        elif not self._without_since and now - self._missing_since >= self._give_up_after:
+        values, case = {"problem": problem}, "bad" if needs else "without"
+        if needs and not self._without_since and now - self._missing_since >= self._give_up_after:
             wall = from_epoch_ns(self.get_clock().now().nanoseconds)
             self._without_since = to_people(wall.replace(microsecond=0))
         if self._without_since:
-            problem = f"on/off commands since {self._without_since}, without a forecast: {problem}"
-        bad = self._evapotranspiration if self._rain.good else self._rain
-        self.reports.diagnose("forecast", WARN, problem, "no_forecast", bad.code)
+            case, values["since"] = "onoff", self._without_since
+        bad = (self._evapotranspiration if self._rain.good else self._rain).problem
+        self.reports.diagnose(
+            "forecast", Problem.of("no_forecast", case, **values), level=WARN,
+            cause=bad.code if bad else "",
+        )
 
     def progress(self) -> dict[str, Any]:
         """Return the parameter changes, and the values that bringup shows."""

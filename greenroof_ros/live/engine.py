@@ -8,16 +8,16 @@ wrong: it learns which inputs are not good, by the rules of
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
-from greenroof_ros.graph.messages import LockstepError
-from greenroof_ros.graph.reports import ERROR, OK, WARN
-from greenroof_ros.live.inputs import LiveInput
+from greenroof_ros.graph.reports import ERROR, WARN, Reports
+from greenroof_ros.live.inputs import LiveInput, bad_inputs
 from greenroof_ros.live.pumping.input_rules import (
+    AWAITED,
     LevelRule,
     Wetting,
     cistern_reach,
@@ -47,28 +47,14 @@ _JUMP_TOLERANCE = Parameter(
 )
 
 
-def _limit(name: str, default: float, most: float, quantity: str) -> Parameter:
-    return Parameter(name, default, "s", 0.1, most, f"greatest age of {quantity}")
-
-
-_LEVEL = _limit("level_limit", 5.0, 60.0, "a level")
-_FORECAST = _limit("forecast_limit", 3600.0, 86400.0, "a forecast, since its arrival")
-_FROST = _limit("frost_limit", 60.0, 600.0, "frost")
-_GAUGE = _limit("gauge_limit", 60.0, 3600.0, "what the gauges measure")
-_FLOW = _limit("flow_limit", 5.0, 60.0, "the pump's flow")
 # The greatest age of each topic that nodes act on in a live graph.
 LIMITS = {
-    "/cistern/level": _LEVEL,
-    "/roof/level": _LEVEL,
-    "/forecast/precipitation": _FORECAST,
-    "/forecast/evapotranspiration": _FORECAST,
-    "/weather/frost": _FROST,
-    "/gauge/precipitation": _GAUGE,
-    "/gauge/temperature": _GAUGE,
-    "/pump/command": _limit("command_limit", 3.0, 10.0, "a command; more than tau"),
-    "/pump/flow": _FLOW,
-    "/pump/meter": _FLOW,
+    topic.name: Parameter(
+        age.parameter, age.default, "s", 0.1, age.most, f"greatest age of {age.quantity}"
+    )
+    for topic in read_topics().values() if (age := topic.greatest_age) is not None
 }
+_LEVEL = LIMITS["/roof/level"]
 
 
 def live_parameters(topics: Iterable[str]) -> list[Parameter]:
@@ -132,16 +118,14 @@ class SampleAndHold:
         has_begun: whether a node with a period has acted, or acts; always true without a period.
     """
 
-    def __init__(
-        self, act: Callable[[], None], diagnose: Callable[[str, bytes, str, str], None]
-    ) -> None:
+    def __init__(self, act: Callable[[], None], reports: Reports) -> None:
         """Begin without a period.
 
         Args:
             act: makes the node act.
-            diagnose: reports a part's state: the part's name, a level, a sentence and a code.
+            reports: reports which inputs are not good.
         """
-        self._act, self._diagnose = act, diagnose
+        self._act, self._reports = act, reports
         self.inputs: list[LiveInput] = []
         self._period = math.inf
         self._due = math.inf
@@ -170,14 +154,7 @@ class SampleAndHold:
             self._note_pause(now)
             if now < self._deaf_until:
                 return
-            entry.heard = True
-            try:
-                entry.receive(message)
-            except (LockstepError, ValueError, struct.error) as error:
-                entry.refused += 1
-                entry.refusal = f"was refused: {error}"
-            entry.rules.came(now, entry.value, entry.refusal)
-            entry.judge()
+            entry.receive(message)
             if callback is not None:
                 callback(entry.value)
 
@@ -227,13 +204,7 @@ class SampleAndHold:
     def _diagnose_inputs(self) -> None:
         """Report which of the required inputs are not good, and why."""
         needed = self.needed
-        bad = [entry for entry in needed if not entry.good]
-        if not bad:
-            if needed:
-                self._diagnose("inputs", OK, "all inputs are good", "")
-            return
-        alarming = [entry for entry in bad if entry.verdict.alarming]
-        self._diagnose(
-            "inputs", ERROR if alarming else WARN,
-            "; ".join(entry.problem for entry in bad), (alarming or bad)[0].verdict.code,
-        )
+        if needed:
+            bad = bad_inputs(needed)
+            level = WARN if bad is not None and bad.code in AWAITED else ERROR
+            self._reports.diagnose("inputs", bad, "all inputs are good", level)

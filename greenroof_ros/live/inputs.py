@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import struct
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -11,12 +13,13 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from greenroof_ros.common.conditions import Problem, joined
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.inputs import Input
-from greenroof_ros.graph.messages import qos_profile
+from greenroof_ros.graph.messages import LockstepError, qos_profile
 from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
-from greenroof_ros.live.pumping.input_rules import InputRules, Verdict
+from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules, Verdict
 
 # How many messages of a topic can wait for the recorder if it or the machine is busy.
 _RECORDED_DEPTH = 1000
@@ -104,7 +107,7 @@ class LivePublishers(Publishers):
 
 
 class LiveInput(Input):
-    """An input with the rules that its values must keep; the refusal is of the first broken one.
+    """An input with the rules that its values must keep.
 
     Attributes:
         rules: the rules.
@@ -125,32 +128,58 @@ class LiveInput(Input):
         """
         super().__init__(publishers)
         self.rules = rules
-        self.heard = False
+        self.heard = self._unknown = False
         self.optional = optional
         self.judge()
 
     @property
-    def code(self) -> str:
-        """The code of the broken rule; empty if the newest value may be acted on."""
-        return self.verdict.code
+    def good(self) -> bool:
+        """Whether the newest value may be acted on."""
+        return self.verdict.good
+
+    @property
+    def problem(self) -> Problem | None:
+        """Which rule is broken, if any."""
+        return self.verdict.problem(self.name)
+
+    def receive(self, message: bytes) -> None:
+        """Keep the value of a message, or 0 if the value must be refused, and judge it."""
+        self.heard, self._unknown = True, False
+        try:
+            super().receive(message)
+        except (LockstepError, ValueError, struct.error) as error:
+            self.refused += 1
+            self.refusal = str(error)
+        case = "unknown" if self._unknown else "refused"
+        refused = Verdict("input_refused", case, {"why": self.refusal})
+        self.rules.came(boot_time(), self.value, refused if self.refusal else None)
+        self.judge()
 
     def judge(self) -> None:
         """Judge the newest value at the present time."""
         self.verdict: Verdict = self.rules.judge(boot_time(), self.publishers.second())
-        self.refusal = self.verdict.why
 
     def refuse(self, why: str) -> None:
         """Refuse the newest value, because the node cannot act on it.
 
         Args:
-            why: the reason, as a clause.
+            why: the reason.
         """
         self.refused += 1
-        self.rules.refuse(boot_time(), f"was refused: {why}")
+        self.rules.refuse(boot_time(), why)
         self.judge()
 
     def _refuse(self, value: float, instead: Any) -> None:
         if self.topic.may_be_unknown and math.isnan(value):
-            self.value, self.refusal = instead, "is not known to its publisher"
+            self.value, self.refusal, self._unknown = instead, "unknown", True
             return
         super()._refuse(value, instead)
+
+
+def bad_inputs(inputs: Iterable[Input]) -> Problem | None:
+    """Return what is wrong with the inputs that are not good, under the code of the worst.
+
+    That is the first that breaks a rule, or else the first that is awaited.
+    """
+    problems = [problem for entry in inputs if (problem := entry.problem) is not None]
+    return joined(problems, min(problems, key=lambda each: each.code in AWAITED, default=None))

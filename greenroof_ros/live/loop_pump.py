@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.executable import node_command, node_help
@@ -16,12 +17,8 @@ from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live import pump_behaviour
 from greenroof_ros.live.drives.drive import no_real_time
-from greenroof_ros.live.pump_behaviour import (
-    COMMAND_LIMIT,
-    PumpBehaviour,
-    PumpInputs,
-    common_parameters,
-)
+from greenroof_ros.live.pump_behaviour import COMMAND_LIMIT, PumpBehaviour, common_parameters
+from greenroof_ros.live.pumping.inputs import IN_LOOP
 from greenroof_ros.model.site import Site
 
 
@@ -43,14 +40,12 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
         site = self.declare_site()
         values = declare(self, parameters(site))
         self._simulated = self._stepped = 0.0  # simulated time (s), counted from 0
-        command = self.subscribe("/pump/command", tolerates_second=True)
-        cistern, roof, frost = (
-            self.subscribe(name) for name in ("/cistern/level", "/roof/level", "/weather/frost")
-        )
+        inputs = {
+            row.name: self.subscribe(row.topic, tolerates_second=row.name == "command")
+            for row in IN_LOOP
+        }
         self.listen(CLOCK, self.set_time)
-        PumpBehaviour.__init__(
-            self, site, values, PumpInputs(command, cistern, roof, frost), simulated=True
-        )
+        PumpBehaviour.__init__(self, site, values, inputs, simulated=True)
 
     def on_inputs(self) -> None:
         """Decide on the inputs of a tick, and publish the flow."""
@@ -70,18 +65,17 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
         dt, self._stepped = self._simulated - self._stepped, self._simulated
         return dt
 
-    def missing_run(self) -> str:
-        """Return why the drive must not run before /run gives the speed; empty if it may.
+    def missing_run(self) -> Problem | None:
+        """Return why the drive must not run before /run gives the speed; None if it may.
 
         Levels without a plant are invented and may change at any speed. Only the drive simulator,
         once it is known to be that, may run on them.
         """
         why = self._drive.snapshot.no_simulator
         if self.lockstep.run is not None or why == "":
-            return ""
-        return (
-            "no plant has published its speed (/run), and "
-            f"{why or 'it is not known yet whether the drive is the drive simulator'}"
+            return None
+        return Problem.of(
+            "no_run", why=why or "it is not known yet whether the drive is the drive simulator"
         )
 
     def _refuse_other_speed(self) -> None:

@@ -57,7 +57,7 @@ class LiveNode(SupervisedNode):
             ConfigurationError: ROS arguments or a parameter file are wrong.
         """
         super().__init__(name, role, read_live_topics(), simulated=False)
-        self._engine = SampleAndHold(self.on_inputs, self.reports.diagnose)
+        self._engine = SampleAndHold(self.on_inputs, self.reports)
         self._subscribed: list[LivePublishers] = []
         self._checked = self._reported = self._warned = -math.inf
 

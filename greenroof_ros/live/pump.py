@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time
@@ -20,20 +21,18 @@ from greenroof_ros.live.node import LiveNode
 from greenroof_ros.live.pump_behaviour import (
     COMMAND_LIMIT,
     PumpBehaviour,
-    PumpInputs,
     common_parameters,
     second_publisher,
 )
+from greenroof_ros.live.pumping.inputs import INPUTS
 from greenroof_ros.model.site import Site
-
-_COMMAND, _FROST, _METER = "/pump/command", "/weather/frost", "/pump/meter"
-_LEVELS = ("/cistern/level", "/roof/level")
 
 
 def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
     return [
-        *common_parameters(site), *live_parameters([_COMMAND, *_LEVELS, _FROST, _METER]),
+        *common_parameters(site), *live_parameters(row.topic for row in INPUTS),
+        *(parameter for row in INPUTS for parameter in row.parameters),
     ]
 
 
@@ -56,12 +55,16 @@ class PumpNode(PumpBehaviour, LiveNode):
                 value=values[COMMAND_LIMIT.name],
             )
         self._stepped = boot_time()
-        command = self.subscribe(_COMMAND, self._on_command)
+        command = self.subscribe("/pump/command", self._on_command)
         self._levels = Levels(site, values, self.subscribe)
-        inputs = PumpInputs(
-            command, self._levels.cistern, self._levels.roof, self.subscribe(_FROST),
-            self.subscribe(_METER, optional=True),
-        )
+        inputs = {
+            "command": command, "cistern_level": self._levels.cistern,
+            "roof_level": self._levels.roof,
+        }
+        inputs |= {
+            row.name: self.subscribe(row.topic, optional=not row.unknown)
+            for row in INPUTS if row.name not in inputs and row.is_at(values)
+        }
         self._own_flow = self.subscribe("/pump/flow", optional=True)
         PumpBehaviour.__init__(self, site, values, inputs, simulated=False)
 
@@ -71,7 +74,7 @@ class PumpNode(PumpBehaviour, LiveNode):
     def on_inputs(self) -> None:
         """Decide, and publish the flow."""
         self._step(boot_time())
-        if self._inputs.cistern.good and self._inputs.roof.good:
+        if self._levels.cistern.good and self._levels.roof.good:
             self._levels.expect(self._decision.flow)
         self.publish("/pump/flow", self._decision.flow)
 
@@ -89,9 +92,9 @@ class PumpNode(PumpBehaviour, LiveNode):
         """Return how far impossible jumps have shifted both levels so far (m)."""
         return self._levels.displacements
 
-    def second_pump(self) -> str:
-        """Return that another node publishes a flow; empty if none does."""
-        return second_publisher(self._own_flow)
+    def second_pump(self) -> Problem | None:
+        """Return that another node publishes a flow; None if none does."""
+        return second_publisher(self._own_flow, "two_pumps")
 
 
 main = live_command(PumpNode, partial(

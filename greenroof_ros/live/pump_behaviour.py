@@ -18,16 +18,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
-from dataclasses import asdict
-from functools import partial
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import SetBool, Trigger
 
+from greenroof_ros.common.conditions import Problem, joined, read_interlocks
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.graph.inputs import Input
@@ -35,8 +35,9 @@ from greenroof_ros.graph.parameters import site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
-from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S
+from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, Snapshot
 from greenroof_ros.live.engine import LIMITS, PAUSE_S
+from greenroof_ros.live.inputs import bad_inputs
 from greenroof_ros.live.lifecycle import (
     ACTIVE,
     INACTIVE,
@@ -48,9 +49,15 @@ from greenroof_ros.live.lifecycle import (
 from greenroof_ros.live.node import SupervisedNode
 from greenroof_ros.live.pump_drive import PumpDrive
 from greenroof_ros.live.pumping.dose import DONE
+from greenroof_ros.live.pumping.inputs import INPUTS
 from greenroof_ros.live.pumping.ledger import MOST, Ledger, state_directory
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
-from greenroof_ros.live.pumping.pump_control import Decision, Observation, PumpControl
+from greenroof_ros.live.pumping.pump_control import (
+    Decision,
+    Observation,
+    PumpControl,
+    drive_fault,
+)
 from greenroof_ros.model.site import Site
 
 COMMAND_LIMIT = LIMITS["/pump/command"]
@@ -108,28 +115,19 @@ def common_parameters(site: Site) -> list[Parameter]:
     return [site_file(), *_OWN, *pump_parameters(site)]
 
 
-class PumpInputs(NamedTuple):
-    """The inputs of a pump node."""
-
-    command: Input
-    cistern: Input
-    roof: Input
-    frost: Input
-    meter: Input | None = None
-
-
 class PumpBehaviour(Lifecycle, SupervisedNode):
     """Runs the pump as commanded, unless an interlock is active; a subclass says when to act."""
 
     def __init__(
-        self, site: Site, values: Mapping[str, Any], inputs: PumpInputs, *, simulated: bool
+        self, site: Site, values: Mapping[str, Any], inputs: Mapping[str, Input], *,
+        simulated: bool,
     ) -> None:
         """Open topics and services; the node itself must be initialised already.
 
         Args:
             site: the site.
             values: values of the node's parameters.
-            inputs: the node's inputs.
+            inputs: the node's inputs, by their names in :mod:`greenroof_ros.live.pumping.inputs`.
             simulated: whether the plant is simulated.
 
         Raises:
@@ -152,7 +150,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         self._ledger = Ledger(self._state_file, time.time)
         self._begin()
         self._decision = Decision(
-            None, "off", "not started", {}, 0.0, "", "", stands=False, turns_at=None,
+            None, "off", "not started", {}, 0.0, "", (), stands=False, turns_at=None,
             flow_known=False, blind_for=0.0,
         )
         self._state = ""
@@ -162,7 +160,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         self._tried = self._looked_at = -math.inf
         self._commanded, self._timed_at = -math.inf, boot_time()
         self._suspended, self._suspend_seen = suspended_time(), -math.inf
-        self._inputs = inputs
+        self._inputs, self._values = inputs, values
         self.open_outputs("/pump/flow", "/pump/state")
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
@@ -186,13 +184,13 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         """Return how far impossible jumps have shifted both levels so far (m)."""
         return 0.0, 0.0
 
-    def second_pump(self) -> str:
-        """Return that another node runs a pump, too; empty if none does."""
-        return ""
+    def second_pump(self) -> Problem | None:
+        """Return that another node runs a pump, too; None if none does."""
+        return None
 
-    def missing_run(self) -> str:
-        """Return why the drive must not run on levels that may be invented; empty if it may."""
-        return ""
+    def missing_run(self) -> Problem | None:
+        """Return why the drive must not run on levels that may be invented; None if it may."""
+        return None
 
     # --- state kept across restarts ---------------------------------------------------------------
 
@@ -202,7 +200,8 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             self._site, self._settings, self._ledger, self._drive_stops_after
         )
         record = self._ledger.record
-        if why := record.fault or record.unknown or self._ledger.held:
+        held = self._ledger.held
+        if why := record.fault or record.unknown or (held and held.sentence):
             self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _take_state(self) -> None:
@@ -221,7 +220,9 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         while absence := self._drive.absence(boot_time()):
             if boot_time() > until:
                 # The exchange keeps trying: a drive that appears is stopped.
-                raise RefusedError(f"not configured: {absence}; still trying, ask again")
+                raise RefusedError(
+                    f"not configured: {absence.sentence}; still trying, ask again"
+                )
             time.sleep(0.02)
         self.reports.hardware = self._drive.snapshot.identity
 
@@ -229,21 +230,19 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     def on_activate(self) -> None:
         """Let the pump run, unless the drive would run on unattended or a stop cannot be saved."""
         problem = self._drive.absence(boot_time())
-        if not problem and not self._without_timeout:
+        if problem is None and not self._without_timeout:
             problem = self._drive.timeout_problem(self._drive.snapshot)
-        if not problem:
+        if problem is None:
             self._take_state()
-            problem = self._ledger.why_not_kept()
-        if problem:
-            raise RefusedError(f"not activated: {problem}")
+            problem = Problem.if_any("state_not_kept", self._ledger.why_not_kept())
+        if problem is not None:
+            raise RefusedError(f"not activated: {problem.sentence}")
         file = self._drive.placed.file
         unverified = file.unverified_and_vital
         if unverified:
-            self.reports.diagnose(
-                "drive file", WARN, f"{file.path} was not verified against a manual "
-                f"in: {', '.join(unverified)}; watch the pump start and stop before you rely on it",
-                "drive_file_unverified",
-            )
+            self.reports.diagnose("drive file", Problem.of(
+                "drive_file_unverified", file=str(file.path), settings=", ".join(unverified)
+            ), level=WARN)
 
     @transition
     def on_deactivate(self) -> None:
@@ -381,7 +380,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         self._look_for_suspend(now)
         status = self._drive.status(now)
         reasons = (
-            self._reasons_against(now), _fault(status),
+            [*self._reasons_against(now)], _fault(status),
             status is not None and status.stands,
             # Decide again every second, since a drive that is not heard comes to rest at some time.
             status is None and not self._decision.stands and now // 1,
@@ -404,52 +403,66 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         seconds = self._suspended - before
         if seconds > PAUSE_S and not self._decision.stands:
             self._suspend_seen = now
-            self.reports.numbers["suspend"] = {"suspended_s": seconds}
-            self.reports.diagnose(
-                "suspend", ERROR, f"the machine was suspended for {seconds:.0f} s while the pump "
-                "was on, and only the drive's own communication timeout could stop it: keep this "
-                "machine from suspending", "suspended",
-            )
+            self.reports.diagnose("suspend", Problem.of("suspended", suspended_s=seconds))
         elif now - self._suspend_seen > _SAID_S:
-            self.reports.diagnose("suspend", OK, "the machine stays awake while the pump is on")
+            self.reports.diagnose("suspend", None, "the machine stays awake while the pump is on")
 
     # --- the pump ---------------------------------------------------------------------------------
 
-    def _reasons_against(self, now: float) -> dict[str, str]:
-        """Return this node's own reasons against running the pump, by interlock."""
-        status, absence = self._drive.status(now), self._drive.absence(now)
+    def _reasons_against(self, now: float) -> Iterator[Problem]:
+        """Yield this node's own reasons against running the pump."""
+        for row in INPUTS:
+            if row.rule is not None and row.name in self._inputs:
+                value = self._value(row.name)
+                reason = Problem.of(row.unknown) if value is None else row.rule(
+                    value, self._values, self._decision.interlocks
+                )
+                if reason is not None:
+                    yield reason
+        snapshot, absence = self._drive.snapshot, self._drive.absence(now)
+        if absence is not None:
+            yield absence
         if self.lifecycle_state != ACTIVE:
             # While the drive is not heard, the refusal may be out of date.
-            refusal = "" if absence else self.refusal
-            return {"not_active": refusal or "the node is not active", "drive_lost": absence}
-        reasons = {"drive_lost": absence}
+            yield self._not_active("inactive", "" if absence else self.refusal)
+            return
+        status = self._drive.status(now)
         if status is not None:
             if not status.remote:
-                reasons["drive_local"] = (
-                    "the drive is in local control: switch it to bus control at its panel"
-                )
-            reasons["second_master"] = self._drive.snapshot.second_master
-            reasons["start_failed"] = self._drive.snapshot.start_failed
-            if not self._without_timeout:
-                reasons["drive_timeout"] = self._drive.timeout_problem(self._drive.snapshot)
-            reasons["drive_guards_later"] = self._drive.snapshot.unguarded
-            reasons["no_run"] = self.missing_run()
-        reasons["two_controllers"] = second_publisher(self._inputs.command)
-        # Another pump node may have the same drive: then neither runs it.
-        reasons["two_pumps"] = self.second_pump()
-        reasons["no_command"] = self._silence()
-        return reasons
+                yield Problem.of("drive_local", "local")
+            yield from filter(None, (
+                Problem.if_any("second_master", snapshot.second_master),
+                Problem.if_any("start_failed", snapshot.start_failed),
+                Problem.if_any("drive_guards_later", snapshot.unguarded),
+                None if self._without_timeout else self._drive.timeout_problem(snapshot),
+                self.missing_run(),
+            ))
+        yield from filter(None, (
+            second_publisher(self._inputs["command"], "two_controllers"),
+            # Another pump node may have the same drive: then neither runs it.
+            self.second_pump(), self._silence(),
+        ))
 
-    def _silence(self) -> str:
-        """Return that commands are missing, or that this node was paused; empty if neither."""
+    def _not_active(self, case: str, refusal: str) -> Problem:
+        if refusal:
+            return Problem.of("not_active", "refused", refusal=refusal)
+        return Problem.of("not_active", case)
+
+    def _silence(self) -> Problem | None:
+        """Return that commands are missing, or that this node was paused; None if neither."""
         now = boot_time()
         if self._commanded < 0:
-            return "no command has come yet"
+            return Problem.of("no_command", "none")
         if now - self._commanded > self._command_limit:
-            return f"no command has come for {self._command_limit:g} s (command_limit)"
+            return Problem.of("no_command", "silent", limit=self._command_limit)
         if now - self._timed_at > PAUSE_S:
-            return f"this node itself was paused for {now - self._timed_at:.0f} s"
-        return ""
+            return Problem.of("no_command", "paused", time=now - self._timed_at)
+        return None
+
+    def _value(self, name: str) -> float | None:
+        """Return the value of an input; None if it is not known."""
+        entry = self._inputs.get(name)
+        return float(entry.value) if self.acted and entry is not None and entry.good else None
 
     def _step(self, now: float) -> None:
         """Decide on what is known now, give the drive its order, and publish the state.
@@ -458,27 +471,17 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             now: steady clock (s).
         """
         self._look_for_suspend(now)
-
-        def value(entry: Input | None) -> float | None:
-            good = self.acted and entry is not None and entry.good
-            return float(entry.value) if entry is not None and good else None
-
-        inputs, status = self._inputs, self._drive.status(now)
-        frost = value(inputs.frost)
+        status = self._drive.status(now)
         observation = Observation(
-            command=value(inputs.command),
-            cistern_level=value(inputs.cistern),
-            roof_level=value(inputs.roof),
+            **{row.name: self._value(row.name) for row in INPUTS if row.rule is None},
             displacements=self.displacements(),
-            frost=None if frost is None else frost > 0,
             time_ns=self.get_clock().now().nanoseconds or None,  # 0 until a plant publishes it
             speed=None if status is None else status.speed,
-            flow=value(inputs.meter),
             drive_flow=None if status is None else status.flow,
             drive_ready=status is not None and (status.ready or status.running),
             drive_fault="" if now < self._resetting_until else _fault(status),
             runs_on=status is not None and status.runs_on,
-            reasons=self._reasons_against(now),
+            reasons=[*self._reasons_against(now)],
         )
         dt = self.elapsed(now)
         # The drive is watched only while the machine is awake; this clock counts only that time.
@@ -513,7 +516,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             "unknown": record.unknown,
             "hold": {
                 "owner": record.hold_owner, "reason": record.hold_reason,
-                "until": record.hold_until, "said": held,
+                "until": record.hold_until, "said": held.sentence,
             } if held else None,
             "greatest_dose": self._site.greatest_dose,
             "least_dose": self._control.least_dose,
@@ -523,139 +526,147 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
     def _diagnose(self, now: float) -> None:
         """Report each part; texts with numbers are not logged, since they change too often."""
-        decision, inputs = self._decision, self._inputs
-        diagnose = partial(self.reports.diagnose, log=False)
-        diagnose_problem = self.reports.diagnose_problem
+        decision = self._decision
+        diagnose = self.reports.diagnose
         self.reports.numbers |= self._numbers()
-        code = next(iter(decision.interlocks), "")
-        wrong = code not in ("", "quiet_hours")  # these are as intended
-        level = ERROR if decision.state == "fault" else WARN if wrong else OK
-        diagnose("pump", level, self._state, code, self._cause(code))
-        limited = decision.warning
+        first = next(iter(decision.interlocks.values()), None)
+        wrong = first is not None and first.code != "quiet_hours"  # these are as intended
         diagnose(
-            "limits", WARN if limited else OK, limited or "nothing limits the pump",
-            "limited" if limited else "", "",
+            "pump", first and replace(first, sentence=self._state), self._state,
+            ERROR if decision.state == "fault" else WARN if wrong else OK,
+            self._cause(first.code) if first else "", log=False,
         )
+        diagnose("limits", joined(decision.warnings), "nothing limits the pump", WARN, log=False)
         if self._site.greatest_dose is not None:
             self._diagnose_dose()
-        diagnose_problem("flow", self.second_pump(), f"source: {decision.source}", "two_pumps")
+        diagnose("flow", self.second_pump(), f"source: {decision.source}")
         self._diagnose_command()
-        bad = [level for level in (inputs.cistern, inputs.roof) if not level.good]
-        diagnose_problem(
-            "levels", "; ".join(level.problem for level in bad), "both levels are good",
-            bad[0].code if bad else "",
-        )
+        self._diagnose_inputs()
+        sees = self._inputs["cistern_level"].good and self._inputs["roof_level"].good
         known_for = f"both levels have not yet been known for {self._settings.averaging_time:g} s"
-        diagnose_problem(
-            "delivery", "blind: a level is unknown" if bad and decision.blind_for else "",
+        diagnose(
+            "delivery",
+            Problem.of("delivery_blind") if decision.blind_for and not sees else None,
             known_for if decision.blind_for else "what is pumped is compared with both levels",
-            "delivery_blind", WARN,
+            WARN,
         )
-        diagnose_problem(
-            "state file", self._ledger.problem, "holds and faults are kept", "state_not_kept"
+        diagnose(
+            "state file", Problem.if_any("state_not_kept", self._ledger.problem),
+            "holds and faults are kept",
         )
-        frost, code = inputs.frost.problem, self._cause("frost_unknown")
-        if inputs.frost.good:
-            frost, code = "there is frost" if inputs.frost.value > 0 else "", "frost"
-        diagnose_problem("frost", frost, "there is no frost", code, WARN)
         self._diagnose_drive(now)
+
+    def _diagnose_inputs(self) -> None:
+        """Report what is wrong with the inputs, by part."""
+        parts: dict[str, list[str]] = {}
+        for row in INPUTS:
+            part = read_interlocks()[row.unknown].input if row.unknown else ""
+            if part not in ("", "command") and row.name in self._inputs:
+                parts.setdefault(part, []).append(row.name)
+        for part, names in parts.items():
+            problem, level = bad_inputs(self._inputs[name] for name in names), ERROR
+            if problem is None:  # perhaps a good value keeps the pump off
+                level, problem = WARN, next((
+                    reason for code, reason in self._decision.interlocks.items()
+                    if part in read_interlocks()[code].explained_by
+                ), None)
+            elif part == "frost":
+                level, problem = WARN, replace(problem, code=self._cause("frost_unknown"))
+            well = " and ".join(name.replace("_", " ") for name in names)
+            self.reports.diagnose(part, problem, f"known: {well}", level)
 
     def _numbers(self) -> dict[str, dict[str, float | None]]:
         """Return the numbers behind the report of each part, in the units of the topics."""
         decision = self._decision
         flow = decision.flow if decision.flow_known else None
-        levels = {"cistern_level": self._inputs.cistern, "roof_level": self._inputs.roof}
-        command = self._inputs.command
+        known = {name: entry.value if entry.good else None for name, entry in self._inputs.items()}
         return {
             "pump": {"asked_speed": decision.speed, "speed": decision.turns_at},
             "flow": {"flow": flow},
-            "command": {"command": command.value if command.good else None},
-            "levels": {name: level.value if level.good else None for name, level in levels.items()},
+            "command": {"command": known["command"]},
+            "levels": {name: known[name] for name in ("cistern_level", "roof_level")},
             "delivery": {"blind_for_s": decision.blind_for},
             "drive timeout": {"timeout_s": self._drive.snapshot.timeout_s},
         }
 
     def _cause(self, code: str) -> str:
         """Return the code that caused an interlock; empty if unknown."""
-        command, cistern, roof, frost, _ = self._inputs
-        inputs = {
-            "cistern_level_unknown": cistern, "roof_level_unknown": roof,
-            "frost_unknown": frost, "command_unknown": command,
-        }
-        cause = inputs[code].code if code in inputs else ""
-        unknown = code == "frost_unknown" and cause == "input_refused"  # a NaN says so
-        return "temperature_unknown" if unknown else cause
+        of_code = (row.name for row in INPUTS if row.unknown == code and row.name in self._inputs)
+        problem = bad_inputs(self._inputs[name] for name in of_code)
+        if problem is None:
+            return ""
+        unknown = code == "frost_unknown" and problem.code == "input_refused"  # a NaN says so
+        return "temperature_unknown" if unknown else problem.code
 
     def _diagnose_dose(self) -> None:
         """Report the progress of a dose and, for a minute, how it ended."""
         dose = self._control.dose
         if dose is None:
-            self.reports.diagnose("dose", OK, "no dose is under way", log=False)
+            self.reports.diagnose("dose", None, "no dose is under way", log=False)
             return
         self.reports.numbers["dose"] = {"volume": dose.volume, "delivered": dose.delivered}
-        early = dose.over not in ("", DONE)
-        self.reports.diagnose(
-            "dose", WARN if early else OK, dose.said, "dose_ended_early" if early else "",
-            dose.cause, log=False,
-        )
+        early = dose.ended_early if dose.over not in ("", DONE) else None
+        self.reports.diagnose("dose", early, dose.said, WARN, dose.cause, log=False)
 
     def _diagnose_command(self) -> None:
-        command, silence = self._inputs.command, self._silence()
-        trouble = second_publisher(command)
-        if not trouble and not command.good:
-            trouble = command.problem
-        if silence and self.acted and not trouble:
-            self.reports.diagnose("command", STALE, silence, "no_command")
+        command, silence = self._inputs["command"], self._silence()
+        problem = command.problem or second_publisher(command, "two_controllers")
+        if silence and self.acted and problem is None:
+            self.reports.diagnose("command", silence, level=STALE)
         else:
-            code = command.code or "two_controllers"
-            self.reports.diagnose_problem(
-                "command", trouble, silence or "commands are arriving", code
-            )
+            well = silence.sentence if silence else "commands are arriving"
+            self.reports.diagnose("command", problem, well)
 
     def _diagnose_drive(self, now: float) -> None:
         if self.lifecycle_state == UNCONFIGURED and not self._autostart:
-            why = self.refusal or "the node is not configured"
-            self.reports.diagnose("drive", WARN, why, "not_active")
+            why = self._not_active("unconfigured", self.refusal)
+            self.reports.diagnose("drive", why, level=WARN)
             return
         snapshot, status = self._drive.snapshot, self._drive.status(now)
         if status is None:
-            level, code = (ERROR, "drive_lost") if snapshot.errors else (WARN, "drive_awaited")
-            self.reports.diagnose("drive", level, self._drive.absence(now), code)
+            absence, lost = self._drive.absence(now), bool(snapshot.errors)
+            if absence is not None and not lost:
+                absence = replace(absence, code="drive_awaited")
+            self.reports.diagnose("drive", absence, level=ERROR if lost else WARN)
             return
         self.reports.hardware = snapshot.identity
+        trouble = "; ".join(filter(None, (snapshot.problem, status.warning)))
+        level, problem = WARN, None
         if status.fault:
-            code = "runs_on" if status.runs_on else "drive_fault"
-            self.reports.diagnose(
-                "drive", ERROR, f"the drive reports a fault: {status.fault}", code
-            )
-        else:
-            local = "" if status.remote else "it is in local control"
-            trouble = "; ".join(filter(None, (snapshot.problem, status.warning, local)))
-            code = "second_master" if snapshot.second_master else "drive_warning"
-            self.reports.diagnose_problem(
-                "drive", trouble and f"the drive: {trouble}", f"connected to {snapshot.identity}",
-                code if status.remote else "drive_local", WARN,
-            )
+            level, problem = ERROR, drive_fault(status.fault, status.runs_on)
+        elif not status.remote:
+            more = {"problem": trouble} if trouble else {}
+            problem = Problem.of("drive_local", "local", *more, **more)
+        elif snapshot.second_master:
+            problem = Problem.of("second_master", why=snapshot.second_master)
+        elif trouble:
+            problem = Problem.of("drive_warning", warning=trouble)
+        self.reports.diagnose("drive", problem, f"connected to {snapshot.identity}", level)
+        self._diagnose_timeout(snapshot)
+
+    def _diagnose_timeout(self, snapshot: Snapshot) -> None:
+        """Report whether the drive's own communication timeout stops the pump."""
         guard = self._drive.placed.guard
-        beware = f"; beware: {guard.traps}" if guard is not None and guard.traps else ""
-        problem, later = self._drive.timeout_problem(snapshot), snapshot.unguarded
-        if problem and not self._without_timeout:
-            self.reports.diagnose("drive timeout", ERROR, problem + beware, "drive_timeout")
-        elif problem or later:
-            code = "drive_timeout_waived" if problem else "drive_guards_later"
-            self.reports.diagnose("drive timeout", WARN, (problem or later) + beware, code)
-        else:
-            well = f"without this machine the drive stops after {snapshot.timeout_s:g} s{beware}"
-            self.reports.diagnose("drive timeout", OK, well)
+        well = f"without this machine the drive stops after {snapshot.timeout_s or 0:g} s"
+        if guard is not None and guard.traps:
+            well += f"; beware: {guard.traps}"
+        problem, level = self._drive.timeout_problem(snapshot), ERROR
+        if problem is None:
+            problem, level = Problem.if_any("drive_guards_later", snapshot.unguarded), WARN
+        elif self._without_timeout:
+            problem, level = replace(problem, code="drive_timeout_waived"), WARN
+        self.reports.diagnose("drive timeout", problem, well, level)
 
 
-def second_publisher(entry: Input) -> str:
-    """Return that an input has a second publisher, as a sentence; empty if it has none.
+def second_publisher(entry: Input, code: str) -> Problem | None:
+    """Return that an input has a second publisher, under this code; None if it has none.
 
     If one of them cannot be heard, it is named: it may be trying to stop the pump.
     """
     second = entry.publishers.second()
-    return f"{entry.name} {entry.publishers.unheard() or second}" if second else ""
+    if not second:
+        return None
+    return Problem.of(code, topic=entry.name, problem=entry.publishers.unheard() or second)
 
 
 def _hold_of(request: SetParametersAtomically.Request) -> dict[str, Any]:

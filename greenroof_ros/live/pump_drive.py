@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import find_drive_file
@@ -112,34 +113,30 @@ class PumpDrive:
         snapshot = self.snapshot
         return snapshot.status if now - snapshot.read_at < _DRIVE_AGE_S else None
 
-    def absence(self, now: float) -> str:
-        """Return why the drive is not heard; empty if it is."""
+    def absence(self, now: float) -> Problem | None:
+        """Return why the drive is not heard; None if it is."""
         if self._leaving:
-            return "no connection to the drive: it is being released; clean up first"
+            return Problem.of("drive_lost", "released")
         if self.status(now) is not None:
-            return ""
-        problem = self.snapshot.problem or f"it has not answered for {_DRIVE_AGE_S:g} s"
-        return f"no connection to the drive: {problem}"
+            return None
+        if problem := self.snapshot.problem:
+            return Problem.of("drive_lost", "problem", problem=problem)
+        return Problem.of("drive_lost", "silent", time=_DRIVE_AGE_S)
 
-    def timeout_problem(self, snapshot: Snapshot) -> str:
-        """Return what is wrong with the drive's own communication timeout; empty if nothing is."""
+    def timeout_problem(self, snapshot: Snapshot) -> Problem | None:
+        """Return what is wrong with the drive's own communication timeout; None if nothing is."""
         guard, seconds = self.placed.guard, snapshot.timeout_s
+        values: dict[str, float | str] = {}
         if not snapshot.timeout_known:
-            why = f" could not be read ({snapshot.timeout_note})"
+            case, values["note"] = "unread", snapshot.timeout_note
         elif seconds is None:
-            why = f" is not effective ({snapshot.timeout_note})"
+            case, values["note"] = "none", snapshot.timeout_note
         elif seconds > self._limit:
-            why = (
-                f" is {seconds:g} s, but must be at most {self._limit:g} s (drive_timeout_limit)"
-            )
+            case, values = "long", {"timeout": seconds, "limit": self._limit}
         elif guard is not None and guard.local_settings_decide and not self._stops_locally:
-            return (
-                "after the drive's own communication timeout, or after this node ends, the pump "
-                "does what is set in it, which cannot be read: set it to stop, see that it does, "
-                "and confirm that (local_settings_stop_the_pump: true); to set it: "
-                f"{guard.how_to_set}"
-            )
+            case = "local"
         else:
-            return ""
-        repair = "" if guard is None else f"; to set it: {guard.how_to_set}"
-        return f"the drive's own communication timeout{why}{repair}"
+            return None
+        more = {} if guard is None else {"repair": guard.how_to_set, "traps": guard.traps}
+        cases = [name for name, text in more.items() if text]
+        return Problem.of("drive_timeout", case, *cases, **values, **more)

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
@@ -85,13 +86,12 @@ class RecorderNode(LiveNode):
         if now - self._looked_at > _LOOK_S:
             self._looked_at = now
             DISK.do(partial(self._bag.look, now))
-        problem = self._bag.problem
+        directory, why, problem = str(self._bag.directory), self._bag.problem, None
         if DISK.late:
-            problem = f"{self._bag.directory}: the disk does not respond; messages wait in memory"
-        self.reports.diagnose_problem(
-            "recording", problem and f"nothing is recorded: {problem}",
-            f"recording to {self._bag.directory}", "not_recorded",
-        )
+            problem = Problem.of("not_recorded", "late", directory=directory)
+        elif why:
+            problem = Problem.of("not_recorded", "why", why=why)
+        self.reports.diagnose("recording", problem, f"recording to {directory}")
 
     def progress(self) -> dict[str, Any]:
         """Return the bag's path, and the numbers of messages recorded and lost since this start."""

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
@@ -84,10 +85,7 @@ class SensorNode(LiveNode):
         reading = self._reader.snapshot
         if now - max(reading.read_at, self._started) > self._hangs_s:
             self._value = None
-            self.reports.diagnose(
-                self._part, STALE, "the sensor is no longer read: the reader hangs",
-                "sensor_hangs",
-            )
+            self.reports.diagnose(self._part, Problem.of("sensor_hangs"), level=STALE)
         elif reading.read_at > self._published or reading.value != self._newest or (
             math.isinf(reading.read_at) and now - self._started > _AWAITED_S
         ):
@@ -101,8 +99,9 @@ class SensorNode(LiveNode):
                 self._value = max(reading.value, self._lowest)
                 self.publish(self._topic, self._value)
             self.reports.numbers[self._part] = {"value": self._value}
-            self.reports.diagnose_problem(
-                self._part, reading.problem, "the sensor is read", reading.code, self._level
+            self.reports.diagnose(
+                self._part, Problem.if_any(reading.code, reading.problem), "the sensor is read",
+                self._level,
             )
 
     def progress(self) -> dict[str, Any]:

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
+from greenroof_ros.common.conditions import Problem, read_conditions
 from greenroof_ros.common.disk import DISK, Newest
 from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.common.interface import read_conditions
 from greenroof_ros.common.processes import (
     InterruptedRun,
     LockedError,
@@ -272,9 +272,10 @@ class _Record:
         """Find what was lost or has come back since the last call; print and record it."""
         for node in supervisor.ready:
             self.log.end(node, PROCESS)
+        hangs = Problem.of("disk_hangs", directory=str(self._state))
         disk = {
-            "level": "ERROR" if DISK.late else "OK", "code": "disk_hangs" if DISK.late else "",
-            "message": f"{self._state}: the disk does not respond; logs and summary wait in memory",
+            "level": "ERROR" if DISK.late else "OK", "code": hangs.code if DISK.late else "",
+            "message": hangs.sentence,
         }
         report = {"diagnoses": {"disk": disk}}
         self.log.look({**supervisor.last, "bringup": report}, starting=starting)

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import math
 from array import array
+from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.disk import DiskThread
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
@@ -33,7 +35,7 @@ from greenroof_ros.forecast.service import (
 from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.messages import WithFront
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.reports import ERROR, OK, WARN
+from greenroof_ros.graph.reports import ERROR, WARN
 from greenroof_ros.live.engine import live_parameters
 from greenroof_ros.live.executable import live_command
 from greenroof_ros.live.inputs import LiveInput
@@ -138,9 +140,8 @@ class WeatherNode(LiveNode):
         now = from_epoch_ns(self.get_clock().now().nanoseconds)
         rain = self._rain_gauge.value if self._rain_gauge.good else None
         if self._fetcher is not None:
-            self.reports.diagnose_problem(
-                "forecast service", self._fetcher.problem, ATTRIBUTION, "forecast_not_fetched", WARN
-            )
+            unfetched = Problem.if_any("forecast_not_fetched", self._fetcher.problem)
+            self.reports.diagnose("forecast service", unfetched, ATTRIBUTION, WARN)
         forecast = self._forecast
         outlook = None if forecast is None else self._outlook(forecast, now, rain)
         temperature = math.nan if outlook is None else outlook.temperature
@@ -151,7 +152,9 @@ class WeatherNode(LiveNode):
             else ", and the forecast has no column of temperature"
         )
         thermometer = self._thermometer
-        why = thermometer.problem if thermometer.heard else "no reading of a thermometer"
+        why = "no reading of a thermometer"
+        if thermometer.heard and thermometer.problem is not None:
+            why = thermometer.problem.sentence
         self.publish(_FROST, self._frost(temperature, f"{why}{instead}"))
         evapotranspiration: float | None
         if outlook is not None:
@@ -219,16 +222,17 @@ class WeatherNode(LiveNode):
             why = "; ".join(filter(None, [str(error), problem, reading]))
             self.reports.numbers.pop("forecast", None)
             code = "forecast_missing" if self._fetcher is None else "forecast_service_silent"
-            self.reports.diagnose("forecast", ERROR, why, code, unreadable)
+            self.reports.diagnose("forecast", Problem.of(code, why=why), cause=unreadable)
             return None
         assert outlook.issued is not None  # a file's forecasts have issues
         self._front[0] = outlook.issued.timestamp()
         age = (now - outlook.issued).total_seconds()
         self.reports.numbers["forecast"] = {"issued_ago_s": age}
-        issued = f"the newest forecast was issued at {to_people(outlook.issued)}"
-        trouble = problem and f"{issued}; the previously read forecast stays in use: {problem}"
-        self.reports.diagnose_problem(
-            "forecast", trouble or short, issued, unreadable or "forecast_short", WARN
+        issued, trouble = to_people(outlook.issued), Problem.if_any("forecast_short", short)
+        if problem:
+            trouble = Problem.of("forecast_unreadable", issued=issued, why=problem)
+        self.reports.diagnose(
+            "forecast", trouble, f"the newest forecast was issued at {issued}", WARN
         )
         return outlook
 
@@ -240,21 +244,17 @@ class WeatherNode(LiveNode):
             why: it would be unknown.
         """
         if not math.isnan(temperature):
-            self.reports.diagnose("frost", OK, "the temperature is known")
+            self.reports.diagnose("frost", None, "the temperature is known")
             return float(temperature <= 0)
-        level, pumps = WARN, "may run anyway"
-        if math.isnan(self._unknown_frost):
-            level, pumps = ERROR, "are kept off"
-        self.reports.diagnose(
-            "frost", level, f"the temperature is unknown, so there may be frost ({why}): the pumps "
-            f"{pumps} (unknown_frost_may_pump)", self._no_temperature(),
-        )
+        level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
+        problem = Problem.of("temperature_unknown", case, why=why)
+        self.reports.diagnose("frost", replace(problem, code=self._no_temperature()), level=level)
         return self._unknown_frost
 
     def _no_temperature(self) -> str:
         """Return the code for an unknown temperature, by what the site has."""
         thermometer = self._thermometer
-        if thermometer.heard and thermometer.code == "input_recovering":
+        if thermometer.heard and thermometer.verdict.code == "input_recovering":
             return "input_recovering"
         if thermometer.heard or thermometer.publishers.count:
             return "thermometer_lost"
@@ -266,14 +266,16 @@ class WeatherNode(LiveNode):
             self._gauges.add(part)
         if not gauge.heard:
             return
-        bad, well = "", f"{gauge.name} is good"
+        bad, well, problem = None, f"{gauge.name} is good", gauge.problem
         if part not in self._gauges and not gauge.publishers.count:
             well = f"nobody publishes {gauge.name}"
-        elif part not in self._gauges and gauge.code == "input_recovering":
-            well = gauge.problem  # it has just come for the first time
-        elif not gauge.good:
-            bad = f"{gauge.problem}; {instead}"
-        self.reports.diagnose_problem(part, bad, well, "gauge_bad", WARN, gauge.code)
+        elif problem is not None and problem.code == "input_recovering" and (
+            part not in self._gauges  # it has just come for the first time
+        ):
+            well = problem.sentence
+        elif problem is not None:
+            bad = Problem.of("gauge_bad", problem=problem.sentence, instead=instead)
+        self.reports.diagnose(part, bad, well, WARN, gauge.verdict.code)
 
 
 main = live_command(WeatherNode, partial(

@@ -16,13 +16,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.conditions import read_conditions, read_interlocks
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
-from greenroof_ros.common.interface import read_conditions, read_topics
+from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.incidents import INCIDENTS, PROCESS, Incident, read_incidents
 from greenroof_ros.experiment.summary import SUMMARY
 from greenroof_ros.graph.states import PUMP
-from greenroof_ros.live.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.registry import ERROR, STALE, WARN, Registry, Trouble
 from greenroof_ros.watch.wire import Status
 from greenroof_ros.watch.words import plain, sentence
@@ -39,25 +39,7 @@ FOREIGN = "Reported by another device or program, not by the green roof: see its
 
 # A command of ROS says nothing to whoever stands at the pump.
 _RESET = "the page of the site says how"
-# With such a code the pump's state needs somebody at the pump, whatever caused it.
-_NEEDS_A_HAND = {
-    *(code for code, interlock in INTERLOCKS.items() if interlock.kind == LATCHED),
-    "hold", "stands_unknown", "stop_not_followed",
-}
-# For each reason why the pump stands: the parts of its node that say more about it.
-_PARTS_OF_REASON = {
-    **dict.fromkeys(("cistern_level_unknown", "roof_level_unknown"), ("levels",)),
-    **dict.fromkeys(("frost", "frost_unknown"), ("frost",)),
-    **dict.fromkeys(
-        ("no_command", "command_unknown", "command_refused", "two_controllers"), ("command",)
-    ),
-    "two_pumps": ("flow",),
-    **dict.fromkeys(
-        ("not_active", "drive_lost", "drive_local", "second_master", "start_failed",
-         "drive_not_ready", "drive_speed_unknown", "drive_timeout", "drive_guards_later", "no_run"),
-        ("drive timeout", "drive"),
-    ),
-}
+_PUMP_INPUTS = {interlock.input for interlock in read_interlocks().values()} - {""}
 # For other parts: the parts of the same node that say more.
 _SAYS_MORE = {
     "delivery": ("levels",), "frost": ("forecast",),
@@ -69,11 +51,6 @@ _TAKES_IN = {
     "levels": _SENSORS, "command": ("controller",), "frost": ("weather",),
     "forecast": ("weather",), "rain gauge": ("rain_gauge",), "thermometer": ("thermometer",),
     "inputs": (*_SENSORS, "weather", "controller"), "refused": (),
-}
-_ABSENT = {
-    "input_waiting", "input_silent", "input_refused", "no_command", "no_forecast",
-    "temperature_unknown", "thermometer_lost", "temperature_not_fetched", "gauge_bad",
-    "forecast_missing", "forecast_service_silent", "values_refused", "not_heard",
 }
 
 
@@ -325,22 +302,23 @@ def _candidates(
 ) -> Iterator[str]:
     """Yield the alarms that may cause this one, the likeliest first."""
     node, part, code = name.partition(": ")[0], trouble.part, trouble.code
-    state = (trouble.role, part) == (PUMP, PUMP)
-    if code in _NEEDS_A_HAND and part == PUMP:
+    state, condition = (trouble.role, part) == (PUMP, PUMP), read_conditions().get(code)
+    if condition is not None and condition.needs_a_hand and part == PUMP:
         return
     if part and node in troubles:  # the node as a whole, such as a silent node
         yield node
     if not part:
         yield from _other_nodes(node, trouble, troubles)
-    if part in _TAKES_IN and code in _ABSENT:
+    if condition is not None and condition.no_data and (part in _TAKES_IN or trouble.names):
         yield from _publishers(trouble, troubles)
-    more = _PARTS_OF_REASON.get(code, ()) if state else _SAYS_MORE.get(part, ())
+    interlock = read_interlocks().get(code)
+    more = (interlock.parts if interlock else ()) if state else _SAYS_MORE.get(part, ())
     yield from (name for name in (f"{node}: {part}" for part in more) if name in troubles)
     if part == "inputs":
         # A part of the pump node that stops the pump because of that input says more.
         yield from (
             name for name, other in troubles.items()
-            if other.role == PUMP and other.part in ("levels", "command", "frost")
+            if other.role == PUMP and other.part in _PUMP_INPUTS
             and (other.code == code or trouble.role == PUMP)
         )
 
@@ -355,7 +333,7 @@ def _other_nodes(node: str, trouble: Trouble, troubles: Mapping[str, Trouble]) -
 
 def _publishers(trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[str]:
     """Yield the alarms of the nodes that publish the input that is missing."""
-    interface, roles = read_topics(), {*_TAKES_IN[trouble.part]}
+    interface, roles = read_topics(), {*_TAKES_IN.get(trouble.part, ())}
     for name in interface.keys() & set(trouble.names):
         roles.update(interface[name].publishers, interface[name].live_publishers)
     roles.discard(trouble.role)

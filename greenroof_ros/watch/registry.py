@@ -12,12 +12,18 @@ import re
 import socket
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.conditions import (
+    LATCHED,
+    Problem,
+    Value,
+    read_conditions,
+    read_interlocks,
+)
 from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, RECORDER, STARTING, STATES
-from greenroof_ros.live.pumping.interlocks import INTERLOCKS, LATCHED
 from greenroof_ros.watch.wire import Status
 from greenroof_ros.watch.words import plain, sentence
 
@@ -39,16 +45,6 @@ _NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
 _LAST_TICK, _LAST_NS = 2**40, 2**63
 # While all nodes have run for less than this (s), what is missing may still come: the site starts.
 _START_S = 60.0
-# Codes of what is missing then. What was good before is lost: that is an alarm.
-_MISSING = {
-    "input_waiting", "input_silent", "input_refused", "input_recovering", "no_command",
-    "command_unknown", "no_forecast", "forecast_missing", "forecast_not_fetched",
-    "temperature_unknown", "gauge_bad", "frost_unknown", "cistern_level_unknown",
-    "roof_level_unknown", "not_active", "drive_awaited", "drive_guards_later",
-    "drive_not_ready", "drive_speed_unknown", "delivery_blind", "no_run", "waits",
-    "forecast_service_silent", "temperature_not_fetched", "thermometer_lost",
-    "drive_lost", "sensor_lost", "broker_lost", "stands_unknown",
-}
 # A name that ROS allows for a node; the name becomes part of commands that are advised.
 _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _PLANT = "plant"
@@ -86,8 +82,9 @@ class Trouble:
 
     @property
     def is_missing(self) -> bool:
-        """Whether it is something that has not come yet, if the site is starting."""
-        return bool(self.role) and self.code in _MISSING and not self.was_good
+        """Whether it may still come, if the site is starting; what was good before is lost."""
+        condition = read_conditions().get(self.code)
+        return bool(self.role) and condition is not None and condition.late and not self.was_good
 
     @property
     def hides_pump(self) -> bool:
@@ -105,6 +102,8 @@ class _Part:
     heard: float  # wall time (s)
     first: bool  # whether the device, or the node of the part, was heard only once by then
     good: bool = False  # whether it was ever OK
+    topics: tuple[str, ...] = ()  # that it is about
+    gist: str = ""  # of a drive's fault or warning: with another one it is another alarm
 
 
 @dataclass
@@ -253,11 +252,14 @@ class Registry:
         if key in known or len(known) < most:
             first = key not in known if node is None else node.first
             good = status.level == OK or (key in known and known[key].good)
+            topics = plain(status.values.get("topics", status.values.get("topic", "")))
             # An unknown level is an error.
             known[key] = _Part(
                 status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
                 sentence(status.message) or "says nothing",
                 plain(status.values.get("code", ""), _NAME), wall, first, good,
+                tuple(topic.removeprefix(self._namespace.rstrip("/")) for topic in topics.split()),
+                plain(status.values.get("fault", status.values.get("warning", ""))),
             )
 
     def _values_of(self, name: str, status: Status) -> dict[str, Any] | None:
@@ -487,7 +489,8 @@ class Registry:
             silent = wall - part.heard > _FOREIGN_SILENT_S
             # A device that was heard only once may never have meant to report regularly.
             if silent and not part.first and not self._has_ended(name, part):
-                troubles[name] = Trouble(STALE, f"not heard for {_FOREIGN_SILENT_S:g} s")
+                silence = _seen(STALE, "", "not_heard", time=_FOREIGN_SILENT_S)
+                troubles[name] = replace(silence, code="")
             elif part.level != OK and not silent:
                 troubles[name] = Trouble(part.level, part.message, at_least=part.first)
         for node in self._latest.values():
@@ -503,38 +506,33 @@ class Registry:
         name, role = node.name, node.role
         if node.over:
             if failure := node.text("failure"):
-                yield name, Trouble(
-                    ERROR, f"ended: {failure}", "node_failed", role, at_least=node.first
+                yield name, replace(
+                    _seen(ERROR, role, "node_failed", failure=failure), at_least=node.first
                 )
             return
         silent = wall - node.heard > SILENT_S
-        not_heard = f"not heard for {SILENT_S:g} s"
+        not_heard = _seen(STALE, role, "not_heard", time=SILENT_S)
         twin = self._rival(node, wall, "name")
         waiting = node.values.get("waiting")
         if silent:
-            yield name, Trouble(STALE, not_heard, "not_heard", role)
+            yield name, not_heard
         elif twin is not None:
             older, newer = sorted((node, twin), key=lambda process: process.began)
-            yield name, Trouble(
-                ERROR,
-                f"two processes report under this name: {older.process} and {newer.process}",
-                "two_processes", role,
+            yield name, _seen(
+                ERROR, role, "two_processes", older=older.process, newer=newer.process
             )
         elif node.state == STARTING and wall - node.since > _WAITS_S and isinstance(waiting, list):
             who = tuple(map(str, waiting[:10]))
-            yield name, Trouble(
-                WARN, f"waits for {plain(', '.join(who))}", "waits", role, names=who
+            yield name, replace(
+                _seen(WARN, role, "waits", peers=plain(", ".join(who))), names=who
             )
         if wall - node.refused_at <= SILENT_S:
-            topics = plain(", ".join(node.refused))
-            yield f"{name}: refused", Trouble(
-                WARN, f"values of {topics} are refused: not plausible", "values_refused", role,
-                "refused", names=node.refused,
-            )
+            refused = _seen(WARN, role, "values_refused", topics=plain(", ".join(node.refused)))
+            yield f"{name}: refused", replace(refused, part="refused", names=node.refused)
         for part, said in node.parts.items():
             # The last troubles of a silent node stay.
             if not silent and wall - said.heard > SILENT_S:
-                yield f"{name}: {part}", Trouble(STALE, not_heard, "not_heard", role, part)
+                yield f"{name}: {part}", replace(not_heard, part=part)
             elif said.level != OK:
                 yield f"{name}: {part}", _trouble_of_part(node, part, said)
 
@@ -546,20 +544,28 @@ def _hold_in(values: Mapping[str, Any]) -> str:
     return said if isinstance(said, str) else ""
 
 
+def _seen(level: int, role: str, code: str, **values: Value) -> Trouble:
+    """Return a trouble that is seen from here."""
+    return Trouble(level, Problem.of(code, **values).sentence, code, role)
+
+
 def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
     """Return the trouble that a part of a node reports."""
     level, code, gist = said.level, said.code, ""
     if (node.role, part) == (PUMP, PUMP):
         gist = node.text("fault")
-        latched = code in INTERLOCKS and INTERLOCKS[code].kind == LATCHED
+        interlock = read_interlocks().get(code)
+        latched = interlock is not None and interlock.kind == LATCHED
         if node.may_turn:
             level = ERROR  # it may flood the roof, whatever is commanded
             code = code if latched else "stands_unknown"
         elif node.hold and node.values.get("stands") is False and not latched:
             code = "stop_not_followed"
     elif code in ("drive_fault", "drive_warning"):
-        gist = said.message  # it has the drive's number of the fault
-    return Trouble(level, said.message, code, node.role, part, (), gist, said.first, said.good)
+        gist = said.gist
+    return Trouble(
+        level, said.message, code, node.role, part, said.topics, gist, said.first, said.good
+    )
 
 
 def _read_value(text: str) -> Any:

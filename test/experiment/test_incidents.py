@@ -37,10 +37,11 @@ def test_every_part_of_a_node_has_a_rule_or_none_on_purpose() -> None:
     """These parts change nothing, or another part is lost with them."""
     package = Path(incidents.__file__).parents[1]
     text = "".join(file.read_text() for file in (package / "live").glob("*.py"))
-    parts = set(re.findall(r'\.(?:say|diagnose|_say_gauge)\(\s*"([a-z ]+)"', text))
-    assert {"drive", "levels", "forecast", "rain gauge"} < parts
+    parts = set(re.findall(r'diagnose(?:_gauge)?\(\s*"([a-z ]+)"', text))
+    assert {"drive", "forecast", "rain gauge"} < parts
+    assert {"levels", "frost", "command"} <= incidents._RULES.keys()
     assert parts - incidents._RULES.keys() == {
-        "delivery", "dose", "drive file", "drive timeout", "forecast service",
+        "delivery", "dose", "drive file", "drive timeout", "forecast service", "limits",
     }
 
 

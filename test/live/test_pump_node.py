@@ -127,7 +127,8 @@ def test_a_timeout_that_does_not_guard(
         **changes,
     }, "pump", seeks_simulator=False)
     problem = drive.timeout_problem(snapshot)
-    assert problem == "" if words is None else words in problem
+    assert (problem is None) == (words is None)
+    assert problem is None or words in problem.sentence
 
 
 def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> None:

@@ -28,17 +28,21 @@ def node(
 ) -> list[Status]:
     """Return a node's messages: its own status, and each part's.
 
-    Each part has a name, level and sentence, and optionally a code.
+    Each part has a name, level and sentence, and optionally a code and other values.
     """
     pairs = {"role": role, "process": process, **values}
     own = {key: json.dumps(value) for key, value in pairs.items()}
     return [
         Status(name, OK, state, own),
         *(
-            Status(f"{name}: {part}", level, text, {"code": code[0]} if code else {})
-            for part, level, text, *code in parts
+            Status(f"{name}: {part}", level, text, _values(*more))
+            for part, level, text, *more in parts
         ),
     ]
+
+
+def _values(code: str = "", values: Mapping[str, str] | None = None) -> dict[str, str]:
+    return {"code": code, **(values or {})} if code else {}
 
 
 def silent_sensor() -> list[Status]:

@@ -15,10 +15,10 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
+from greenroof_ros.common.conditions import LATCHED, read_interlocks
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.states import ENDED, STARTING, STATES
-from greenroof_ros.live.pumping.interlocks import INTERLOCKS, LATCHED
 
 # A node reports four times a second; bringup holds the pump after 2 s (doc/explanation/live.md).
 SILENT_S = 2.0
@@ -26,7 +26,7 @@ SILENT_S = 2.0
 _WAITS_S = 5.0
 _LOOK_S = 0.1
 _LEVELS = ("", "warn", "error", "stale")
-_LATCHED = {code for code, interlock in INTERLOCKS.items() if interlock.kind == LATCHED}
+_LATCHED = {code for code, interlock in read_interlocks().items() if interlock.kind == LATCHED}
 
 
 @dataclass

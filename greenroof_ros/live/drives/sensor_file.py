@@ -42,13 +42,11 @@ class Quantity(NamedTuple):
     Attributes:
         node: name of the node that publishes it.
         topic_name: in the interface, which has its unit and range.
-        limit: the parameter for its greatest age.
         spread_s: longest time over which a rise of its total is spread (s).
     """
 
     node: str
     topic_name: str
-    limit: str
     spread_s: float = math.inf
 
     @property
@@ -56,14 +54,21 @@ class Quantity(NamedTuple):
         """Its topic."""
         return read_topics()[self.topic_name]
 
+    @property
+    def limit(self) -> str:
+        """The parameter for its greatest age."""
+        age = self.topic.greatest_age
+        assert age is not None
+        return age.parameter
+
 
 # By section of the file.
 QUANTITIES = {
-    "cistern": Quantity("cistern_sensor", "/cistern/level", "level_limit"),
-    "roof": Quantity("roof_sensor", "/roof/level", "level_limit"),
-    "flow_meter": Quantity("flow_meter", "/pump/meter", "flow_limit", _LONGEST_AFTERFLOW_S / 2),
-    "rain_gauge": Quantity("rain_gauge", "/gauge/precipitation", "gauge_limit"),
-    "thermometer": Quantity("thermometer", "/gauge/temperature", "gauge_limit"),
+    "cistern": Quantity("cistern_sensor", "/cistern/level"),
+    "roof": Quantity("roof_sensor", "/roof/level"),
+    "flow_meter": Quantity("flow_meter", "/pump/meter", _LONGEST_AFTERFLOW_S / 2),
+    "rain_gauge": Quantity("rain_gauge", "/gauge/precipitation"),
+    "thermometer": Quantity("thermometer", "/gauge/temperature"),
 }
 
 

@@ -56,6 +56,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.live.pumping.limits import PumpSettings
 from greenroof_ros.model.plant import low_outlet_flow
 from greenroof_ros.model.site import Site
@@ -150,8 +151,8 @@ class DeliveryCheck:
         least_pumped: float,
         most_pumped: float,
         displacements: tuple[float, float] = (0.0, 0.0),
-    ) -> str:
-        """Take the sensors' readings, and return the fault; empty if there is none.
+    ) -> Problem | None:
+        """Take the sensors' readings, and return the fault; None if there is none.
 
         Args:
             dt: time since the last step (s).
@@ -177,7 +178,7 @@ class DeliveryCheck:
             drained=drained,
         ))
         if cistern_level is None or roof_level is None:
-            return ""
+            return None
         self._watched += dt
         if self._displaced is None:
             self._displaced, self._jumped = displacements, displacements[0]
@@ -210,7 +211,7 @@ class DeliveryCheck:
             return _lost_from_cistern(self._lost.over)
         return self._kept_in_cistern(change)
 
-    def _kept_in_cistern(self, change: _Sums) -> str:
+    def _kept_in_cistern(self, change: _Sums) -> Problem | None:
         """Return the fault of a cistern that does not fall although it is pumped from."""
         site, share = self._site, self._settings.least_delivery
         kept = share * change.least_pumped + change.overfull_cistern
@@ -222,17 +223,15 @@ class DeliveryCheck:
         # Rain stays in the cistern even after it has drained off the roof.
         self._rain_on_roof = max(self._rain_on_roof, rain_on_roof) if rise else 0.0
         if not self._keeps:
-            return ""  # a soil that keeps nothing does not show how much it rains
+            return None  # a soil that keeps nothing does not show how much it rains
         rise -= site.a_in / site.a2 / self._keeps * self._rain_on_roof
         if rise <= self._settings.level_tolerance * site.a1:
-            return ""
+            return None
         if over.roof < self._share_on_roof * over.least_pumped:
             return _missing_on_roof(over)
-        return (
-            f"delivery: {over.least_pumped:.2f} m3 were pumped in {over.elapsed / 60:.1f} min and "
-            f"came to the roof, but the cistern's level changed by "
-            f"{1000 * over.overfull_cistern / site.a1:+.0f} mm: perhaps its sensor is stuck or "
-            "drifts, so that the pump would run dry; or water flows into the cistern"
+        return Problem.of(
+            "delivery", "cistern_stuck", pumped=over.least_pumped, minutes=over.elapsed / 60,
+            change=1000 * over.overfull_cistern / site.a1,
         )
 
     def _change_of_mean(self, dt: float, present: _Sums) -> _Sums:
@@ -248,43 +247,34 @@ class DeliveryCheck:
         self._mean = before.plus(present.plus(before, -1.0), weight)
         return self._mean.plus(before, -1.0) if self._watched > averaging else _Sums()
 
-    def _stands_still(self, now: _Sums) -> str:
+    def _stands_still(self, now: _Sums) -> Problem | None:
         """Return the fault of a roof, or of both tanks, unchanged while water was pumped."""
         site = self._site
         (_, cistern), (_, roof) = self._still
         longer = roof if roof.elapsed > cistern.elapsed else cistern
         for since, area, share, stuck in (
-            (roof, site.a2, self._kept_share, "the roof's sensor is stuck"),
-            (longer, site.a1, 1.0, "both sensors are stuck"),
+            (roof, site.a2, self._kept_share, "roof_stuck"), (longer, site.a1, 1.0, "both_stuck"),
         ):
             unseen = share * (now.least_pumped - since.least_pumped)
             unseen -= self._loss * area * (now.elapsed - since.elapsed)
             if unseen > self._settings.level_tolerance * area:
-                return f"{_missing_on_roof(now.plus(since, -1.0))}, or {stuck}"
-        return ""
+                return _missing_on_roof(now.plus(since, -1.0), stuck)
+        return None
 
 
-def _missing_on_roof(over: _Sums) -> str:
+def _missing_on_roof(over: _Sums, *stuck: str) -> Problem:
     fell = max(0.0, -over.cistern)
-    cause = (
-        "a burst pipe or a leak behind the pump" if fell - over.drained > over.least_pumped / 2
-        else "a closed valve, a blocked pump, an empty pipe or an empty cistern"
-    )
-    return (
-        f"delivery: {over.least_pumped:.2f} m3 were pumped in {over.elapsed / 60:.1f} min, but the "
-        f"roof rose by {over.roof:.2f} m3 and the cistern fell by {fell:.2f} m3: perhaps {cause}"
+    cause = "burst" if fell - over.drained > over.least_pumped / 2 else "closed"
+    return Problem.of(
+        "delivery", "roof", cause, *stuck, pumped=over.least_pumped, minutes=over.elapsed / 60,
+        roof=over.roof, cistern=fell,
     )
 
 
-def _lost_from_cistern(over: _Sums) -> str:
+def _lost_from_cistern(over: _Sums) -> Problem:
     fell = -over.cistern
-    cause = (
-        "the pump runs although it should be off (a stuck contactor), or its flow is larger than "
-        "measured" if over.roof > fell / 2
-        else "a leak, or somebody else takes water"
-    )
-    by_outlet = f" and {over.drained:.2f} m3 by its low outlet" if over.drained else ""
-    return (
-        f"delivery: the cistern fell by {fell:.2f} m3 in {over.elapsed / 60:.1f} min, but only "
-        f"{over.most_pumped:.2f} m3 were pumped{by_outlet}: perhaps {cause}"
+    by_outlet = ["outlet"] if over.drained else []
+    return Problem.of(
+        "delivery", "cistern", *by_outlet, "contactor" if over.roof > fell / 2 else "leak",
+        cistern=fell, minutes=over.elapsed / 60, pumped=over.most_pumped, drained=over.drained,
     )

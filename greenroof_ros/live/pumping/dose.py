@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.model.site import Site
 
 EXPIRES_S = 60.0
@@ -55,7 +56,14 @@ class Dose:
             return f"a dose: {progress}; {self.why}" if self.begun else f"a dose waits: {self.why}"
         if self.over == DONE:
             return f"the dose of {self.volume:g} m3 was delivered"
-        return f"the dose ended early, at {progress}: {self.why}"
+        return self.ended_early.sentence
+
+    @property
+    def ended_early(self) -> Problem:
+        """That it ended before all was delivered."""
+        return Problem.of(
+            "dose_ended_early", volume=self.volume, delivered=self.delivered, why=self.why
+        )
 
 
 class Doses:

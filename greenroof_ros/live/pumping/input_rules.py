@@ -6,9 +6,11 @@ The caller passes the time of a steady clock (s).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.formats.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.model.plant import (
     low_outlet_flow,
@@ -36,29 +38,39 @@ _LOSS, _DRIFT = 1e-3 / 3600, 5e-3 / 86400
 # Reference Manual I, Table 3-5), and a first-flush diverter (2 mm).
 _WETTING = 5e-3
 
-_WAITING, _RECOVERING = "input_waiting", "input_recovering"
+_WAITING, _RECOVERING = AWAITED = "input_waiting", "input_recovering"
+"""Codes of an input that breaks no rule, but is awaited or not used yet."""
 
 
-class Verdict(NamedTuple):
-    """What is wrong with an input.
+@dataclass(frozen=True)
+class Verdict:
+    """What is wrong with an input, by code and values.
 
     Attributes:
-        code: of the broken rule, see :mod:`greenroof_ros.common.interface`; empty if it is good.
-        why: what the input does, as the rest of a sentence that begins with its name.
+        code: of the broken rule, see ``msg_defs/conditions.yaml``; empty if it is good.
+        case: which of the code's sentences tells it; empty if there is only one.
+        values: for that sentence, which needs the topic besides.
+        before: what was wrong until now, if it recovers.
     """
 
     code: str = ""
-    why: str = ""
+    case: str = ""
+    values: Mapping[str, float | str] = field(default_factory=dict)
+    before: Verdict | None = None
 
     @property
     def good(self) -> bool:
         """Whether the input may be acted on."""
         return not self.code
 
-    @property
-    def alarming(self) -> bool:
-        """Whether a rule is broken now; false while the input is only awaited or recovering."""
-        return self.code not in ("", _WAITING, _RECOVERING)
+    def problem(self, topic: str) -> Problem | None:
+        """Return it with its sentence about a topic; None if it is good."""
+        if self.good:
+            return None
+        before = self.before and self.before.problem(topic)
+        more = {"before": before.sentence} if before else {}
+        cases = [self.case] if self.case else []
+        return Problem.of(self.code, *cases, topic=topic, **self.values, **more)
 
 
 class Reach(NamedTuple):
@@ -224,8 +236,7 @@ class LevelRule:
         """Take a value (m), and judge whether water can have reached it."""
         if value > self._reach.highest:
             return Verdict(
-                "input_refused", f"is {value:.4g} m, but no level here is above "
-                f"{self._reach.highest:g} m: is its unit wrong?",
+                "input_refused", "absurd", {"value": value, "highest": self._reach.highest}
             )
         if value != self._value:
             self._risen = self._fallen = 0.0
@@ -251,19 +262,16 @@ class LevelRule:
             self.displacement += value - before
         self._old_low, self._old_high = low, high
         end = high if value > high else low
-        return Verdict(
-            "input_jump", f"jumped: {before:.4g} m, and {passed:.3g} s later {value:.4g} m, but "
-            f"water can be at {max(end, 0.0):.4g} m, give or take {half:g} m (jump_tolerance)",
-        )
+        return Verdict("input_jump", values={
+            "from": before, "value": value, "time": passed, "expected": max(end, 0.0),
+            "tolerance": half,
+        })
 
     def stands(self) -> Verdict:
         """Judge whether the reading is unchanged although the level must have moved."""
         if not self._frozen:
             return Verdict()
-        return Verdict(
-            "input_frozen", "is frozen: not one change while pump and rain must have moved it by "
-            f"more than {self._frozen_movement:g} m (frozen_movement)",
-        )
+        return Verdict("input_frozen", values={"movement": self._frozen_movement})
 
 
 class InputRules:
@@ -289,21 +297,21 @@ class InputRules:
         self._begun = now
         self._came: float | None = None
         # Verdict on the newest value, or why there is none; and the broken rule to recover from.
-        self._newest = self._broken = Verdict(_WAITING, "has not come yet")
+        self._newest = self._broken = Verdict(_WAITING)
         self._good_since: float | None = None
 
-    def came(self, now: float, value: object, refused: str = "") -> Verdict:
+    def came(self, now: float, value: object, refused: Verdict | None = None) -> Verdict:
         """Take a value.
 
         Args:
             now: s.
             value: the value.
-            refused: why it is ignored; empty if it counts.
+            refused: why it is ignored; None if it counts.
         """
         self.judge(now)  # the input may have been silent until now
         self._came = now
         if refused:
-            self._newest = Verdict("input_refused", refused)
+            self._newest = refused
         elif self.level is not None and isinstance(value, float):
             self._newest = self.level.came(now, value)
         else:
@@ -312,16 +320,14 @@ class InputRules:
 
     def refuse(self, now: float, why: str) -> Verdict:
         """Refuse the newest value, because its reader cannot use it."""
-        self._newest = Verdict("input_refused", why)
+        self._newest = Verdict("input_refused", "refused", {"why": why})
         return self.judge(now)
 
     def paused(self, seconds: float) -> None:
         """Forget all values, since this process itself was paused for this long (s)."""
         if self._came is not None:
             self._came = None
-            self._newest = Verdict(
-                "input_paused", f"is unknown: this node itself was paused for {seconds:.0f} s"
-            )
+            self._newest = Verdict("input_paused", values={"time": seconds})
 
     def judge(self, now: float, publishers: str = "") -> Verdict:
         """Return whether the input may be acted on, and why not.
@@ -338,24 +344,24 @@ class InputRules:
             self._good_since = now
         if now - self._good_since < self._recovery:
             first = self._broken.code == _WAITING
-            before = "received" if first else f"{self._broken.why}; now good"
             return Verdict(
-                _RECOVERING,
-                f"{before}; used after {self._recovery:g} s of good values (recovery_time)",
+                _RECOVERING, "first" if first else "again", {"time": self._recovery},
+                None if first else self._broken,
             )
         return verdict
 
     def _present(self, now: float, publishers: str) -> Verdict:
         """Return the first rule that is broken now, ignoring recovery."""
         if publishers:
-            return Verdict("input_publishers", publishers)
+            return Verdict("input_publishers", values={"problem": publishers})
         if self._came is None:
             if self._newest.code == _WAITING and now - self._begun > _START_S:
-                return Verdict("input_silent", self._newest.why)
+                return Verdict("input_silent", "never")
             return self._newest
         if now - self._came > self._limit:
-            why = f"is older than {self._limit:g} s ({self._limit_name})"
-            return Verdict("input_silent", why)
+            return Verdict(
+                "input_silent", "old", {"limit": self._limit, "parameter": self._limit_name}
+            )
         if self._newest.good and self.level is not None:
             return self.level.stands()
         return self._newest

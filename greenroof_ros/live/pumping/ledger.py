@@ -41,6 +41,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.disk import DISK, PATIENCE_S, Newest
 from greenroof_ros.common.processes import LockedError, take_lock
 from greenroof_ros.common.ranges import Range
@@ -198,15 +199,16 @@ class Ledger:
         return self._clock()
 
     @property
-    def held(self) -> str:
-        """Who holds the pump, until when and why; empty if nobody does."""
+    def held(self) -> Problem | None:
+        """Who holds the pump, until when and why; None if nobody does."""
         owner, reason, until = self.record.hold
         if not owner or (until is not None and self.now >= until):
-            return ""
-        end = "" if until is None else (
-            f" until {to_people(datetime.fromtimestamp(until).astimezone())}"
-        )
-        return f"a hold by {owner}{end}" + (f": {reason}" if reason else "")
+            return None
+        end = {} if until is None else {
+            "until": to_people(datetime.fromtimestamp(until).astimezone())
+        }
+        more = end | ({"reason": reason} if reason else {})
+        return Problem.of("hold", "owner", *more, owner=owner, **more)
 
     def hold(self, owner: str, reason: str = "", until: float | None = None) -> None:
         """Keep the pump off until a release, or until a time (s since 1970) if one is given."""

@@ -6,8 +6,10 @@ Every inhibit that comes from a limit clears by itself.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter, entry, parameters_of
 from greenroof_ros.common.times import to_people
@@ -217,62 +219,53 @@ class Limits:
 
     def reasons(
         self, command: float | None, cistern_level: float | None, roof_level: float | None,
-        frost: bool | None, time_ns: int | None,
-    ) -> dict[str, str]:
-        """Return the reasons against running now, by interlock; must be called at every step.
+        frost: float | None, time_ns: int | None,
+    ) -> Iterator[Problem]:
+        """Yield the reasons against running now; must be called at every step.
 
         Args:
             command: share of the maximum flow; 0 ends the rest after the longest run, None (no
                 good command) does not.
             cistern_level: m; None if unknown.
             roof_level: m; None if unknown.
-            frost: whether there is frost; None if unknown.
+            frost: 0 if there is none; None if unknown.
             time_ns: time at the site (ns since 1970); None if unknown.
         """
         settings, record = self._settings, self._ledger.record
-        reasons = {}
         if cistern_level is None:
-            reasons["cistern_level_unknown"] = "the level of the cistern is unknown"
+            yield Problem.of("cistern_level_unknown")
         else:
             least = self._site.suction_level + settings.level_offset
             if self._dry:
                 least += settings.suction_hysteresis
             self._dry = cistern_level <= least
             if self._dry:
-                reasons["cistern_low"] = (
-                    f"the cistern is at {cistern_level:.3f} m, not above {least:g} m"
-                )
+                yield Problem.of("cistern_low", level=cistern_level, least=least)
         if roof_level is None:
-            reasons["roof_level_unknown"] = "the level of the roof is unknown"
+            yield Problem.of("roof_level_unknown")
         if frost is None:
-            reasons["frost_unknown"] = "it is unknown whether there is frost"
+            yield Problem.of("frost_unknown")
         elif frost:
-            reasons["frost"] = "there is frost"
+            yield Problem.of("frost")
         if (quiet := self._site.quiet) is not None:
             if time_ns is None:
-                reasons["quiet_hours"] = "no time has arrived, so these may be quiet hours"
+                yield Problem.of("quiet_hours", "no_time")
             elif quiet.quiet_at(time_ns):
-                end = to_people(quiet.end_after(time_ns))
-                reasons["quiet_hours"] = f"these are quiet hours, until {end}"
+                yield Problem.of("quiet_hours", "until", until=to_people(quiet.end_after(time_ns)))
         if command == 0:
             self._rests_for = 0.0
         if self._rests_for > 0:
-            reasons["longest_run"] = (
-                f"it ran for {_minutes(settings.greatest_run)} without a break; it rests "
-                f"until the command is 0, or for {_minutes(self._rests_for)}"
-            )
-        again = f"the pump may run again in {_minutes(DAY_S - record.day_elapsed)}"
+            yield Problem.of("longest_run", longest=settings.greatest_run, rest=self._rests_for)
+        again = DAY_S - record.day_elapsed
         if record.day_volume >= settings.greatest_volume_per_day:
-            reasons["daily_volume"] = (
-                f"{record.day_volume:.2f} m3 were pumped in this 24-h period; the limit is "
-                f"{settings.greatest_volume_per_day:g} m3, and {again}"
+            yield Problem.of(
+                "daily_volume", volume=record.day_volume, limit=settings.greatest_volume_per_day,
+                again=again,
             )
         if record.day_run >= settings.greatest_run_per_day:
-            reasons["daily_run"] = (
-                f"it ran for {_minutes(record.day_run)} in this 24-h period; the limit is "
-                f"{_minutes(settings.greatest_run_per_day)}, and {again}"
+            yield Problem.of(
+                "daily_run", run=record.day_run, limit=settings.greatest_run_per_day, again=again
             )
-        return reasons
 
 
 class Pulses:
@@ -354,10 +347,3 @@ class Pulses:
 
     def _flow(self, share: float, cistern_level: float) -> float:
         return share * flow_at(self._site, 1.0, cistern_level)
-
-
-def _minutes(seconds: float) -> str:
-    """Return a time in words."""
-    if seconds < 120:
-        return f"{math.ceil(seconds)} s"
-    return f"{math.ceil(seconds / 60)} min"

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
+from greenroof_ros.common.conditions import (
+    INHIBIT,
+    LATCHED,
+    PERMISSIVE,
+    Problem,
+    read_interlocks,
+)
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Dose, Doses
-from greenroof_ros.live.pumping.interlocks import (
-    ENABLE,
-    INHIBIT,
-    INTERLOCKS,
-    LATCHED,
-    evaluate,
-)
+from greenroof_ros.live.pumping.interlocks import evaluate
 from greenroof_ros.live.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.live.pumping.limits import Limits, Pulses, PumpSettings
 from greenroof_ros.model.pump_speed import STANDS, flow_at
@@ -28,7 +29,7 @@ _GREATEST_LEVEL = 100.0
 # This many consecutive failed starts are a fault.
 _FAILED_STARTS = 3
 # The state of a pump that is kept off, by the kind of the first active interlock.
-_STATES = {LATCHED: "fault", INHIBIT: "held", ENABLE: "off"}
+_STATES = {LATCHED: "fault", INHIBIT: "held", PERMISSIVE: "off"}
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Observation:
         cistern_level: m.
         roof_level: m.
         displacements: how far jumps that water cannot cause have moved both readings so far (m).
-        frost: whether there is frost.
+        frost: 0 if there is none.
         time_ns: time at the site (ns since 1970): system time if live, else simulated time.
         speed: speed of the drive, share of the rated speed.
         flow: from a flow meter (m3/s).
@@ -48,14 +49,14 @@ class Observation:
         drive_ready: whether the drive runs, or would run if asked to.
         drive_fault: the drive's fault, as text; empty if there is none.
         runs_on: whether that fault is that the drive does not obey a stop.
-        reasons: the pump node's own reasons against running, by interlock.
+        reasons: the pump node's own reasons against running.
     """
 
     command: float | None = None
     cistern_level: float | None = None
     roof_level: float | None = None
     displacements: tuple[float, float] = (0.0, 0.0)
-    frost: bool | None = None
+    frost: float | None = None
     time_ns: int | None = None
     speed: float | None = None
     flow: float | None = None
@@ -63,7 +64,7 @@ class Observation:
     drive_ready: bool = False
     drive_fault: str = ""
     runs_on: bool = False
-    reasons: Mapping[str, str] = field(default_factory=dict)
+    reasons: Sequence[Problem] = ()
 
 
 @dataclass(frozen=True)
@@ -75,10 +76,10 @@ class Decision:
         state: off, starting, running, stopping, fault, held, or unknown: it is ordered off, but may
             not be at rest.
         why: the reason for the state, in words.
-        interlocks: the reason of each active interlock, by code, in the order of their table.
+        interlocks: the active interlocks by code, in the order of their table.
         flow: best present estimate (m3/s).
         source: how the flow is known.
-        warning: what an operator should know although it stops nothing; empty if nothing.
+        warnings: what an operator should know although it stops nothing.
         stands: whether the pump is at rest: reported, or certain by the drive's own timeout.
         turns_at: reported speed, share of the rated speed, negative if backwards; None if the drive
             is not heard or its value is implausible.
@@ -90,10 +91,10 @@ class Decision:
     speed: float | None
     state: str
     why: str
-    interlocks: Mapping[str, str]
+    interlocks: Mapping[str, Problem]
     flow: float
     source: str
-    warning: str
+    warnings: Sequence[Problem]
     stands: bool
     turns_at: float | None
     flow_known: bool
@@ -181,7 +182,7 @@ class PumpControl:
         record = self._ledger.record
         if not record.fault:
             return "there is no fault"
-        row = INTERLOCKS.get(record.fault_code)
+        row = read_interlocks().get(record.fault_code)
         if row is None or not row.on_page:
             return "such a fault is reset at the pump node, by somebody who has checked the pump"
         return ""
@@ -234,7 +235,7 @@ class PumpControl:
             observed.speed is not None, _backwards(observed), observed.speed
         )
         observed = _believable(observed)
-        warnings: list[str] = []
+        warnings: list[Problem] = []
         computed = None
         if observed.speed is not None and observed.cistern_level is not None:
             computed = flow_at(self._site, observed.speed, observed.cistern_level)
@@ -256,12 +257,14 @@ class PumpControl:
         )
         sees = observed.cistern_level is not None and observed.roof_level is not None
         self._blind_for = 0.0 if sees and self._delivery.watches else self._blind_for + dt
-        command, refused = observed.command, ""
-        if command is not None and not 0 <= command < math.inf:
-            refused = f"the command {command:g} is refused: it must be a number from 0 to 1"
+        command, missing = observed.command, list[Problem]()
+        if command is None:
+            missing.append(Problem.of("command_unknown"))
+        elif not 0 <= command < math.inf:
+            missing.append(Problem.of("command_refused", command=command))
             command = None
-        elif command is not None and command > 1:
-            warnings.append(f"the command {command:g} is above 1 and taken as 1")
+        elif command > 1:
+            warnings.append(Problem.of("limited", "above", command=command))
             command = 1.0
         full = observed.roof_level is not None and observed.roof_level >= self._site.z_veg
         if full:
@@ -269,27 +272,25 @@ class PumpControl:
         if under_way and self._doses.present is None:
             self._pulses.clear()  # commands during a dose leave nothing outstanding
         dosed = command is not None and self._doses.present is not None
-        unheard = observed.speed is None and not backwards
-        active = evaluate({
-            **self._faults(drive_dt, observed, backwards, undelivered),
-            **self._limits.reasons(
+        if observed.speed is None and not backwards:
+            missing.append(Problem.of("drive_speed_unknown"))
+        if not observed.drive_ready and not backwards:
+            missing.append(Problem.of("drive_not_ready"))
+        active = evaluate([
+            *self._faults(drive_dt, observed, backwards, undelivered),
+            *self._limits.reasons(
                 1.0 if dosed else command, observed.cistern_level, observed.roof_level,
                 observed.frost, observed.time_ns,
             ),
-            **observed.reasons,
-            "command_unknown": "there is no command" if observed.command is None else "",
-            "command_refused": refused,
-            "drive_speed_unknown": "the speed of the drive is unknown" if unheard else "",
-            "drive_not_ready": (
-                "" if observed.drive_ready or backwards else "the drive is not ready"
-            ),
-        })
+            *observed.reasons, *missing,
+        ])
         setpoint = None
         if active:
-            state = _STATES[INTERLOCKS[next(iter(active))].kind]
-            why = "; ".join(active.values())
+            first = next(iter(active))
+            state = _STATES[read_interlocks()[first].kind]
+            why = "; ".join(reason.sentence for reason in active.values())
             self._pulses.clear()
-            self._doses.end(INTERLOCK, why, next(iter(active)))
+            self._doses.end(INTERLOCK, why, first)
             self._against = why
         else:
             assert command is not None
@@ -329,7 +330,7 @@ class PumpControl:
         else:
             stands = setpoint is None and not turning
         return Decision(
-            setpoint, state, why, active, flow, source, "; ".join(warnings), stands,
+            setpoint, state, why, active, flow, source, warnings, stands,
             reported if backwards else observed.speed, stands or known_flow is not None,
             self._blind_for,
         )
@@ -340,7 +341,7 @@ class PumpControl:
         return max(self._doses.share(greatest), self._pulses.least_share(cistern_level))
 
     def _flow(
-        self, observed: Observation, computed: float | None, warnings: list[str]
+        self, observed: Observation, computed: float | None, warnings: list[Problem]
     ) -> tuple[float | None, str]:
         """Return the present flow (m3/s; None if unknown), and how it is known.
 
@@ -360,10 +361,9 @@ class PumpControl:
             if flow is not None and flow <= most:
                 return flow, source
             if flow is not None:
-                warnings.append(
-                    f"{source}: a flow of {flow:g} m3/s is not believable: the pump delivers at "
-                    f"most {most / _GREATEST_FLOW:.3g} m3/s"
-                )
+                warnings.append(Problem.of(
+                    "limited", "flow", source=source, flow=flow, most=most / _GREATEST_FLOW
+                ))
         return computed, "unknown, taken as 0" if computed is None else "computed from the speed"
 
     def _unseen_flow(self, observed: Observation) -> float:
@@ -409,8 +409,8 @@ class PumpControl:
             self._ramped = speed
         return not least - tolerance <= speed <= greatest + tolerance
 
-    def _flows_at_rest(self, drive_dt: float, observed: Observation) -> str:
-        """Return that a meter shows flow although the drive reports rest; empty if it does not.
+    def _flows_at_rest(self, drive_dt: float, observed: Observation) -> Problem | None:
+        """Return that a meter shows flow although the drive reports rest; None if it does not.
 
         A drive knows its motor, and a relay its order; neither detects a welded contact.
         """
@@ -420,21 +420,20 @@ class PumpControl:
         stands = self._setpoint is None and observed.speed is not None and observed.speed <= STANDS
         self._flowed_for = self._flowed_for + drive_dt if stands and measured > least else 0.0
         if self._flowed_for <= self._settings.follow_time:
-            return ""
-        return (
-            f"the meter has shown {measured:.3g} m3/s for {self._flowed_for:.0f} s, although the "
-            "drive reports the pump at rest: perhaps a contact is welded, and only the main switch "
-            "stops the pump; or the meter is wrong"
-        )
+            return None
+        return Problem.of("runs_on", "flow", flow=measured, time=self._flowed_for)
 
     def _faults(
-        self, drive_dt: float, observed: Observation, backwards: str, undelivered: str
-    ) -> dict[str, str]:
-        """Return the faults by interlock: the present ones, and the latched one until its reset.
+        self, drive_dt: float, observed: Observation, backwards: Problem | None,
+        undelivered: Problem | None,
+    ) -> list[Problem]:
+        """Return the faults: the present ones, and the latched one until its reset.
 
         Also the other reasons that the ledger keeps: a hold, and an unreadable record.
         """
-        failed_start = observed.reasons.get("start_failed", "")
+        failed_start = next((
+            reason.sentence for reason in observed.reasons if reason.code == "start_failed"
+        ), "")
         if failed_start and self._setpoint is not None:
             self._failed_starts += 1
         if observed.speed is not None:  # a short silence does not reset the timer
@@ -442,43 +441,42 @@ class PumpControl:
             self._follow_error_for = self._follow_error_for + drive_dt if beyond else 0.0
             if self._setpoint is not None and not beyond and not failed_start:
                 self._failed_starts = 0
-        reasons = {"delivery": undelivered, "runs_on": self._flows_at_rest(drive_dt, observed)}
+        found = [undelivered, self._flows_at_rest(drive_dt, observed), backwards]
         if observed.speed is not None and self._follow_error_for > self._settings.follow_time:
-            off = self._setpoint is None
-            expected = "it was ordered to stop" if off else f"{self._setpoint:.2f} is requested"
-            reasons["runs_on" if off else "speed_not_followed"] = (
-                f"the speed does not follow: the pump turns at {observed.speed:.2f} of its speed, "
-                f"but {expected}, for {self._follow_error_for:.0f} s; a ramp of "
-                f"{self._settings.drive_ramp:g} s (drive_ramp) does not explain this"
-            )
+            code = "runs_on" if self._setpoint is None else "speed_not_followed"
+            found.append(Problem.of(
+                code, "speed", speed=observed.speed, requested=self._setpoint or 0.0,
+                time=self._follow_error_for, ramp=self._settings.drive_ramp,
+            ))
         if self._failed_starts >= _FAILED_STARTS:
-            reasons["speed_not_followed"] = (
-                f"it was started {self._failed_starts} times, and each time {failed_start}"
-            )
-        reasons["turns_backwards"] = backwards
+            found.append(Problem.of(
+                "speed_not_followed", "starts", starts=self._failed_starts, why=failed_start
+            ))
         if observed.drive_fault:
-            code = "runs_on" if observed.runs_on else "drive_fault"
-            reasons[code] = f"the drive reports: {observed.drive_fault}"
-        latched = evaluate(reasons)
+            found.append(drive_fault(observed.drive_fault, observed.runs_on))
+        reasons = [reason for reason in found if reason is not None]
+        latched, interlocks = evaluate(reasons), read_interlocks()
         # The first fault is kept, but one that the page may clear gives way to one that it may not.
-        worst = next((code for code in latched if not INTERLOCKS[code].on_page), "")
-        interlock = INTERLOCKS.get(self._ledger.record.fault_code)
+        worst = next((code for code in latched if not interlocks[code].on_page), "")
+        interlock = interlocks.get(self._ledger.record.fault_code)
         if not self._ledger.record.fault:
             worst = worst or next(iter(latched), "")
         elif interlock is None or not interlock.on_page:
             worst = ""
         if worst:
-            self._ledger.fault(latched[worst], worst)
+            self._ledger.fault(latched[worst].sentence, worst)
         record = self._ledger.record
-        reasons |= {"record_unknown": record.unknown, "hold": self._ledger.held}
+        kept = Problem.if_any("record_unknown", record.unknown), self._ledger.held
+        reasons += [reason for reason in kept if reason is not None]
         if record.fault:
-            row = INTERLOCKS.get(record.fault_code)
+            row = interlocks.get(record.fault_code)
             known = row is not None and row.kind == LATCHED
-            reasons[record.fault_code if known else "fault_unknown"] = record.fault
+            code = record.fault_code if known else "fault_unknown"
+            reasons.append(Problem(code, record.fault))  # as the sentence was when it latched
         return reasons
 
     def _follow(
-        self, dt: float, command: float, full: bool, cistern_level: float, warnings: list[str]
+        self, dt: float, command: float, full: bool, cistern_level: float, warnings: list[Problem]
     ) -> tuple[float | None, str]:
         """Return the speed for a command (None means off), and why; no interlock is active."""
         pulses, on = self._pulses, self._setpoint is not None
@@ -490,10 +488,9 @@ class PumpControl:
         if demanded < least:
             why = "a pulse, since the command is below the least flow"
             if pulses.outstanding > pulse:
-                warnings.append(
-                    f"{pulses.outstanding:.3f} m3 are outstanding, more than a least pulse of "
-                    f"{pulse:.3f} m3: least times and starts per hour allow no more"
-                )
+                warnings.append(Problem.of(
+                    "limited", "outstanding", volume=pulses.outstanding, pulse=pulse
+                ))
         if on and share == 0 and since_start < self._settings.least_on:
             share, why = least, f"it stays on for at least {self._settings.least_on:g} s"
         wait, why_wait = self._limits.wait()
@@ -510,11 +507,18 @@ class PumpControl:
         return min(max(speed, self._setpoint - change), self._setpoint + change), why
 
 
-def _backwards(observed: Observation) -> str:
-    """Return that the pump turns backwards, beyond noise; empty if it does not."""
+def drive_fault(fault: str, runs_on: bool) -> Problem:
+    """Return the fault that a drive reports; ``runs_on``: it does not obey a stop."""
+    if runs_on:
+        return Problem.of("runs_on", "drive", fault=fault)
+    return Problem.of("drive_fault", fault=fault)
+
+
+def _backwards(observed: Observation) -> Problem | None:
+    """Return that the pump turns backwards, beyond noise; None if it does not."""
     if observed.speed is None or not -_GREATEST_SPEED <= observed.speed < -STANDS:
-        return ""
-    return f"the pump turns backwards, at {-observed.speed:.2f} of its speed"
+        return None
+    return Problem.of("turns_backwards", speed=-observed.speed)
 
 
 def _believable(observed: Observation) -> Observation:

@@ -10,6 +10,7 @@ import pytest
 from paper import PAPER_SITE
 from pump_rig import Rig
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.live.pumping.limits import settings_for
 
 SITE = replace(PAPER_SITE, greatest_dose=0.5)
@@ -121,7 +122,7 @@ def test_what_cannot_begin_within_a_minute_expires() -> None:
     ("change", "cause"),
     [
         ({"frost": True}, "frost"), ({"roof_level": None}, "roof_level_unknown"),
-        ({"reasons": {"drive_lost": "no connection"}}, "drive_lost"),
+        ({"reasons": [Problem("drive_lost", "no connection")]}, "drive_lost"),
         ({"command": None}, "command_unknown"),
     ],
 )

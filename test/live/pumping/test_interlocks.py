@@ -7,6 +7,7 @@ import math
 import time
 from dataclasses import replace
 from datetime import datetime
+from string import Formatter
 from typing import Any
 
 import pytest
@@ -14,14 +15,17 @@ from paper import PAPER_SITE
 from places import CHECKOUT
 from pump_rig import Rig
 
-from greenroof_ros.common.interface import read_conditions
-from greenroof_ros.live.pumping.interlocks import (
-    ENABLE,
+from greenroof_ros.common.conditions import (
     INHIBIT,
-    INTERLOCKS,
     LATCHED,
-    evaluate,
+    PERMISSIVE,
+    Problem,
+    read_conditions,
+    read_interlocks,
 )
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.live.pumping.inputs import INPUTS
+from greenroof_ros.live.pumping.interlocks import evaluate
 from greenroof_ros.live.pumping.limits import pump_parameters, settings_for
 from greenroof_ros.live.pumping.pump_control import Decision
 
@@ -31,10 +35,7 @@ def codes(decision: Decision) -> list[str]:
 
 
 AT_NIGHT = replace(PAPER_SITE, quiet_hours=("22:00-24:00",), time_zone="UTC")
-NODE = [
-    "not_active", "drive_lost", "drive_local", "second_master", "start_failed", "drive_timeout",
-    "drive_guards_later", "no_run", "two_controllers", "two_pumps", "no_command",
-]
+INTERLOCKS = read_interlocks()
 CAUSES: dict[str, dict[str, Any]] = {
     "drive_fault": {"change": {"drive_fault": "overload"}},
     "turns_backwards": {"change": {"speed": -0.1}},
@@ -54,13 +55,12 @@ CAUSES: dict[str, dict[str, Any]] = {
     "longest_run": {"settings": settings_for(PAPER_SITE, greatest_run=60.0)},
     "daily_volume": {"record": {"day_volume": 1e6}},
     "daily_run": {"record": {"day_run": 86_400.0}},
-    **{code: {"change": {"reasons": {code: "it is so"}}} for code in NODE},
     "command_unknown": {"command": None},
     "command_refused": {"command": math.nan},
     "drive_speed_unknown": {"change": {"speed": None}},
     "drive_not_ready": {"change": {"drive_ready": False}},
 }
-"""changes to a rig with a running pump that cause each interlock"""
+"""changes to a rig with a running pump that cause each interlock but the pump node's own"""
 
 
 @pytest.mark.parametrize("code", INTERLOCKS)
@@ -69,7 +69,8 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
 
     The least time on, 10 s, does not delay the stop.
     """
-    broken = {"command": 0.5, "record": {}} | CAUSES[code]
+    own = {"change": {"reasons": [Problem(code, "it is so")]}}
+    broken = {"command": 0.5, "record": {}} | CAUSES.get(code, own)
     rig = Rig(
         x2=0.5, site=broken.pop("site", PAPER_SITE), settings=broken.pop("settings", None)
     )
@@ -83,9 +84,9 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
     assert (codes(decision), decision.speed) == ([code], None)
     kind = INTERLOCKS[code].kind
     assert decision.state in {
-        LATCHED: ("fault",), INHIBIT: ("held",), ENABLE: ("off", "stopping", "unknown"),
+        LATCHED: ("fault",), INHIBIT: ("held",), PERMISSIVE: ("off", "stopping", "unknown"),
     }[kind]
-    assert decision.why.startswith(decision.interlocks[code])
+    assert decision.why.startswith(decision.interlocks[code].sentence)
     rig.change, rig.stuck_speed, rig.arriving, rig.leaving = {}, None, 1.0, 1.0
     rig.ledger.record = replace(
         rig.ledger.record, hold_owner="", day_run=0.0, day_volume=0.0,
@@ -103,22 +104,23 @@ def test_they_are_named_in_the_order_of_the_table() -> None:
     rig = Rig()
     rig.ledger.hold("the operator")
     rig.ledger.fault("burst pipe", "delivery")
-    rig.change = {"frost": True, "roof_level": None, "reasons": {"no_run": "no plant yet"}}
+    rig.change = {
+        "frost": True, "roof_level": None, "reasons": [Problem("no_run", "no plant has joined")],
+    }
     decision = rig.step(0.5)
-    assert codes(decision) == [
-        "delivery", "hold", "roof_level_unknown", "frost", "no_run",
-    ]
+    assert codes(decision) == ["delivery", "hold", "roof_level_unknown", "frost", "no_run"]
     assert decision.state == "fault"
 
 
 def test_what_follows_is_not_said_beside_its_cause() -> None:
     """A lost drive has no speed, and a node that is not active has no command."""
     rig = Rig()
-    rig.change = {"speed": None, "reasons": {"drive_lost": "no connection"}}
+    rig.change = {"speed": None, "reasons": [Problem("drive_lost", "no connection")]}
     assert codes(rig.step(None)) == ["drive_lost"]
     rig.change = {"drive_ready": False}
     assert codes(rig.step(None)) == ["command_unknown"]
-    assert evaluate({"drive_not_ready": "x", "no_command": ""}) == {"drive_not_ready": "x"}
+    alone = Problem("drive_not_ready", "x")
+    assert evaluate([alone]) == {"drive_not_ready": alone}
 
 
 def test_a_kept_fault_keeps_the_pump_off_whatever_its_code() -> None:
@@ -150,23 +152,24 @@ def test_faults_beside_each_other() -> None:
 def test_the_table_is_whole() -> None:
     """Latched ones first, then inhibits; each has advice, and limits that exist."""
     with pytest.raises(KeyError):
-        evaluate({"holds": "x"})
+        evaluate([Problem("holds", "x")])
     rows = INTERLOCKS.values()
     kinds = [row.kind for row in rows]
-    assert kinds == sorted(kinds, key=[LATCHED, INHIBIT, ENABLE].index)
-    assert list(read_conditions())[:len(rows)] == list(INTERLOCKS)
+    assert kinds == sorted(kinds, key=[LATCHED, INHIBIT, PERMISSIVE].index)
     for code, row in INTERLOCKS.items():
         folder = "" if "/" in row.source else "live/pumping"
         assert f'"{code}"' in (PACKAGE / folder / f"{row.source}.py").read_text(), code
     settings = {parameter.name for parameter in pump_parameters(PAPER_SITE)}
-    of_nodes = {
-        "state_file", "level_limit", "frost_limit", "command_limit", "recovery_time", "autostart",
-        "exchange_period", "drive_timeout_limit", "local_settings_stop_the_pump",
-        "activate_without_drive_timeout", "unknown_frost_may_pump", "frozen_movement",
-        "jump_tolerance",
+    of_inputs = {entry.name for row in INPUTS for entry in row.parameters} | {
+        topic.greatest_age.parameter for topic in read_topics().values() if topic.greatest_age
     }
-    named = {name for row in rows for name in row.limit.split(", ") if name}
-    assert named <= settings | of_nodes
+    of_nodes = {
+        "state_file", "recovery_time", "autostart", "exchange_period", "drive_timeout_limit",
+        "local_settings_stop_the_pump", "activate_without_drive_timeout", "unknown_frost_may_pump",
+        "frozen_movement", "jump_tolerance",
+    }
+    named = {name for row in rows for name in row.limit}
+    assert named <= settings | of_inputs | of_nodes
 
 
 # --- who may release and clear --------------------------------------------------------------------
@@ -180,7 +183,9 @@ def test_one_release_ends_a_hold_whoever_made_it() -> None:
     assert decision.state == "held" and "; the pump still turns, at 0.6" in decision.why
     rig.ledger.hold("the operator", "a leak")
     decision = rig.step(0.5)
-    assert decision.interlocks == {"hold": "a hold by the operator: a leak"}
+    assert [reason.sentence for reason in decision.interlocks.values()] == [
+        "a hold by the operator: a leak"
+    ]
     rig.ledger.release()
     assert rig.run(60, 0.5).state == "running"
 
@@ -227,25 +232,39 @@ def texts_in(tree: ast.AST) -> set[str]:
 
 
 def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
-    """In each call of ``diagnose`` and ``diagnose_problem``, code and cause follow the problem."""
-    positions = {"diagnose": slice(3, 5), "diagnose_problem": slice(3, 6)}
-    texts, reported = set[str](), set[str]()
+    """Each ``Problem.of`` has a code of the table, its cases, and all values of its sentences."""
+    conditions, texts, reported = read_conditions(), set[str](), set[str]()
     for room in ("graph", "live", "watch", "live/pumping", "live/drives"):
         for file in (PACKAGE / room).glob("*.py"):
             tree = ast.parse(file.read_text(encoding="utf-8"))
             texts |= texts_in(tree)
             for call in ast.walk(tree):
-                if isinstance(call, ast.Call) and room in ("graph", "live"):
-                    name = getattr(call.func, "attr", getattr(call.func, "id", ""))
-                    for argument in call.args[positions.get(name, slice(0))]:
-                        reported |= texts_in(argument)
-    # One for each way in which a node reports it.
+                if isinstance(call, ast.Call) and ast.unparse(call.func).startswith("Problem."):
+                    reported |= check_problem(call)
     assert {"no_forecast", "limited", "state_not_kept"} <= reported
     of_inputs = {text for text in texts if text.startswith("input_") and text.isidentifier()}
     assert len(of_inputs) == 8
-    codes = read_conditions().keys()
-    assert (reported - {""}) | of_inputs <= codes
-    assert codes - INTERLOCKS.keys() <= texts
+    assert reported | of_inputs <= conditions.keys() <= texts
+
+
+def check_problem(call: ast.Call) -> set[str]:
+    """Check a call with a code that is written out, and return that."""
+    code, *cases = call.args
+    if not isinstance(code, ast.Constant):
+        return set()
+    row = read_conditions()[code.value]
+    if isinstance(row.sentence, str):
+        templates = [row.sentence or row.meaning]
+        assert not cases or ast.unparse(call.func) == "Problem.if_any", code.value
+    else:
+        assert cases, code.value
+        templates = [row.sentence[case] for each in cases for case in texts_in(each)]
+    given = {keyword.arg for keyword in call.keywords} | {
+        "why" for _ in cases if ast.unparse(call.func) == "Problem.if_any"
+    }
+    needed = {name for text in templates for _, name, *_ in Formatter().parse(text) if name}
+    assert needed <= given or None in given, (code.value, needed, given)
+    return {code.value}
 
 
 # --- when it may run ------------------------------------------------------------------------------

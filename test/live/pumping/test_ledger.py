@@ -501,7 +501,7 @@ def test_a_hold_ends_at_its_end_or_when_it_is_released(tmp_path: Path, clock: Cl
     """By the system clock, even while nobody runs; a reset does not end it."""
     file = tmp_path / "state.json"
     ledger = Ledger(file, clock)
-    assert ledger.held == ""
+    assert ledger.held is None
     ledger.hold("the command line", "painting", clock.now + 3600)
     ledger.fault("", "")
     ledger.clear_unknown()
@@ -509,16 +509,17 @@ def test_a_hold_ends_at_its_end_or_when_it_is_released(tmp_path: Path, clock: Cl
     clock.now += 3599
     ledger = Ledger(file, clock)
     end = to_people(datetime.fromtimestamp(clock.now + 1).astimezone())
-    assert ledger.held == f"a hold by the command line until {end}: painting"
+    assert ledger.held is not None
+    assert ledger.held.sentence == f"a hold by the command line until {end}: painting"
     clock.now += 1
-    assert ledger.held == ""
+    assert ledger.held is None
     # If a second ledger gets the file later, its own hold counts.
     later = Ledger(file, clock)
     later.hold("the page", until=clock.now + 60)
     assert ledger.close() == ""
     assert later.take() and later.held
     later.release()
-    assert (later.held, later.close()) == ("", "")
+    assert (later.held, later.close()) == (None, "")
     assert written(file)["hold_owner"] == ""
 
 

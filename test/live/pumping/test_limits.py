@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, site_with
 from pump_rig import Rig
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.live.pumping.ledger import Ledger
@@ -135,7 +136,7 @@ CHANGES: list[dict[str, object]] = [
     {}, {"frost": True}, {"frost": None}, {"cistern_level": None}, {"roof_level": math.nan},
     {"cistern_level": 1e9}, {"speed": None}, {"speed": math.nan}, {"speed": 5.0},
     {"drive_ready": False},
-    {"reasons": {"drive_lost": "the cable is out"}}, {"drive_fault": "overload"},
+    {"reasons": [Problem("drive_lost", "the cable is out")]}, {"drive_fault": "overload"},
 ]
 
 
@@ -277,7 +278,7 @@ def test_volume_within_a_least_pulse(drive_ramp: float) -> None:
             # What is commanded in this tick is delivered in the next.
             assert -0.1 * LEAST_PULSE <= commanded - rig.delivered <= LEAST_PULSE
             commanded += rig.tau * pump_flow(rig.site, rig.plant.x1, rig.plant.x2, command)
-    assert not any(decision.warning for decision in rig.decisions)
+    assert not any(decision.warnings for decision in rig.decisions)
     assert max(decision.flow for decision in rig.decisions) <= maximum_pump_flow(rig.site, 75.0)
 
 
@@ -290,6 +291,6 @@ def test_too_many_starts_are_said() -> None:
         for before, now in zip(rig.decisions, rig.decisions[1:], strict=False)
     )
     assert starts <= 4
-    texts = [decision.warning for decision in rig.decisions if decision.warning]
+    texts = [each.sentence for decision in rig.decisions for each in decision.warnings]
     assert "outstanding, more than a least pulse of 0.017 m3: least times and starts" in texts[-1]
     assert rig.delivered == pytest.approx(600 * 0.05 * 0.0083, abs=180 * 0.05 * 0.0083)

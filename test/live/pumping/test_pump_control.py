@@ -10,12 +10,17 @@ import pytest
 from paper import PAPER_SITE, paper_run
 from pump_rig import Rig
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.limits import settings_for
-from greenroof_ros.live.pumping.pump_control import Observation, PumpControl
+from greenroof_ros.live.pumping.pump_control import Decision, Observation, PumpControl
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import maximum_pump_flow
+
+
+def warning(decision: Decision) -> str:
+    return "; ".join(each.sentence for each in decision.warnings)
 
 
 def test_states_of_a_run_by_hand() -> None:
@@ -66,7 +71,7 @@ def test_commands_that_are_no_shares() -> None:
         assert list(decision.interlocks) == ["command_refused"]
         assert rig.run(10, command).state == "off"
     decision, before = rig.run(30, 1e300), rig.delivered
-    assert (decision.warning, decision.speed) == (
+    assert (warning(decision), decision.speed) == (
         "the command 1e+300 is above 1 and taken as 1", 1
     )
     rig.run(30, 1e300)
@@ -77,7 +82,7 @@ def test_what_was_missed_is_not_caught_up() -> None:
     """After minutes without contact to the drive, the next pulse is as far away as before."""
     rig = Rig()
     rig.run(15, 0.5)
-    rig.change = {"reasons": {"drive_lost": "no answer from 10.0.0.7:502"}}
+    rig.change = {"reasons": [Problem("drive_lost", "no answer from 10.0.0.7:502")]}
     decision = rig.step(0.5)
     assert (decision.speed, decision.why) == (None, "no answer from 10.0.0.7:502")
     rig.run(600, 0.01)
@@ -97,7 +102,7 @@ def test_what_is_not_known_is_said_so() -> None:
     decision = rig.run(15, 0.5)
     assert (decision.stands, decision.flow_known, decision.blind_for) == (False, True, 15)
     assert decision.turns_at is not None and decision.turns_at > 0.5
-    rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
+    rig.change = {"speed": None, "reasons": [Problem("drive_lost", "connection lost")]}
     rig.run(14, 0.5)
     assert {
         (decision.state, decision.flow, decision.flow_known, decision.turns_at, decision.stands)
@@ -147,7 +152,7 @@ def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) ->
     assert rig.run(100, command).state == "fault"
 
 
-LOST = {"speed": None, "reasons": {"drive_lost": "no connection"}}
+LOST = {"speed": None, "reasons": [Problem("drive_lost", "no connection")]}
 
 
 @pytest.mark.parametrize(
@@ -187,7 +192,7 @@ def test_a_failed_start_is_a_start_and_the_third_in_a_row_a_fault(
     for _ in range(1200):
         gives_up = on_for == 2 and len(begun) % (runs_after + 1) != 0
         rig.stuck_speed = 0.0 if len(begun) % (runs_after + 1) else None
-        rig.change = {"reasons": {"start_failed": failed}} if gives_up else {}
+        rig.change = {"reasons": [Problem("start_failed", failed)]} if gives_up else {}
         decision = rig.step(0.5 if on_for < 30 else 0.0)
         if decision.speed is not None and on_for == 0:
             begun.append(rig.now)
@@ -264,7 +269,7 @@ def test_flow_and_how_it_is_known(change: dict[str, object], flow: float, source
     decision = rig.step(0.5)
     assert decision.flow == pytest.approx(flow, abs=5e-9)
     assert decision.source == source
-    assert decision.warning == (
+    assert warning(decision) == (
         "flow meter: a flow of 5.7 m3/s is not believable: the pump delivers at most 0.0084 m3/s"
         if change.get("flow") == 5.7 else ""
     )

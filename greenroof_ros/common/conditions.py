@@ -1,0 +1,183 @@
+"""What can be wrong, ``msg_defs/conditions.yaml``: codes, sentences, advice, and the interlocks.
+
+Codes and values travel; a sentence is made from them once, where the condition is found.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from string import Formatter
+from typing import Any
+
+from greenroof_ros.common.files import read_yaml, shared_directory
+
+LATCHED, INHIBIT, PERMISSIVE = "latched", "inhibit", "permissive"
+_CLEARS = {LATCHED: "~/reset", INHIBIT: "itself", PERMISSIVE: "itself"}
+
+
+@dataclass(frozen=True)
+class Interlock:
+    """Why a condition keeps the pump off, and how it clears.
+
+    Attributes:
+        kind: latched, inhibit or permissive.
+        source: the module that finds it.
+        limit: the parameters that decide when it is active.
+        follows: whether it is left out if an earlier interlock of its kind is active, because it
+            may merely be a consequence of that one.
+        by: what clears it, if that differs from its kind: a person, a service or a transition.
+        on_page: whether the page can also clear it.
+        input: the part of the pump node that reports the input which is not known; empty if the
+            interlock is about something else.
+        explained_by: other parts of the pump node that say more about it.
+    """
+
+    kind: str
+    source: str
+    limit: tuple[str, ...] = ()
+    follows: bool = False
+    by: str = ""
+    on_page: bool = False
+    input: str = ""
+    explained_by: tuple[str, ...] = ()
+
+    @property
+    def clears_by(self) -> str:
+        """What clears it."""
+        return (self.by or _CLEARS[self.kind]) + (" or the page" if self.on_page else "")
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The parts of the pump node that say more about it."""
+        return (self.input,) if self.input else tuple(self.explained_by)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What the table says about one code; the file explains each attribute."""
+
+    meaning: str
+    advice: str
+    sentence: str | Mapping[str, str] = ""
+    by_role: Mapping[str, str] = field(default_factory=dict)
+    late: bool = False
+    no_data: bool = False
+    by_hand: bool = False
+    interlock: Interlock | None = None
+
+    @property
+    def needs_a_hand(self) -> bool:
+        """Whether the pump needs somebody at it, whatever caused the condition."""
+        return self.by_hand or (self.interlock is not None and self.interlock.kind == LATCHED)
+
+    def advise(self, node: str, role: str = "", reset: str = "") -> str:
+        """Return what to do.
+
+        Args:
+            node: fully qualified name of the node, for the services that the advice names.
+            role: role of that node in the interface.
+            reset: how to clear a fault, in words; empty for the command.
+        """
+        return self.by_role.get(role, self.advice).format(
+            node=node,
+            reset=reset or f"ros2 service call {node}/reset std_srvs/srv/Trigger",
+            release=command_for(node, "release"),
+        )
+
+
+def command_for(node: str, name: str) -> str:
+    """Return how a command of ``greenroof`` is called for the graph of a node."""
+    namespace = node.rpartition("/")[0].strip("/")
+    return f"greenroof {name}" + (f" --namespace {namespace}" if namespace else "")
+
+
+@functools.cache
+def read_conditions() -> dict[str, Condition]:
+    """Return every condition, by its code, in the order of the table."""
+    table: dict[str, dict[str, Any]] = read_yaml(
+        shared_directory() / "msg_defs" / "conditions.yaml"
+    )
+    return {
+        code: Condition(**row, interlock=None if interlock is None else Interlock(**interlock))
+        for code, row in table.items() for interlock in (row.pop("interlock", None),)
+    }
+
+
+@functools.cache
+def read_interlocks() -> dict[str, Interlock]:
+    """Return the interlocks by code, in the order in which they are evaluated."""
+    return {
+        code: condition.interlock for code, condition in read_conditions().items()
+        if condition.interlock is not None
+    }
+
+
+Value = float | str
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A condition that is present.
+
+    Attributes:
+        code: of the condition.
+        sentence: for people.
+        values: what the sentence is made of, for programs.
+    """
+
+    code: str
+    sentence: str
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, code: str, *cases: str, **values: Value) -> Problem:
+        """Return a condition with its sentence, which is made here and nowhere else.
+
+        Args:
+            code: of the condition.
+            cases: which of its sentences, one after the other, if the table has several.
+            values: for the placeholders.
+        """
+        condition = read_conditions()[code]
+        template = condition.sentence or condition.meaning
+        if not isinstance(template, str):
+            template = "".join(template[case] for case in cases)
+            values["case"] = " ".join(cases)
+        return cls(code, _FORMATTER.vformat(template, (), values), values)
+
+    @classmethod
+    def if_any(cls, code: str, why: str) -> Problem | None:
+        """Return a condition whose only value is a reason; None if there is no reason."""
+        return cls.of(code, why=why) if why else None
+
+
+def joined(problems: Sequence[Problem], worst: Problem | None = None) -> Problem | None:
+    """Return problems as one, with the code and the values of the worst; None if there is none.
+
+    Args:
+        problems: the problems, in the order of their sentences.
+        worst: by default the first.
+    """
+    if not problems:
+        return None
+    topics = {str(topic): None for each in problems if (topic := each.values.get("topic"))}
+    worst = worst or problems[0]
+    return replace(
+        worst, sentence="; ".join(each.sentence for each in problems),
+        values={**worst.values, **({"topics": " ".join(topics)} if topics else {})},
+    )
+
+
+class _Formatter(Formatter):
+    """Formats as :meth:`str.format` does; ``duration`` writes a time (s) in words."""
+
+    def format_field(self, value: Any, spec: str) -> str:
+        if spec != "duration":
+            return str(super().format_field(value, spec))
+        return f"{math.ceil(value)} s" if value < 120 else f"{math.ceil(value / 60)} min"
+
+
+_FORMATTER = _Formatter()
