@@ -33,7 +33,7 @@ def raw_publish(publisher: Any) -> Callable[[bytes], None]:
     """Return what publishes serialised messages on a publisher.
 
     For each message, rclpy's own ``publish`` compares types and locks the publisher against its
-    destruction by another thread: a sixth of its time.
+    destruction by another thread: a quarter of its time.
     """
     publish: Callable[[bytes], None] = publisher.handle.publish_raw
     return publish
