@@ -15,7 +15,9 @@ import sys
 import tempfile
 import threading
 import time
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
 
 import paths  # noqa: F401
 from graphs import environment, own_domain
@@ -25,6 +27,7 @@ from places import CONFIG
 ROUNDS = 5
 HOURS = 2
 ECHOES = 7200
+COMPUTING = 2
 
 
 def echo(role: str) -> None:
@@ -86,24 +89,59 @@ def measure_echo(domain: int) -> float:
     return float(done.stdout)
 
 
-def measure_graph(domain: int, *arguments: str) -> float:
-    """Return the time of a tick of the whole graph (s); bringup draws its bar on a terminal."""
+class Graph(NamedTuple):
+    """A run of the graph, as a user starts it."""
+
+    tick: float
+    """wall time of a tick (s)"""
+    around: float
+    """wall time from the start of the command to its end, except the ticks (s)"""
+    echo: float
+    """round trip between two processes (s), the mean of just before and just after"""
+
+    @property
+    def trips(self) -> float:
+        """A tick in round trips."""
+        return self.tick / self.echo
+
+
+def measure_graph(domain: int, *arguments: str) -> Graph:
+    """Run the graph; it draws its bar on a terminal."""
+    before = measure_echo(domain)
     environ = {**environment(domain), "TERM": "xterm"}
     with tempfile.TemporaryDirectory() as directory:
         leader, follower = pty.openpty()
         drain = threading.Thread(target=_drain, args=(leader,), daemon=True)
         drain.start()
+        began = time.perf_counter()
         done = subprocess.run(
             [
-                sys.executable, "-m", "greenroof_ros.bringup", "--json", "--hours", str(HOURS),
+                sys.executable, "-m", "greenroof_ros", "run", "--json", "--hours", str(HOURS),
                 "--output", f"{directory}/run", *arguments,
             ],
             env=environ, cwd=directory, check=True,
             stdout=subprocess.PIPE, stderr=follower, text=True,
         )
+        whole = time.perf_counter() - began
         os.close(follower)
     summary = json.loads(done.stdout)
-    return float(summary["wall_s"]) / int(summary["steps"])
+    ticks = float(summary["wall_s"])
+    echo = (before + measure_echo(domain)) / 2
+    return Graph(ticks / int(summary["steps"]), whole - ticks, echo)
+
+
+@contextmanager
+def computing() -> Iterator[None]:
+    """Let processes compute beside what is measured."""
+    processes = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(COMPUTING)
+    ]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
 
 
 def _drain(leader: int) -> None:
@@ -213,10 +251,12 @@ def measure_do_mpc(steps: int = 30) -> float:
 
 
 MEASURED = {
-    "tick": "tick of the whole graph / echo round trip of two processes",
-    "bare": "the same without the recorder",
-    "record": "tick with / without recorder",
-    "roof_tick": "tick of the whole graph, measured roof / the paper's",
+    "tick": "tick of `greenroof run` / echo round trip of two processes",
+    "busy": f"the same, beside {COMPUTING} processes that compute",
+    "bare": "the same without the recorder, and without them",
+    "roof_tick": "the same with the recorder, of a measured roof",
+    "around": "start and end of `greenroof run` beyond its ticks (s)",
+    "busy_around": f"the same, beside {COMPUTING} processes that compute (s)",
     "mean": "decision of `lookahead` on an ensemble / of `mpc`, mean of all ticks",
     "p99": "the same, 99th percentile",
     "plan": "longest decision of `lookahead`, with a plan / of `mpc`, mean",
@@ -230,25 +270,29 @@ def main() -> None:
     rows: dict[str, list[float]] = {key: [] for key in MEASURED}
     with own_domain() as domain:
         for number in range(ROUNDS):
-            trip = measure_echo(domain)
+            load = os.getloadavg()[0]  # of the minute before
             recorded = measure_graph(domain)
+            with computing():
+                busy = measure_graph(domain)
             bare = measure_graph(domain, "--no-record")
-            roof_tick = measure_graph(domain, "--site", str(CONFIG / "site_neubrandenburg.yaml"))
-            yardstick = (trip + measure_echo(domain)) / 2
+            roof = measure_graph(domain, "--site", str(CONFIG / "site_neubrandenburg.yaml"))
             (step, mpc), peer = measure_simulated(), measure_do_mpc()
             _, ahead = measure_simulated("--controller", "lookahead", "--forecast", "ensemble")
-            rows["tick"].append(recorded / yardstick)
-            rows["bare"].append(bare / yardstick)
-            rows["record"].append(recorded / bare)
-            rows["roof_tick"].append(roof_tick / recorded)
+            rows["tick"].append(recorded.trips)
+            rows["busy"].append(busy.trips)
+            rows["bare"].append(bare.trips)
+            rows["roof_tick"].append(roof.trips)
+            rows["around"].append(recorded.around)
+            rows["busy_around"].append(busy.around)
             rows["mean"].append(ahead["mean_s"] / mpc["mean_s"])
             rows["p99"].append(ahead["p99_s"] / mpc["p99_s"])
             rows["plan"].append(ahead["max_s"] / mpc["mean_s"])
             rows["do_mpc"].append(peer / step)
             rows["study"].append(measure_study())
             print(
-                f"round {number + 1} of {ROUNDS}: echo {yardstick * 1e6:.0f} us, "
-                f"tick {recorded * 1e6:.0f} us, without recorder {bare * 1e6:.0f} us, "
+                f"round {number + 1} of {ROUNDS}, load {load:.1f} before: "
+                f"echo {recorded.echo * 1e6:.0f} us, tick {recorded.tick * 1e6:.0f} us, "
+                f"busy {busy.echo * 1e6:.0f} and {busy.tick * 1e6:.0f} us, "
                 f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us",
                 file=sys.stderr, flush=True,
             )

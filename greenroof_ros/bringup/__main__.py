@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 
-from greenroof_ros.bringup import live, simulated
+from greenroof_ros.bringup import simulated
 from greenroof_ros.common.command_line import Parser
 
 make_parser = simulated.make_parser
@@ -19,7 +19,11 @@ def main() -> int:
     parser = Parser(prog="greenroof run", add_help=False)
     parser.add_argument("--plant", choices=["internal", "external"])
     arguments, sys.argv[1:] = parser.parse_known_args()
-    return live.main() if arguments.plant == "external" else simulated.main()
+    if arguments.plant == "external":
+        from greenroof_ros.bringup import live  # half of the imports, not needed otherwise
+
+        return live.main()
+    return simulated.main()
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from greenroof_ros.common.errors import ConfigurationError, OccupiedError, with_
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import LockedError, take_name
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.graph.rclpy_internals import waiting_in
+from greenroof_ros.graph.rclpy_internals import quicken, waiting_in
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 # Variable naming the profiles file; Fast DDS 3 (ROS 2 Kilted) renamed it, and warns of the old one.
@@ -206,9 +206,13 @@ def begin_to_listen(executor: Any, node: Any) -> None:
         executor: the executor that will serve the node.
         node: the node; callbacks of its raw subscriptions take one argument.
     """
+    from rclpy.executors import Executor
+
     executor.add_node(node)
     executor.spin_once(timeout_sec=0.0)  # it begins to listen here, not in add_node
     for subscription in node.subscriptions:
         if subscription.raw:
+            if not isinstance(executor, Executor):
+                quicken(subscription)
             for message, _ in waiting_in(subscription):
                 subscription.callback(message)

@@ -24,7 +24,7 @@ from greenroof_ros.common.interface import Topic
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import LockstepError, encoder, message_class, qos_profile
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.rclpy_internals import NoClockSubscription
+from greenroof_ros.graph.rclpy_internals import NoClockSubscription, raw_publish
 from greenroof_ros.graph.reports import Reports
 from greenroof_ros.graph.states import ENDED, STARTING
 from greenroof_ros.model.site import Site, read_site
@@ -72,8 +72,9 @@ class GraphNode(NoClockSubscription, Node):
         self.inputs: dict[str, Input] = {}
         self.warnings: list[str] = []
         self.reports = Reports(self, role)
-        # Each topic's publisher, and the encoder of its messages.
-        self._outputs: dict[str, tuple[Publisher, Callable[[Any], bytes]]] = {}
+        # Each topic's publisher; and its method to publish, and the encoder of its messages.
+        self._outputs: dict[str, Publisher] = {}
+        self._publish: dict[str, tuple[Callable[[bytes], None], Callable[[Any], bytes]]] = {}
         self._final: dict[str, Any] = {}
         self._site_file: dict[str, str] = {}
 
@@ -138,12 +139,13 @@ class GraphNode(NoClockSubscription, Node):
                 message_class(topic.type), topic.graph_name, qos_profile(topic.qos),
                 event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
             )
-            self._outputs[name] = publisher, encoder(topic.type, topic.dimensions)
+            self._outputs[name] = publisher
+            self._publish[name] = raw_publish(publisher), encoder(topic.type, topic.dimensions)
 
     def publish(self, name: str, value: Any) -> None:
         """Publish a value on a topic that :meth:`open_outputs` has opened."""
-        publisher, encode = self._outputs[name]
-        publisher.publish(encode(value))
+        publish, encode = self._publish[name]
+        publish(encode(value))
 
     def open_subscription(
         self, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile,
@@ -223,8 +225,7 @@ class GraphNode(NoClockSubscription, Node):
             self._final["failure"] = failure
         self.report_state()
         until = time.monotonic() + FLUSH_S
-        outputs = [publisher for publisher, _ in self._outputs.values()]
-        for publisher in (*outputs, self.reports.publisher):
+        for publisher in (*self._outputs.values(), self.reports.publisher):
             left = max(0.0, until - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left))
 

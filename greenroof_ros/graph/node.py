@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
 
-from rclpy.clock import ROSClock
+from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.time import Time
@@ -51,13 +51,13 @@ class SimulationNode(GraphNode):
         Raises:
             ConfigurationError: ROS arguments or a parameter file are wrong.
         """
+        self._now_ns = 0  # 0: not set yet
         super().__init__(name, role, read_topics(), simulated=True)
         self.lockstep = Lockstep(self.on_inputs, self.finish)
         self._waits_for: list[Publishers] = []
         self._tolerated: set[str] = set()  # topics whose second publisher the node handles
         self._unheard_since: dict[str, float] = {}
         self._checked = -math.inf
-        self._ros_clock = cast(ROSClock, self.get_clock())
         if role != PLANT:
             decode = decoder(self.interface[RUN].type)
             self._open(self.interface[RUN], lambda message: self.lockstep.join(decode(message)))
@@ -74,9 +74,16 @@ class SimulationNode(GraphNode):
     # --- setting up -------------------------------------------------------------------------
 
     def set_time(self, time_ns: int) -> None:
-        """Set the node's clock (``get_clock()``) to a simulated time (ns since 1970)."""
-        now = Time(nanoseconds=time_ns, clock_type=ClockType.ROS_TIME)
-        self._ros_clock.set_ros_time_override(now)
+        """Set the node's clock to a simulated time (ns since 1970)."""
+        self._now_ns = time_ns
+
+    def get_clock(self) -> Clock:
+        """Return the node's clock; it is only set here, since few ticks need it."""
+        clock = super().get_clock()
+        if self._now_ns:
+            now = Time(nanoseconds=self._now_ns, clock_type=ClockType.ROS_TIME)
+            cast(ROSClock, clock).set_ros_time_override(now)
+        return clock
 
     def subscribe(self, name: str, *, tolerates_second: bool = False) -> Input:
         """Open an input that the node waits for in each tick, and return it.
@@ -236,7 +243,7 @@ class SimulationNode(GraphNode):
     def all_arrived(self) -> bool:
         """Whether all subscribers have received everything that the node has published."""
         now = Duration()
-        return all(publisher.wait_for_all_acked(now) for publisher, _ in self._outputs.values())
+        return all(publisher.wait_for_all_acked(now) for publisher in self._outputs.values())
 
     def report_state(self, **values: Any) -> dict[str, Any]:
         """Report the node's state, with N, and return all values of the report."""

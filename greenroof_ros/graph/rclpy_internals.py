@@ -7,6 +7,7 @@ them, and fails then.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 _CLOCK = "/clock"  # rclpy's name
@@ -28,6 +29,16 @@ class NoClockSubscription:
         )
 
 
+def raw_publish(publisher: Any) -> Callable[[bytes], None]:
+    """Return what publishes serialised messages on a publisher.
+
+    For each message, rclpy's own ``publish`` compares types and locks the publisher against its
+    destruction by another thread: a quarter of its time.
+    """
+    publish: Callable[[bytes], None] = publisher.handle.publish_raw
+    return publish
+
+
 def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:
     """Take the waiting messages, each serialised and with its metadata from rclpy.
 
@@ -37,6 +48,19 @@ def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:
     with subscription.handle:
         while (sample := subscription.handle.take_message(subscription.msg_type, True)) is not None:
             yield sample
+
+
+def quicken(subscription: Any) -> None:
+    """Make the fast executor find the kind of a callback sooner: a tenth of a message's time.
+
+    For each message it reads two members of an enumeration, which calls Python code. The slow
+    executor compares the members themselves; it must not get such a subscription.
+    """
+    kinds, kind = subscription.CallbackType, subscription._callback_type
+    subscription._callback_type = SimpleNamespace(value=kind.value)
+    subscription.CallbackType = SimpleNamespace(
+        MessageOnly=SimpleNamespace(value=kinds.MessageOnly.value)
+    )
 
 
 def lifecycle_state(node: Any) -> int:
