@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -56,8 +57,16 @@ class Publishers:
         return len(self._known()) - len(self._unheard())
 
     def names(self) -> list[str]:
-        """Return the names of the publishers' nodes; if all have gone, the last known names."""
-        self._names = sorted({call_node(info.node_name) for info in self._known()}) or self._names
+        """Return the names of the publishers' nodes; if all have gone, the last known names.
+
+        A name may be discovered after the first messages: this waits for it, for error messages.
+        """
+        until = time.monotonic() + DISCOVERY_S
+        known = {info.node_name for info in self._known()}
+        while _UNKNOWN_NAME in known and time.monotonic() < until:
+            time.sleep(0.01)
+            known = {info.node_name for info in self._known()}
+        self._names = sorted(map(call_node, known)) or self._names
         return self._names
 
     def second(self) -> str:

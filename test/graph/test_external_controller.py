@@ -137,7 +137,7 @@ def test_a_node_that_breaks_a_rule_ends_the_run(domain: int, tmp_path: Path, cas
     with ending(start_node(domain, tmp_path, "controller_node", changed(EXAMPLE, old, new))):
         process = Process(
             domain, "bringup", "--controller", "external", "--hours", "0.1", "--output", "run",
-            "--peer-limit", "2", cwd=tmp_path,
+            "--peer-limit", "20" if case == "doubled" else "2", cwd=tmp_path,
         )
         assert process.wait(120) == 1
     summary = summary_of(tmp_path / "run")
