@@ -39,7 +39,7 @@ def raw_publish(publisher: Any) -> Callable[[bytes], None]:
     return publish
 
 
-def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:
+def waiting_messages(subscription: Any) -> Iterator[tuple[bytes, Any]]:
     """Take the waiting messages, each serialised and with its metadata from rclpy.
 
     rclpy gives messages only to callbacks. Its fast executor calls none for messages that waited
@@ -50,7 +50,7 @@ def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:
             yield sample
 
 
-def quicken(subscription: Any) -> None:
+def speed_up(subscription: Any) -> None:
     """Make the fast executor find the kind of a callback sooner: a tenth of a message's time.
 
     For each message it reads two members of an enumeration, which calls Python code. The slow

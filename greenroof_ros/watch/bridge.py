@@ -14,7 +14,7 @@ from typing import Any
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.common.processes import Signals
 from greenroof_ros.common.standard_error import say
-from greenroof_ros.graph.looker import StopFailedError
+from greenroof_ros.graph.graph_client import StopFailedError
 from greenroof_ros.watch.document import document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.home_assistant import (

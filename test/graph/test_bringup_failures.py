@@ -18,7 +18,7 @@ from graphs import (
     udp_addresses_of,
     wait_for,
 )
-from lookers import in_domain
+from peers import in_domain
 from rosbags.highlevel import AnyReader
 
 from greenroof_ros.model.metrics import METRICS

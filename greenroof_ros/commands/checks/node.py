@@ -25,7 +25,7 @@ from greenroof_ros.common.standard_error import ProgressLines
 from greenroof_ros.graph.domain import choose_transport, make_executor
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import encoder, lacks, message_class, qos_profile, requirements
-from greenroof_ros.graph.publishers import call_node
+from greenroof_ros.graph.publishers import display_name
 
 # More ticks than a check ever takes.
 _LAST_TICK = 1e9
@@ -161,13 +161,13 @@ class NodeCheck(ABC):
             if publishers:
                 raise OccupiedError(
                     f"{self._name(topic)} already has a publisher "
-                    f"({call_node(publishers[0].node_name)}): the check plays {self.peers} "
+                    f"({display_name(publishers[0].node_name)}): the check plays {self.peers} "
                     "itself; end the graph first"
                 )
 
     def _absent(self) -> str:
         names = {
-            call_node(info.node_name) for topic in (self.output, *self.inputs)
+            display_name(info.node_name) for topic in (self.output, *self.inputs)
             for info in self._all_endpoints(topic)
         }
         return (
