@@ -22,7 +22,7 @@ from typing import Any, ClassVar
 from mcap.reader import make_reader
 from places import module_of
 
-from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.common.processes import child_environment
 
 
 @contextmanager
@@ -159,7 +159,7 @@ class Process:
             cwd=cwd, stdin=subprocess.DEVNULL, stdout=self._out,
             stderr=self._err if stderr is None else stderr,
             # If pytest's worker is killed, the graph ends with it.
-            env={**asked_to_end_with_this(), **environment(domain)}, start_new_session=True,
+            env={**child_environment(), **environment(domain)}, start_new_session=True,
             preexec_fn=prepare if ignored else None,
         )
         self.started.append(self)

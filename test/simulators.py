@@ -18,7 +18,7 @@ import pytest
 from places import CHECKOUT, module_of
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.common.processes import child_environment
 from greenroof_ros.live.drives.modbus_line import Address, DriveError, ModbusLine, parse_address
 from greenroof_ros.live.simulators import faults
 from greenroof_ros.live.simulators.faults import (
@@ -110,7 +110,7 @@ class Simulator(Workbench):
         self.process = subprocess.Popen(
             [sys.executable, "-m", module_of(module), *options],
             cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            stdin=subprocess.DEVNULL, env=asked_to_end_with_this(),
+            stdin=subprocess.DEVNULL, env=child_environment(),
         )
         assert self.process.stdout is not None
         ready = self.process.stdout.readline()

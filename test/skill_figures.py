@@ -106,7 +106,7 @@ def days_ahead(
     furthest = 24 * max(days) + 6
     # The first issue is at 01:00 local standard time, 06:00 UTC.
     for issue in range(1, len(rain) - furthest, 6):
-        forecast = model.known(issue, furthest)[0]
+        forecast = model.forecast(issue, furthest)[0]
         for day in days:
             lead = 24 * day
             ahead[day][:, issue + lead : issue + lead + 6] = forecast[:, lead : lead + 6]

@@ -20,7 +20,7 @@ from greenroof_ros.common.command_line import (
     command,
 )
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.common.standard_error import LINES, say
+from greenroof_ros.common.standard_error import LINES, print_line
 from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.incidents import IncidentLog
@@ -156,12 +156,12 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
                 graph.spin(loop)
         except InterruptedRun as error:
             status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
-            say(reason)
+            print_line(reason)
         except Exception as error:
             status, reason, code = summary.FAILED, *graph.explain(error)
-            say(f"error: {reason}")
+            print_line(f"error: {reason}")
         signals.ignore()
-        incidents = IncidentLog(say) if loop is None else loop.log
+        incidents = IncidentLog(print_line) if loop is None else loop.log
         if loop is not None and loop.may_run:
             code = EXIT_FAILED
         _end(run, directory, graph, incidents, status, reason, as_json=arguments.json)
@@ -209,7 +209,7 @@ def _say_what_is_in_bag(directory: Path, ticks: int | None) -> None:
             f"{bag} was not closed; to restore its ticks and look at them:",
             f"  greenroof recover {run}", report,
         ]
-    say("\n".join(lines))
+    print_line("\n".join(lines))
 
 
 @command

@@ -244,8 +244,8 @@ def _calibrate(
     doubts = accept([*pumps.findings, *check_record(counted, site)], arguments.accept, measured)
     halves = halve(record, comparable(record) & counts)
     _refuse_dry(record, **halves)
-    with progress_bar() as tell:
-        fitted = fit(site, record, halves["fit"], tell)
+    with progress_bar() as update_progress:
+        fitted = fit(site, record, halves["fit"], update_progress)
     fitted = fitted._replace(
         site=reachable_target(fitted.site), parameters=[*fitted.parameters, *pumps.parameters]
     )

@@ -178,9 +178,9 @@ def _run(
     for case in ordered:
         pending[workers.submit(run_case, case, store.trajectory_every)] = case, True
     tasks, runs = len(pending), 0
-    with progress_bar() as tell:
+    with progress_bar() as update_progress:
         while pending:
-            tell(f"{runs} of {len(ordered)} runs", 1 - len(pending) / tasks)
+            update_progress(f"{runs} of {len(ordered)} runs", 1 - len(pending) / tasks)
             workers.check()
             done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
             broken: Exception | None = None

@@ -19,7 +19,7 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError, with_extra
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.processes import LockedError, take_name
+from greenroof_ros.common.processes import LockedError, acquire_name_lock
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.graph.rclpy_internals import speed_up, waiting_messages
 
@@ -139,7 +139,7 @@ def only_bringup(namespace: str) -> Iterator[None]:
         OSError: the system refuses the lock.
     """
     try:
-        lock = take_name(f"{os.getuid()}-domain-{_domain()}{namespace}")
+        lock = acquire_name_lock(f"{os.getuid()}-domain-{_domain()}{namespace}")
     except LockedError:
         raise _occupied("a bringup is running", namespace) from None
     with lock:

@@ -170,7 +170,7 @@ def test_what_is_new_in_any_hour_and_quantity_is_kept():
         {"temperature": np.zeros(43)}, {"evapotranspiration": np.zeros(43)},
     ):
         later = replace(before, issued=issued + 5 * HOUR, **{**same, **new})
-        assert module._says_the_same(before, later) is not bool(new)
+        assert module._repeats(before, later) is not bool(new)
 
 
 def test_what_is_kept_is_an_archive_without_repetitions(server, tmp_path):
@@ -319,7 +319,7 @@ def test_no_forecast_is_known_before_it_arrived(arrivals, known, tmp_path):
         model = FileModel(archive, RECORDS, all_members=False)
         first = RECORDS.first.hour
         for hour, number in known.items():
-            assert model.known(hour - first, 3)[0][0, 1] == number, (hour, source)
+            assert model.forecast(hour - first, 3)[0][0, 1] == number, (hour, source)
 
 
 def test_a_delay_that_is_given_counts_instead(tmp_path):

@@ -381,7 +381,7 @@ def test_every_interlock_has_its_place() -> None:
     conditions = read_conditions()
     assert {
         code for code, interlock in read_interlocks().items()
-        if not conditions[code].needs_a_hand and not interlock.parts
+        if not conditions[code].needs_operator and not interlock.parts
     } == complete
 
 

@@ -21,7 +21,7 @@ from faults.rig import BrokenError, LoopRig, Rig, SiteRig
 from faults.simulated import digest, reference
 from graphs import Process, bag_file, environment, own_domain
 
-from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.common.processes import child_environment
 from greenroof_ros.recording.bag_reader import count_ticks
 
 READERS, STOPPED_S = 4, 6.5
@@ -51,7 +51,7 @@ class _Readers:
         self._processes = [
             subprocess.Popen(
                 [sys.executable, "-c", _READER],
-                env={**asked_to_end_with_this(), **environment(domain)}, cwd=directory,
+                env={**child_environment(), **environment(domain)}, cwd=directory,
                 start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )
             for domain in domains for _ in range(READERS)

@@ -64,7 +64,7 @@ def run_case(case: Case, directory: Path, outcome: Outcome) -> None:
         if len(waits) > _MOST_REQUESTS or server.asked - 1 > 2 * len(waits):
             outcome.fail(f"the service was asked {server.asked - 1} times in {_HOURS} h")
         forecast = LiveForecast(ForecastFile(file), site, 120.0, _ISSUE_LIMIT_S, False)
-        forecast.file.look()
+        forecast.file.update()
         known = _stands_from(site, forecast, began, thermometer=False)
         if not 3600 <= known <= _ISSUE_LIMIT_S:
             outcome.fail(f"without a thermometer the pump stood from {known:g} s on")

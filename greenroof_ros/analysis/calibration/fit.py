@@ -17,7 +17,7 @@ from greenroof_ros.analysis.calibration.record import TOGETHER, Record, Steps, V
 from greenroof_ros.analysis.calibration.simulation import Simulated, least_reading, simulate
 from greenroof_ros.model.site import Site
 
-Tell = Callable[[str, float], None]
+UpdateProgress = Callable[[str, float], None]
 """called with a text on the current stage, and the finished share of the fit, 0 to 1, rising"""
 
 _STAGES = (
@@ -186,8 +186,8 @@ class _Stages:
     number possible; if a search needs fewer, progress jumps at its end.
     """
 
-    def __init__(self, tell: Tell) -> None:
-        self._tell, self._stage, self._simulations = tell, -1, 0
+    def __init__(self, update_progress: UpdateProgress) -> None:
+        self._update_progress, self._stage, self._simulations = update_progress, -1, 0
 
     def begin(self, most: int) -> None:
         """Begin the next stage, of at most this many simulations."""
@@ -198,14 +198,15 @@ class _Stages:
         """Count simulations."""
         self._simulations += more
         within = min(1.0, (self._simulations - self._before) / self._most)
-        self._tell(
+        self._update_progress(
             f"{self._stage + 1} of {len(_STAGES)}: {_STAGES[self._stage]}, {self._simulations} "
             "simulations", (self._stage + within) / len(_STAGES),
         )
 
 
 def fit(
-    site: Site, record: Record, steps: Steps, tell: Tell = lambda text, share: None
+    site: Site, record: Record, steps: Steps,
+    update_progress: UpdateProgress = lambda text, share: None,
 ) -> Fit:
     """Fit a measured roof to some steps of a record.
 
@@ -226,14 +227,14 @@ def fit(
         site: start of the search, and values of the parameters that are held.
         record: the measurements.
         steps: that count; the roof is simulated through all.
-        tell: called after each simulation.
+        update_progress: called after each simulation.
     """
     site = measured_roof(site)
     every = ranges(site, record)
     as_it_was = np.array([span.share(getattr(site, span.name, _HALF_FILLED)) for span in every])
     at = np.clip(as_it_was, 0.01, 0.99)
     residuals, weeks = _comparison(record, steps)
-    stages = _Stages(tell)
+    stages = _Stages(update_progress)
     least = least_reading(record)
 
     def simulated(shares: Values, least: float) -> tuple[Site, Simulated]:
@@ -311,7 +312,7 @@ def fit(
         words = f"steps of {time_name(record.step_s)} are too long to identify it"
         parameters.insert(3, Parameter(_DRAINAGE, site.drainage_time, np.nan, np.nan, words))
     fitted, shown = simulated(at, least)
-    tell("done", 1.0)
+    update_progress("done", 1.0)
     return Fit(fitted, parameters, shown)
 
 

@@ -25,7 +25,7 @@ from greenroof_ros.model.metrics import Samples, totals_of
 from greenroof_ros.model.plant import mains_flow
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
-from greenroof_ros.recording.bag_reader import Recorded, load_bag
+from greenroof_ros.recording.bag_reader import RecordedTrajectory, load_bag
 from greenroof_ros.recording.bag_writer import METADATA, recovered_bag
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.weather.reading import read_weather
@@ -127,7 +127,8 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
 
 
 def _own_bound(
-    weather: list[Path], site_file: Path, site: Site, method: str, gaps: str, recorded: Recorded
+    weather: list[Path], site_file: Path, site: Site, method: str, gaps: str,
+    recorded: RecordedTrajectory,
 ) -> float | None:
     """Return the least total deviation (m3) that a controller could reach in a run's own weather.
 
@@ -156,7 +157,7 @@ def _own_bound(
         return None
 
 
-def measured(run: Run, recorded: Recorded) -> Row:
+def measured(run: Run, recorded: RecordedTrajectory) -> Row:
     """Return the row of a bag's run with its results.
 
     Results in the summary of a finished run are kept; all others are computed from the bag. Sums

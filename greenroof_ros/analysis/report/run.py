@@ -24,7 +24,7 @@ from greenroof_ros.model.initial_state import INITIAL_STATES
 from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.model.site import Site
-from greenroof_ros.recording.bag_reader import Recorded
+from greenroof_ros.recording.bag_reader import RecordedTrajectory
 from greenroof_ros.recording.results_table import shortest, summary_columns
 from greenroof_ros.weather.series import REFUSE
 
@@ -118,8 +118,8 @@ class Run:
     short: str = summary.DONE
     incidents: tuple[Incident, ...] = ()
     notes: tuple[Note, ...] = ()
-    load: Callable[[], Recorded] | None = None
-    bound: Callable[[Recorded], float | None] | None = None
+    load: Callable[[], RecordedTrajectory] | None = None
+    bound: Callable[[RecordedTrajectory], float | None] | None = None
     source: str = ""
     meant: Mapping[str, object] = field(default_factory=dict)
 

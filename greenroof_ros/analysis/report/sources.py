@@ -31,7 +31,7 @@ from greenroof_ros.common.times import to_people
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.model.site import read_site
-from greenroof_ros.recording.bag_reader import Recorded
+from greenroof_ros.recording.bag_reader import RecordedTrajectory
 from greenroof_ros.recording.results_table import row_parameters
 from greenroof_ros.recording.trajectory import read_parquet
 
@@ -277,9 +277,9 @@ def _season(row: Row) -> Row:
     return {"start": to_people(start), **(season if 0 < whole <= len(weeks) else {})}
 
 
-def _load(path: Path) -> Recorded:
+def _load(path: Path) -> RecordedTrajectory:
     """Read the trajectory of a run in a study."""
     trajectory = read_parquet(path)
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
         raise ConfigurationError("must have two or more samples, in order of time", file=path)
-    return Recorded(trajectory)
+    return RecordedTrajectory(trajectory)

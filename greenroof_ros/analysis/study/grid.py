@@ -352,7 +352,7 @@ class _Grid:
                 if choice in given
             ]
             for controller, parameters, *_ in theirs:
-                asked = ForecastChoice() if "seed" in choice.takes else choice
+                asked = ForecastChoice() if "seed" in choice.option_names else choice
                 key = (asked, volumes, parameters.get("horizon"), controller.ensemble)
                 if key not in checked:
                     with self._at(window, "start"):
@@ -399,8 +399,8 @@ class _Grid:
                 raise self._refuse(mapping, "forecast", wrong) from error
             if choice.file is not None:
                 choice = replace(choice, file=self._file(block, key))
-            self._keys(block, {key: _FORECAST}, choice.takes)
-            for options in self._combinations(block, choice.takes):
+            self._keys(block, {key: _FORECAST}, choice.option_names)
+            for options in self._combinations(block, choice.option_names):
                 given: dict[str, Any] = read_numbers(self._path, options, NUMBERS)
                 if "skill" in options:
                     given["skill"] = self._skill(options)

@@ -14,7 +14,7 @@ from greenroof_ros.analysis.report.run import Row, Run
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site
-from greenroof_ros.recording.bag_reader import Recorded
+from greenroof_ros.recording.bag_reader import RecordedTrajectory
 from greenroof_ros.recording.trajectory import Trajectory
 
 TARGET = 68.8 * 0.0457
@@ -22,7 +22,7 @@ TARGET = 68.8 * 0.0457
 
 def results_of(happened: Trajectory, site: Site = PAPER_SITE) -> Row:
     """Return the results computed from a bag."""
-    return measured(Run(site=site, row={"run": "bag"}), Recorded(happened))
+    return measured(Run(site=site, row={"run": "bag"}), RecordedTrajectory(happened))
 
 
 def test_samples_of_a_real_site() -> None:
