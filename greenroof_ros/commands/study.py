@@ -15,7 +15,7 @@ from rich.table import Column, Table
 
 from greenroof_ros.analysis.study.case_run import bound_case, run_case
 from greenroof_ros.analysis.study.grid import Case, contents, read_grid
-from greenroof_ros.analysis.study.store import Store
+from greenroof_ros.analysis.study.store import StudyStore
 from greenroof_ros.analysis.study.workers import Workers, processes
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
@@ -119,7 +119,7 @@ def main() -> int:
         grid = shipped
     cases = read_grid(grid, arguments.weather)
     every = None if arguments.no_trajectories else arguments.trajectory_every
-    store = Store(
+    store = StudyStore(
         arguments.output or Path("studies") / grid.stem, grid, cases, trajectory_every=every
     )
     open_cases = [case for case in cases if case.identity not in store.outcomes]
@@ -160,7 +160,7 @@ def main() -> int:
 
 
 def _run(
-    store: Store, cases: Sequence[Case], unbounded: Sequence[Case], workers: Workers,
+    store: StudyStore, cases: Sequence[Case], unbounded: Sequence[Case], workers: Workers,
     signals: Signals,
 ) -> None:
     """Run some cases and compute bounds for others; store each result when it arrives."""
@@ -197,7 +197,7 @@ def _run(
                         what, store.failures[case.identity] = "failed", reason
                     print(f"{what}: {names.name(case)}: {reason}", file=sys.stderr)
                 else:
-                    (store.keep if is_run else store.keep_bound)(case, result)
+                    (store.write_outcome if is_run else store.write_bound)(case, result)
                 runs += is_run
             if broken is not None:
                 raise broken

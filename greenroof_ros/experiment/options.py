@@ -33,8 +33,8 @@ from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.formats.records import SERVICE_DELAY_H
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,
-    OWN_KEYS,
-    SITES_OWN,
+    SITE_STATE,
+    SITE_STATE_KEYS,
     check_volumes,
     default_state,
     initial_state,
@@ -293,7 +293,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     else:
         initial, volumes = default_state(site)
     check_volumes(
-        site, *volumes, keys=OWN_KEYS if initial == SITES_OWN else ("--cistern", "--roof")
+        site, *volumes, keys=SITE_STATE_KEYS if initial == SITE_STATE else ("--cistern", "--roof")
     )
     weather = read_weather(
         find_files(arguments.weather or [str(default_weather())], "--weather"),

@@ -40,10 +40,10 @@ SOIL, PAPER_SOIL = MeasuredSoil(ROOF), soil_of(PAPER_SITE)
 def test_shares_by_hand(x2: float, filled: float, kept: float, stress: float) -> None:
     """S, 1 - S^2, and FAO-56's Eq. 84 with TAW = 4 m3: at D_r = 3 m3 it is (4 - 3) / 2."""
     assert SOIL.filled_share(x2) == pytest.approx(filled, abs=1e-15)
-    assert SOIL.kept_share(x2) == pytest.approx(kept, abs=1e-15)
+    assert SOIL.retained_share(x2) == pytest.approx(kept, abs=1e-15)
     assert SOIL.water_stress(x2) == pytest.approx(stress, abs=1e-15)
     assert (x2 < SOIL.stress_volume) == (stress < 1)
-    assert (PAPER_SOIL.kept_share(x2), PAPER_SOIL.water_stress(x2)) == (1.0, 1.0)
+    assert (PAPER_SOIL.retained_share(x2), PAPER_SOIL.water_stress(x2)) == (1.0, 1.0)
 
 
 def test_percolation_by_hand() -> None:

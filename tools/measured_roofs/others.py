@@ -10,12 +10,12 @@ from measured_roofs.roofs import STEP_S, Roof, temperatures
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from greenroof_ros.analysis.calibration.record import Record, sums
+from greenroof_ros.analysis.calibration.record import RoofRecord, sums
 
 Values = NDArray[np.float64]
 
 
-def swmm(roof: Roof, directory: Path, record: Record, scratch: Path) -> Values:
+def swmm(roof: Roof, directory: Path, record: RoofRecord, scratch: Path) -> Values:
     """Run SWMM with the roof's own model; return runoff (mm in each step), NaN outside its run."""
     from pyswmm import Output, Simulation
     from swmm.toolkit.shared_enum import NodeAttribute
@@ -59,7 +59,7 @@ def swmm(roof: Roof, directory: Path, record: Record, scratch: Path) -> Values:
     return result
 
 
-def bucket(record: Record, steps: NDArray[np.bool_]) -> Values:
+def bucket(record: RoofRecord, steps: NDArray[np.bool_]) -> Values:
     """Fit a bucket's one parameter, its depth (mm), and return its runoff (mm).
 
     It evaporates like the reference grass while it holds water, and water that it cannot hold runs

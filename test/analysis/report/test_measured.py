@@ -10,7 +10,7 @@ from inputs import trajectory_of
 from paper import PAPER_SITE, paper_run, site_file
 
 from greenroof_ros.analysis.report.bags import measured, near_hours
-from greenroof_ros.analysis.report.run import Row, Run
+from greenroof_ros.analysis.report.run import ReportedRun, Row
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site
@@ -22,7 +22,7 @@ TARGET = 68.8 * 0.0457
 
 def results_of(happened: Trajectory, site: Site = PAPER_SITE) -> Row:
     """Return the results computed from a bag."""
-    return measured(Run(site=site, row={"run": "bag"}), RecordedTrajectory(happened))
+    return measured(ReportedRun(site=site, row={"run": "bag"}), RecordedTrajectory(happened))
 
 
 def test_samples_of_a_real_site() -> None:
