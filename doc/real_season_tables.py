@@ -15,7 +15,7 @@ from typing import NamedTuple
 FILE = Path(__file__).resolve().parent / "results" / "real_seasons.csv"
 
 MEAN, OVER_ONOFF, OVER_NO_RAIN = "mean deviation (mm)", "over on/off", "over no rain"
-COMBINE = "the three as one"
+TOGETHER = "the three as one"
 
 # The columns by measure: how a number is written, and whether its interval is.
 _COLUMNS = {

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from real_season_tables import COMBINE, OVER_ONOFF, numbers
+from real_season_tables import OVER_ONOFF, TOGETHER, numbers
 
 from greenroof_ros.common.files import shared_directory
 
@@ -349,7 +349,7 @@ def choices() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
             cells.setdefault(name, {})[_roof(row)] = _interval(_ratio("", "", row))
     roofs = tuple(_ROOFS.values())
     cells[_ISSUED] = {
-        place: numbers()[roof, COMBINE, OVER_ONOFF].text("{:.3f}")
+        place: numbers()[roof, TOGETHER, OVER_ONOFF].text("{:.3f}")
         for roof, place in zip(("paper", "measured"), roofs, strict=True)
     }
     names = (*_GENERATED.values(), _ISSUED)

@@ -8,13 +8,13 @@ from __future__ import annotations
 from html import escape
 from typing import NamedTuple
 
-from real_season_tables import COMBINE, MEAN, OVER_ONOFF, Number, numbers
+from real_season_tables import MEAN, OVER_ONOFF, TOGETHER, Number, numbers
 
 # The runs in the figure, by their labels.
 _SHOWN = {
     "on/off": "on/off",
     "lookahead, no forecast": "no rain",
-    "with issued forecasts": COMBINE,
+    "with issued forecasts": TOGETHER,
     "with perfect forecasts": "perfect",
 }
 _TITLES = {

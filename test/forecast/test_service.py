@@ -96,7 +96,7 @@ def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypa
     before = file.read_text()
     server.fault = fault
     if fault == "slow":
-        monkeypatch.setattr(module, "_WHOLE_S", 0.5)
+        monkeypatch.setattr(module, "_ANSWER_S", 0.5)
     waits = [fetcher.fetch() for _ in range(2)]
     with pytest.raises(ServiceError, match=said):
         raise ServiceError(fetcher.problem)

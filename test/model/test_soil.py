@@ -183,7 +183,7 @@ def test_what_is_followed_is_what_the_plant_did(
         np.full_like(rain, site.tau),
     )
     assert roof.layer.tolist() == list(layers)
-    assert roof.left == plant.layer
+    assert roof.remaining == plant.layer
     assert roof.drained.tolist() == [flow.drainage for flow in flows]
     assert roof.evaporated == pytest.approx(
         [flow.evapotranspiration for flow in flows], rel=1e-12, abs=1e-15

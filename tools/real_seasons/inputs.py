@@ -38,7 +38,7 @@ _TICK_S = 60.0
 SERVICES = {"GEM": "gem_global", "KNMI": "knmi_seamless", "GFS": "gfs_seamless"}
 # The fifth day of GFS has half the water of its fourth: an error of the archive.
 _HOURS_OF = {"GFS": 96}
-NO_RAIN, COMBINE = "no rain", "the three as one"
+NO_RAIN, TOGETHER = "no rain", "the three as one"
 
 
 def write_inputs(archives: Path, directory: Path) -> None:
@@ -80,7 +80,7 @@ def _weather(file: Path, site: Site) -> str:
 
 def read_issued(archives: Path, site: Site, forecast: str) -> Archive:
     """Return the issues of a service, of the three as one ensemble, or of no rain."""
-    if forecast == COMBINE:
+    if forecast == TOGETHER:
         return together([read_issued(archives, site, service) for service in SERVICES])
     service = "GEM" if forecast == NO_RAIN else forecast
     archive = read_archive(archives / f"{SERVICES[service]}_previous_runs.csv", site)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 
-from real_seasons.inputs import COMBINE, NO_RAIN, SERVICES, read_issued, site_file, weather_file
+from real_seasons.inputs import NO_RAIN, SERVICES, TOGETHER, read_issued, site_file, weather_file
 
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.closed_loop import closed_loop
@@ -23,7 +23,7 @@ from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import read_weather
 
 ONOFF, PERFECT = "on/off", "perfect"
-FORECASTS = (ONOFF, NO_RAIN, *SERVICES, COMBINE, PERFECT)
+FORECASTS = (ONOFF, NO_RAIN, *SERVICES, TOGETHER, PERFECT)
 
 # A sixtieth of the flow lifts in a minute what full flow lifts in a second, the paper's tick.
 _FRACTION = 1 / 60

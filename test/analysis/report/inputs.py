@@ -30,7 +30,7 @@ from greenroof_ros.analysis.report.run import Assumptions
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.closed_loop import closed_loop, record
-from greenroof_ros.experiment.run import ReportedRun
+from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.recording.trajectory import Trajectory
 
@@ -60,7 +60,7 @@ class Simulated(NamedTuple):
 
     trajectory: Trajectory
     row: dict[str, Any]
-    run: ReportedRun
+    run: Run
 
 
 @cache

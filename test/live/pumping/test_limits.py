@@ -15,7 +15,7 @@ from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.live.pumping.ledger import Ledger
-from greenroof_ros.live.pumping.limits import DriverLimits, Pulses, PumpSettings, settings_for
+from greenroof_ros.live.pumping.limits import Limits, Pulses, PumpSettings, settings_for
 from greenroof_ros.model.plant import maximum_pump_flow, pump_flow
 
 # A fifth of the maximum flow at 3 m, 0.00842205 m3/s, for 10 s.
@@ -62,7 +62,7 @@ def test_as_many_starts_in_any_hour_as_are_allowed(times: list[int], allowed: in
     """With starts wanted at any times: never more, and no start waits longer than necessary."""
     ledger = Ledger(None, lambda: 0.0)
     settings = settings_for(PAPER_SITE, starts_per_hour=allowed, least_off=0.0)
-    limits = DriverLimits(PAPER_SITE, settings, ledger)
+    limits = Limits(PAPER_SITE, settings, ledger)
     starts: list[float] = []
     for passed in times:
         ledger.count(passed, 0.0, 0.0)
