@@ -14,7 +14,7 @@ from greenroof_ros.weather.series import Weather
 
 Array = NDArray[np.float64]
 
-COMBINE = "all of them, a member each"
+TOGETHER = "all of them, a member each"
 """one ensemble with each kind as a member, for a controller that takes ensembles"""
 
 
@@ -44,7 +44,7 @@ class Adversary:
             "a day late": records[np.maximum(now - 24, 0)],
             "a false alarm each week": records[now] + np.where(ahead % 168 < 6, 8.0, 0.0),
         }
-        members = kinds.values() if self._kind == COMBINE else [kinds[self._kind]]
+        members = kinds.values() if self._kind == TOGETHER else [kinds[self._kind]]
         return np.stack([*members]), self._weather.evapotranspiration[now]
 
     def issued(self, hour: int) -> None:

@@ -70,13 +70,13 @@ def figures(forecast: np.ndarray, observed: np.ndarray) -> np.ndarray:
     """
     scores = []
     for hours, event in SUMS.items():
-        sums, seen = (rain.reshape(-1, hours).sum(axis=1) for rain in (forecast, observed))
-        given = ~np.isnan(sums)
-        sums, seen = sums[given], seen[given]
-        hits = ((sums >= event) & (seen >= event)).sum()
+        sums, observed_sums = (rain.reshape(-1, hours).sum(axis=1) for rain in (forecast, observed))
+        complete = ~np.isnan(sums)
+        sums, observed_sums = sums[complete], observed_sums[complete]
+        hits = ((sums >= event) & (observed_sums >= event)).sum()
         scores.append((
-            np.corrcoef(sums, seen)[0, 1], hits / (seen >= event).sum(),
-            1 - hits / (sums >= event).sum(), sums.sum() / seen.sum(),
+            np.corrcoef(sums, observed_sums)[0, 1], hits / (observed_sums >= event).sum(),
+            1 - hits / (sums >= event).sum(), sums.sum() / observed_sums.sum(),
         ))
     return np.array(scores)
 

@@ -14,10 +14,10 @@ import pytest
 from commands import run_command
 from places import DATA
 from real_seasons.inputs import (
-    COMBINE,
     NO_RAIN,
     ROOFS,
     SERVICES,
+    TOGETHER,
     read_issued,
     site_file,
     weather_file,
@@ -87,7 +87,7 @@ def test_three_services_as_one_ensemble(archives: Path, inputs: Path) -> None:
         ).issues}
         for name in SERVICES.values()
     ]
-    one = read_issued(archives, site, COMBINE)
+    one = read_issued(archives, site, TOGETHER)
     assert [issue.issued for issue in one.issues] == [
         time for time in services[0] if time in services[1] and time in services[2]
     ]

@@ -86,7 +86,7 @@ def record_rows(
     pair = np.arange(len(rain)) % (4 * DAY) // 2
     command = np.where(pumping & ((pair == 40) | (pair == 60)), 0.25, 0.0)
     level, cistern, runoff = [], [], []
-    for step, (fell, asked_mm) in enumerate(zip(rain.tolist(), reference.tolist(), strict=True)):
+    for step, (fell, wanted_mm) in enumerate(zip(rain.tolist(), reference.tolist(), strict=True)):
         plant, ticks = (wet, round(STEP_S / _TICK_S)) if fell > 0 or command[step] > 0 else (dry, 1)
         plant.x1, plant.x2, plant.layer, drained = x1, x2, layer, 0.0
         cistern.append(plant.levels()[0])
@@ -95,7 +95,7 @@ def record_rows(
             command[step] = 0.0
         for _ in range(ticks):
             flows = plant.flows(
-                fell / 1000 / STEP_S, asked_mm * site.crop_coefficient * site.a2 / 1000 / STEP_S,
+                fell / 1000 / STEP_S, wanted_mm * site.crop_coefficient * site.a2 / 1000 / STEP_S,
                 float(command[step]) * maximum_pump_flow(site, plant.x1),
             )
             drained += flows.drainage * STEP_S / ticks

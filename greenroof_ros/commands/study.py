@@ -86,13 +86,13 @@ def make_parser() -> Parser:
         help="hand the runs to a Dask cluster, such as tcp://10.0.0.1:8786, instead of processes "
         "of this machine; its workers need greenroof_ros[dask,study]",
     )
-    kept = parser.add_mutually_exclusive_group()
-    kept.add_argument(
+    trajectories = parser.add_mutually_exclusive_group()
+    trajectories.add_argument(
         "--trajectory-every", type=within(0, 1e9), default=0.0, metavar="S",
         help="keep a sample of each run every S seconds, in whole ticks: half a year in ticks of a "
         "second takes a gigabyte of memory (default: every tick)",
     )
-    kept.add_argument(
+    trajectories.add_argument(
         "--no-trajectories", action="store_true",
         help="keep only the table, for thousands of runs; a report then has no figures of weather, "
         "commands and volumes",

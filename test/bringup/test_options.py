@@ -80,7 +80,7 @@ def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: P
     options = ("--drive", "abb_acs880", "--state", "state", "--hours", "0.01", "--speed")
     with closing(Wire(drive)) as wire:
         done = bringup(tmp_path, *options, "60", "--drive-at", wire.gateway)
-        assert not drive.written and len(wire.seen) == 1
+        assert not drive.written and len(wire.requests) == 1
     assert done.returncode == 2
     assert done.stderr.startswith(
         "error: --speed = '60': is allowed only with the drive simulator, at loopback or on a "

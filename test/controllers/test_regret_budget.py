@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from adversaries import COMBINE, with_forecasts
+from adversaries import TOGETHER, with_forecasts
 from paper import PAPER_SITE, deviation_of, lookahead, paper_run, rain_scaled, site_file
 from places import CONFIG, DATA
 
@@ -41,7 +41,7 @@ def a_week(directory: Path, *options: str) -> Run:
 
 @pytest.mark.parametrize(("controller", "strength", "kind"), [
     ("anticipating_onoff", "--fraction", "always rain"),
-    ("lookahead", "--max-command", "always rain"), ("lookahead", "--max-command", COMBINE),
+    ("lookahead", "--max-command", "always rain"), ("lookahead", "--max-command", TOGETHER),
 ])
 def test_an_adversary_costs_at_most_the_budget(
     controller: str, strength: str, kind: str, tmp_path: Path

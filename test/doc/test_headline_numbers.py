@@ -10,7 +10,7 @@ from real_seasons.inputs import ROOFS
 sys.path.append(str(CHECKOUT / "doc"))
 
 import worth
-from real_season_tables import COMBINE, OVER_NO_RAIN, Number, numbers
+from real_season_tables import OVER_NO_RAIN, TOGETHER, Number, numbers
 
 README = " ".join((CHECKOUT / "README.md").read_text().split())
 PLACES = ("measured", "paper")
@@ -33,7 +33,7 @@ def test_readme_says_what_its_figure_shows() -> None:
 
 def test_readme_says_what_forecasts_add() -> None:
     """Over no forecast, with intervals: May to October, three services as one; and perfect ones."""
-    issued = " | ".join(gain(numbers()[roof, COMBINE, OVER_NO_RAIN]) for roof in PLACES)
+    issued = " | ".join(gain(numbers()[roof, TOGETHER, OVER_NO_RAIN]) for roof in PLACES)
     assert f"| from there, by issued forecasts | {issued} |" in README
     perfect = (100 * (1 - numbers()[roof, "perfect", OVER_NO_RAIN].value) for roof in PLACES)
     said = " and ".join(f"{less:.0f}" for less in perfect)

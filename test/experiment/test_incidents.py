@@ -133,11 +133,11 @@ def test_what_follows_from_a_loss_is_none_of_its_own(
     for _ in range(40):
         log.update({**consequence, **loss})
     assert [incident.node for incident in log.incidents] == list(loss)
-    looks = 0
+    reads = 0
     while log.count == 1:
         log.update({**end, **consequence})
-        looks += 1
-    assert looks > 25
+        reads += 1
+    assert reads > 25
     assert [incident.node for incident in log.incidents] == [*loss, *consequence]
 
 

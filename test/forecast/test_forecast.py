@@ -285,11 +285,11 @@ def test_archives_by_definition(delay: float, late: int, evaporates: bool) -> No
     for hour in range(6, 40):
         newest = [n for n, begin in enumerate(begins) if begin + delay + late <= hour][-1]
         age = hour - begins[newest]
-        got_rain, got_evapotranspiration = model.forecast(hour, 55)
+        rain_then, got_evapotranspiration = model.forecast(hour, 55)
         assert model.issued(hour) == MIDNIGHT + begins[newest] * HOUR
         for lead in range(age, age + 55):
             fell = rain[newest, :, lead - late] if lead - late < 30 else np.zeros(2)
-            assert got_rain[:, lead - age].tolist() == fell.tolist()
+            assert rain_then[:, lead - age].tolist() == fell.tolist()
             expected = weather.evapotranspiration[min(hour + lead - age, 47)]
             if evaporates:
                 expected = dried[newest, lead if lead < 30 else 6 + (lead - 6) % 24]

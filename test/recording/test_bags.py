@@ -297,22 +297,22 @@ def test_a_disk_that_fails_while_it_is_read(tmp_path: Path, what: str, where: fl
         return
     restored = messages_of(tmp_path / "new" / "new_0.mcap")
     there = {tick for *_, tick, _ in restored}
-    gone = sorted(set(range(361)) - there)
+    missing = sorted(set(range(361)) - there)
     assert restored == [message for message in written if message[2] in there]
     assert done.stdout.startswith(f"{len(there)} ticks recovered to new")
-    assert done.returncode == bool(gone), done.stderr
-    assert bool(gone) == (done.stderr != "") == (where < 1)
-    if not gone:
+    assert done.returncode == bool(missing), done.stderr
+    assert bool(missing) == (done.stderr != "") == (where < 1)
+    if not missing:
         return
-    assert gone == list(range(gone[0], gone[-1] + 1))
-    assert f"lost: bag_0.mcap: {len(gone)} of 361 ticks are lost, " in done.stderr
+    assert missing == list(range(missing[0], missing[-1] + 1))
+    assert f"lost: bag_0.mcap: {len(missing)} of 361 ticks are lost, " in done.stderr
     assert "bytes cannot be read" in done.stderr
     if what == "CUT_TO":
-        assert gone[-1] == 360 and 361 * (1 - where) - 16 < len(gone) < 361 * (1 - where) + 48
+        assert missing[-1] == 360 and 361 * (1 - where) - 16 < len(missing) < 361 * (1 - where) + 48
     elif where:
-        assert len(gone) <= 48
+        assert len(missing) <= 48
     else:
-        assert gone == FIRST
+        assert missing == FIRST
 
 
 def test_a_file_that_cannot_be_opened(tmp_path: Path) -> None:

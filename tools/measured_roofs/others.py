@@ -65,16 +65,16 @@ def bucket(record: RoofRecord, steps: NDArray[np.bool_]) -> Values:
     It evaporates like the reference grass while it holds water, and water that it cannot hold runs
     off at once.
     """
-    rain, wanted = np.nan_to_num(record.rain).tolist(), record.reference.tolist()
+    rain, potentials = np.nan_to_num(record.rain).tolist(), record.reference.tolist()
     seconds = record.seconds[steps]
     measured = sums(record.runoff[steps], seconds, 3600)
 
     def run(depth: float) -> Values:
-        held, runoff = depth / 2, []
-        for comes, asked in zip(rain, wanted, strict=True):
-            held = max(0.0, held + comes - asked)
-            runoff.append(max(0.0, held - depth))
-            held = min(held, depth)
+        stored, runoff = depth / 2, []
+        for water, potential in zip(rain, potentials, strict=True):
+            stored = max(0.0, stored + water - potential)
+            runoff.append(max(0.0, stored - depth))
+            stored = min(stored, depth)
         return np.array(runoff)
 
     def misfit(depth: float) -> float:

@@ -21,7 +21,7 @@ from pathlib import Path
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 import paths  # noqa: F401
-from graphs import Process, free_ports, own_domain, wait_for
+from graphs import Process, free_ports, reserved_domain, wait_for
 from places import DATA
 
 from greenroof_ros.graph.graph_client import GraphClient
@@ -93,7 +93,7 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=5, help="default: %(default)s")
     turns = parser.parse_args().turns
     with ExitStack() as stack:
-        domain = stack.enter_context(own_domain())
+        domain = stack.enter_context(reserved_domain())
         place = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         run = Process(  # it lasts longer than any measurement here
             domain, "bringup", "--controller", "mpc", "--weather",

@@ -481,12 +481,12 @@ def _information(jacobian: Values) -> Values:
     Args:
         jacobian: shape (n, parameters).
     """
-    left = []
+    unexplained = []
     for place, column in enumerate(jacobian.T):
         others = np.delete(jacobian, place, axis=1)
-        rest = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
-        left.append(float(rest @ rest))
-    return np.array(left)
+        unexplained_part = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
+        unexplained.append(float(unexplained_part @ unexplained_part))
+    return np.array(unexplained)
 
 
 def half_intervals(moved: Values, freedom: Values | None = None) -> Values:

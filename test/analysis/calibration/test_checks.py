@@ -173,7 +173,7 @@ def test_gaps_do_not_hide_a_dead_flow_meter() -> None:
 # --- roofs that are watered -----------------------------------------------------------------------
 
 
-def kept_roof(days: int, mm_a_day: float = 4.25) -> RoofRecord:
+def watered_roof(days: int, mm_a_day: float = 4.25) -> RoofRecord:
     """A roof in a dry July, watered each morning with its evapotranspiration, 0.85 of 5 mm.
 
     Two showers of 4 and 6 mm; the meter shows no flow below 0.06 mm in 5 min.
@@ -194,7 +194,7 @@ def kept_roof(days: int, mm_a_day: float = 4.25) -> RoofRecord:
 
 def test_a_well_kept_roof_off_which_nothing_runs_is_right() -> None:
     """27 days, 125 mm on 100 mm of soil, and no runoff: a good controller does this."""
-    record = kept_roof(27)
+    record = watered_roof(27)
     assert record.water.sum() == pytest.approx(124.75)
     assert not record.runoff.any()
     assert check_record(record, TWIN) == []
@@ -209,7 +209,7 @@ def test_a_well_kept_roof_off_which_nothing_runs_is_right() -> None:
 
 def test_a_flow_meter_that_shows_nothing_of_too_much_water_is_dead() -> None:
     """15 mm a day exceed what a watered roof evaporates, 1.3 x 5 mm, by 230 mm in 27 days."""
-    record = kept_roof(27, 15.0)
+    record = watered_roof(27, 15.0)
     dead = replace(record, runoff=np.zeros(record.steps), level=None)
     (finding,) = check_record(dead, TWIN)
     assert (finding.code, finding.case) == ("sensor-dead", "silent")
@@ -268,8 +268,8 @@ def test_a_refusal_stands_unless_it_is_accepted() -> None:
     )
     note = FINDINGS.make("months", "counted", "months", months="4-10")
     for accepted, codes in (([], "sensor-stuck sensor-dead"), (["sensor-stuck"], "sensor-dead")):
-        said = refusal(accept, [stuck, note, dead], accepted, Path("roof.csv"))
-        *lines, way_out = said.splitlines()
+        reason = refusal(accept, [stuck, note, dead], accepted, Path("roof.csv"))
+        *lines, way_out = reason.splitlines()
         assert lines[0].startswith("roof.csv: ")
         assert way_out.endswith(f"--accept {codes}")
         assert " ".join(line.split("[")[-1].strip("]") for line in lines) == codes

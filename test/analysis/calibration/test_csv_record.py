@@ -154,8 +154,8 @@ WRONG = {
 def test_wrong_files_are_refused(name: str, file: Path) -> None:
     was, now, message = WRONG[name]
     assert was in TEXT
-    said = refusal(read, file, TEXT.replace(was, now, 1))
-    assert said.startswith(str(file)) and message in said
+    reason = refusal(read, file, TEXT.replace(was, now, 1))
+    assert reason.startswith(str(file)) and message in reason
 
 
 # --- rows and steps -------------------------------------------------------------------------------
@@ -363,7 +363,7 @@ def test_a_clock_with_daylight_saving(
 ) -> None:
     """It is recognised, and its zone can be given; then each step has a row."""
     text = on_a_clock(datetime.fromisoformat(f"{day}T12:00"), ZoneInfo(zone), minutes)
-    assert what in (said := refusal(read, file, text)) and "give its zone, --time-zone" in said
+    assert what in (reason := refusal(read, file, text)) and "give its zone, --time-zone" in reason
     record = read_csv_record(file, TWIN, zone=ZoneInfo(zone))
     assert record.steps == 200 and not np.isnan(record.rain).any()
     site = replace(TWIN, time_zone=zone)

@@ -74,9 +74,9 @@ WRONG = {
 def test_wrong_grid(tmp_path: Path, name: str) -> None:
     """One line that says where and what."""
     text, expected = WRONG[name]
-    said = refusal(read_grid, tmp_path / grid(tmp_path, text))
-    assert expected in said
-    assert "\n" not in said
+    reason = refusal(read_grid, tmp_path / grid(tmp_path, text))
+    assert expected in reason
+    assert "\n" not in reason
 
 
 @pytest.mark.parametrize(
