@@ -26,7 +26,7 @@ SOIL, PAPER_SOIL = MeasuredSoil(ROOF), soil_of(PAPER_SITE)
 
 
 @pytest.mark.parametrize(
-    ("x2", "filled", "kept", "stress"),
+    ("x2", "filled", "retained", "stress"),
     [
         (0.0, 0.0, 1.0, 0.0),
         (2.0, 0.0, 1.0, 0.0),
