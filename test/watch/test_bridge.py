@@ -17,7 +17,7 @@ import pytest
 from brokers import Talker, mosquitto, needs_mosquitto
 from commands import run_command
 from graphs import Process, environment, wait_for
-from said import ERROR, SECOND, START, hear, node, store
+from page_inputs import ERROR, SECOND, START, add_values, node, store
 from test_watch_command import end, running_pump
 
 from greenroof_ros.common.mqtt import parse_broker
@@ -102,7 +102,7 @@ def state(graph: Store, wall: float = 0.0) -> dict[str, Any]:
 
 def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
     graph = store("live")
-    hear(graph, 0, 10, {
+    add_values(graph, 0, 10, {
         "/roof/level": 0.0457, "/cistern/level": 2.5, "/weather/precipitation": 1e-6,
         "/pump/flow": 1e-3, "/pump/command": 0.25, "/weather/frost": 1.0,
     })
@@ -124,7 +124,7 @@ def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
     assert {later[key] for key in (
         "roof_level", "cistern_level", "rain", "flow", "command", "frost"
     )} == {None}
-    hear(graph, 30, 40, {"/roof/level": 0.0457, "/cistern/level": -1.0})
+    add_values(graph, 30, 40, {"/roof/level": 0.0457, "/cistern/level": -1.0})
     assert (state(graph, 20.0)["roof_level"], state(graph, 20.0)["cistern_level"]) == (45.7, None)
     graph.set_present(mode="ended", factor=None, note="")
     said = state(graph, 20.0)

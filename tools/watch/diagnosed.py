@@ -40,7 +40,7 @@ class _Node:
     twice: float = -math.inf  # when two processes last reported in turn
     refuses: float = -math.inf  # when it last refused more values than before
     refused: dict[str, dict[str, int]] = field(default_factory=dict)  # by process, then topic
-    parts: dict[str, tuple[float, str]] = field(default_factory=dict)  # when received, what is wrong
+    parts: dict[str, tuple[float, str]] = field(default_factory=dict)  # time, what is wrong
 
 
 class Diagnosed:
