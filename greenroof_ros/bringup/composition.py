@@ -88,7 +88,7 @@ class Composition:
             drive: a drive in the loop instead of the simulated pump; None for none.
 
         Raises:
-            InterruptedRun: a signal came.
+            InterruptedRun: a signal was received.
             LockstepError: the graph cannot go on.
             ConfigurationError: a parameter is wrong.
             NodeFailed: the pump node ended or hangs.

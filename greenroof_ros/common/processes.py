@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 _PR_SET_PDEATHSIG = 1
-# The environment variable that asks a child process to end with its parent: the parent's number.
+# The environment variable of a child that must end with its parent: the parent's number.
 _PARENT = "GREENROOF_ROS_PARENT"
 
 
@@ -35,7 +35,7 @@ def child_environment() -> dict[str, str]:
 
 
 def end_with_parent() -> None:
-    """Have the kernel end this process when its parent dies, even by kill -9, if the parent asked.
+    """Have the kernel end this process when its parent dies, even by kill -9, if that was requested.
 
     The signal is SIGTERM, since background processes of a shell may ignore SIGINT. If the parent
     died before this call, the process ends, too.

@@ -78,7 +78,7 @@ class AnticipatingOnOff:
         waiting_budget: float,
         waiting_share: float,
     ) -> None:
-        """Take the site and the parameters.
+        """Set the site and the parameters.
 
         Args:
             site: the parameters of Table I.

@@ -136,7 +136,7 @@ class Lookahead:
         waiting_budget: float,
         waiting_share: float,
     ) -> None:
-        """Take the site and the parameters; :attr:`parameters` has their units and meanings."""
+        """Set the site and the parameters; :attr:`parameters` has their units and meanings."""
         self._site, self._soil = site, soil_of(site)
         self._max_command = max_command
         self._least_on = max(least_on, site.tau)

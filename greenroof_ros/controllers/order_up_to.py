@@ -149,7 +149,7 @@ class OrderUpTo:
     def __init__(
         self, site: Site, risk: float = 0.0, fine: tuple[int, int] = (900, 300)
     ) -> None:
-        """Take the site.
+        """Set the site.
 
         Args:
             site: its parameters.

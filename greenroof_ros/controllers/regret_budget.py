@@ -79,7 +79,7 @@ class RegretBudget:
     """
 
     def __init__(self, site: Site, waiting_budget: float, waiting_share: float) -> None:
-        """Take the site and the limit.
+        """Set the site and the limit.
 
         Args:
             site: the parameters of Table I.

@@ -42,7 +42,7 @@ class RoofObserver:
     """
 
     def __init__(self, site: Site, observer_time_constant: float) -> None:
-        """Take the site and the averaging time of the readings (s); 0 uses each reading alone."""
+        """Set the site and the averaging time of the readings (s); 0 uses each reading alone."""
         self._site, self._soil = site, soil_of(site)
         self._gain = 1.0
         if observer_time_constant > 0:

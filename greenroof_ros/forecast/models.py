@@ -85,7 +85,7 @@ class ForecastModel(ABC):
     """what of a file's forecasts could not be used as it is"""
 
     def __init__(self, weather: Weather) -> None:
-        """Take the records; missing ones are refused only when a forecast needs them."""
+        """Set the records; missing ones are refused only when a forecast needs them."""
         self._weather = weather
 
     @abstractmethod
@@ -171,7 +171,7 @@ class FileModel(ForecastModel):
     """
 
     def __init__(self, archive: Archive, weather: Weather, all_members: bool) -> None:
-        """Take the forecasts.
+        """Set the forecasts.
 
         Args:
             archive: of the forecasts.
@@ -253,7 +253,7 @@ class NormalRecords:
     """
 
     def __init__(self, climate: Climate, rain: Array, first: int) -> None:
-        """Take the records.
+        """Set the records.
 
         Args:
             climate: of the rain.

@@ -215,7 +215,7 @@ class _Alone:
         """Return whether the node may end.
 
         Raises:
-            InterruptedRun: a signal came.
+            InterruptedRun: a signal was received.
             LockstepError: the plant has ended before the run.
         """
         self._check()

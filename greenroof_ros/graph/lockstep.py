@@ -1,6 +1,6 @@
 """Lockstep over topics: a node acts once each of its inputs has its message of the tick.
 
-Each topic of a tick has exactly one message per tick, k = 0..N. Only ``/clock`` tells the tick; the
+Each topic of a tick has exactly one message per tick, k = 0..N. Only ``/clock`` has the tick; the
 others need not, since no node publishes tick k + 1 before it has acted on tick k. The rule for
 every node except the recorder, which only counts:
 
@@ -120,7 +120,7 @@ class Lockstep:
 
         Raises:
             LockstepError: this is another run, so this node's run has ended; the plant is of
-                another version; or a message came after the last tick.
+                another version; or a message arrived after the last tick.
         """
         if len(values) != len(RunIdentity._fields):
             raise LockstepError(

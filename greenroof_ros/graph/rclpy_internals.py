@@ -40,9 +40,9 @@ def raw_publish(publisher: Any) -> Callable[[bytes], None]:
 
 
 def waiting_messages(subscription: Any) -> Iterator[tuple[bytes, Any]]:
-    """Take the waiting messages, each serialised and with its metadata from rclpy.
+    """Yield the waiting messages, each serialised and with its metadata from rclpy.
 
-    rclpy gives messages only to callbacks. Its fast executor calls none for messages that waited
+    rclpy passes messages only to callbacks. Its fast executor calls none for messages that waited
     before it listened, and passes none the publisher's sequence number.
     """
     with subscription.handle:

@@ -79,7 +79,7 @@ class RoofSensor:
     """
 
     def __init__(self, sensor_pump_errors: SensorPumpErrors) -> None:
-        """Take the sensor's noise and offset."""
+        """Set the sensor's noise and offset."""
         self._model = sensor_pump_errors
         self._exact = sensor_pump_errors.exact_sensor
         self._block = -1
@@ -112,7 +112,7 @@ class Pump:
     """
 
     def __init__(self, sensor_pump_errors: SensorPumpErrors, tau: float) -> None:
-        """Take the minimum times, and the duration of a tick (s); they last whole ticks."""
+        """Set the minimum times, and the duration of a tick (s); they last whole ticks."""
         self._least_on = math.ceil(sensor_pump_errors.minimum_on / tau - _ROUNDING)
         self._least_off = math.ceil(sensor_pump_errors.minimum_off / tau - _ROUNDING)
         self._on = False

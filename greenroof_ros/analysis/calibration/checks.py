@@ -109,7 +109,7 @@ def _stuck(record: RoofRecord) -> Iterator[Finding]:
 
 
 def outages_found(record: RoofRecord) -> Iterator[Finding]:
-    """Tell which steps do not count after outages of rain gauge and pump meter."""
+    """Report which steps do not count after outages of rain gauge and pump meter."""
     found = outages(record)
     for column, values in (("rain", record.rain), ("pumped", record.pumped)):
         own = [outage for outage in found if np.isnan(values[outage.first:outage.end]).any()]
@@ -401,7 +401,7 @@ def _silence(record: RoofRecord, site: Site, runoff: Values) -> Iterator[Finding
 
 
 def _wet(record: RoofRecord) -> Steps:
-    """Return the steps in which water came, or is unknown."""
+    """Return the steps with water, or in which it is unknown."""
     return np.asarray((record.water > 0) | np.isnan(record.rain) | np.isnan(record.pumped))
 
 

@@ -138,7 +138,7 @@ class _CisternFall:
         self._counts = counts[self._step]
         self._sizes = np.bincount(self._number, self._counts)
         self._level = level = cistern[self._step]
-        # Mean of each level and the next; the last level of a run is taken alone.
+        # Mean of each level and the next; the last level of a run is used alone.
         last = np.append(self._number[1:] != self._number[:-1], True)
         self._between = np.where(last, level, (level + np.append(level[1:], 0.0)) / 2)
         self._total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(command))))

@@ -150,7 +150,7 @@ def means(values: Values, seconds: NDArray[np.int64], span_s: int) -> Values:
 
 
 COMBINE = {"runoff": sums, "level": means}
-"""How to combine the values of a span, by the names of :attr:`Record.measured`.
+"""How to combine the values of a span, by the names of :attr:`RoofRecord.measured`.
 
 Amounts add up. Levels do not: their sum would depend on the length of gaps in the span.
 """
@@ -221,7 +221,7 @@ def outages(record: RoofRecord) -> list[Outage]:
 
 
 def _watered(record: RoofRecord, first: int, end: int) -> bool:
-    """Return whether rain, runoff or level show that water came in an outage."""
+    """Return whether rain, runoff or level show that there was water in an outage."""
     hour = math.ceil(HOUR_S / record.step_s)
     before, after = slice(max(0, first - hour), first), slice(end, end + hour)
     if np.nansum(record.rain[before]) + np.nansum(record.rain[after]) > _RAINED_MM:

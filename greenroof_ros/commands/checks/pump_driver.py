@@ -148,7 +148,7 @@ class PumpCheck(NodeCheck):
             with self.check(f"stops {when}: {within}"):
                 self._must_run()
                 self._stop(f"{value:g} on {topic}", {topic: value})
-            if topic == "/roof/level":  # the roof is taken to have dried: it has room again
+            if topic == "/roof/level":  # the roof is assumed to have dried: it has room again
                 self._volumes[1] = self._empty_roof
             self._runs(f"again when {after}")
         with self.check(f"stops when the cistern falls to the suction level: {within}"):
