@@ -35,7 +35,7 @@ def child_environment() -> dict[str, str]:
 
 
 def end_with_parent() -> None:
-    """Have the kernel end this process when its parent dies, even by kill -9, if that was requested.
+    """Have the kernel end this process when its parent dies, even by kill -9, if so requested.
 
     The signal is SIGTERM, since background processes of a shell may ignore SIGINT. If the parent
     died before this call, the process ends, too.
