@@ -88,7 +88,7 @@ class Composition:
             drive: a drive in the loop instead of the simulated pump; None for none.
 
         Raises:
-            InterruptedRun: a signal came.
+            InterruptedRun: a signal was received.
             LockstepError: the graph cannot go on.
             ConfigurationError: a parameter is wrong.
             NodeFailed: the pump node ended or hangs.
@@ -105,14 +105,14 @@ class Composition:
             if self._record:
                 self._nodes[RECORDER] = RecorderNode()
 
-            def over() -> bool:
+            def may_end() -> bool:
                 self._signals.check()
                 if drive is not None:
                     drive.check(self.tick)
                 self._show()
                 return all(node.finished for node in self._nodes.values())
 
-            spin(list(self._nodes.values()), over)
+            spin(list(self._nodes.values()), may_end)
 
     def _show(self) -> None:
         """Show the progress, and new warnings of the nodes."""
@@ -123,7 +123,7 @@ class Composition:
             self._progress.warn(node.warnings)
         plant = self._nodes["plant"]
         if not plant.acted:
-            missing = ", ".join(map(plant.call, plant.absent()))
+            missing = ", ".join(map(plant.name_of, plant.absent()))
             self._progress.waiting(f"waiting for {missing}" if missing else "starting")
             return
         shown = plant.progress()

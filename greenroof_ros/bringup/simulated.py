@@ -20,7 +20,7 @@ from greenroof_ros.common.command_line import (
     command,
 )
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.common.standard_error import LINES, say
+from greenroof_ros.common.standard_error import LINES, print_line
 from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.incidents import IncidentLog
@@ -112,19 +112,19 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         speed = 0.0 if drive is None else 1.0
     if drive is not None:
         drive.refuse_speed(speed, signals.check)
-    own_controller = run.controller.reference == EXTERNAL
+    is_external = run.controller.reference == EXTERNAL
     modules = {
         "plant": f"{_NODES}.plant",
         "weather": f"{_NODES}.weather",
-        **({} if own_controller else {run.controller.name: f"{_NODES}.controller"}),
+        **({} if is_external else {run.controller.name: f"{_NODES}.controller"}),
         **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
         **({} if drive is None else {PUMP: PUMP_NODE}),
     }
-    own_files = own_parameters(arguments, modules, run.controller)
+    user_files = own_parameters(arguments, modules, run.controller)
     with only_bringup(arguments.namespace):
         refuse_other_nodes(
             arguments.namespace,
-            {*modules, RECORDER, *([] if own_controller else controller_names())}, signals.check,
+            {*modules, RECORDER, *([] if is_external else controller_names())}, signals.check,
         )
         directory = make_run_directory(arguments.output, run.controller.name)
         of_drive = {} if drive is None else drive_parameters(
@@ -143,11 +143,11 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         summary.write(summary.build_unfinished(run, summary.RUNNING), directory)
         progress = RunProgress(run.steps, run.site.tau, LINES)
         graph = Composition(
-            run, [parameters, *own_files], arguments.namespace, record=not arguments.no_record,
+            run, [parameters, *user_files], arguments.namespace, record=not arguments.no_record,
             signals=signals, progress=progress,
         )
         loop = DriveInLoop(
-            drive, of_drive, directory, [parameters, *own_files], arguments.namespace, signals,
+            drive, of_drive, directory, [parameters, *user_files], arguments.namespace, signals,
             progress,
         ) if drive is not None else None
         status, reason, code = summary.DONE, "", EXIT_DONE
@@ -156,12 +156,12 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
                 graph.spin(loop)
         except InterruptedRun as error:
             status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
-            say(reason)
+            print_line(reason)
         except Exception as error:
             status, reason, code = summary.FAILED, *graph.explain(error)
-            say(f"error: {reason}")
+            print_line(f"error: {reason}")
         signals.ignore()
-        incidents = IncidentLog(say) if loop is None else loop.log
+        incidents = IncidentLog(print_line) if loop is None else loop.log
         if loop is not None and loop.may_run:
             code = EXIT_FAILED
         _end(run, directory, graph, incidents, status, reason, as_json=arguments.json)
@@ -183,7 +183,7 @@ def _end(
         summary.write(result, directory)
         summary_table.show(result, directory, as_json=as_json)
         return
-    _say_what_is_in_bag(directory, count_ticks(directory / "bag"))
+    _print_bag_contents(directory, count_ticks(directory / "bag"))
     tick = graph.tick
     result = summary.build_unfinished(
         run, status, reason=reason, last_tick=tick if tick >= 0 else None, **notes
@@ -191,7 +191,7 @@ def _end(
     summary.write(result, directory)
 
 
-def _say_what_is_in_bag(directory: Path, ticks: int | None) -> None:
+def _print_bag_contents(directory: Path, ticks: int | None) -> None:
     """Print what is in the bag of an unfinished run, and how to open it.
 
     Args:
@@ -209,7 +209,7 @@ def _say_what_is_in_bag(directory: Path, ticks: int | None) -> None:
             f"{bag} was not closed; to restore its ticks and look at them:",
             f"  greenroof recover {run}", report,
         ]
-    say("\n".join(lines))
+    print_line("\n".join(lines))
 
 
 @command

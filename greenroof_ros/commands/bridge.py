@@ -16,7 +16,7 @@ from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import Store
 
 # As for the page (nice): about a tenth of a core if other processes want all of it.
-_GIVE_WAY = 10
+_NICENESS = 10
 
 _DESCRIPTION = """\
 Publish on MQTT what the page of 'greenroof watch' shows: levels, pump, rain, frost, what the
@@ -85,7 +85,7 @@ def main() -> int:
             value=arguments.prefix,
         )
     broker = parse_broker(arguments.broker, "--broker", arguments.login, arguments.authority)
-    os.nice(_GIVE_WAY)
+    os.nice(_NICENESS)
     # A script that starts this in its background has it ignore SIGINT.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     store, signals = Store(arguments.namespace), Signals()

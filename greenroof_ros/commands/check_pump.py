@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, command, print_findings, within
+from greenroof_ros.common.command_line import Parser, command, print_check_results, within
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.model.site import read_site
@@ -30,7 +30,7 @@ _LIMIT = (
     "is really at rest, so watch the pump. The check plays lockstep, one flow for each command, "
     "not a live graph, in which a driver must also stop for an input that falls silent."
 )
-# Options in seconds: option, field of `Limits`, least value, default and meaning.
+# Options in seconds: option, field of `DriverLimits`, least value, default and meaning.
 _TIMES = (
     (
         "--period", "period", 0.001, 0.1, "least time between two commands; each is a tick of the "
@@ -85,12 +85,12 @@ def main() -> int:
     """Check the driver named on the command line."""
     arguments = make_parser().parse_args()
     with importing_ros():
-        from greenroof_ros.commands.checks.pump_driver import Limits, check_pump
+        from greenroof_ros.commands.checks.pump_driver import DriverLimits, check_pump
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     times = {limit: getattr(arguments, limit) for _, limit, *_ in _TIMES}
-    limits = Limits(command=arguments.command, **times)
-    findings = check_pump(arguments.node, site, limits)
-    code = print_findings(f"pump driver {arguments.node}", findings)
+    limits = DriverLimits(command=arguments.command, **times)
+    results = check_pump(arguments.node, site, limits)
+    code = print_check_results(f"pump driver {arguments.node}", results)
     print(_LIMIT)
     return code
 

@@ -34,7 +34,7 @@ from greenroof_ros.recording.whole_records import (
     FileBytes,
     is_intact,
     read_contents,
-    whole_messages,
+    read_whole_messages,
 )
 
 # The times of the last message before a loss and of the first behind it (ns), if there are any.
@@ -220,7 +220,7 @@ def _rewrite(
     damaged = False
     with copy.open("xb") as stream:
         writer = McapWriter(stream)
-        for time, together in _groups(whole_messages(data, contents)):
+        for time, together in _groups(read_whole_messages(data, contents)):
             if time is None or len(together) < per_tick:
                 damaged = True
                 continue

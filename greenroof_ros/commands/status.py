@@ -21,7 +21,7 @@ _STATES = {EXIT_DONE: "well", WARNING: "warning", ALARM: "alarm", NOTHING: "noth
 # How long it listens at least, once it hears a node, and how long in all (s). Each node reports
 # four times a second, but the middleware may take seconds to find it.
 _SETTLED_S, _LONGEST_S = 2.0, 5.0
-_LOOK_S = 0.1
+_POLL_S = 0.1
 _MOST_LINES = 15
 _TILES = "roof", "cistern", "pump", "rain", "controller"
 _LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not heard"}
@@ -75,14 +75,14 @@ def main() -> int:
 
 def _listen(store: Store) -> dict[str, Any]:
     """Return the document when everything is known, or after the longest time."""
-    began, heard = time.monotonic(), None
+    began, first = time.monotonic(), None
     while True:
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_S)
         now = time.monotonic()
         shown = document(store, now)
-        if shown["mode"] != "none" and heard is None:
-            heard = now
-        settled = heard is not None and now - heard >= _SETTLED_S and not _unknown(shown)
+        if shown["mode"] != "none" and first is None:
+            first = now
+        settled = first is not None and now - first >= _SETTLED_S and not _unknown(shown)
         if settled or now - began >= _LONGEST_S:
             return shown
 
@@ -116,11 +116,11 @@ def _lines(shown: Mapping[str, Any], code: int) -> list[str]:
     """Return the status in words; a single line if nothing runs."""
     tiles = shown["tiles"]
     summary = tiles["summary"]
-    said = f"{summary['word']} {summary['sentence']}"
+    summary_line = f"{summary['word']} {summary['sentence']}"
     if code == NOTHING:
-        return [f"{said} {shown['advice']}"]
+        return [f"{summary_line} {shown['advice']}"]
     where = filter(None, (shown["heading"], shown["namespace"], shown["time"]["text"]))
-    lines = [said, f"What to do: {shown['advice']}", "; ".join(where)]
+    lines = [summary_line, f"What to do: {shown['advice']}", "; ".join(where)]
     for name in _TILES:
         tile = tiles[name]
         why = tile.get("why", "")

@@ -14,7 +14,7 @@ from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Plant, command_to, maximum_pump_flow
 from greenroof_ros.model.soil import soil_of
 
-Wanted = Callable[[int, float, float], float]
+TargetVolume = Callable[[int, float, float], float]
 
 # For the recursion: length of a step (s); largest number of steps, since their levels need memory;
 # nodes below and above the target.
@@ -31,7 +31,7 @@ class CarriedOut(NamedTuple):
     """volume pumped (m3)"""
 
 
-def carry_out(run: Run, target: Wanted, max_command: float) -> CarriedOut:
+def carry_out(run: Run, target: TargetVolume, max_command: float) -> CarriedOut:
     """Run a plan through the exact plant, without the run's errors of sensor and pumps.
 
     Args:

@@ -181,8 +181,8 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
                 "of time", "issued", row,
             )
         rows = rows_of.setdefault((issue, available), {}).setdefault(member, [])
-        due = issue + len(rows) * HOUR
-        table.check_due("time", row, time, due, "each forecast, from its issue on,")
+        expected = issue + len(rows) * HOUR
+        table.check_expected("time", row, time, expected, "each forecast, from its issue on,")
         rows.append(row)
     values = {
         quantity: table.usable(

@@ -101,8 +101,8 @@ def _alike(issues: Sequence[Issue]) -> tuple[list[Issue], list[str]]:
         check_alike(earlier, issue)
         alike.append(issue)
     most = max(len(issue.rain) for issue in alike)
-    kept = [issue for issue in alike if 2 * len(issue.rain) >= most]
-    fewest = min(len(issue.rain) for issue in kept)
+    used = [issue for issue in alike if 2 * len(issue.rain) >= most]
+    fewest = min(len(issue.rain) for issue in used)
     notes += [
         f"{issue.file.name}: the issue of {to_minutes(issue.issued)} is left out: it has "
         f"{len(issue.rain)} members, and others {most}"
@@ -110,8 +110,8 @@ def _alike(issues: Sequence[Issue]) -> tuple[list[Issue], list[str]]:
     ]
     if fewest < most:
         notes.append(f"all issues have {fewest} members, like the one with the fewest")
-    notes[:0] = [note for issue in kept for note in issue.notes]
-    return [replace(issue, rain=issue.rain[:fewest]) for issue in kept], notes
+    notes[:0] = [note for issue in used for note in issue.notes]
+    return [replace(issue, rain=issue.rain[:fewest]) for issue in used], notes
 
 
 def _format_of(file: Path, formats: Sequence[ModuleType]) -> ModuleType:

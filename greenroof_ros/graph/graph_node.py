@@ -191,9 +191,9 @@ class GraphNode(NoClockSubscription, Node):
         return self.reports.state != STARTING
 
     def absent(self) -> dict[str, list[str]]:
-        """Return the inputs without a publisher that can be heard, by missing role."""
+        """Return the inputs without a compatible publisher, by missing role."""
         return self.by_role(
-            [name for name, entry in self.inputs.items() if not entry.publishers.heard]
+            [name for name, entry in self.inputs.items() if not entry.publishers.compatible]
         )
 
     def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
@@ -226,8 +226,8 @@ class GraphNode(NoClockSubscription, Node):
         self.report_state()
         until = time.monotonic() + FLUSH_S
         for publisher in (*self._outputs.values(), self.reports.publisher):
-            left = max(0.0, until - time.monotonic())
-            publisher.wait_for_all_acked(Duration(seconds=left))
+            remaining = max(0.0, until - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=remaining))
 
     def report_state(self, **values: Any) -> dict[str, Any]:
         """Report the node's state with further values, and return all values of the report."""

@@ -1,6 +1,6 @@
 """Lockstep over topics: a node acts once each of its inputs has its message of the tick.
 
-Each topic of a tick has exactly one message per tick, k = 0..N. Only ``/clock`` tells the tick; the
+Each topic of a tick has exactly one message per tick, k = 0..N. Only ``/clock`` has the tick; the
 others need not, since no node publishes tick k + 1 before it has acted on tick k. The rule for
 every node except the recorder, which only counts:
 
@@ -111,7 +111,7 @@ class Lockstep:
         self.awaited |= self._of_tick
         self.tick += 1
         self._act()
-        if self.is_over:
+        if self.done:
             self.awaited.clear()  # any further message is one too many
             self._finish()
 
@@ -120,7 +120,7 @@ class Lockstep:
 
         Raises:
             LockstepError: this is another run, so this node's run has ended; the plant is of
-                another version; or a message came after the last tick.
+                another version; or a message arrived after the last tick.
         """
         if len(values) != len(RunIdentity._fields):
             raise LockstepError(
@@ -132,15 +132,15 @@ class Lockstep:
             raise LockstepError(
                 "the plant was started again, or there are two; a run ends with its plant"
             )
-        if before is None and self.is_over:  # /run arrived after the messages of the last tick
-            over = round(self.run.last_tick) + 1
-            early = self._of_tick if self.tick > over else self._of_tick - self.awaited
+        if before is None and self.done:  # /run arrived after the messages of the last tick
+            end = round(self.run.last_tick) + 1
+            early = self._of_tick if self.tick > end else self._of_tick - self.awaited
             if early:
-                raise LockstepError(f"{min(early)} came twice in tick {over} (after the last)")
+                raise LockstepError(f"{min(early)} came twice in tick {end} (after the last)")
             self.awaited.clear()
             self._finish()
 
     @property
-    def is_over(self) -> bool:
+    def done(self) -> bool:
         """Whether the node has acted on the last tick; False in the plant, which counts itself."""
         return self.run is not None and self.tick > self.run.last_tick

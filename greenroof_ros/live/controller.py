@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.conditions import Problem
-from greenroof_ros.common.disk import Kept
+from greenroof_ros.common.disk import NumberFile
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import from_epoch_ns, to_people
@@ -168,14 +168,14 @@ class ControllerNode(LiveNode):
         }
         return decides
 
-    def _learned_before(self, file: str) -> Kept | None:
+    def _learned_before(self, file: str) -> NumberFile | None:
         """Give the controller what it had learned; return the file, or None if none is kept.
 
         If the file cannot be understood, the node warns and the controller begins from the start.
         """
         if not file or learned_by(self._chosen.controller) is None:
             return None
-        memory = Kept(Path(file))
+        memory = NumberFile(Path(file))
         try:
             learned = memory.read()
             if learned:

@@ -50,7 +50,7 @@ class LivePublishers(Publishers):
         self._depth = _RECORDED_DEPTH if recorded else 1
         self._alive = 0  # counted if there is a lease
         self._unfit_since = -math.inf  # when the middleware last reported an incompatible one
-        self._unheard_since = math.inf
+        self._incompatible_since = math.inf
 
     def profile(self) -> QoSProfile:
         """Return the profile of the subscription, which requests no past messages."""
@@ -78,32 +78,33 @@ class LivePublishers(Publishers):
         return self._alive if self._by_lease else super().count
 
     @property
-    def heard(self) -> int:
-        """How many publishers can be heard: their quality of service fits."""
-        return self._alive if self._by_lease else super().heard
+    def compatible(self) -> int:
+        """How many publishers have a compatible quality of service: their messages arrive."""
+        return self._alive if self._by_lease else super().compatible
 
     def second(self) -> str:
-        """Return that there is a second publisher, or with a lease one that cannot be heard.
+        """Return that there is a second publisher, or with a lease an incompatible one.
 
         If only one of two is known, the middleware miscounted after a lease ran out on a busy
         machine.
         """
         if self._unfit_since > -math.inf:
-            if unheard := self.unheard():
-                return unheard
+            if incompatible := self.incompatible():
+                return incompatible
             if time.monotonic() - self._unfit_since > DISCOVERY_S:
                 self._unfit_since = -math.inf  # it has gone
         return super().second()
 
     def warning(self, now: float) -> str:
-        """Return a sentence on publishers that have been unheard for the discovery time, or "".
+        """Return a sentence on publishers that stay incompatible for the discovery time, or "".
 
         Args:
             now: time on the steady clock (s).
         """
-        problem = self.unheard()
-        self._unheard_since = min(self._unheard_since, now) if problem else math.inf
-        return f"{self.full_name} {problem}" if now - self._unheard_since >= DISCOVERY_S else ""
+        problem = self.incompatible()
+        self._incompatible_since = min(self._incompatible_since, now) if problem else math.inf
+        lasts = now - self._incompatible_since >= DISCOVERY_S
+        return f"{self.full_name} {problem}" if lasts else ""
 
 
 class LiveInput(Input):

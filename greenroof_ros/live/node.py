@@ -124,9 +124,9 @@ class LiveNode(SupervisedNode):
         return all(entry.good for entry in self._engine.needed)
 
     def absent(self) -> dict[str, list[str]]:
-        """Return the required inputs without a publisher that can be heard, by missing role."""
+        """Return the required inputs without a compatible publisher, by missing role."""
         return self.by_role([
-            entry.topic.name for entry in self._engine.needed if not entry.publishers.heard
+            entry.topic.name for entry in self._engine.needed if not entry.publishers.compatible
         ])
 
     @property

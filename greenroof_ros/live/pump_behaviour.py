@@ -666,7 +666,7 @@ def second_publisher(entry: Input, code: str) -> Problem | None:
     second = entry.publishers.second()
     if not second:
         return None
-    return Problem.of(code, topic=entry.name, problem=entry.publishers.unheard() or second)
+    return Problem.of(code, topic=entry.name, problem=entry.publishers.incompatible() or second)
 
 
 def _hold_of(request: SetParametersAtomically.Request) -> dict[str, Any]:

@@ -85,7 +85,7 @@ class RecorderNode(LiveNode):
         """Flush if it is due, and report the state of the recording."""
         if now - self._looked_at > _LOOK_S:
             self._looked_at = now
-            DISK.do(partial(self._bag.look, now))
+            DISK.do(partial(self._bag.flush_if_due, now))
         directory, why, problem = str(self._bag.directory), self._bag.problem, None
         if DISK.late:
             problem = Problem.of("not_recorded", "late", directory=directory)

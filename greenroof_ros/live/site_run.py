@@ -16,17 +16,17 @@ from typing import Any, NoReturn
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.common.conditions import Problem, read_conditions
-from greenroof_ros.common.disk import DISK, Newest
+from greenroof_ros.common.disk import DISK, LatestWriter
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.processes import (
     InterruptedRun,
     LockedError,
     Signals,
+    acquire_file_lock,
     notify,
     scratch_directory,
-    take_lock,
 )
-from greenroof_ros.common.standard_error import say
+from greenroof_ros.common.standard_error import print_line
 from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import (
@@ -121,7 +121,7 @@ def _keep_up(
             start.look(supervisor.last, unready)
             if not ready and not unready:
                 ready = True
-                say("all nodes are here")
+                print_line("all nodes are here")
                 notify("READY=1")
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
@@ -131,7 +131,7 @@ def _keep_up(
     finally:
         notify("STOPPING=1")
         if site.drive is not None:
-            say("waiting for the pump to come to rest")
+            print_line("waiting for the pump to come to rest")
 
 
 def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
@@ -139,8 +139,8 @@ def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
     if isinstance(error, InterruptedRun) and not supervisor.may_run:
         record.write(summary.DONE, str(error))
         record.wait()
-        say(f"{error}: the pump and the nodes are stopped")
-        say(with_incidents("done", record.log.count) + record.log.numbers)
+        print_line(f"{error}: the pump and the nodes are stopped")
+        print_line(with_incidents("done", record.log.count) + record.log.numbers)
         return EXIT_DONE
     reason, last_lines, code = str(error), "", EXIT_FAILED
     if isinstance(error, NodeFailed):
@@ -152,7 +152,7 @@ def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
     record.write(summary.FAILED, reason)
     record.wait()
     notify(f"STATUS={reason}")
-    say("\n".join(filter(None, (f"error: {reason}", last_lines))))
+    print_line("\n".join(filter(None, (f"error: {reason}", last_lines))))
     return EXIT_FAILED if supervisor.may_run else code
 
 
@@ -214,9 +214,9 @@ class _Start:
         stands = self._said is None or self._over or now - self._seen[1] > _LISTED_S
         if missing and codes != self._said and stands:
             self._said = codes
-            say("\n".join([title, *missing.values()]))
+            print_line("\n".join([title, *missing.values()]))
         if self._over:
-            say(f"running: {levels}")
+            print_line(f"running: {levels}")
 
     def _advice(self, node: str, code: str) -> str:
         """Return what to do about a code; a node of another version may send an unknown one."""
@@ -235,15 +235,15 @@ class _Record:
 
     def __init__(self, site: LiveSite, state: Path) -> None:
         """Read how the site last ended, and print it unless it had been asked to stop."""
-        self.log = IncidentLog(say, state / INCIDENTS)
+        self.log = IncidentLog(print_line, state / INCIDENTS)
         try:
-            self.log.go_on()
+            self.log.resume()
         except (OSError, ValueError) as error:
-            say(f"warning: {error}; the incidents of earlier starts are not shown")
+            print_line(f"warning: {error}; the incidents of earlier starts are not shown")
         self._state = state
         self._written = 0
         self._warnings: set[str] = set()
-        self._summary = Newest(
+        self._summary = LatestWriter(
             partial(summary.write, directory=state),
             lambda error: (
                 f"{getattr(error, 'filename', None) or state}: "
@@ -266,7 +266,7 @@ class _Record:
             end = f"bringup ended at {before['ended']}: {before['reason']}"
             if before["status"] == summary.RUNNING:
                 end = "bringup was killed, or the power failed"
-            say(f"the last time, since {before['began']}, {end}")
+            print_line(f"the last time, since {before['began']}, {end}")
 
     def look(self, supervisor: LiveSupervisor, *, starting: bool) -> None:
         """Find what was lost or has come back since the last call; print and record it."""
@@ -278,7 +278,7 @@ class _Record:
             "message": hangs.sentence,
         }
         report = {"diagnoses": {"disk": disk}}
-        self.log.look({**supervisor.last, "bringup": report}, starting=starting)
+        self.log.update({**supervisor.last, "bringup": report}, starting=starting)
         if self.log.changes != self._written:
             self.write(summary.RUNNING)
         self._warn({
@@ -295,13 +295,13 @@ class _Record:
                 "start, and are lost"
             )
         for text in sorted((of_nodes | warnings) - self._warnings):
-            say(f"warning: {text}")
+            print_line(f"warning: {text}")
         self._warnings = of_nodes | warnings
 
     def write(self, status: str, reason: str | None = None) -> None:
         """Write the summary with a status of :mod:`greenroof_ros.experiment.summary`."""
         self._written = self.log.changes
-        self._summary.give({
+        self._summary.write({
             "status": status,
             "reason": reason,
             "began": self._began,
@@ -370,7 +370,7 @@ def _state_directory(path: Path) -> Iterator[Path]:
     try:
         with writable(path, "--state"):
             (path / "log").mkdir(parents=True, exist_ok=True)
-            lock = take_lock(path / "bringup.lock")
+            lock = acquire_file_lock(path / "bringup.lock")
     except LockedError:
         raise OccupiedError(
             "belongs to a running bringup; end it, or use another directory",
@@ -407,7 +407,7 @@ def _configuration(
         part.rename(place)
     except OSError as error:
         shutil.rmtree(part, ignore_errors=True)
-        say(f"warning: {place}: {error.strerror}; the new configuration is in memory only")
+        print_line(f"warning: {place}: {error.strerror}; the new configuration is in memory only")
         return _write_configuration(site, own_files, state, memory, memory)
     return files
 

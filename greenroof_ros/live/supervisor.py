@@ -28,7 +28,7 @@ from greenroof_ros.common.command_line import (
     EXIT_USAGE,
 )
 from greenroof_ros.common.disk import DISK
-from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.common.processes import child_environment
 from greenroof_ros.graph.domain import LEASE
 from greenroof_ros.graph.states import PUMP, READY, RECORDER
 from greenroof_ros.live.drives.sensor_file import QUANTITIES, TANKS
@@ -258,7 +258,7 @@ class Supervisor:
                 stdout=printing.fileno(),
                 stderr=subprocess.STDOUT,
                 env={
-                    **asked_to_end_with_this(), **self._environment, SOCKET: str(theirs.fileno()),
+                    **child_environment(), **self._environment, SOCKET: str(theirs.fileno()),
                 },
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,

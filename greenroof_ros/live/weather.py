@@ -122,7 +122,7 @@ class WeatherNode(LiveNode):
                 ForecastFile(file), site, values["horizon"], values["issue_limit"],
                 values["all_members"],
             )
-            self._reader.do(self._forecast.file.look)
+            self._reader.do(self._forecast.file.update)
             self._reader.wait(_FIRST_READ_S)
             self._fetcher = self._fetch(values, file) if values["fetch"] else None
         self._gauges: set[str] = set()  # that have been good
@@ -209,7 +209,7 @@ class WeatherNode(LiveNode):
             now: the time.
             rain: from the gauge (m/s); None if unknown.
         """
-        self._reader.do(forecast.file.look)
+        self._reader.do(forecast.file.update)
         if forecast.file.count != self._files_read:
             self._files_read = forecast.file.count
             self.get_logger().info("the file of forecasts was read")

@@ -289,7 +289,7 @@ class Account:
         followed = self._soil.follow(
             self._layer, roof, rain, flow, np.nan_to_num(known[_EVAPORATED]), drainage, duration
         )
-        self._layer = followed.left
+        self._layer = followed.remaining
         samples = Samples(
             duration=duration,
             cistern=np.nan_to_num(cistern),

@@ -303,7 +303,7 @@ def _candidates(
     """Yield the alarms that may cause this one, the likeliest first."""
     node, part, code = name.partition(": ")[0], trouble.part, trouble.code
     state, condition = (trouble.role, part) == (PUMP, PUMP), read_conditions().get(code)
-    if condition is not None and condition.needs_a_hand and part == PUMP:
+    if condition is not None and condition.needs_operator and part == PUMP:
         return
     if part and node in troubles:  # the node as a whole, such as a silent node
         yield node

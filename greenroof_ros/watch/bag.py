@@ -32,7 +32,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from numpy.typing import NDArray
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.processes import asked_to_end_with_this, end_with_parent
+from greenroof_ros.common.processes import child_environment, end_with_parent
 from greenroof_ros.recording.bag_writer import DAMAGED, bag_files
 from greenroof_ros.watch.history import Stamps, Values
 
@@ -319,7 +319,7 @@ class FollowedBag:
         self._process = subprocess.Popen(
             [sys.executable, "-c", f"from {__name__} import main; main()", *arguments],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            env=asked_to_end_with_this(),
+            env=child_environment(),
         )
         threading.Thread(target=self._receive, name="bag", daemon=True).start()
 

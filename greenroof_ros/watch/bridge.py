@@ -13,8 +13,8 @@ from typing import Any
 
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.common.processes import Signals
-from greenroof_ros.common.standard_error import say
-from greenroof_ros.graph.looker import StopFailedError
+from greenroof_ros.common.standard_error import print_line
+from greenroof_ros.graph.graph_client import StopFailedError
 from greenroof_ros.watch.document import document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.home_assistant import (
@@ -110,14 +110,14 @@ class Bridge:
 
     def _stop_pump(self) -> None:
         try:
-            say(f"stop, over MQTT: {self._feed.ask('stop', owner='MQTT')}")
+            print_line(f"stop, over MQTT: {self._feed.ask('stop', owner='MQTT')}")
             self._stop_until = -math.inf
         except StopFailedError as failure:
-            say(f"stop, over MQTT: {failure}")
+            print_line(f"stop, over MQTT: {failure}")
             if failure.answered:
                 self._stop_until = -math.inf
         except Exception as error:  # it is tried again: a stop ends with no error of another kind
-            say(f"stop, over MQTT: {type(error).__name__}: {error}; trying again")
+            print_line(f"stop, over MQTT: {type(error).__name__}: {error}; trying again")
 
     def _publish_state(self) -> None:
         parts = Parts()
@@ -143,7 +143,7 @@ class Bridge:
 
     def _on_connect(self) -> None:
         self._why = ""
-        say(f"connected to {self._broker}; topics: {self._base}/")
+        print_line(f"connected to {self._broker}; topics: {self._base}/")
         for topic in (f"{self._base}/stop", self._status):
             self._client.subscribe(topic)
         self._introduce()
@@ -167,7 +167,7 @@ class Bridge:
 
     def _on_disconnect(self, why: str) -> None:
         if why != self._why and not self._ending:
-            say(f"not connected to {self._broker}: {why}; trying again")
+            print_line(f"not connected to {self._broker}: {why}; trying again")
         self._why = why
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
@@ -175,9 +175,11 @@ class Bridge:
             if payload == ONLINE.encode():
                 self._introduce()
         elif payload != STOP.encode():
-            say(f"{topic}: ignored, since it is not {STOP}")
+            print_line(f"{topic}: ignored, since it is not {STOP}")
         elif retained:
-            say(f"{topic}: ignored, since it is retained; a stop must not be: clear the topic")
+            print_line(
+                f"{topic}: ignored, since it is retained; a stop must not be: clear the topic"
+            )
         else:
             self._stop.set()
 

@@ -1,6 +1,6 @@
 """Feeds the store: from the graph that runs and from the bag that it writes.
 
-A watcher must not slow down the graph: see :mod:`greenroof_ros.graph.looker`. But each of its
+A watcher must not slow down the graph: see :mod:`greenroof_ros.graph.graph_client`. But each of its
 subscriptions costs the publisher time in every tick, so it hears the numbers of a run only up to a
 certain speed. Above that it hears only /diagnostics.
 
@@ -26,7 +26,7 @@ import numpy as np
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.summary import site_file_of
-from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
+from greenroof_ros.graph.graph_client import DIAGNOSTICS, GraphClient, StopFailedError
 from greenroof_ros.graph.states import RECORDER
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import wire
@@ -129,7 +129,7 @@ class Feed:
         self._asking = threading.Lock()  # of that list
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
-        self._looker: Looker | None = None
+        self._looker: GraphClient | None = None
         self._no_ros = ""
         self._no_incidents = ""
         self._judge_by(site_file or self._site_of_graph())
@@ -148,7 +148,7 @@ class Feed:
             ConfigurationError: ROS 2 is not installed, and no bag was given.
         """
         try:
-            self._looker = Looker(self._store.namespace, self._on_message)
+            self._looker = GraphClient(self._store.namespace, self._on_message)
         except ConfigurationError as error:
             if self._bag is None:
                 raise
@@ -171,8 +171,8 @@ class Feed:
 
         Args:
             action: ``stop``, ``release``, ``clear`` or ``dose``.
-            request: for a stop or a dose, as the methods hold_pump and give_dose of
-                :class:`greenroof_ros.graph.looker.Looker` take it.
+            request: for a stop or a dose, as the methods hold_pump and request_dose of
+                :class:`greenroof_ros.graph.graph_client.GraphClient` take it.
 
         Returns:
             The pump node's answer.
@@ -239,7 +239,7 @@ class Feed:
         if self._looker is None:
             self._closing.wait(_SAY_S)
         else:
-            self._looker.look(_LOOK_S)
+            self._looker.receive(_LOOK_S)
         self._forgive_own_pause()
 
     def _see_graph(self) -> None:
@@ -355,7 +355,7 @@ class Feed:
             wanted = listens if not factor else factor <= FASTEST
         if wanted == listens:
             return
-        self._looker.listen([
+        self._looker.subscribe([
             name for name, topic in self._topics.items()
             if (topic.live and name != DIAGNOSTICS) or (topic.per_tick and not live)
         ] if wanted else ())
@@ -510,7 +510,7 @@ class Feed:
             return
         acts: dict[str, Callable[..., str]] = {
             "stop": looker.hold_pump, "release": looker.release_pump, "clear": looker.clear_fault,
-            "dose": looker.give_dose,
+            "dose": looker.request_dose,
         }
         while self._asked:
             with self._asking:

@@ -29,7 +29,7 @@ from aiohttp import web
 
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.graph.looker import StopFailedError
+from greenroof_ros.graph.graph_client import StopFailedError
 from greenroof_ros.watch import words
 from greenroof_ros.watch.document import HOURS, document, series
 from greenroof_ros.watch.feed import Feed

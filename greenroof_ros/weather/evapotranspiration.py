@@ -278,7 +278,7 @@ def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: fl
     return np.asarray(np.maximum(0.0, height))
 
 
-def over_the_day(
+def spread_over_day(
     daily: Values, latitude: float, seconds: NDArray[np.int64], day: NDArray[np.int64],
     step_s: float, east_of_meridian: float,
 ) -> Values:

@@ -197,7 +197,7 @@ class WeatherSeries:
         past = offset_ns + (ticks - 1) * tick_ns >= (last + 1) * _HOUR_NS
         self.repeats_from = weather.end if past else None
         first = clock.hour(0)
-        _check_known(weather, np.arange(first, clock.hour(ticks - 1) + 1))
+        _check_hours(weather, np.arange(first, clock.hour(ticks - 1) + 1))
         frost = np.zeros(last + 1) if weather.frost is None else weather.frost.astype(float)
         self.precipitation = PerTick(weather.precipitation / 1000 / 3600, clock, range(ticks))
         self.evapotranspiration = PerTick(
@@ -233,7 +233,7 @@ class WeatherSeries:
         )
 
 
-def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:
+def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
     """Refuse a run that needs a missing hour that was not filled."""
     way_out = "choose another window, or fill in values from another station"
     if weather.gaps == REFUSE:

@@ -19,7 +19,7 @@ from places import CHECKOUT
 
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.processes import Signals, take_lock
+from greenroof_ros.common.processes import Signals, acquire_file_lock
 from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.progress import RunProgress
@@ -80,7 +80,7 @@ def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: P
     options = ("--drive", "abb_acs880", "--state", "state", "--hours", "0.01", "--speed")
     with closing(Wire(drive)) as wire:
         done = bringup(tmp_path, *options, "60", "--drive-at", wire.gateway)
-        assert not drive.written and len(wire.seen) == 1
+        assert not drive.written and len(wire.requests) == 1
     assert done.returncode == 2
     assert done.stderr.startswith(
         "error: --speed = '60': is allowed only with the drive simulator, at loopback or on a "
@@ -258,7 +258,7 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
 def test_a_directory_in_use(tmp_path: Path) -> None:
     """Two bringups must not write into one directory; with another domain they would not notice."""
     (tmp_path / "live").mkdir()
-    with take_lock(tmp_path / "live" / "bringup.lock"):
+    with acquire_file_lock(tmp_path / "live" / "bringup.lock"):
         done = run_command("bringup.live", *NOBODY, cwd=tmp_path, env=environment(0))
     assert done.returncode == 3
     assert done.stderr == (

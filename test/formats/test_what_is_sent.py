@@ -539,11 +539,11 @@ def test_files_that_do_not_suffice(tmp_path: Path, header: str, row: str, what: 
     """The message says what the file is and what to download."""
     file = tmp_path / "climate.csv"
     file.write_text(f"{header}\n{row}\n", encoding="utf-8-sig")
-    said = refusal(read_weather, [file], TORONTO)
-    assert said.startswith(f"{file}, line 1: is a file of Environment Canada that {what}") or (
-        what in said
+    reason = refusal(read_weather, [file], TORONTO)
+    assert reason.startswith(f"{file}, line 1: is a file of Environment Canada that {what}") or (
+        what in reason
     )
-    assert "download hourly data of the station with precipitation" in said
+    assert "download hourly data of the station with precipitation" in reason
 
 
 # --- loggers --------------------------------------------------------------------------------------
@@ -574,8 +574,8 @@ def test_semicolons_decimal_commas_and_rows_left_out(tmp_path: Path) -> None:
     file.write_text(text)
     long = read_weather([file], TORONTO)
     site = replace(TORONTO, tau=600.0, M=1)
-    said = refusal(WeatherSeries, long, site, long.first, 300)
-    assert "evapotranspiration is missing at 2021-07-02T08:00+00:00 to" in said
+    reason = refusal(WeatherSeries, long, site, long.first, 300)
+    assert "evapotranspiration is missing at 2021-07-02T08:00+00:00 to" in reason
 
 
 @pytest.mark.parametrize(

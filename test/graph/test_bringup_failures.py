@@ -18,7 +18,7 @@ from graphs import (
     udp_addresses_of,
     wait_for,
 )
-from lookers import in_domain
+from peers import in_domain
 from rosbags.highlevel import AnyReader
 
 from greenroof_ros.model.metrics import METRICS
@@ -85,7 +85,7 @@ def test_kill_leaves_all_but_a_chunk(domain: int, tmp_path: Path) -> None:
         process = Process(
             domain, "bringup", "--output", "run", "--speed", "20", cwd=tmp_path
         )
-        levels = observer.hear("/roof/level")
+        levels = observer.collect("/roof/level")
         observer.until(lambda: len(levels) > 100, 60, "100 ticks")
         process.process.kill()
         process.process.wait(60)

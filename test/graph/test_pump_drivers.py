@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from checked_nodes import changed, in_namespace, start_node, wrong_verdict
 from graphs import Process, wait_for
-from lookers import Peer, in_domain
+from peers import Peer, in_domain
 from places import CHECKOUT
 
 pytest.importorskip("rclpy", reason="the check needs ROS 2")

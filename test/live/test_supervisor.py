@@ -357,7 +357,7 @@ def test_what_a_node_of_another_version_says() -> None:
         assert bool(last) == (isinstance(strange, dict) and strange.get("state") == "ready")
         start.look(last, "")
         values_of(last)
-        log.look(last)
+        log.update(last)
     for line in (b"", b"{", b"\xff", b"[" * 100_000):
         assert read_report(line) is None
     assert not shown

@@ -42,8 +42,8 @@ def test_bad_command_acts_as_zero_and_is_counted(observer: Observer) -> None:
     """A command that is not finite or negative never becomes a flow."""
     bad = cycle([math.nan, math.inf, -0.5, -math.inf])
     publisher = observer.publisher("/pump/command")
-    observer.hear("/roof/level", lambda _: publisher.publish(Float64(data=next(bad))))
-    flows = observer.hear("/pump/flow")
+    observer.collect("/roof/level", lambda _: publisher.publish(Float64(data=next(bad))))
+    flows = observer.collect("/pump/flow")
     plant = observer.start(
         "nodes.plant", popen={"stderr": subprocess.PIPE, "text": True}, run_length=20
     )
@@ -61,7 +61,7 @@ def test_bad_command_acts_as_zero_and_is_counted(observer: Observer) -> None:
 
 def test_bad_level_or_frost_stops_the_pump(observer: Observer) -> None:
     """A level that no sensor can measure is not a dry roof; frost and bad frost stop the pump."""
-    commands = observer.hear("/pump/command")
+    commands = observer.collect("/pump/command")
     publish = {
         name: observer.publisher(name)
         for name in ("/cistern/level", "/roof/level", *FORECASTS, "/weather/frost")
@@ -104,7 +104,7 @@ def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path, when: 
 
 def test_who_sets_and_commands(domain: int, tmp_path: Path, observer: Observer) -> None:
     """The weight can be set during the run, wrong values are refused; a second master ends it."""
-    clock = observer.hear("/clock", lambda message: message.clock.sec)
+    clock = observer.collect("/clock", lambda message: message.clock.sec)
     process = Process(domain, "bringup", "--speed", "10", "--output", "run", cwd=tmp_path)
     observer.until(lambda: clock and clock[-1] >= START + 20, 60, "20 ticks")
     for bad in (-1.0, 0.0, -5, math.nan, math.inf):
@@ -134,7 +134,7 @@ def test_thousands_of_changes_stop_no_run(
     domain: int, tmp_path: Path, observer: Observer
 ) -> None:
     """All are counted; the reports and the summary list the newest, in a value that is whole."""
-    clock = observer.hear("/clock", lambda message: message.clock.sec)
+    clock = observer.collect("/clock", lambda message: message.clock.sec)
     process = Process(
         domain, "bringup", "--speed", "10", "--hours", "0.1", "--output", "run", cwd=tmp_path
     )

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from said import ERROR, HELD, HOLD, OK, STALE, WARN, node, silent_sensor
+from page_inputs import ERROR, HELD, HOLD, OK, STALE, WARN, node, silent_sensor
 
 from greenroof_ros.common.conditions import LATCHED, read_conditions, read_interlocks
 from greenroof_ros.watch.alarms import FOREIGN, OTHER, Alarms, advise, find_causes
@@ -381,7 +381,7 @@ def test_every_interlock_has_its_place() -> None:
     conditions = read_conditions()
     assert {
         code for code, interlock in read_interlocks().items()
-        if not conditions[code].needs_a_hand and not interlock.parts
+        if not conditions[code].needs_operator and not interlock.parts
     } == complete
 
 

@@ -239,7 +239,7 @@ def test_a_live_bag(tmp_path: Path) -> None:
             bag.write("/diagnostics", time_ns, bytes(500), now)
         bag.write("/pump/state", time_ns, text, now)
     now += FLUSH_S + 1
-    bag.look(now)
+    bag.flush_if_due(now)
     for day in range(12):
         written = (START_NS + (day + 1) * DAY_NS) / 1e9
         os.utime(tmp_path / "bag" / f"bag_{day}.mcap", (written, written))
@@ -253,7 +253,7 @@ def test_a_live_bag(tmp_path: Path) -> None:
     reader.read()
     assert reader.numbers["/roof/level"][-1] != (time_ns + 10**9, 99.0)  # not yet flushed
     now += FLUSH_S + 1
-    bag.look(now)
+    bag.flush_if_due(now)
     reader.read()
     assert reader.numbers["/roof/level"][-1] == (time_ns + 10**9, 99.0)
     times = [time_ns for time_ns, _ in reader.numbers["/roof/level"]]

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from bag_topics import MPC_TOPICS
 from graphs import Process, bag_file, bring_up, wait_for
-from lookers import Peer, in_domain
 from mcap.reader import make_reader
 from numpy.typing import NDArray
+from peers import Peer, in_domain
 from test_account import STORM, assert_equal
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
@@ -27,7 +27,7 @@ pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED
-from greenroof_ros.graph.looker import StopFailedError
+from greenroof_ros.graph.graph_client import StopFailedError
 from greenroof_ros.watch import feed, wire
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.feed import Feed

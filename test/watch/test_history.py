@@ -6,7 +6,7 @@ import random
 
 import numpy as np
 import pytest
-from said import SECOND, START
+from page_inputs import SECOND, START
 
 from greenroof_ros.watch.history import KEPT, STRETCH_NS, Gaps, History
 

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from browsers import started_browser
 from graphs import wait_for
+from page_inputs import ERROR, HELD, HOLD, SECOND, START, incident, node, store
 from page_server import page_files, served
 from places import CONFIG
-from said import ERROR, HELD, HOLD, SECOND, START, incident, node, store
 
 from greenroof_ros.analysis.report.drawing import COLOURS
 from greenroof_ros.model.look_ahead import growing_steps

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import pytest
 from graphs import wait_for
+from page_inputs import ERROR, SECOND
 from page_server import Answer, Stream, page_files, request, send, served
-from said import ERROR, SECOND
 
 from greenroof_ros.watch import feed, server
 from greenroof_ros.watch.document import document as read_document

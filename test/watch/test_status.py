@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from commands import run_command
 from graphs import Process, environment, wait_for
-from lookers import Peer, in_domain
 from paper import PAPER_SITE
+from peers import Peer, in_domain
 from test_watch_command import WITHOUT, running_pump
 
 TILES = ["Roof level", "Cistern level", "Pump", "Rain", "Controller"]

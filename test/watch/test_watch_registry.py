@@ -6,7 +6,7 @@ import socket
 from pathlib import Path
 from typing import Any
 
-from said import node
+from page_inputs import node
 
 from greenroof_ros.watch.registry import Registry
 

@@ -20,7 +20,7 @@ from greenroof_ros.weather.evapotranspiration import (
     fao56,
     hargreaves,
     hourly,
-    over_the_day,
+    spread_over_day,
     sun_height,
 )
 from greenroof_ros.weather.series import Weather
@@ -201,7 +201,7 @@ def test_steps_of_any_length_keep_the_sums_of_whole_days(step_s: int) -> None:
         seconds = first + step_s * np.arange(int(2.5 * 86400) // step_s)
         day = seconds // 86400 - first // 86400
         daily = np.array([4.0, 5.0, 6.0])
-        return day, over_the_day(daily, 52.5, seconds, day, float(step_s), 0.0)
+        return day, spread_over_day(daily, 52.5, seconds, day, float(step_s), 0.0)
 
     day, steps = over(step_s)
     sums = np.bincount(day, steps)

@@ -116,8 +116,8 @@ def piece(path: Path, first: int, last: int, *, rain: bool = True) -> Path:
 def same(weather: Weather, expected: Weather) -> None:
     """Check that two weathers are equal bit for bit, except for their files."""
     assert (weather.first, weather.method) == (expected.first, expected.method)
-    for own, due in ((weather.values, expected.values), (weather.filled, expected.filled)):
-        assert {name: series.tobytes() for name, series in own.items()} == {
+    for own_csv, due in ((weather.values, expected.values), (weather.filled, expected.filled)):
+        assert {name: series.tobytes() for name, series in own_csv.items()} == {
             name: series.tobytes() for name, series in due.items()
         }
 
@@ -147,12 +147,12 @@ def test_months_far_from_each_other() -> None:
     assert np.isnan(weather.precipitation[744:-744]).all()
     assert weather.evapotranspiration[-744:].tobytes() == july.evapotranspiration.tobytes()
     site = replace(TORONTO, tau=600.0, M=1)
-    said = refusal(WeatherSeries, weather, site, parse_time("2021-03-31T12:00-05:00"), 6 * 24)
-    assert said.startswith(
+    reason = refusal(WeatherSeries, weather, site, parse_time("2021-03-31T12:00-05:00"), 6 * 24)
+    assert reason.startswith(
         f"{DATA / '2 files'}, {MARCH.name} to {JULY.name}: precipitation is missing at "
         "2021-04-01T00:00-05:00 to 2021-04-01T12:00-05:00 (13 hours); choose another window"
     )
-    assert "fill the gaps (--gaps fill; in a grid, gaps: fill)" in said
+    assert "fill the gaps (--gaps fill; in a grid, gaps: fill)" in reason
 
 
 def test_value_that_one_file_lacks(tmp_path: Path) -> None:
@@ -166,7 +166,7 @@ def test_value_that_one_file_lacks(tmp_path: Path) -> None:
 def test_what_cannot_be_joined(tmp_path: Path) -> None:
     """Other values or quantities, another method."""
 
-    def own(first: str, method: str = "published", rain: float = 0.1) -> Path:
+    def own_csv(first: str, method: str = "published", rain: float = 0.1) -> Path:
         """Write two hours of a file in this project's format."""
         hours = np.datetime64(first, "m") + np.arange(2).astype("timedelta64[h]")
         return write(
@@ -175,11 +175,11 @@ def test_what_cannot_be_joined(tmp_path: Path) -> None:
             *(f"{hour}-05:00,{rain},1.0" for hour in hours),
         )
 
-    early = own("2021-07-01T00:00")
+    early = own_csv("2021-07-01T00:00")
     for late, reason in (
-        (own("2021-07-01T02:00", "lysimeter"),
+        (own_csv("2021-07-01T02:00", "lysimeter"),
          f"must have the same method of evapotranspiration as {early}, published; it has lysimet"),
-        (own("2021-07-01T01:00", rain=9.9),
+        (own_csv("2021-07-01T01:00", rain=9.9),
          f"precipitation at 2021-07-01T01:00-05:00 = 9.9: must be 0.1, as in {early}, or the files "
          "must not overlap"),
         (JULY, f"must have the same quantities as {early}, evapotranspiration, precipitation; it "
@@ -270,9 +270,9 @@ def test_long_gaps_have_the_mean_of_the_days_about_them() -> None:
     assert filled[12 * 24] == pytest.approx((13**2 + 14**2 + 15**2) / 3)
     assert filled[[4 * 24, 13 * 24]].tolist() == [16.0, 169.0]
     weather = replace(weather_of(np.zeros(20 * 24), temperature=filled), gaps=FILL)
-    said = refusal(WeatherSeries, weather, TORONTO, weather.first + timedelta(days=8), 3600)
-    assert "temperature is missing at" in said
-    assert "--gaps" not in said
+    reason = refusal(WeatherSeries, weather, TORONTO, weather.first + timedelta(days=8), 3600)
+    assert "temperature is missing at" in reason
+    assert "--gaps" not in reason
 
 
 @pytest.mark.parametrize("name", ["weather.csv", "weather.json"])

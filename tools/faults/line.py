@@ -25,7 +25,7 @@ class Line:
         )
         self._fault = StandingFault()
         self._level: dict[int, int] = {}
-        device = Device(lambda: self._level, hears=self._ask)
+        device = Device(lambda: self._level, hears=self._request)
         self._server = Server(Address("127.0.0.1", port), {1: device}, fault=self._fault)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
@@ -47,7 +47,7 @@ class Line:
         self._server.close()
         self._behind.close()
 
-    def _ask(self, register: int) -> bool:
+    def _request(self, register: int) -> bool:
         """Read the level; return False, for no answer, if the sensor gives none."""
         try:
             if not self._behind.connected:
@@ -91,16 +91,16 @@ class Cable:
                     near.close()
                     continue
                 for ends in ((near, far), (far, near)):
-                    threading.Thread(target=self._hand_on, args=ends, daemon=True).start()
+                    threading.Thread(target=self._forward, args=ends, daemon=True).start()
 
-    def _hand_on(self, source: socket.socket, target: socket.socket) -> None:
+    def _forward(self, source: socket.socket, target: socket.socket) -> None:
         with contextlib.suppress(OSError), source, target:
             source.settimeout(None)
             while data := source.recv(4096):
-                self._wait_until_whole()
+                self._wait_for_frame()
                 target.sendall(data)
-            self._wait_until_whole()
+            self._wait_for_frame()
 
-    def _wait_until_whole(self) -> None:
+    def _wait_for_frame(self) -> None:
         while self.cut and not self._ended:
             time.sleep(0.02)

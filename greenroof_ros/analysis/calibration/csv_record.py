@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from greenroof_ros.analysis.calibration.record import (
     DAY_S,
     HOUR_S,
-    Record,
+    RoofRecord,
     Steps,
     Values,
     in_months,
@@ -28,7 +28,7 @@ from greenroof_ros.common.times import parse_time
 from greenroof_ros.formats.records import QUANTITIES, Limits, Table, Unit, gaps, read_table
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.evapotranspiration import check_latitude, hargreaves, over_the_day
+from greenroof_ros.weather.evapotranspiration import check_latitude, hargreaves, spread_over_day
 
 TIME = "time"
 REFERENCE = "reference evapotranspiration"
@@ -86,7 +86,7 @@ class _Rows(NamedTuple):
 
 def read_csv_record(
     file: Path, site: Site, months: str | None = None, zone: tzinfo | None = None
-) -> Record:
+) -> RoofRecord:
     """Read a measured record from CSV.
 
     The first column is ``time``: ISO 8601, at the site's ``utc_offset`` if a time has no offset.
@@ -130,7 +130,7 @@ def read_csv_record(
             name, limits, unit, hint="; is the unit of the column right?"
         )
         series[quantity] = rows.together(numbers[quantity], sums if adds_up else means)
-    record = Record(
+    record = RoofRecord(
         source=file, start=times[0], step_s=step_s, rain=series["rain"],
         reference=np.zeros(steps[-1] + 1), pumped=_pumped(series, site, step_s),
         runoff=series.get("runoff"), level=series.get("level"),
@@ -303,7 +303,7 @@ def steps_of_rows(table: Table, times: Sequence[datetime]) -> tuple[NDArray[np.i
 # --- reference evapotranspiration -----------------------------------------------------------------
 
 
-def _through_short_gaps(record: Record, rows: _Rows, values: Values, counts: Steps) -> Values:
+def _through_short_gaps(record: RoofRecord, rows: _Rows, values: Values, counts: Steps) -> Values:
     """Return reference evapotranspiration without gaps (mm), shape (steps,).
 
     A roof dries even if its sensors fail. So a gap of at most an hour is interpolated linearly, and
@@ -347,7 +347,7 @@ def _through_short_gaps(record: Record, rows: _Rows, values: Values, counts: Ste
 
 
 def _from_temperatures(
-    record: Record, site: Site, rows: _Rows, numbers: Mapping[str, Values], counts: Steps
+    record: RoofRecord, site: Site, rows: _Rows, numbers: Mapping[str, Values], counts: Steps
 ) -> Values:
     """Return Hargreaves' reference evapotranspiration of each step (mm), shape (steps,).
 
@@ -401,13 +401,13 @@ def _from_temperatures(
     if not there.any():
         raise ConfigurationError("no day has its temperatures", file=record.source)
     days, day_of_step = np.unique(record.seconds // DAY_S, return_inverse=True)
-    wanted = days.astype("datetime64[D]")
+    dates = days.astype("datetime64[D]")
     counted = np.unique(day_of_step[counts])
     at = dates.astype(np.int64)
     far = np.abs(days[counted, None] - at[there]).min(axis=1) > _LONGEST_GAP
     if far.any():
         raise ConfigurationError(
-            f"has no temperature within {_LONGEST_GAP} days of {wanted[counted[far][0]]}, from "
+            f"has no temperature within {_LONGEST_GAP} days of {dates[counted[far][0]]}, from "
             "which evapotranspiration is computed; add a row for each day without them, with its "
             "temperatures and the other cells empty, or leave its month out with --months",
             file=record.source,
@@ -416,6 +416,6 @@ def _from_temperatures(
     for values in extremes:
         known = ~np.isnan(values)
         lines.append(np.interp(days, at[known], values[known]))
-    daily = hargreaves(site.latitude, wanted, *lines)
+    daily = hargreaves(site.latitude, dates, *lines)
     east = site.longitude - record.offset_s / 240
-    return over_the_day(daily, site.latitude, record.seconds, day_of_step, record.step_s, east)
+    return spread_over_day(daily, site.latitude, record.seconds, day_of_step, record.step_s, east)

@@ -18,8 +18,8 @@ import polars as pl
 from greenroof_ros.analysis.report.bags import read_run, run_directory
 from greenroof_ros.analysis.report.run import (
     NO_ERRORS,
+    ReportedRun,
     Row,
-    Run,
     labels,
     meaning_of_initial,
     notes_of,
@@ -31,7 +31,7 @@ from greenroof_ros.common.times import to_people
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.model.site import read_site
-from greenroof_ros.recording.bag_reader import Recorded
+from greenroof_ros.recording.bag_reader import RecordedTrajectory
 from greenroof_ros.recording.results_table import row_parameters
 from greenroof_ros.recording.trajectory import read_parquet
 
@@ -56,7 +56,7 @@ class Sources:
         configuration: name and text of each further file that affects the results.
     """
 
-    runs: list[Run] = field(default_factory=list)
+    runs: list[ReportedRun] = field(default_factory=list)
     failed: list[Row] = field(default_factory=list)
     configuration: dict[str, str] = field(default_factory=dict)
 
@@ -97,7 +97,7 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
             raise ConfigurationError("is a study without results.csv", file=path)
         else:
             run = read_run(path, name, site_file)
-            if isinstance(run, Run):
+            if isinstance(run, ReportedRun):
                 sources.runs.append(run)
             else:
                 sources.failed.append(run)
@@ -105,7 +105,7 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
     return sources
 
 
-def _with_sources(runs: Sequence[Run]) -> list[Run]:
+def _with_sources(runs: Sequence[ReportedRun]) -> list[ReportedRun]:
     """Add the source to a name that means different things in different sources.
 
     Things that are equal share a name, with their first source, so their runs are compared.
@@ -144,7 +144,7 @@ def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
         row["frost_pumped_m3"] = 0.0
         trajectory = path / "runs" / run / "trajectory.parquet"
         forecasts = (row.get(key) for key in ("forecast", "forecast_skill"))
-        sources.runs.append(Run(
+        sources.runs.append(ReportedRun(
             row=row,
             site=site,
             parameters=given,
@@ -277,9 +277,9 @@ def _season(row: Row) -> Row:
     return {"start": to_people(start), **(season if 0 < whole <= len(weeks) else {})}
 
 
-def _load(path: Path) -> Recorded:
+def _load(path: Path) -> RecordedTrajectory:
     """Read the trajectory of a run in a study."""
     trajectory = read_parquet(path)
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
         raise ConfigurationError("must have two or more samples, in order of time", file=path)
-    return Recorded(trajectory)
+    return RecordedTrajectory(trajectory)

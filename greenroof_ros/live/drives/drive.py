@@ -17,7 +17,7 @@ from greenroof_ros.live.drives.drive_file import (
     Timeout,
 )
 from greenroof_ros.live.drives.modbus_line import SIMULATOR, Address, DriveError, decode, limits
-from greenroof_ros.model.pump_speed import STANDS
+from greenroof_ros.model.pump_speed import STANDSTILL
 
 # Time between two checks whether a drive has reached a state (s).
 _LOOK_S = 0.05
@@ -53,7 +53,7 @@ class DriveStatus:
     @property
     def stands(self) -> bool:
         """Whether the pump is at rest."""
-        return abs(self.speed) <= STANDS
+        return abs(self.speed) <= STANDSTILL
 
     def __str__(self) -> str:
         return ", ".join(filter(None, (
@@ -158,7 +158,7 @@ class Drive:
         if status.warning is not None and self._fulfils(status.warning, values):
             _, warning = self._cause(self.file.warnings)
         speed = self._available("speed")
-        if -STANDS <= speed <= 0:
+        if -STANDSTILL <= speed <= 0:
             speed = 0.0
         elif speed < 0:
             backwards = f"the pump turns backwards (speed {speed:.1%})"
@@ -382,7 +382,7 @@ class Drive:
         if raw == register.missing:
             return None
         value = raw * self._factor(register)
-        low = min(register.low, -STANDS) if name == "speed" else register.low
+        low = min(register.low, -STANDSTILL) if name == "speed" else register.low
         if not math.isfinite(value) or not low <= value <= register.high:
             raise self.line.error(
                 "answer",

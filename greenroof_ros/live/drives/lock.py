@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 
-from greenroof_ros.common.processes import LockedError, take_name
+from greenroof_ros.common.processes import LockedError, acquire_name_lock
 from greenroof_ros.live.drives.modbus_line import DriveError
 from greenroof_ros.live.drives.placed import Placed
 
@@ -47,7 +47,7 @@ class DriveLock:
         """
         place = self._place()
         try:
-            self._lock = take_name(f"drive-{place}")
+            self._lock = acquire_name_lock(f"drive-{place}")
         except LockedError as error:
             raise DriveInUseError(
                 f"{self._drive}: process {error.holder or 'unknown'} on this machine already runs "

@@ -124,7 +124,7 @@ class DeliveryCheck:
         self._site, self._soil = site, soil_of(site)
         self._settings = settings
         self._loss = settings.greatest_loss * _M_PER_S
-        self._kept_share = self._soil.kept_share(site.x2_star)
+        self._kept_share = self._soil.retained_share(site.x2_star)
         self._share_on_roof = settings.least_delivery * self._kept_share
         self._keeps = self._kept_share  # share retained at the last known wetness
         self._sums = _Sums()
@@ -164,7 +164,7 @@ class DeliveryCheck:
         """
         site, settings = self._site, self._settings
         if roof_level is not None:
-            self._keeps = self._soil.kept_share(site.roof_volume(roof_level))
+            self._keeps = self._soil.retained_share(site.roof_volume(roof_level))
         mains = drained = 0.0
         if site.mains_level is not None and site.mains_flow is not None and (
             cistern_level is None or cistern_level < site.mains_level + settings.level_offset

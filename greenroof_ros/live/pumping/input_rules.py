@@ -181,7 +181,7 @@ def expected_movement(
     if cistern_level >= site.z_o:
         most = 0.0
     roof = running_off + flow / site.a2 if roof_level + off < site.z_soil else 0.0
-    roof *= soil_of(site).kept_share(site.roof_volume(roof_level + off))
+    roof *= soil_of(site).retained_share(site.roof_volume(roof_level + off))
     return Movement(least - _DRIFT, most + _DRIFT), Movement(roof - _LOSS, math.inf)
 
 

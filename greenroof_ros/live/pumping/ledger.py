@@ -42,8 +42,8 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.conditions import Problem
-from greenroof_ros.common.disk import DISK, PATIENCE_S, Newest
-from greenroof_ros.common.processes import LockedError, take_lock
+from greenroof_ros.common.disk import DISK, PATIENCE_S, LatestWriter
+from greenroof_ros.common.processes import LockedError, acquire_file_lock
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import to_people
 
@@ -139,7 +139,7 @@ class Ledger:
         self.record = self._at_start = Record()
         if file is not None:
             self._lines = _Lines(file)
-            self._newest = Newest(self._lines.write, partial(_why, file))
+            self._newest = LatestWriter(self._lines.write, partial(_why, file))
             self._lock(file)
             self._begin(file)
 
@@ -164,7 +164,7 @@ class Ledger:
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             # Not a lock on the file itself, which is replaced if it is broken or removed.
-            self._only = take_lock(file.with_name(file.name + ".lock"))
+            self._only = acquire_file_lock(file.with_name(file.name + ".lock"))
         except (LockedError, OSError, ValueError) as error:
             self._newest.problem = _why(file, error)
             return False
@@ -297,7 +297,7 @@ class Ledger:
         """Queue the record for writing, after any write in progress."""
         self._unsaved = 0.0
         if self._only is not None:
-            self._newest.give(replace(self.record, written_at=self._clock()))
+            self._newest.write(replace(self.record, written_at=self._clock()))
 
 
 class _Lines:

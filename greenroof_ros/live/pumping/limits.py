@@ -35,7 +35,7 @@ def _volume_per_day(site: Site) -> float:
     The loss is the greatest evapotranspiration. A measured roof needs more: it keeps only a share.
     """
     evapotranspiration = _GREATEST_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
-    replaced = evapotranspiration / soil_of(site).kept_share(site.x2_star)
+    replaced = evapotranspiration / soil_of(site).retained_share(site.x2_star)
     return round(_MARGIN * (_filling(site) + replaced), 3)
 
 

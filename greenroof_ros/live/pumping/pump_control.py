@@ -18,7 +18,7 @@ from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Dose, Doses
 from greenroof_ros.live.pumping.interlocks import evaluate
 from greenroof_ros.live.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.live.pumping.limits import Limits, Pulses, PumpSettings
-from greenroof_ros.model.pump_speed import STANDS, flow_at
+from greenroof_ros.model.pump_speed import STANDSTILL, flow_at
 from greenroof_ros.model.site import Site
 
 # A measured flow above this multiple of the maximum flow is not believed.
@@ -314,7 +314,7 @@ class PumpControl:
             self._limits.switch(setpoint is not None)
         self._setpoint = setpoint
 
-        turning = observed.speed is not None and observed.speed > STANDS
+        turning = observed.speed is not None and observed.speed > STANDSTILL
         if state == "running" and self._has_follow_error(observed.speed):
             state = "starting"
         elif state == "off" and turning:
@@ -351,7 +351,7 @@ class PumpControl:
             warnings: list to which warnings about implausible flows are added.
         """
         site = self._site
-        if self._setpoint is None and observed.speed is not None and observed.speed <= STANDS:
+        if self._setpoint is None and observed.speed is not None and observed.speed <= STANDSTILL:
             return 0.0, "the pump is at rest"
         level = site.z_o if observed.cistern_level is None else observed.cistern_level
         most = _GREATEST_FLOW * flow_at(site, 1.0, level)
@@ -375,11 +375,11 @@ class PumpControl:
 
     def _must_stand(self) -> bool:
         """Whether a pump of unknown speed was at rest before, or is by the drive's timeout."""
-        return self._turned <= STANDS or self._unknown_for > self._drive_stops_after
+        return self._turned <= STANDSTILL or self._unknown_for > self._drive_stops_after
 
     def _account(self, dt: float, speed: float | None, unseen: float, measured: float) -> None:
         """Count the time since the last step as on or off, and the larger of both flows (m3/s)."""
-        turns = speed is not None and speed > STANDS
+        turns = speed is not None and speed > STANDSTILL
         on = self._setpoint is not None or turns or unseen > measured
         self._limits.account(dt, on)
         self._ledger.count(dt, dt if on else 0.0, max(measured, unseen) * dt)
@@ -396,7 +396,7 @@ class PumpControl:
         requested speed. The ramp continues from the drive's speed, so that a new request counts
         from there. It begins when the pump begins to turn.
         """
-        if self._setpoint is not None and speed <= STANDS:
+        if self._setpoint is not None and speed <= STANDSTILL:
             self._ramped = speed
             return True
         setpoint, ramp, tolerance = (
@@ -417,7 +417,8 @@ class PumpControl:
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
         least = self._settings.least_flow * flow_at(self._site, 1.0, level)
         measured = max(observed.flow or 0.0, observed.drive_flow or 0.0)
-        stands = self._setpoint is None and observed.speed is not None and observed.speed <= STANDS
+        speed = observed.speed
+        stands = self._setpoint is None and speed is not None and speed <= STANDSTILL
         self._flowed_for = self._flowed_for + drive_dt if stands and measured > least else 0.0
         if self._flowed_for <= self._settings.follow_time:
             return None
@@ -516,7 +517,7 @@ def drive_fault(fault: str, runs_on: bool) -> Problem:
 
 def _backwards(observed: Observation) -> Problem | None:
     """Return that the pump turns backwards, beyond noise; None if it does not."""
-    if observed.speed is None or not -_GREATEST_SPEED <= observed.speed < -STANDS:
+    if observed.speed is None or not -_GREATEST_SPEED <= observed.speed < -STANDSTILL:
         return None
     return Problem.of("turns_backwards", speed=-observed.speed)
 
@@ -527,7 +528,7 @@ def _believable(observed: Observation) -> Observation:
     def checked(value: float | None, least: float, most: float) -> float | None:
         return value if value is not None and least <= value <= most else None
 
-    speed = checked(observed.speed, -STANDS, _GREATEST_SPEED)
+    speed = checked(observed.speed, -STANDSTILL, _GREATEST_SPEED)
     return replace(
         observed,
         cistern_level=checked(observed.cistern_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from modbus_wire import Answer, Registers, SerialWire, Wire, acs880, over_serial
+from modbus_wire import Answer, Registers, SerialWire, Wire, acs880, rtu_server
 from places import CHECKOUT
 from simulators import until as wait
 
@@ -114,7 +114,7 @@ class Bench:
     def until_half(self) -> None:
         wait(lambda: self.drive.values[4] == 10000)
 
-    def until_said(self, condition: Callable[[DriveStatus], object]) -> None:
+    def until_reported(self, condition: Callable[[DriveStatus], object]) -> None:
         """Wait until the drive's status meets a condition."""
         wait(lambda: self.now.status and condition(self.now.status))
 
@@ -166,14 +166,14 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
     bench.exchange.start()
     wait(lambda: bench.now.state is State.STOPPED)
     bench.speed = 0.4
-    bench.until_said(lambda status: status.speed == 0.4)
+    bench.until_reported(lambda status: status.speed == 0.4)
     assert drive.written[-2:] in ([(1, 8000), RUN], [RUN, (1, 8000)])
     bench.speed = 0.6
-    bench.until_said(lambda status: status.speed == 0.6)
+    bench.until_reported(lambda status: status.speed == 0.6)
     assert bench.now.state is State.RUNNING
     bench.speed = None
     assert wait(lambda: drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
-    bench.until_said(lambda status: status.stands)
+    bench.until_reported(lambda status: status.stands)
     assert (bench.now.state, bench.now.errors) == (State.STOPPED, 0)
     for nonsense in (float("nan"), 1.5):
         bench.speed = 0.5
@@ -305,7 +305,7 @@ def test_a_fault_is_acknowledged_by_a_reset_while_it_is_seen(bench: Bench) -> No
     bench.speed = 0.5
     bench.exchange.start()
     for _ in range(2):
-        bench.until_said(lambda status: status.fault == "no text for it (code 4660, 0x1234)")
+        bench.until_reported(lambda status: status.fault == "no text for it (code 4660, 0x1234)")
         wait(lambda: "fault: no text for it (code 4660" in bench.now.problem)
         assert ACKNOWLEDGE not in bench.written_in(rounds=5)
         assert bench.now.status is not None and bench.now.status.fault
@@ -314,7 +314,7 @@ def test_a_fault_is_acknowledged_by_a_reset_while_it_is_seen(bench: Bench) -> No
         bench.wire.answer = bench.drive
     wait(lambda: bench.now.connected)
     bench.exchange.reset()
-    bench.until_said(lambda status: not status.fault)
+    bench.until_reported(lambda status: not status.fault)
     assert ACKNOWLEDGE in bench.drive.written
     bench.until_half()
     wait(lambda: bench.now.problem == "")
@@ -378,12 +378,12 @@ def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
 
 
 def test_a_serial_line_whose_plug_is_pulled() -> None:
-    with closing(SerialWire(over_serial(acs880()))) as plug, closing(
+    with closing(SerialWire(rtu_server(acs880()))) as plug, closing(
         Bench(at=plug.line)
     ) as bench:
         bench.exchange.start()
         bench.speed = 0.5
-        bench.until_said(lambda status: status.speed == 0.5)
+        bench.until_reported(lambda status: status.speed == 0.5)
         assert bench.now.connected and bench.now.errors == 0
         plug.close()
         wait(lambda: not bench.now.connected, seconds=1.0)
@@ -422,9 +422,9 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(monkeypatch: pytest.Mon
         wait(lambda: len(silences(bench.wire)) == 2, seconds=8)
         assert min(silences(bench.wire)) >= 1.2
         assert bench.wire.connections == connections + 2  # one attempt after each silence
-        count = len(bench.wire.seen)
+        count = len(bench.wire.requests)
         bench.close_within(2.0)
-        assert len(bench.wire.seen) > count
+        assert len(bench.wire.requests) > count
         assert bench.now.status is None
 
 
@@ -484,7 +484,7 @@ def test_a_requested_stop_is_tried_during_a_silence(bench: Bench) -> None:
     bench.drive.refused = set()
     bench.exchange.stop()
     assert wait(lambda: bench.drive.values[0] == 0x047E) < 1.0
-    bench.until_said(lambda status: status.stands)
+    bench.until_reported(lambda status: status.stands)
 
 
 def test_a_stop_requested_while_connected_shortens_no_later_silence(bench: Bench) -> None:
@@ -516,7 +516,7 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
     bench.wire.times.clear()
     bench.drive.on_write = lambda _address, _word: bench.drive.values.update({3: 0x1231, 4: 10_000})
     bench.speed = None
-    bench.until_said(lambda status: status.runs_on and "acknowledges *stop*" in status.fault)
+    bench.until_reported(lambda status: status.runs_on and "acknowledges *stop*" in status.fault)
     assert bench.now.state is State.STOPPING  # the fault is seen before the silence
     wait(lambda: re.search(
         r"its speed has not fallen .* \(it is 50.0%\).*so nothing is sent for 1.2 s",
@@ -528,7 +528,7 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
     bench.drive.written.clear()
     # It obeys again.
     bench.drive.on_write = lambda _address, _word: bench.drive.values.update({3: 0x1231, 4: 0})
-    bench.until_said(lambda status: status.stands and not status.fault)
+    bench.until_reported(lambda status: status.stands and not status.fault)
     assert bench.drive.written[0] == OFF
     assert silences(bench.wire)[-1] >= 1.2
 
@@ -677,9 +677,9 @@ def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
             8501: 0, 8602: 0, 3201: 0x0233, 8604: 725, 7121: 0, 9604: 1450, 6005: 50, 7010: 1,
         })
         bench.exchange.start()
-        bench.until_said(lambda status: status.speed == pytest.approx(0.5))
+        bench.until_reported(lambda status: status.speed == pytest.approx(0.5))
         drive.values[9604] = 2900
-        bench.until_said(lambda status: status.speed == pytest.approx(0.25))
+        bench.until_reported(lambda status: status.speed == pytest.approx(0.25))
 
 
 # --- not at real time -----------------------------------------------------------------------------
@@ -833,7 +833,7 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
     began = time.monotonic()
     with ThreadPoolExecutor() as pool:
         stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(bench.wire.at)))
-        wait(lambda: bench.wire.seen)
+        wait(lambda: bench.wire.requests)
         bench.exchange.start()
         wait(lambda: "already runs this drive" in bench.now.problem)
         at_end = stop.result()

@@ -45,7 +45,7 @@ def placed(make: str, address: str) -> PlacedRelay:
 def switched(tap: Talker, on: bool) -> list[float]:
     """Return when *on* or *off* was ordered."""
     return [
-        at for at, topic, payload, _ in tap.heard
+        at for at, topic, payload, _ in tap.received
         if (topic.endswith("/Power1") and payload == ("ON" if on else "OFF"))
         or (topic.endswith("/rpc") and '"Switch.Set"' in payload
             and json.loads(payload)["params"]["on"] is on)
@@ -99,7 +99,7 @@ class Bench:
 
     def close(self) -> None:
         self.ask_no_more()
-        self.broker.go_on()
+        self.broker.resume()
         self.exchange.close()
         self.relay.end()
         self.broker.kill()
@@ -148,10 +148,10 @@ def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
         assert wait(lambda: not bench.closed) < 1.0 + SLACK_S
         bench.exchange.close()
         assert bench.now.status is not None and bench.now.status.stands
-        assert not any(retained for *_, retained in tap.heard)
+        assert not any(retained for *_, retained in tap.received)
         with Talker(bench.broker) as late:
             time.sleep(0.5)
-            assert late.heard == []
+            assert late.received == []
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_a_broker_that_stalls_is_given_up_and_delivers_no_on_afterwards(bench: B
     wait(lambda: not bench.now.connected, 10)
     bench.speed = None
     time.sleep(2.0)
-    bench.broker.go_on()
+    bench.broker.resume()
     assert closed_for(bench, 6.0) < 0.3
     wait(lambda: bench.now.connected, 20)
 
@@ -228,7 +228,7 @@ def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Be
         relay.line.close()
         time.sleep(1.0)
         resumed = time.monotonic()
-        bench.broker.go_on()
+        bench.broker.resume()
         assert closed_for(bench, 2.0) < 0.3
         (on,) = (at for at in switched(tap, on=True) if at > resumed)
         assert any(on < at < on + 0.3 for at in switched(tap, on=False))
@@ -295,7 +295,7 @@ def test_the_topics_that_the_broker_must_let_through(make: str, tmp_path: Path) 
 def test_a_retained_message_is_no_answer(tmp_path: Path) -> None:
     """Whoever retained it: a Tasmota with PowerRetain, or an old bridge."""
     with bench_of("tasmota", tmp_path) as bench, Talker(bench.broker) as tap:
-        tap.say("stat/roof/STATUS11", '{"StatusSTS": {"POWER": "ON"}}', retain=True)
+        tap.publish("stat/roof/STATUS11", '{"StatusSTS": {"POWER": "ON"}}', retain=True)
         bench.relay.inject("silence")
         bench.exchange.start()
         wait(lambda: "no answer to the question 'state' within 1 s" in bench.now.problem, 10)
@@ -327,7 +327,7 @@ def test_another_relay_is_none(tmp_path: Path) -> None:
         relay = placed("tasmota", f"{broker.address}/roof").connection()
         try:
             relay.line.connect()
-            answer = threading.Timer(0.3, lambda: tap.say(
+            answer = threading.Timer(0.3, lambda: tap.publish(
                 "stat/roof/STATUS2", '{"StatusFWR": {"Version": "14.2.0(release-tasmota)"}}'))
             answer.start()
             assert "identifies itself as '14.2.0(release-tasmota)'" in relay.why_no_simulator()

@@ -22,7 +22,7 @@ from modbus_wire import (
     acs880,
     crc,
     frame,
-    over_serial,
+    rtu_server,
     script,
 )
 from simulators import until
@@ -363,7 +363,7 @@ def test_start_on_a_serial_line() -> None:
 
     with closing(SerialWire(over_line)) as wire:
         talk("abb_acs880", wire.line, run)
-        assert wire.seen == [request[6:] + crc(request[6:]) for request in requests]
+        assert wire.requests == [request[6:] + crc(request[6:]) for request in requests]
 
 
 def test_a_frame_with_a_wrong_check_is_no_answer() -> None:
@@ -409,7 +409,7 @@ def test_wrong_answers_have_a_name_and_a_time(
         assert time.monotonic() - began < 1.0
         assert raised.value.kind == kind and message in str(raised.value)
         assert f":{wire.port}, device 1: reading register 3" in str(raised.value)
-        assert len(wire.seen) == 1  # no request is repeated
+        assert len(wire.requests) == 1  # no request is repeated
 
 
 def test_a_late_answer_is_not_taken_for_the_next() -> None:
@@ -450,7 +450,7 @@ def test_an_echo_confirms_no_stop(name: str) -> None:
         with closing(drive.line), pytest.raises(DriveError, match=ECHO):
             drive.stop()
         assert drive.stopped is False
-        assert len(wire.seen) > 1  # the stop was written all the same
+        assert len(wire.requests) > 1  # the stop was written all the same
 
 
 @pytest.mark.parametrize("name", DRIVES)
@@ -470,7 +470,7 @@ def test_an_echo_is_recognised_in_pieces_and_twice(
 
 
 def test_an_echo_before_the_drives_answer_is_recognised_too() -> None:
-    drive = over_serial(acs880())
+    drive = rtu_server(acs880())
     with (
         closing(SerialWire(lambda request: request + drive(request))) as wire,
         pytest.raises(DriveError, match=ECHO),

@@ -329,12 +329,12 @@ def test_a_file_of_another_owner_is_an_unknown_state() -> None:
         file.write_bytes(lines_of(hold_owner="the operator"))
         file.chmod(0o600)
         Path(directory).chmod(0o755)
-        said = subprocess.run(
+        shown = subprocess.run(
             [sys.executable, "-c", _READS, str(file)], check=True, text=True,
             stdout=subprocess.PIPE,
         ).stdout.splitlines()
-        assert said[0].startswith(f"{file} cannot be read (Permission denied)")
-        assert said[1].startswith(f"{file} cannot be written: ")
+        assert shown[0].startswith(f"{file} cannot be read (Permission denied)")
+        assert shown[1].startswith(f"{file} cannot be written: ")
 
 
 _READS = """

@@ -288,4 +288,4 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
         alone.line.close()
         until(lambda: drive.speed() > 0.5)
         until(lambda: drive.speed() == 0)
-    assert f"communication timeout: nothing for {timeout} s" in drive.said
+    assert f"communication timeout: nothing for {timeout} s" in drive.output

@@ -108,7 +108,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
             until(lambda: rows()[-1]["pump_flow_m3_per_s"] == 0)
             drive.end()
             until(lambda: rows()[-1]["speed"] == 0)
-        assert "the pump is taken to be at rest" in site.said
+        assert "the pump is taken to be at rest" in site.output
     assert (first["time_s"], last["time_s"]) == (1, 40)
     assert first["pump_flow_m3_per_s"] == pytest.approx(6.1261e-3, rel=1e-4)
     assert last["pumped_m3"] == pytest.approx(0.2450, rel=5e-4)

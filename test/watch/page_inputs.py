@@ -75,7 +75,9 @@ def store(mode: str = "simulated", site: Site = PAPER_SITE) -> Store:
     return graph
 
 
-def hear(graph: Store, first: int, last: int, values: Mapping[str, float], every: int = 1) -> None:
+def add_values(
+    graph: Store, first: int, last: int, values: Mapping[str, float], every: int = 1
+) -> None:
     """Add each topic's value from one second to another, the last one not included."""
     times = START + SECOND * np.arange(first, last, every)
     for topic, value in values.items():
