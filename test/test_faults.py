@@ -72,9 +72,7 @@ def campaign(
     return subprocess.run(
         [
             sys.executable, "-m", "pytest", *(f"{CAMPAIGN}::test_case[{case}]" for case in sample),
-            # The cases of a site share one rig.
-            "-q", "-n", "0" if sample is SITE else "2", "--dist", "loadgroup",
-            "-p", "no:cacheprovider",
+            "-q", "-p", "no:cacheprovider",
         ],
         env={**outside, "FAULTS_RESULTS": str(results)}, cwd=CHECKOUT, timeout=600,
         capture_output=True, text=True,
