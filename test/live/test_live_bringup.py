@@ -390,7 +390,8 @@ def test_a_start_with_slow_gauges_is_no_incident(
         with live(domain, tmp_path, *options) as process:
             process.until_said("running: cistern ", 120)
             hardware.until_it_pumps()
-            assert min(hardware.speeds_for(80)) > 0.9
+            # What is missing at the start is an incident, and on the page an alarm, after 60 s.
+            assert min(hardware.speeds_for(65)) > 0.9
             while_up = list(shown)
         tanks.process.terminate()
     page.process.terminate()
