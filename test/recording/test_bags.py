@@ -243,10 +243,9 @@ def test_no_damage_comes_back(tmp_path: Path) -> None:
         ) == sorted((topic, stamp, data) for topic, stamp, _, data in written)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_flipped_bit_costs_a_chunk_at_most(tmp_path: Path, seed: int) -> None:
+def test_a_flipped_bit_costs_a_chunk_at_most(tmp_path: Path) -> None:
     """Wherever it is: nothing wrong comes out, and the loss is counted exactly."""
-    written, random = write_bag(tmp_path / "whole", 361), Random(seed)
+    written, random = write_bag(tmp_path / "whole", 361), Random(0)
     content, amounts = (tmp_path / "whole" / "whole_0.mcap").read_bytes(), set()
     for number in range(60):
         bag, new = tmp_path / f"bag{number}", tmp_path / f"new{number}"

@@ -171,7 +171,8 @@ def test_it_says_what_a_simulated_run_does_and_nothing_can_be_stopped(
         wait_for(
             lambda: heard.last("greenroof/roof/availability") == "offline", 30, "the last will"
         )
-        assert run.wait(120) == 0
+        run.process.send_signal(signal.SIGINT)
+        assert run.wait(120) == 130
 
 
 @needs_mosquitto

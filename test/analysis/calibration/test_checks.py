@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import DATA
 from refusals import refusal
 from twins import DAY, TWIN, a_record, record_of, record_rows
 
@@ -148,7 +149,7 @@ def test_a_measured_roof_in_dry_weeks_is_right() -> None:
     With three times the rain, 116 mm, the soil of 108 mm could not hold it.
     """
     site = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml")
-    file = Path(__file__).parents[1] / "data" / "neubrandenburg_dry.csv"
+    file = DATA / "neubrandenburg_dry.csv"
     record = read_csv_record(file, replace(site, utc_offset=1.0))
     assert np.nansum(record.rain) == pytest.approx(38.61)
     assert np.nansum(record.runoff) == 0

@@ -156,7 +156,7 @@ def test_what_decides_whether_a_run_still_counts(
     """The code behind its numbers, and the constants of skills; not the page, nor comments."""
     package = finished / "greenroof_ros"
     shutil.copytree(Path(greenroof_ros.__file__).parent, package)
-    monkeypatch.setattr(store_module, "__file__", str(package / "study" / "store.py"))
+    monkeypatch.setattr(store_module, "__file__", str(package / "analysis" / "study" / "store.py"))
     for file, text in (
         ("watch/__init__.py", "A = 1\n"), ("model/plant.py", '# a comment\n"""and words"""\n'),
     ):

@@ -462,8 +462,11 @@ def test_a_timeout_above_the_limit_makes_no_silence_longer_than_the_limit(
 
 
 @pytest.mark.parametrize(("raw", "silence"), [(5, "1.2"), (2, "1.2"), (1, "1.1")])
-def test_no_silence_is_longer_than_the_limit(raw: int, silence: str) -> None:
+def test_no_silence_is_longer_than_the_limit(
+    raw: int, silence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Not even by the margin of 1 s that is added to the drive's own timeout, here 0.1 to 0.5 s."""
+    monkeypatch.setattr(exchange, "SETTINGS_S", 0.1)
     with closing(Bench(timeout_limit_s=1.2)) as bench:
         until_silent(bench, raw)
         assert f"so nothing is sent for {silence} s" in bench.now.problem
