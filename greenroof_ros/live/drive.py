@@ -17,7 +17,7 @@ from greenroof_ros.experiment.run_directory import writable
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.graph.states import PUMP
 from greenroof_ros.live.drives.drive_file import find_drive_file
-from greenroof_ros.live.drives.placed import Placed, place_drive
+from greenroof_ros.live.drives.endpoint import Endpoint, read_endpoint
 from greenroof_ros.live.pumping.ledger import state_directory
 from greenroof_ros.live.supervisor import StopDrive
 
@@ -59,13 +59,13 @@ class DriveChoice:
     login: str = ""
     authority: str = ""
 
-    def read(self) -> Placed:
+    def read(self) -> Endpoint:
         """Return the drive's description and its address, both parsed.
 
         Raises:
             ConfigurationError: the file or the address is wrong.
         """
-        return place_drive(self.file, self.at, "--drive-at", self.login, self.authority)
+        return read_endpoint(self.file, self.at, "--drive-at", self.login, self.authority)
 
     def state_file(self, state: Path | None) -> Path:
         """Return the file that keeps this drive's holds and faults, and create its directory.
@@ -127,14 +127,14 @@ class DriveChoice:
         from greenroof_ros.live.drives.drive import no_real_time
         from greenroof_ros.live.drives.modbus_line import DriveError
 
-        placed = self.read()
+        endpoint = self.read()
         until = time.monotonic() + _SIMULATOR_S
         why: str | None = None
         while why is None:
             check()
-            drive = placed.connection()
+            drive = endpoint.connection()
             try:
-                if placed.is_here:
+                if endpoint.is_here:
                     drive.line.connect()
                 why = drive.why_no_simulator()
             except DriveError as error:
@@ -158,12 +158,12 @@ class DriveChoice:
         from greenroof_ros.live.drives.exchange import stop_drive
         from greenroof_ros.live.drives.lock import DriveInUseError
 
-        placed = self.read()
-        placed.connection()  # loads its library now: the disk may hang when it is needed
+        endpoint = self.read()
+        endpoint.connection()  # loads its library now: the disk may hang when it is needed
 
         def stop(pump_node: int) -> tuple[bool, str]:
             try:
-                status = stop_drive(placed, driver=pump_node)
+                status = stop_drive(endpoint, driver=pump_node)
             except DriveInUseError as error:
                 return False, (
                     f"another program (process {error.holder}) runs the drive, and may run the "

@@ -21,7 +21,7 @@ from greenroof_ros.live.drive import (
     chosen_drive,
     refuse,
 )
-from greenroof_ros.live.drives.drive import PlacedDrive
+from greenroof_ros.live.drives.drive import DriveEndpoint
 from greenroof_ros.live.drives.modbus_line import parse_address
 from greenroof_ros.live.drives.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.live.supervisor import NodeStart
@@ -271,11 +271,11 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
     Raises:
         ConfigurationError: the line is shared, or the drive's file or address is wrong.
     """
-    placed = drive.read()
-    if not isinstance(placed, PlacedDrive):
+    endpoint = drive.read()
+    if not isinstance(endpoint, DriveEndpoint):
         return
     for section, sensor in sensors.by_section.items():
-        if isinstance(sensor, ModbusSensor) and placed.address.shares_line(
+        if isinstance(sensor, ModbusSensor) and endpoint.address.shares_line(
             parse_address(sensor.address)
         ):
             raise ConfigurationError(

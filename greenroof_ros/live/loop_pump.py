@@ -86,7 +86,7 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
         """
         run = self.lockstep.run
         if run is not None and run.speed != 1:
-            self._drive.exchange.only_simulator()
+            self._drive.exchange.require_simulator()
             if why := self._drive.snapshot.no_simulator:
                 raise no_real_time(why, "the plant's speed", run.speed)
 

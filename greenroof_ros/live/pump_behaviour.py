@@ -35,7 +35,7 @@ from greenroof_ros.graph.parameters import site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
-from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, Snapshot
+from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, DriveSnapshot
 from greenroof_ros.live.engine import LIMITS, PAUSE_S
 from greenroof_ros.live.inputs import bad_inputs
 from greenroof_ros.live.lifecycle import (
@@ -134,12 +134,13 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             ConfigurationError: a parameter, or the drive file, is wrong.
         """
         self._site = site
-        self._drive = PumpDrive(values, self.get_name(), seeks_simulator=simulated)
+        self._drive = PumpDrive(values, self.get_name(), checks_simulator=simulated)
         self._without_timeout: bool = values["activate_without_drive_timeout"]
         self._autostart: bool = values["autostart"]
         self._command_limit: float = values[COMMAND_LIMIT.name]
         settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
-        settings["least_speed"] = max(settings["least_speed"], self._drive.placed.file.least_speed)
+        least_speed = self._drive.endpoint.file.least_speed
+        settings["least_speed"] = max(settings["least_speed"], least_speed)
         self._settings = PumpSettings(**settings)
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
         self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
@@ -237,7 +238,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             problem = Problem.if_any("state_not_kept", self._ledger.why_not_kept())
         if problem is not None:
             raise RefusedError(f"not activated: {problem.sentence}")
-        file = self._drive.placed.file
+        file = self._drive.endpoint.file
         unverified = file.unverified_and_vital
         if unverified:
             self.reports.diagnose("drive file", Problem.of(
@@ -389,7 +390,8 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             self._reasons = reasons
             self._step(now)
         self._timed_at = boot_time()
-        self._drive.exchange.demand(self._decision.speed)  # again and again: it expires in a second
+        # Again and again: a request expires in a second.
+        self._drive.exchange.request_speed(self._decision.speed)
         if self._autostart:
             self._start_by_itself(now)
         if now - self._looked_at > _LOOK_S:
@@ -489,7 +491,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         drive_dt, self._watched = awake - self._watched, awake
         decided, decision = self._decision, self._control.step(dt, observation, drive_dt)
         self._decision = decision
-        self._drive.exchange.demand(decision.speed)
+        self._drive.exchange.request_speed(decision.speed)
         state = f"{decision.state}: {decision.why}"
         before, self._state = self._state, state
         if state != before:
@@ -644,9 +646,9 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         self.reports.diagnose("drive", problem, f"connected to {snapshot.identity}", level)
         self._diagnose_timeout(snapshot)
 
-    def _diagnose_timeout(self, snapshot: Snapshot) -> None:
+    def _diagnose_timeout(self, snapshot: DriveSnapshot) -> None:
         """Report whether the drive's own communication timeout stops the pump."""
-        guard = self._drive.placed.guard
+        guard = self._drive.endpoint.guard
         well = f"without this machine the drive stops after {snapshot.timeout_s or 0:g} s"
         if guard is not None and guard.traps:
             well += f"; beware: {guard.traps}"

@@ -9,8 +9,8 @@ from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import find_drive_file
-from greenroof_ros.live.drives.exchange import DriveExchange, Snapshot
-from greenroof_ros.live.drives.placed import place_drive
+from greenroof_ros.live.drives.endpoint import read_endpoint
+from greenroof_ros.live.drives.exchange import DriveExchange, DriveSnapshot
 from greenroof_ros.live.lifecycle import RefusedError
 
 # The drive's thread stops the drive after this time without a call (s): this node hangs.
@@ -24,19 +24,19 @@ class PumpDrive:
     """The drive that the parameters choose, and the reasons against using it.
 
     Attributes:
-        placed: its drive file and its address.
+        endpoint: its drive file and its address.
         exchange: the communication with it.
     """
 
     def __init__(
-        self, values: Mapping[str, Any], node_name: str, *, seeks_simulator: bool
+        self, values: Mapping[str, Any], node_name: str, *, checks_simulator: bool
     ) -> None:
         """Read the drive file.
 
         Args:
             values: values of the pump node's parameters.
             node_name: the node's name, for messages.
-            seeks_simulator: whether to find out if it is the drive simulator.
+            checks_simulator: whether to find out if it is the drive simulator.
 
         Raises:
             ConfigurationError: a parameter or the file is wrong.
@@ -47,26 +47,26 @@ class PumpDrive:
                 "must be given: the make of the drive, as a file of config/drives without .yaml, "
                 "or the path of your own file", key=key.format("drive"),
             )
-        self.placed = place_drive(
+        self.endpoint = read_endpoint(
             find_drive_file(values["drive"]), values["address"], key.format("address"),
             values["broker_login"], values["broker_authority"],
         )
         self._period = values["exchange_period"]
         self._limit = values["drive_timeout_limit"]
         self._stops_locally = values["local_settings_stop_the_pump"]
-        self._seeks_simulator = seeks_simulator
+        self._checks_simulator = checks_simulator
         self._renew()
 
     def _renew(self) -> None:
         """Make a new exchange, not yet started."""
         self.exchange = DriveExchange(
-            self.placed, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit,
-            seeks_simulator=self._seeks_simulator,
+            self.endpoint, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit,
+            checks_simulator=self._checks_simulator,
         )
         self._begun = self._leaving = False
 
     @property
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> DriveSnapshot:
         """What is known of the drive."""
         return self.exchange.snapshot
 
@@ -123,9 +123,9 @@ class PumpDrive:
             return Problem.of("drive_lost", "problem", problem=problem)
         return Problem.of("drive_lost", "silent", time=_DRIVE_AGE_S)
 
-    def timeout_problem(self, snapshot: Snapshot) -> Problem | None:
+    def timeout_problem(self, snapshot: DriveSnapshot) -> Problem | None:
         """Return what is wrong with the drive's own communication timeout; None if nothing is."""
-        guard, seconds = self.placed.guard, snapshot.timeout_s
+        guard, seconds = self.endpoint.guard, snapshot.timeout_s
         values: dict[str, float | str] = {}
         if not snapshot.timeout_known:
             case, values["note"] = "unread", snapshot.timeout_note

@@ -242,7 +242,7 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
     with closing(Wire(acs880())) as wire:
         choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
         driver, stop = DriveLock(choice.read()), choice.stopper()
-        driver.take()
+        driver.acquire()
         assert stop(1) == (
             False,
             f"another program (process {os.getpid()}) runs the drive, and may run the pump: "

@@ -115,12 +115,12 @@ class SimulatedDrive(ABC):
         Raises:
             ConfigurationError: the drive file has no timeout for that interface.
         """
-        if interface not in file.timeout.known:
+        if interface not in file.timeout.by_interface:
             raise ConfigurationError(
                 "is missing: a drive without a communication timeout cannot be simulated",
                 file=file.path, key=f"timeout.{interface}",
             )
-        self.settings, self.timeout = settings, file.timeout.known[interface]
+        self.settings, self.timeout = settings, file.timeout.by_interface[interface]
         self.flow: Callable[[float], float] = lambda speed: 0.0
         self.say: Callable[[str], None] = lambda text: None
         self.speed = 0.0
@@ -166,7 +166,7 @@ class SimulatedDrive(ABC):
     def _write_timeouts(self) -> set[str]:
         """Set the registers of all timeouts; return their names."""
         names = set()
-        for timeout in (*self._file.timeout.known.values(), self.timeout):
+        for timeout in (*self._file.timeout.by_interface.values(), self.timeout):
             when, action = self.DELIVERED
             if timeout is self.timeout and self.settings.timeout_s is not None:
                 register = self._registers[timeout.register]
