@@ -172,7 +172,7 @@ class DriveChoice:
             except Exception as error:  # whatever the error, somebody must check the pump
                 return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
             message = f"bringup ordered the drive to stop; it then reported: {status}"
-            return (True, message) if status.stands else (False, f"{message}; {_MAY_RUN}")
+            return (True, message) if status.at_rest else (False, f"{message}; {_MAY_RUN}")
 
         return stop
 

@@ -20,9 +20,9 @@ from greenroof_ros.live.pumping.input_rules import (
     AWAITED,
     LevelRule,
     Wetting,
-    cistern_reach,
+    cistern_bounds,
     expected_movement,
-    roof_reach,
+    roof_bounds,
 )
 from greenroof_ros.model.site import Site
 
@@ -84,8 +84,8 @@ class Levels:
         """
         self._site, self._frozen_movement = site, values[_FROZEN_MOVEMENT.name]
         self._rules = [
-            LevelRule(reach, self._frozen_movement, values[_JUMP_TOLERANCE.name])
-            for reach in (cistern_reach(site), roof_reach(site))
+            LevelRule(bounds, self._frozen_movement, values[_JUMP_TOLERANCE.name])
+            for bounds in (cistern_bounds(site), roof_bounds(site))
         ]
         self._wetting = Wetting()
         self.cistern = subscribe("/cistern/level", level=self._rules[0])
@@ -101,7 +101,7 @@ class Levels:
         """Expect the levels to move as pump flow (m3/s) and rain (m/s) move them in a tick."""
         tau = self._site.tau
         movements = expected_movement(
-            self._site, flow, rain, self._wetting.beyond(rain, tau), self.cistern.value,
+            self._site, flow, rain, self._wetting.excess(rain, tau), self.cistern.value,
             self.roof.value, self._frozen_movement,
         )
         for rule, movement in zip(self._rules, movements, strict=True):
@@ -198,7 +198,7 @@ class SampleAndHold:
         if passed > PAUSE_S:
             self._deaf_until = now + PAUSE_S
             for entry in self.inputs:
-                entry.rules.paused(passed)
+                entry.rules.clear(passed)
                 entry.judge()
 
     def _diagnose_inputs(self) -> None:

@@ -152,12 +152,12 @@ class LiveInput(Input):
             self.refusal = str(error)
         case = "unknown" if self._unknown else "refused"
         refused = Verdict("input_refused", case, {"why": self.refusal})
-        self.rules.came(boot_time(), self.value, refused if self.refusal else None)
+        self.rules.receive(boot_time(), self.value, refused if self.refusal else None)
         self.judge()
 
     def judge(self) -> None:
         """Judge the newest value at the present time."""
-        self.verdict: Verdict = self.rules.judge(boot_time(), self.publishers.second())
+        self.verdict: Verdict = self.rules.check(boot_time(), self.publishers.second())
 
     def refuse(self, why: str) -> None:
         """Refuse the newest value, because the node cannot act on it.

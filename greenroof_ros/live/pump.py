@@ -84,7 +84,7 @@ class PumpNode(PumpBehaviour, LiveNode):
         tau = self._site.tau
         if dt > tau + PAUSE_S:
             # All ticks since the last step were missed, except the present one.
-            self._control.pass_unseen(dt - tau)
+            self._control.count_unseen(dt - tau)
             return tau
         return dt
 

@@ -65,7 +65,7 @@ COMMAND_LIMIT = LIMITS["/pump/command"]
 # a supervisor takes a longer silence for a failure.
 _WAIT_S = 1.0
 # How long a suspend of the machine is reported (s).
-_SAID_S = 60.0
+_REPORTED_S = 60.0
 # How often the node tries to start by itself, and how often it reports on the drive (s).
 _AGAIN_S, _LOOK_S = 0.5, 0.2
 
@@ -151,7 +151,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         self._ledger = Ledger(self._state_file, time.time)
         self._begin()
         self._decision = Decision(
-            None, "off", "not started", {}, 0.0, "", (), stands=False, turns_at=None,
+            None, "off", "not started", {}, 0.0, "", (), at_rest=False, reported_speed=None,
             flow_known=False, blind_for=0.0,
         )
         self._state = ""
@@ -201,13 +201,13 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             self._site, self._settings, self._ledger, self._drive_stops_after
         )
         record = self._ledger.record
-        held = self._ledger.held
-        if why := record.fault or record.unknown or (held and held.sentence):
+        active_hold = self._ledger.active_hold
+        if why := record.fault or record.unknown or (active_hold and active_hold.sentence):
             self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _take_state(self) -> None:
         """Take over the state file, if another process had it or it could not be made."""
-        if self._ledger.take():
+        if self._ledger.acquire():
             self._begin()
             self._reasons = ()  # decide again
 
@@ -235,7 +235,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             problem = self._drive.timeout_problem(self._drive.snapshot)
         if problem is None:
             self._take_state()
-            problem = Problem.if_any("state_not_kept", self._ledger.why_not_kept())
+            problem = Problem.if_any("state_not_kept", self._ledger.flush())
         if problem is not None:
             raise RefusedError(f"not activated: {problem.sentence}")
         file = self._drive.endpoint.file
@@ -344,7 +344,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         self._take_state()
-        if refusal := self._control.no_clear:
+        if refusal := self._control.clear_refusal:
             response.success, response.message = False, refusal
             return response
         self._control.clear()
@@ -361,7 +361,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         if fields.keys() != {"volume", "asked_at"}:
             refusal = "a dose needs volume (m3) and asked_at (s since 1970), and nothing else"
         else:
-            refusal = self._control.ask_dose(fields["asked_at"], fields["volume"])
+            refusal = self._control.request_dose(fields["asked_at"], fields["volume"])
         self._step(boot_time())
         response.result.successful = not refusal
         response.result.reason = refusal or self._state
@@ -370,7 +370,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
     def _kept(self, message: str) -> tuple[bool, str]:
         """Return a service's success, only if the state is saved for a restart, and its message."""
-        problem = self._ledger.why_not_kept()
+        problem = self._ledger.flush()
         return not problem, f"{message}; but {problem}" if problem else message
 
     # --- by the clock -----------------------------------------------------------------------------
@@ -382,9 +382,9 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         status = self._drive.status(now)
         reasons = (
             [*self._reasons_against(now)], _fault(status),
-            status is not None and status.stands,
+            status is not None and status.at_rest,
             # Decide again every second, since a drive that is not heard comes to rest at some time.
-            status is None and not self._decision.stands and now // 1,
+            status is None and not self._decision.at_rest and now // 1,
         )
         if reasons != self._reasons:
             self._reasons = reasons
@@ -403,10 +403,10 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         """Report, for a minute, that the machine was suspended while the pump was on."""
         before, self._suspended = self._suspended, suspended_time()
         seconds = self._suspended - before
-        if seconds > PAUSE_S and not self._decision.stands:
+        if seconds > PAUSE_S and not self._decision.at_rest:
             self._suspend_seen = now
             self.reports.diagnose("suspend", Problem.of("suspended", suspended_s=seconds))
-        elif now - self._suspend_seen > _SAID_S:
+        elif now - self._suspend_seen > _REPORTED_S:
             self.reports.diagnose("suspend", None, "the machine stays awake while the pump is on")
 
     # --- the pump ---------------------------------------------------------------------------------
@@ -497,8 +497,8 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         if state != before:
             self.publish("/pump/state", state)
             # Not at every change of the words: they have numbers.
-            logged = (decided.state, decided.stands, *decided.interlocks)
-            if (decision.state, decision.stands, *decision.interlocks) != logged:
+            logged = (decided.state, decided.at_rest, *decided.interlocks)
+            if (decision.state, decision.at_rest, *decision.interlocks) != logged:
                 self.get_logger().info(state)
 
     # --- reports ----------------------------------------------------------------------------------
@@ -506,24 +506,24 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     def progress(self) -> dict[str, Any]:
         """Return the values that bringup shows and waits for."""
         record, decision, dose = self._ledger.record, self._decision, self._control.dose
-        held = self._ledger.held
+        active_hold = self._ledger.active_hold
         return {
             "pump": self._state, "pump_state": decision.state,
-            "stands": decision.stands,
-            "speed": decision.turns_at,
+            "stands": decision.at_rest,
+            "speed": decision.reported_speed,
             "flow": decision.flow if decision.flow_known else None,
             "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
             "fault": record.fault,
-            "no_clear": self._control.no_clear,
+            "no_clear": self._control.clear_refusal,
             "unknown": record.unknown,
             "hold": {
                 "owner": record.hold_owner, "reason": record.hold_reason,
-                "until": record.hold_until, "said": held.sentence,
-            } if held else None,
+                "until": record.hold_until, "said": active_hold.sentence,
+            } if active_hold else None,
             "greatest_dose": self._site.greatest_dose,
             "least_dose": self._control.least_dose,
-            "no_dose": self._control.no_dose,
-            "dose": None if dose is None else {**asdict(dose), "said": dose.said},
+            "no_dose": self._control.dose_refusal,
+            "dose": None if dose is None else {**asdict(dose), "said": dose.sentence},
         }
 
     def _diagnose(self, now: float) -> None:
@@ -544,11 +544,11 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         diagnose("flow", self.second_pump(), f"source: {decision.source}")
         self._diagnose_command()
         self._diagnose_inputs()
-        sees = self._inputs["cistern_level"].good and self._inputs["roof_level"].good
+        levels_known = self._inputs["cistern_level"].good and self._inputs["roof_level"].good
         known_for = f"both levels have not yet been known for {self._settings.averaging_time:g} s"
         diagnose(
             "delivery",
-            Problem.of("delivery_blind") if decision.blind_for and not sees else None,
+            Problem.of("delivery_blind") if decision.blind_for and not levels_known else None,
             known_for if decision.blind_for else "what is pumped is compared with both levels",
             WARN,
         )
@@ -583,7 +583,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         flow = decision.flow if decision.flow_known else None
         known = {name: entry.value if entry.good else None for name, entry in self._inputs.items()}
         return {
-            "pump": {"asked_speed": decision.speed, "speed": decision.turns_at},
+            "pump": {"asked_speed": decision.speed, "speed": decision.reported_speed},
             "flow": {"flow": flow},
             "command": {"command": known["command"]},
             "levels": {name: known[name] for name in ("cistern_level", "roof_level")},
@@ -608,7 +608,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             return
         self.reports.numbers["dose"] = {"volume": dose.volume, "delivered": dose.delivered}
         early = dose.ended_early if dose.over not in ("", DONE) else None
-        self.reports.diagnose("dose", early, dose.said, WARN, dose.cause, log=False)
+        self.reports.diagnose("dose", early, dose.sentence, WARN, dose.cause, log=False)
 
     def _diagnose_command(self) -> None:
         command, silence = self._inputs["command"], self._silence()

@@ -100,7 +100,7 @@ class PumpDrive:
         if status is None or snapshot.connected:
             # If still connected, the thread has not read that the drive is at rest.
             problem = f"the drive was not heard at the end ({snapshot.problem or 'no last answer'})"
-        elif status.stands:
+        elif status.at_rest:
             return f"released the drive: {status}"
         timeout = "off" if snapshot.timeout_known else "not known"
         ending = f"only its own panel can stop it now: its communication timeout is {timeout}"

@@ -218,7 +218,7 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
     """
     file = rig.cwd / "pump.json"
     with closing(Ledger(file, time.time)) as holder:
-        assert holder.why_not_kept(20.0) == ""
+        assert holder.flush(20.0) == ""
         words = f"process {os.getpid()} already uses it"
         before = file.read_bytes()
         node = rig.start(state_file=file)

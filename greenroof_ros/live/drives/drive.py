@@ -51,7 +51,7 @@ class DriveStatus:
     runs_on: bool = False
 
     @property
-    def stands(self) -> bool:
+    def at_rest(self) -> bool:
         """Whether the pump is at rest."""
         return abs(self.speed) <= STANDS
 

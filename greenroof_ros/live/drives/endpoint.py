@@ -21,7 +21,7 @@ Connection: TypeAlias = Drive | Relay
 def read_endpoint(
     file: Path, at: str, key: str, login: str = "", authority: str = ""
 ) -> Endpoint:
-    """Read a drive file, and return it with the address; a file with the key ``protocol`` is a relay's.
+    """Read a drive file, or with the key ``protocol`` a relay file, and return it with its address.
 
     Args:
         file: the drive file or relay file.

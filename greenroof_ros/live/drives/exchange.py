@@ -165,7 +165,7 @@ class StopMonitor:
             RunsOnError: the fault has been visible for long enough.
         """
         fall, reported_at, self._reported_at = self._fall, self._reported_at, math.inf
-        if fall is None or status.stands or not status.remote:
+        if fall is None or status.at_rest or not status.remote:
             self._fall, self._silent_until = None, -math.inf
             return status
         steady_s = fall.update(status, now)
@@ -233,10 +233,10 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     the drive fails to start, or somebody else writes to it. After a failed start, or a connection
     lost while a speed was requested, the drive stays off until `request_speed` requests off: the
     caller, which counts starts and waits between them, decides on the next. During a silence
-    nothing is sent for longer than the drive's own timeout, which then stops it: it may count any order as a
-    sign of life. A timeout above the limit is not relied on, and `stop` ends a silence early.
-    `close` works in every state and leaves the drive stopped. From the first connection to `close`
-    no other program on this machine can use the drive.
+    nothing is sent for longer than the drive's own timeout, which then stops it: it may count any
+    order as a sign of life. A timeout above the limit is not relied on, and `stop` ends a silence
+    early. `close` works in every state and leaves the drive stopped. From the first connection to
+    `close` no other program on this machine can use the drive.
     """
 
     def __init__(
@@ -470,7 +470,8 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._reset_until = -math.inf
         self._wait_s = FIRST_WAIT_S
         self._update(
-            state=ExchangeState.STOPPED if status.stands else ExchangeState.STOPPING, status=status,
+            state=ExchangeState.STOPPED if status.at_rest else ExchangeState.STOPPING,
+            status=status,
             read_at=boot_time(), problem="", identity=identity, unguarded=self._unguarded(),
         )
 
@@ -520,7 +521,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             return
         self._unanswered = 0
         status = self._stop_monitor.check(status, time.monotonic())
-        standing = ExchangeState.STOPPED if status.stands else ExchangeState.STOPPING
+        standing = ExchangeState.STOPPED if status.at_rest else ExchangeState.STOPPING
         if not problem and time.monotonic() < self._paused_until:
             problem = self._snapshot.problem  # the reason of the pause, which still lasts
         self._update(
@@ -620,7 +621,7 @@ def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
     while True:
         drive.stop()
         status, now = drive.read(), time.monotonic()
-        if status.stands or fall.update(status, now) > STEADY_S or now > until:
+        if status.at_rest or fall.update(status, now) > STEADY_S or now > until:
             return status
         time.sleep(0.1)
 

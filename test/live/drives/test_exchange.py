@@ -147,7 +147,7 @@ def test_it_stops_the_drive_first_and_reads_what_it_is(bench: Bench) -> None:
     bench.connect()
     assert bench.wire.frames[0][12:] == "01060000047e"  # the very first request
     now = bench.now
-    assert now.status is not None and now.status.stands and not now.status.running
+    assert now.status is not None and now.status.at_rest and not now.status.running
     assert now.identity.startswith("ABB ACS880") and "1234" in now.identity
     assert (now.timeout_s, now.timeout_known, now.timeout_note) == (5.0, True, "")
     assert (now.problem, now.errors) == ("", 0)
@@ -173,7 +173,7 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
     assert bench.now.state is ExchangeState.RUNNING
     bench.speed = None
     assert wait(lambda: drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
-    bench.until_said(lambda status: status.stands)
+    bench.until_said(lambda status: status.at_rest)
     assert (bench.now.state, bench.now.errors) == (ExchangeState.STOPPED, 0)
     for nonsense in (float("nan"), 1.5):
         bench.speed = 0.5
@@ -190,7 +190,7 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
     bench.until_half()
     bench.close_within(1.0)
     assert drive.values[0] == 0x047E and bench.now.state is ExchangeState.CONNECTING
-    assert bench.now.status is not None and bench.now.status.stands
+    assert bench.now.status is not None and bench.now.status.at_rest
     count = len(drive.written)
     time.sleep(4 * PERIOD)
     assert len(drive.written) == count
@@ -484,7 +484,7 @@ def test_a_requested_stop_is_tried_during_a_silence(bench: Bench) -> None:
     bench.drive.refused = set()
     bench.exchange.stop()
     assert wait(lambda: bench.drive.values[0] == 0x047E) < 1.0
-    bench.until_said(lambda status: status.stands)
+    bench.until_said(lambda status: status.at_rest)
 
 
 def test_a_stop_requested_while_connected_shortens_no_later_silence(bench: Bench) -> None:
@@ -528,7 +528,7 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
     bench.drive.written.clear()
     # It obeys again.
     bench.drive.on_write = lambda _address, _word: bench.drive.values.update({3: 0x1231, 4: 0})
-    bench.until_said(lambda status: status.stands and not status.fault)
+    bench.until_said(lambda status: status.at_rest and not status.fault)
     assert bench.drive.written[0] == OFF
     assert silences(bench.wire)[-1] >= 1.2
 
@@ -555,7 +555,7 @@ class Stopping:
     """Writes *stop* ten times a second, and judges what the drive reports."""
 
     def __init__(self) -> None:
-        self.now, self.obedience, self.faults = 0.0, StopMonitor("there"), set[str]()
+        self.now, self.monitor, self.faults = 0.0, StopMonitor("there"), set[str]()
         # When and why it was left each time; a silence lasts 6 s.
         self.left: list[tuple[float, str]] = []
 
@@ -566,22 +566,22 @@ class Stopping:
         until = self.now + seconds
         while self.now < until:
             self.now += 0.1
-            self.obedience.stop_written(self.now)
+            self.monitor.stop_written(self.now)
             read = speed(self.now)
             try:
                 if read is None:
                     self.lose()
                 else:
-                    self.obedience.speed_read()
+                    self.monitor.speed_read()
                     status = DriveStatus(True, True, "", "", read, None, remote)
-                    self.faults.add(self.obedience.check(status, self.now).fault)
+                    self.faults.add(self.monitor.check(status, self.now).fault)
             except RunsOnError as error:
-                self.obedience.connection_lost(True, self.now)
+                self.monitor.connection_lost(True, self.now)
                 self.leave(str(error))
 
     def lose(self) -> None:
         """Lose a connection; the next one comes after 1 s."""
-        why = self.obedience.connection_lost(True, self.now)
+        why = self.monitor.connection_lost(True, self.now)
         self.now += 1.0
         if why is not None:
             self.leave(why)
@@ -589,7 +589,7 @@ class Stopping:
     def leave(self, why: str) -> None:
         self.left.append((self.now, why))
         self.now += 6.0
-        self.obedience.silence_started(self.now)
+        self.monitor.silence_started(self.now)
 
 
 @pytest.mark.parametrize(
@@ -630,7 +630,7 @@ def test_one_that_stood_or_was_run_or_is_a_persons_begins_again(way: str) -> Non
     stopping = Stopping()
     stopping.listen(9.5, lambda _now: 0.5)
     if way == "was run":
-        stopping.obedience.order_changed()
+        stopping.monitor.order_changed()
     else:
         stopping.listen(0.1, lambda _now: 0.0 if way == "stood" else 0.5, remote=way == "stood")
     stopping.lose()
@@ -641,9 +641,9 @@ def test_one_that_stood_or_was_run_or_is_a_persons_begins_again(way: str) -> Non
 
 def test_a_stop_that_is_refused_on_two_connections_one_after_the_other() -> None:
     """A connection on which nothing could be sent counts neither way."""
-    obedience = StopMonitor("there")
+    monitor = StopMonitor("there")
     ends = [
-        obedience.connection_lost(stopped, 0.0)
+        monitor.connection_lost(stopped, 0.0)
         for stopped in (False, True, False, None, False, False)
     ]
     assert [bool(why) for why in ends] == [False, False, False, False, True, True]
@@ -765,7 +765,8 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("owner", "method"), [(ModbusLine, "connect"), (ModbusLine, "close"), (StopMonitor, "connection_lost")]
+    ("owner", "method"),
+    [(ModbusLine, "connect"), (ModbusLine, "close"), (StopMonitor, "connection_lost")],
 )
 def test_whatever_fails_the_next_step_begins_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, owner: type, method: str
@@ -823,7 +824,7 @@ def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
         status = stop.result()
     assert second.written[0] == OFF and RUN not in second.written
     assert bench.now.status is not None
-    assert (bench.now.status.stands, status.stands) == (stands, stands)
+    assert (bench.now.status.at_rest, status.at_rest) == (stands, stands)
 
 
 def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off_meanwhile(
@@ -845,7 +846,7 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
     bench.close_within(2.0)
     for status in (at_end, bench.now.status):
         assert str(status) == "speed 100.0%, running, local control"
-        assert status is not None and not status.stands
+        assert status is not None and not status.at_rest
 
 
 def test_a_stop_that_is_not_taken_is_tried_three_times(bench: Bench) -> None:

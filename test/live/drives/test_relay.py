@@ -131,7 +131,7 @@ def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
     ) as tap:
         bench.connect()
         now = bench.now
-        assert now.status is not None and now.status.stands and now.problem == ""
+        assert now.status is not None and now.status.at_rest and now.problem == ""
         assert (now.timeout_s, now.timeout_known, now.timeout_note) == (TIMER_S, True, "")
         assert "greenroof_ros drive simulator" in now.identity
         wait(lambda: switched(tap, on=False), 5)
@@ -152,7 +152,7 @@ def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
         bench.ask_no_more()  # like a node that hangs
         assert wait(lambda: not bench.closed) < 1.0 + SLACK_S
         bench.exchange.close()
-        assert bench.now.status is not None and bench.now.status.stands
+        assert bench.now.status is not None and bench.now.status.at_rest
         assert not any(retained for *_, retained in tap.heard)
         with Talker(bench.broker) as late:
             time.sleep(0.5)

@@ -169,7 +169,7 @@ def test_faults_of_the_wire(
     with pytest.raises(DriveError, match=re.escape(error)) if error else nullcontext():
         if fault == "refused_writes":
             driver.stop()
-        assert driver.read().stands
+        assert driver.read().at_rest
     if fault == "refused":
         with pytest.raises(DriveError, match="cannot connect"):
             driver.line.connect()
@@ -219,7 +219,7 @@ def test_rtu_over_a_pseudo_terminal() -> None:
             with pytest.raises(DriveError, match="no valid answer"):
                 driver.read()
             time.sleep(0.5)
-            assert driver.read().stands
+            assert driver.read().at_rest
 
 
 def test_wrong_options_are_refused_with_what_would_be_right(
