@@ -104,7 +104,7 @@ class Bench:
 
     def close(self) -> None:
         self.ask_no_more()
-        self.broker.may_continue()
+        self.broker.go_on()
         self.exchange.close()
         self.relay.end()
         self.broker.kill()
@@ -206,7 +206,7 @@ def test_a_broker_that_stalls_is_given_up_and_delivers_no_on_afterwards(bench: B
     wait(lambda: not bench.now.connected, 10)
     bench.speed = None
     time.sleep(2.0)
-    bench.broker.may_continue()
+    bench.broker.go_on()
     assert closed_for(bench, 6.0) < 0.3
     wait(lambda: bench.now.connected, 20)
 
@@ -233,7 +233,7 @@ def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Be
         relay.line.close()
         time.sleep(1.0)
         resumed = time.monotonic()
-        bench.broker.may_continue()
+        bench.broker.go_on()
         assert closed_for(bench, 2.0) < 0.3
         (on,) = (at for at in switched(tap, on=True) if at > resumed)
         assert any(on < at < on + 0.3 for at in switched(tap, on=False))

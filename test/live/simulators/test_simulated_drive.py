@@ -64,7 +64,7 @@ def test_a_drive_that_reports_its_flow_follows_the_sites_curve() -> None:
     bench = DriveBench(profile_of(file.make), file, settings, free, free, PAPER_SITE)
     bench.drive.speed = 0.5
     assert bench.drive.registers()[301] == 15
-    bench.adjust(5, 30_000)
+    bench.write_register(5, 30_000)
     assert bench.drive.registers()[301] == 42
 
 
