@@ -279,7 +279,7 @@ def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
     return None if drive is None else DriveChoice(find_drive_file(drive).resolve(), at, *files)
 
 
-def own_parameters(
+def node_parameter_files(
     arguments: argparse.Namespace, modules: Mapping[str, str], controller: ControllerChoice
 ) -> list[Path]:
     """Return the file given by ``--node-parameters``, in a list; an empty list if there is none.

@@ -110,7 +110,7 @@ class LiveSite:
         }
         return {name: file for name, file in files.items() if file is not None}
 
-    def fetched(self, state: Path) -> dict[str, str | float]:
+    def forecast_parameters(self, state: Path) -> dict[str, str | float]:
         """Return the weather node's forecast parameters; ``state`` is the site's directory."""
         if self.forecast != OPEN_METEO:
             return {"forecast": str(self.forecast or "")}
@@ -141,7 +141,7 @@ class LiveSite:
                 "weather", "greenroof_ros.live.weather", (),
                 {
                     **common,
-                    **self.fetched(state),
+                    **self.forecast_parameters(state),
                     "horizon": self.parameters.get("horizon", 0.0),
                     "all_members": self.controller.ensemble,
                 },

@@ -50,9 +50,9 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
     def on_inputs(self) -> None:
         """Decide on the inputs of a tick, and publish the flow."""
         self._refuse_other_speed()
-        self._commanded = boot_time()
+        self._commanded_at = boot_time()
         self._simulated += self._site.tau
-        self._step(self._commanded)
+        self._step(self._commanded_at)
         self.publish("/pump/flow", self._decision.flow)
 
     def on_timer(self, now: float) -> None:

@@ -69,7 +69,7 @@ class PumpNode(PumpBehaviour, LiveNode):
         PumpBehaviour.__init__(self, site, values, inputs, simulated=False)
 
     def _on_command(self, value: float) -> None:
-        self._commanded = boot_time()
+        self._commanded_at = boot_time()
 
     def on_inputs(self) -> None:
         """Decide, and publish the flow."""

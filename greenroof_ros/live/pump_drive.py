@@ -63,7 +63,7 @@ class PumpDrive:
             self.endpoint, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit,
             checks_simulator=self._checks_simulator,
         )
-        self._begun = self._leaving = False
+        self._started = self._closing = False
 
     @property
     def snapshot(self) -> DriveSnapshot:
@@ -72,13 +72,13 @@ class PumpDrive:
 
     def connect(self) -> None:
         """Start the exchange, which keeps the drive stopped; a closing one must end first."""
-        if self._leaving and self.exchange.close(0.0):
+        if self._closing and self.exchange.close(0.0):
             self._renew()
-        if not self._begun:
+        if not self._started:
             self.exchange.start()
-            self._begun = True
+            self._started = True
 
-    def let_go(self, within: float) -> str:
+    def disconnect(self, within: float) -> str:
         """Stop the drive and disconnect; return its last status, empty if there was no exchange.
 
         Args:
@@ -86,12 +86,12 @@ class PumpDrive:
 
         Raises:
             RefusedError: it takes longer; stopping continues.
-            OSError: the drive was not heard at the end, or is not at rest.
+            OSError: the drive did not answer at the end, or is not at rest.
         """
-        if not self._begun:
+        if not self._started:
             return ""
-        self._leaving = not self.exchange.close(within)
-        if self._leaving:
+        self._closing = not self.exchange.close(within)
+        if self._closing:
             raise RefusedError("the drive is still slowing down, or does not answer; ask again")
         snapshot = self.snapshot
         status = snapshot.status
@@ -99,7 +99,7 @@ class PumpDrive:
         problem = f"the drive is not at rest at the end: {status}"
         if status is None or snapshot.connected:
             # If still connected, the thread has not read that the drive is at rest.
-            problem = f"the drive was not heard at the end ({snapshot.problem or 'no last answer'})"
+            problem = f"the drive did not answer at the end ({snapshot.problem or 'no last answer'})"
         elif status.at_rest:
             return f"released the drive: {status}"
         timeout = "off" if snapshot.timeout_known else "not known"
@@ -114,8 +114,8 @@ class PumpDrive:
         return snapshot.status if now - snapshot.read_at < _DRIVE_AGE_S else None
 
     def absence(self, now: float) -> Problem | None:
-        """Return why the drive is not heard; None if it is."""
-        if self._leaving:
+        """Return why the drive does not answer; None if it does."""
+        if self._closing:
             return Problem.of("drive_lost", "released")
         if self.status(now) is not None:
             return None

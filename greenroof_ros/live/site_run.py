@@ -41,7 +41,7 @@ from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.states import PUMP
-from greenroof_ros.live.drive import EXTERNAL, own_parameters
+from greenroof_ros.live.drive import EXTERNAL, node_parameter_files
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.model.site import edited
@@ -73,14 +73,14 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     state: Path = arguments.state or Path("live")
     nodes = list(site.nodes(state, state / "configuration"))
     modules = {name: node.module for node in nodes for name in node.nodes}
-    own_files = own_parameters(arguments, modules, site.controller)
+    own_files = node_parameter_files(arguments, modules, site.controller)
     with (
         only_bringup(arguments.namespace),
         _state_directory(state) as state,
         scratch_directory(_IN_MEMORY) as memory,
     ):
-        record, start = _Record(site, state), _Start(arguments.namespace)
-        start.look({}, "the nodes are starting")
+        record, start = _SiteRecord(site, state), _StartReport(arguments.namespace)
+        start.update({}, "the nodes are starting")
         names = modules.keys() | {"plant", *controller_names()}
         refuse_other_nodes(arguments.namespace, names, signals.check)
         supervisor = LiveSupervisor(
@@ -94,14 +94,15 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
             with supervisor:
                 for node in nodes:
                     supervisor.add(node)
-                _keep_up(site, supervisor, record, start, signals)
+                _supervise(site, supervisor, record, start, signals)
         except Exception as error:  # whatever the error, the summary must not say "running"
             signals.ignore()
-            return _end(record, supervisor, error)
+            return _report_end(record, supervisor, error)
 
 
-def _keep_up(
-    site: LiveSite, supervisor: LiveSupervisor, record: _Record, start: _Start, signals: Signals
+def _supervise(
+    site: LiveSite, supervisor: LiveSupervisor, record: _SiteRecord, start: _StartReport,
+    signals: Signals,
 ) -> NoReturn:
     """Watch the nodes until an error ends the site.
 
@@ -113,12 +114,12 @@ def _keep_up(
     notified = -_NOTIFY_S
     try:
         while True:
-            supervisor.listen()
-            signals.check()  # before look(): a node stopped by a service manager has not failed
-            supervisor.look()
+            supervisor.read_reports()
+            signals.check()  # before update(): a node stopped by a service manager has not failed
+            supervisor.update()
             unready = supervisor.unready
-            record.look(supervisor, starting=start.late)
-            start.look(supervisor.last, unready)
+            record.update(supervisor, starting=start.late)
+            start.update(supervisor.last, unready)
             if not ready and not unready:
                 ready = True
                 say("all nodes are here")
@@ -134,7 +135,7 @@ def _keep_up(
             say("waiting for the pump to come to rest")
 
 
-def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
+def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exception) -> int:
     """Record and print why the site ended; return the exit code."""
     if isinstance(error, InterruptedRun) and not supervisor.may_run:
         record.write(summary.DONE, str(error))
@@ -156,7 +157,7 @@ def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
     return EXIT_FAILED if supervisor.may_run else code
 
 
-class _Start:
+class _StartReport:
     """During the start, lists what keeps the site from pumping, each with what to do about it.
 
     It lists what would become an incident if it lasted, except warnings; a mere consequence only
@@ -167,11 +168,11 @@ class _Start:
     def __init__(self, namespace: str) -> None:
         """Begin the start of a graph; its namespace is such as ``/site1``, or empty for none."""
         self._namespace = namespace
-        self._over = False
+        self._finished = False
         self._late_until = time.monotonic() + _LATE_S
         # What is missing, by node, part and code: as last printed; as last seen, and since when.
-        self._said: list[tuple[str, ...]] | None = None
-        self._seen: tuple[list[tuple[str, ...]], float] = ([], -math.inf)
+        self._printed: list[tuple[str, ...]] | None = None
+        self._last_missing: tuple[list[tuple[str, ...]], float] = ([], -math.inf)
 
     @property
     def late(self) -> bool:
@@ -181,14 +182,14 @@ class _Start:
         """
         return time.monotonic() < self._late_until
 
-    def look(self, reports: Mapping[str, Mapping[str, Any]], unready: str) -> None:
+    def update(self, reports: Mapping[str, Mapping[str, Any]], unready: str) -> None:
         """Print what is missing if that has changed, and the end of the start.
 
         Args:
             reports: the last report of each node.
             unready: which nodes are not ready, and why; empty if all are.
         """
-        if self._over:
+        if self._finished:
             return
         lost_parts = [
             part for part in parts_in(reports) if part.is_lost and part.diagnosis["level"] != "WARN"
@@ -206,16 +207,16 @@ class _Start:
         stopped = any(part.rule.stops_pump for part in lost_parts)
         if why and not stopped:
             missing[why,] = f"  {why}"
-        self._over = not (stopped or why or None in _levels(reports).values())
+        self._finished = not (stopped or why or None in _levels(reports).values())
         codes, now = list(missing), time.monotonic()
-        if codes != self._seen[0]:
-            self._seen = codes, now
-        title = "missing:" if self._said is None else "still missing:"
-        stands = self._said is None or self._over or now - self._seen[1] > _LISTED_S
-        if missing and codes != self._said and stands:
-            self._said = codes
+        if codes != self._last_missing[0]:
+            self._last_missing = codes, now
+        title = "missing:" if self._printed is None else "still missing:"
+        stands = self._printed is None or self._finished or now - self._last_missing[1] > _LISTED_S
+        if missing and codes != self._printed and stands:
+            self._printed = codes
             say("\n".join([title, *missing.values()]))
-        if self._over:
+        if self._finished:
             say(f"running: {levels}")
 
     def _advice(self, node: str, code: str) -> str:
@@ -224,7 +225,7 @@ class _Start:
         return condition.advise(f"{self._namespace}/{node}") if condition else "Read its message."
 
 
-class _Record:
+class _SiteRecord:
     """The record of a site since its start: ``summary.json``, incidents and warnings.
 
     The disk thread writes the files, so a full or hung disk stops nothing else.
@@ -250,7 +251,7 @@ class _Record:
                 f"{getattr(error, 'strerror', None) or error}"
             ),
         )
-        self._began = wall_time()
+        self._started_at = wall_time()
         self._last_time = before = _last_time(state)
         self._setting = {
             "controller": site.controller.name,
@@ -268,7 +269,7 @@ class _Record:
                 end = "bringup was killed, or the power failed"
             say(f"the last time, since {before['began']}, {end}")
 
-    def look(self, supervisor: LiveSupervisor, *, starting: bool) -> None:
+    def update(self, supervisor: LiveSupervisor, *, starting: bool) -> None:
         """Find what was lost or has come back since the last call; print and record it."""
         for node in supervisor.ready:
             self.log.end(node, PROCESS)
@@ -304,7 +305,7 @@ class _Record:
         self._summary.give({
             "status": status,
             "reason": reason,
-            "began": self._began,
+            "began": self._started_at,
             "ended": None if status == summary.RUNNING else wall_time(),
             "last_time": self._last_time,
             "incident_count": self.log.count,
