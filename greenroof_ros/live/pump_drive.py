@@ -99,7 +99,8 @@ class PumpDrive:
         problem = f"the drive is not at rest at the end: {status}"
         if status is None or snapshot.connected:
             # If still connected, the thread has not read that the drive is at rest.
-            problem = f"the drive did not answer at the end ({snapshot.problem or 'no last answer'})"
+            why = snapshot.problem or "no last answer"
+            problem = f"the drive did not answer at the end ({why})"
         elif status.at_rest:
             return f"released the drive: {status}"
         timeout = "off" if snapshot.timeout_known else "not known"

@@ -14,7 +14,7 @@ Values = NDArray[np.float64]
 
 # Length of a stretch (ns), short enough for 400 points in 12 h; how many are kept: a week.
 STRETCH_NS = 20_000_000_000
-KEPT = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
+MOST_STRETCHES = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
 # The most gaps that are kept, and the most values that are ahead of the past.
 _MOST_UNKNOWN = _MOST_AHEAD = 1000
 
@@ -32,12 +32,12 @@ class History:
         self._ahead: deque[tuple[int, float]] = deque(maxlen=_MOST_AHEAD)
 
     @property
-    def begin(self) -> int | None:
+    def first_ns(self) -> int | None:
         """Time of the first value (ns); None without values."""
         return None if self._first is None else self._first[0]
 
     def add(self, times: Stamps, values: Values) -> None:
-        """Take finite values in the order of time, none older than those already there.
+        """Add finite values in the order of time, none older than those already there.
 
         Args:
             times: since 1970 (ns), shape (n,).
@@ -58,11 +58,11 @@ class History:
             self._times[-1], self._rows[-1] = spans[0], rows[0]
             spans, rows = spans[1:], rows[1:]
         if len(spans):
-            self._times = np.concatenate((self._times, spans))[-KEPT:]
-            self._rows = np.concatenate((self._rows, rows))[-KEPT:]
+            self._times = np.concatenate((self._times, spans))[-MOST_STRETCHES:]
+            self._rows = np.concatenate((self._rows, rows))[-MOST_STRETCHES:]
 
-    def hear(self, time_ns: int, value: float | None) -> None:
-        """Take a value that is ahead of the others, until they have come up to it.
+    def add_ahead(self, time_ns: int, value: float | None) -> None:
+        """Add a value that is ahead of the others, until they have come up to it.
 
         Args:
             time_ns: later than all times before.
@@ -128,7 +128,7 @@ class Gaps:
         self._known_at = math.inf  # when it was known last (s)
         self._times: list[tuple[float, float]] = []
 
-    def say(self, now: float, *, known: bool) -> None:
+    def update(self, now: float, *, known: bool) -> None:
         """Note whether the value is known now.
 
         Args:
@@ -145,7 +145,7 @@ class Gaps:
                 self.add(min(now, self._known_at), math.inf)
 
     def add(self, begin: float, end: float) -> None:
-        """Note that the value was not known from one time to another (s)."""
+        """Add that the value was not known from one time to another (s)."""
         self._times = [*self._times[1 - _MOST_UNKNOWN:], (begin, end)]
 
     def at(self, times: Values) -> NDArray[np.bool_]:

@@ -12,7 +12,7 @@ from typing import Any
 from greenroof_ros.common.conditions import command_for
 from greenroof_ros.watch import words
 from greenroof_ros.watch.registry import Node
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import sentence
 
 LOCK_OUT = (
@@ -24,7 +24,7 @@ _THEN = (
 )
 
 
-def stop_of(store: Store) -> dict[str, Any]:
+def stop_of(store: GraphStore) -> dict[str, Any]:
     """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
 
     It is stopped if somebody holds it and it stands; the hold alone only says that it should stand.
@@ -35,7 +35,7 @@ def stop_of(store: Store) -> dict[str, Any]:
     two = store.graph.two_pumps(store.wall)
     node = None if two else store.graph.pump(store.wall)
     values = {} if node is None else node.values
-    hold, gone = "" if node is None else node.hold, store.gone(node)
+    hold, gone = "" if node is None else node.hold, store.is_lost(node)
     stands = not gone and values.get("stands") is True
     stopped, warning = bool(hold) and stands, two
     if hold and not stands and not gone:
@@ -43,7 +43,7 @@ def stop_of(store: Store) -> dict[str, Any]:
             "Stop was accepted, but the pump still turns, or it is not known whether it is at "
             "rest. Stop it at its drive's panel if it is not at rest within seconds."
         )
-    state = "" if node is None else (store.pump_says or "").partition(": ")[0]
+    state = "" if node is None else (store.pump_report or "").partition(": ")[0]
     off = state in ("off", "held", "fault") and stands
     return {
         "possible": node is not None, "stopped": stopped, "node": node and node.name,

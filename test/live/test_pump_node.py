@@ -160,7 +160,7 @@ def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> No
     rig.observer.until(lambda: rig.says("command", STALE, "command_limit"), LATE, "the reason")
     assert rig.tick(0.5) == 0.0  # after a silence the first command finds the pump at rest
     rig.run()
-    words = "was not heard at the end", "only its own panel can stop it now"
+    words = "did not answer at the end", "only its own panel can stop it now"
     ends_in_words(rig, node, "silence", *words)
 
 

@@ -27,7 +27,7 @@ from greenroof_ros.watch.bridge import Bridge, alarms_of, state_of
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.home_assistant import discovery
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 
 pytest.importorskip("paho.mqtt", reason="the bridge needs paho-mqtt")
 
@@ -96,7 +96,7 @@ def test_discovery_is_what_home_assistant_documents() -> None:
 # --- what is published ----------------------------------------------------------------------------
 
 
-def state(graph: Store, wall: float = 0.0) -> dict[str, Any]:
+def state(graph: GraphStore, wall: float = 0.0) -> dict[str, Any]:
     return state_of(graph, read_document(graph, wall))
 
 
