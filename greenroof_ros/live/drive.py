@@ -84,12 +84,12 @@ class DriveChoice:
             record = state.resolve() / "pump.json"
         else:
             try:
-                place = self.read().place()
+                canonical_name = self.read().canonical_name()
             except OSError as error:
                 raise ConfigurationError(
                     f"the host is not found ({error.strerror})", key="--drive-at", value=self.at
                 ) from error
-            name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{place}")
+            name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{canonical_name}")
             record = state_directory() / f"{name}.json"
         with writable(record.parent, "--state"):
             record.parent.mkdir(parents=True, exist_ok=True)
@@ -124,7 +124,7 @@ class DriveChoice:
         """
         if speed == 1:
             return
-        from greenroof_ros.live.drives.drive import no_real_time
+        from greenroof_ros.live.drives.drive import real_time_error
         from greenroof_ros.live.drives.modbus_line import DriveError
 
         endpoint = self.read()
@@ -134,9 +134,9 @@ class DriveChoice:
             check()
             drive = endpoint.connection()
             try:
-                if endpoint.is_here:
+                if endpoint.is_on_this_machine:
                     drive.line.connect()
-                why = drive.why_no_simulator()
+                why = drive.simulator_problem()
             except DriveError as error:
                 if time.monotonic() > until:
                     why = f"nobody answers there ({error})"
@@ -144,7 +144,7 @@ class DriveChoice:
             finally:
                 drive.line.close()
         if why:
-            raise no_real_time(why, "--speed", speed)
+            raise real_time_error(why, "--speed", speed)
 
     def stopper(self) -> StopDrive:
         """Return a function that stops the drive without the pump node.

@@ -122,14 +122,14 @@ class LiveSite:
             **({} if self.fetch_every is None else {"fetch_every": self.fetch_every}),
         }
 
-    def nodes(self, state: Path, place: Path) -> Iterator[NodeStart]:
+    def nodes(self, state: Path, directory: Path) -> Iterator[NodeStart]:
         """Yield the nodes that bringup starts.
 
         Args:
             state: the directory of the site.
-            place: directory with the copies of :meth:`files`, each in a subdirectory of its name.
+            directory: with the copies of :meth:`files`, each in a subdirectory of its name.
         """
-        copies = {name: place / name / file.name for name, file in self.files().items()}
+        copies = {name: directory / name / file.name for name, file in self.files().items()}
         common = {"site_file": str(copies["site"])}
         if self.sensed is not None:
             yield NodeStart(

@@ -212,8 +212,9 @@ class _StartReport:
         if codes != self._last_missing[0]:
             self._last_missing = codes, now
         title = "missing:" if self._printed is None else "still missing:"
-        stands = self._printed is None or self._finished or now - self._last_missing[1] > _LISTED_S
-        if missing and codes != self._printed and stands:
+        settled = now - self._last_missing[1] > _LISTED_S
+        due = self._printed is None or self._finished or settled
+        if missing and codes != self._printed and due:
             self._printed = codes
             say("\n".join([title, *missing.values()]))
         if self._finished:

@@ -233,8 +233,8 @@ class Supervisor:
     def _confirm_drive_stopped(self, stop_drive: StopDrive) -> None:
         """Stop the drive; report it if the pump node did not end well or the pump may still run."""
         process = self.nodes[PUMP].process
-        stands, message = stop_drive(process.pid)
-        self.may_run = "" if stands else message
+        at_rest, message = stop_drive(process.pid)
+        self.may_run = "" if at_rest else message
         if self.may_run or process.returncode != EXIT_DONE:
             self._on_failure(PUMP, f"{self.exit_status(PUMP)}; {message}")
 
@@ -356,7 +356,7 @@ class Supervisor:
         Not by SIGINT: processes in a shell's background ignore it, and so would a node that is just
         starting.
         """
-        began = time.monotonic()
+        started_at = time.monotonic()
         limits = {
             node: PUMP_ENDING_S if node == PUMP else ENDING_S
             for node in nodes if self.nodes[node].process.poll() is None
@@ -365,7 +365,7 @@ class Supervisor:
             self.nodes[node].process.send_signal(signal.SIGTERM)
         while limits:
             self._read(0.02)
-            passed = time.monotonic() - began
+            passed = time.monotonic() - started_at
             for node, limit in list(limits.items()):
                 process = self.nodes[node].process
                 if process.poll() is not None or passed > limit + KILLING_S:

@@ -248,10 +248,10 @@ class LiveWeatherNode(LiveNode):
             return float(temperature <= 0)
         level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
         problem = Problem.of("temperature_unknown", case, why=why)
-        self.reports.diagnose("frost", replace(problem, code=self._no_temperature()), level=level)
+        self.reports.diagnose("frost", replace(problem, code=self._temperature_code()), level=level)
         return self._unknown_frost
 
-    def _no_temperature(self) -> str:
+    def _temperature_code(self) -> str:
         """Return the code for an unknown temperature, by what the site has."""
         thermometer = self._thermometer
         if thermometer.received and thermometer.verdict.code == "input_recovering":

@@ -97,9 +97,9 @@ class Alarm:
 
     @property
     def is_acknowledged(self) -> bool:
-        """Whether somebody has seen it: as bad as it is now, and about the same nodes or topics."""
-        seen, now = self.acknowledged, self.trouble
-        return seen is not None and (seen.level, seen.names) == (now.level, now.names)
+        """Whether it is acknowledged: as bad as it is now, and about the same nodes or topics."""
+        before, now = self.acknowledged, self.trouble
+        return before is not None and (before.level, before.names) == (now.level, now.names)
 
     def row(
         self, name: str, follows: str | None = None, *, recorded: bool = False

@@ -111,7 +111,7 @@ class GrowingBag:
 
         Args:
             bag: a directory with ``.mcap`` files, which need not exist yet.
-            namespace: of its topics, such as ``/site1``; None: it is that of the first roof level.
+            namespace: of its topics, such as ``/site1``; None: as of the first roof level.
         """
         self._bag = bag
         self._namespace = namespace
@@ -309,7 +309,7 @@ class BagProcess:
 
         Args:
             bag: its directory.
-            namespace: of its topics; None: it is that of the first roof level.
+            namespace: of its topics; None: as of the first roof level.
             on_batch: called in a thread of its own with each batch.
         """
         self.bag = bag

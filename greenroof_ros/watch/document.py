@@ -226,15 +226,15 @@ def _sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
         return "no run or site is found."
     roof, verb = shown["roof"], "was" if store.ended else "is"
     if roof["state"] in ("unknown", "alarm"):
-        said = f"The roof's level is not known now ({roof['sentence']})" if roof["stale"] else (
-            f"The roof's level is {roof['value']}"
-        )
+        level_clause = f"The roof's level is {roof['value']}"
+        if roof["stale"]:
+            level_clause = f"The roof's level is not known now ({roof['sentence']})"
     else:
         judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")
-        said = f"The roof {verb} {judged}{roof['sentence']}"
+        level_clause = f"The roof {verb} {judged}{roof['sentence']}"
     clause = f"the pump is {waits}" if waits else _pump_clause(shown["pump"], verb)
     over = "The run has ended." if store.ended else ""
-    return " ".join(filter(None, (over, f"{said}; {clause}.", tiles.too_wet(store))))
+    return " ".join(filter(None, (over, f"{level_clause}; {clause}.", tiles.too_wet(store))))
 
 
 def _pump_clause(pump: Tile, verb: str) -> str:

@@ -393,8 +393,8 @@ class Feed:
     ) -> None:
         self._excuse_own_pause()
         if name == DIAGNOSTICS:
-            if (said := wire.statuses(message)) is not None:
-                stamp_ns, statuses = said
+            if (received := wire.statuses(message)) is not None:
+                stamp_ns, statuses = received
                 now = time.monotonic()
                 self._store.add_statuses(now, statuses, stamp_ns, arrived_ns / 1e9)
             return
@@ -430,15 +430,15 @@ class Feed:
         recorded = self._recorded
         if len(self._received) > _MOST_WAITING or not self._past_is_read(now):
             numbers: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
-            for time_ns, topic, said in self._received:
-                if isinstance(said, bytes):
-                    self._store.receive(topic, time_ns, said, past=True)
+            for time_ns, topic, received in self._received:
+                if isinstance(received, bytes):
+                    self._store.receive(topic, time_ns, received, past=True)
                 else:
-                    numbers[topic].append((time_ns, said))
+                    numbers[topic].append((time_ns, received))
             self._received.clear()
             for topic, pairs in numbers.items():
-                times, said_then = zip(*pairs, strict=True)
-                self._store.add(topic, np.array(times, np.int64), np.array(said_then))
+                times, series = zip(*pairs, strict=True)
+                self._store.add(topic, np.array(times, np.int64), np.array(series))
         elif recorded is not None:
             while self._received and self._received[0][0] <= recorded.read.newest_ns:
                 self._received.popleft()

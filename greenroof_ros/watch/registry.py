@@ -93,7 +93,7 @@ class Trouble:
 
 
 @dataclass
-class _Part:
+class _PartStatus:
     """A part of a node, or another device, as last received."""
 
     level: int
@@ -133,7 +133,7 @@ class Node:
     received_at: float
     since: float
     first: bool = True
-    parts: dict[str, _Part] = field(default_factory=dict)
+    parts: dict[str, _PartStatus] = field(default_factory=dict)
     refused_at: float = -math.inf
     refused: tuple[str, ...] = ()
 
@@ -199,7 +199,7 @@ class Registry:
         self._nodes: dict[tuple[str, str], Node] = {}  # by name and process
         self._latest: dict[str, Node] = {}  # by name: the process received last
         self._by_role: dict[str, Node] = {}  # by role: the node that has it
-        self._foreign: dict[str, _Part] = {}
+        self._foreign: dict[str, _PartStatus] = {}
         self._ticks: deque[tuple[float, int]] = deque()
         self._start_ns = 0
 
@@ -254,7 +254,7 @@ class Registry:
             good = status.level == OK or (key in known and known[key].good)
             topics = plain(status.values.get("topics", status.values.get("topic", "")))
             # An unknown level is an error.
-            known[key] = _Part(
+            known[key] = _PartStatus(
                 status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
                 sentence(status.message) or "says nothing",
                 plain(status.values.get("code", ""), _NAME), wall, first, good,
@@ -499,7 +499,7 @@ class Registry:
             troubles.update(self._troubles_of(node, wall))
         return troubles
 
-    def _has_ended(self, name: str, part: _Part) -> bool:
+    def _has_ended(self, name: str, part: _PartStatus) -> bool:
         """Return whether a node outside this graph, or a node with this part, reported its end."""
         node = self._foreign.get(name.partition(": ")[0])
         if node is None or node.message not in _LAST_WORDS:
@@ -553,7 +553,7 @@ def _observed(level: int, role: str, code: str, **values: Value) -> Trouble:
     return Trouble(level, Problem.of(code, **values).sentence, code, role)
 
 
-def _trouble_of_part(node: Node, part: str, reported: _Part) -> Trouble:
+def _trouble_of_part(node: Node, part: str, reported: _PartStatus) -> Trouble:
     """Return the trouble that a part of a node reports."""
     level, code, gist = reported.level, reported.code, ""
     if (node.role, part) == (PUMP, PUMP):
@@ -598,9 +598,9 @@ def _new_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[
 
     The node keeps only the newest, and counts all.
     """
-    kept = values.get("parameter_changes")
+    listed = values.get("parameter_changes")
     first, last = (known.get("parameter_change_count") for known in (before, values))
-    if not (isinstance(kept, list) and isinstance(first, int) and isinstance(last, int)):
+    if not (isinstance(listed, list) and isinstance(first, int) and isinstance(last, int)):
         return [], 0
-    new = kept[-min(last - first, _NEWEST):] if last > first else []
+    new = listed[-min(last - first, _NEWEST):] if last > first else []
     return new, max(0, last - first) - len(new)

@@ -146,13 +146,13 @@ class EventStream:
     async def _newest_event(self, key: str | float) -> ServerEvent | None:
         """Return the newest event, which is made once for all readers; None if it cannot be."""
         async with self._making:
-            now, lasts = time.monotonic(), _STATE_S if isinstance(key, str) else _SERIES_S
+            now, lifetime = time.monotonic(), _STATE_S if isinstance(key, str) else _SERIES_S
             self._newest = {  # events for readers who have gone are dropped
                 name: event for name, event in self._newest.items()
                 if now - event.checked_at < _AT_LEAST_S
             }
             old = self._newest.get(key)
-            if old is not None and now - old.checked_at < lasts:
+            if old is not None and now - old.checked_at < lifetime:
                 return old
             try:
                 new = await asyncio.to_thread(self._build_event, key)

@@ -147,7 +147,7 @@ class GraphStore:
         self.alarms = Alarms(namespace)
         self._interface = read_topics()
         self.wall = 0.0
-        self._began = time.time()  # s since 1970
+        self._started_at = time.time()  # s since 1970
         self._system: float | None = None  # the system's time at the last update (s since 1970)
         # The graph's time as its nodes last reported it (s since 1970); kept when a new run begins.
         self._stamp: float | None = None
@@ -175,7 +175,7 @@ class GraphStore:
         self._controller: tuple[str, str] | None = None  # name and process
         self._controller_at = -math.inf  # when it last reported (s since 1970)
         self.unknown_flow = Gaps()
-        self._clock_began: float | None = None  # of a simulation, if known (s since 1970)
+        self._clock_started_at: float | None = None  # of a simulation, if known (s since 1970)
 
     def _start_account(self) -> None:
         self.account = Account(self.site)
@@ -592,21 +592,21 @@ class GraphStore:
 
     def _is_of_system(self, at: float) -> bool:
         """Return whether a time (s since 1970) is by the system's clock since the watcher began."""
-        return self._began - _SET_BACK_S <= at <= time.time() + _SET_BACK_S
+        return self._started_at - _SET_BACK_S <= at <= time.time() + _SET_BACK_S
 
     def _update_clock(self) -> None:
         """Update when the clock of a simulation began, if that is known."""
-        times = (self._clock_began, self.now, self._stamp)
+        times = (self._clock_started_at, self.now, self._stamp)
         known = [at for at in times if at is not None and not self._is_of_system(at)]
         if known and self.mode in ("simulated", "loop"):
-            self._clock_began = min(known)
+            self._clock_started_at = min(known)
 
     def dated(self, at: float) -> float:
         """Return the time to show for an alarm or event (s since 1970).
 
         If it was noted before the clock of a simulation was known, it is when that clock began.
         """
-        began = self._clock_began
+        began = self._clock_started_at
         return at if began is None or not self._is_of_system(at) else began
 
     def _now_or(self, system: float) -> float:

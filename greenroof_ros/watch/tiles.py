@@ -17,7 +17,7 @@ from greenroof_ros.model.metrics import NEAR_TARGET
 from greenroof_ros.model.plant import pumps_run
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
-from greenroof_ros.watch.outlook import ALIKE_M, Amount, Plan
+from greenroof_ros.watch.outlook import ALIKE_M, Plan, RainAmount
 from greenroof_ros.watch.store import GraphStore
 
 PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unknown")
@@ -145,22 +145,22 @@ def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
         store: state of the graph.
         wrong: the present alarms.
     """
-    node, said = store.pump, store.pump_report
+    node, text = store.pump, store.pump_report
     values = {} if node is None else node.values
-    gone, lost = store.is_lost(node), store.lost_pump
+    is_silent, lost = store.is_lost(node), store.lost_pump
     may_turn = lost or (
-        node is not None and (node.may_turn or (gone and values.get("stands") is False))
+        node is not None and (node.may_turn or (is_silent and values.get("stands") is False))
     )
-    heard = values.get("speed", 0.0) is not None  # also if its node never reports a speed
-    flow_known = not (lost or store.unknown_flow.lasts)
-    pumped = store.newest.get(_FLOW) if flow_known and (heard or may_turn) else None
+    is_online = values.get("speed", 0.0) is not None  # also if its node never reports a speed
+    flow_known = not (lost or store.unknown_flow.is_unknown)
+    pumped = store.newest.get(_FLOW) if flow_known and (is_online or may_turn) else None
     command = store.newest.get(_COMMAND)
-    state, why = _state(store, said)
+    state, why = _state(store, text)
     parts = []
     if may_turn:
         parts.append("it is not known whether it is at rest")
-        state, why = "unknown", why if said is not None else ""
-    elif not heard:
+        state, why = "unknown", why if text is not None else ""
+    elif not is_online:
         parts.append("its drive is not heard: at rest when last heard, or stopped by its timeout")
     if pumped is not None:
         parts.append(words.NOT_PLAUSIBLE if pumped.value is None else flow(pumped.value))
@@ -171,7 +171,7 @@ def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     newest = pumped if pumped is not None else command
     old = newest is not None and newest.stale
     # The node reports its state by another way than the flow.
-    stale = not may_turn and (gone or (old and said is None))
+    stale = not may_turn and (is_silent or (old and text is None))
     if old and not stale:
         place = -1 if pumped is None or command is None else -2
         parts[place] = f"last known {parts[place]}"
@@ -206,11 +206,11 @@ def _commanded(share: float | None, verb: str) -> str:
     return f"commanded {words.command(share)} of its maximum flow"
 
 
-def _state(store: GraphStore, said: str | None) -> tuple[str, str]:
+def _state(store: GraphStore, text: str | None) -> tuple[str, str]:
     """Return the pump's state and the reason; in a plain simulation, by the plant's rules."""
-    if said is not None:
-        state, _, why = said.partition(": ")
-        return (state, why) if state in PUMP_STATES else ("unknown", said)
+    if text is not None:
+        state, _, why = text.partition(": ")
+        return (state, why) if state in PUMP_STATES else ("unknown", text)
     pumped, command = store.newest.get(_FLOW), store.newest.get(_COMMAND)
     share, site = None if command is None else command.value, store.site
     why = _why_off(store, share)
@@ -270,7 +270,7 @@ def _to_come(store: GraphStore) -> str:
     return sentence if age <= _RENEWED_S else f"{sentence}, by the forecast of {made}"
 
 
-def _amount(amount: Amount, *, ended: bool) -> str:
+def _amount(amount: RainAmount, *, ended: bool) -> str:
     reach = words.horizon(amount.reach_s)
     if amount.reach_s < SOON_S:
         return f"no forecast for the next hours: it reaches only {reach} ahead"
@@ -278,7 +278,7 @@ def _amount(amount: Amount, *, ended: bool) -> str:
     return sentence + _range(amount)
 
 
-def _range(amount: Amount) -> str:
+def _range(amount: RainAmount) -> str:
     """Write the range of an ensemble's rain after its mean, `` (19 to 46)``; otherwise empty."""
     if amount.members == 1:
         return ""
@@ -342,19 +342,19 @@ def _aim(store: GraphStore, plan: Plan | None, now: float | None) -> str:
     A level that the roof has already is no aim.
     """
     level = store.present_value("/controller/fill_to")
-    said = "" if level is None else f"fills to {words.value_of('/controller/fill_to', level)} now"
+    text = "" if level is None else f"fills to {words.value_of('/controller/fill_to', level)} now"
     if plan is None or now is None:
-        return said
+        return text
     begin, later = plan.without_rain(now)
     if begin <= now or later <= (level or 0.0) + ALIKE_M:
-        return said
+        return text
     present = store.present_value(_ROOF)
-    if not said and present is not None and later <= present:
+    if not text and present is not None and later <= present:
         return f"does not fill the roof before {store.hour(begin)}"
     then = f"to {words.value_of('/controller/fill_to', later)} after {store.hour(begin)}"
     if not _forecast_known(store):
-        return f"{said}, and {then}" if said else f"fills {then}"
-    return f"{said}, and {then} if no rain has come" if said else f"fills {then} if no rain comes"
+        return f"{text}, and {then}" if text else f"fills {then}"
+    return f"{text}, and {then} if no rain has come" if text else f"fills {then} if no rain comes"
 
 
 def why_not_yet(store: GraphStore) -> str:

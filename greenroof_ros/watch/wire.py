@@ -63,8 +63,8 @@ class _Cursor:
 
     def text(self) -> str:
         length = self.whole()
-        kept = min(max(length - 1, 0), _TEXT)  # a NUL ends it
-        return self.read(length)[:kept].decode("utf-8", errors="replace")
+        length = min(max(length - 1, 0), _TEXT)  # a NUL ends it
+        return self.read(length)[:length].decode("utf-8", errors="replace")
 
     def numbers(self, count: int) -> NDArray[np.float64]:
         if count > _NUMBERS:

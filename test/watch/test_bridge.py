@@ -110,7 +110,7 @@ def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
     graph.add_plan(START + 9 * SECOND, np.array([
         [1000.0, 0.0, 0.04], [4600.0, 1e-3, 0.045], [43_200.0, 0.0, 0.04],
     ]), past=False)
-    graph.look(0.0, START / SECOND + 10)
+    graph.update(0.0, START / SECOND + 10)
     said = state(graph)
     assert {key: said[key] for key in (
         "mode", "roof_level", "cistern_level", "rain", "flow", "command", "frost", "planned_volume",

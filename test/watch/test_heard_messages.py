@@ -49,8 +49,8 @@ def diagnostics(little: bool = True) -> bytes:
         "diagnostic_msgs/DiagnosticArray",
         made("std_msgs/Header", stamp, "frame"),
         [
-            made("diagnostic_msgs/WireStatus", 0, "/plant", "ready", "machine", [pair]),
-            made("diagnostic_msgs/WireStatus", 3, "/pump: drive", "ü <b>", "", []),
+            made("diagnostic_msgs/DiagnosticStatus", 0, "/plant", "ready", "machine", [pair]),
+            made("diagnostic_msgs/DiagnosticStatus", 3, "/pump: drive", "ü <b>", "", []),
         ],
         little=little,
     )
@@ -125,8 +125,8 @@ def test_hostile_diagnostics_are_cut() -> None:
     many = written(
         "diagnostic_msgs/DiagnosticArray",
         made("std_msgs/Header", made("builtin_interfaces/Time", 0, 0), ""),
-        [made("diagnostic_msgs/WireStatus", 9, "/x", "m" * 1_000_000, "", [])]
-        + [made("diagnostic_msgs/WireStatus", 2, "/y", "", "", [])] * 9_999,
+        [made("diagnostic_msgs/DiagnosticStatus", 9, "/x", "m" * 1_000_000, "", [])]
+        + [made("diagnostic_msgs/DiagnosticStatus", 2, "/y", "", "", [])] * 9_999,
     )
     read = wire.statuses(many)
     assert read is not None

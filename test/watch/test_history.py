@@ -150,7 +150,7 @@ def test_times_at_which_a_value_was_not_known() -> None:
     nothing = [None, None, None]
     assert unknown.cut_out(rows) == [*rows[:3], [25.0, *nothing], *rows[6:]]
     unknown.update(75.0, known=False)
-    assert unknown.lasts
+    assert unknown.is_unknown
     before = [*rows[:3], [25.0, *nothing], [55.0, *nothing]]
     assert unknown.cut_out(rows) == before
     unknown.update(76.0, known=True)

@@ -337,7 +337,7 @@ def test_a_recording_has_no_tick_and_shows_its_incidents(open_page: Open) -> Non
     watched.recorded_incidents = [over]
     row = until_shown(page, ".alarm.over", "pump: drive")
     assert not row.locator("button").is_visible()
-    watched.recorded_incidents = [replace(over, over=None)]
+    watched.recorded_incidents = [replace(over, ended_at=None)]
     until_shown(page, ".alarm:not(.over)", "pump: drive")
 
 

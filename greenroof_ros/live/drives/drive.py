@@ -271,7 +271,7 @@ class Drive:
             f"0x{word:04X}, but 0x{self._word:04X} was written (unless the drive itself changed it)"
         )
 
-    def why_no_simulator(self) -> str:
+    def simulator_problem(self) -> str:
         """Return why this may not be the drive simulator; empty if it certainly is.
 
         Nothing is written to it. Nothing at all is sent unless the address is at loopback or a
@@ -280,7 +280,7 @@ class Drive:
         Raises:
             DriveError: of the kind ``connection``: nobody answers there.
         """
-        if not self._address.is_here:
+        if not self._address.is_on_this_machine:
             return f"{self._address} is neither at loopback nor a pseudo-terminal"
         try:
             named = self.line.identification()
@@ -448,11 +448,11 @@ class DriveEndpoint:
         return self.file.timeout.guarding(self.address)
 
     @property
-    def is_here(self) -> bool:
+    def is_on_this_machine(self) -> bool:
         """Whether it is at loopback or a pseudo-terminal; may block while the host is resolved."""
-        return self.address.is_here
+        return self.address.is_on_this_machine
 
-    def place(self) -> str:
+    def canonical_name(self) -> str:
         """Return a name of the place that is the same however the address is written.
 
         May block while the host name is resolved.
@@ -463,15 +463,15 @@ class DriveEndpoint:
         return f"{self._at()}-{self.file.device_id_at(self.address)}"
 
     def lock_name(self) -> str:
-        """Return the name of its lock: that of the drive, or of its whole serial line.
+        """Return the name of its lock: the drive's, or its whole serial line's.
 
         Raises:
-            OSError: as in `place`.
+            OSError: as in `canonical_name`.
         """
-        return self._at() if self.address.line else self.place()
+        return self._at() if self.address.line else self.canonical_name()
 
     def _at(self) -> str:
-        return self.address.place(self.file.tcp.port).strip("/")
+        return self.address.canonical_name(self.file.tcp.port).strip("/")
 
     def connection(self, timeout_s: float = 0.5) -> Drive:
         """Return the drive on a new connection, not yet opened; it must be connected only once.
@@ -485,14 +485,14 @@ class DriveEndpoint:
         return Drive(self.file, self.address, timeout_s)
 
 
-def no_real_time(why: str, key: str, speed: float) -> ConfigurationError:
+def real_time_error(why: str, key: str, speed: float) -> ConfigurationError:
     """Return the error that refuses a speed other than real time.
 
     A drive other than the simulator may turn a real motor by made-up levels, and start it more
     often by the factor by which time is faster.
 
     Args:
-        why: it may not be the simulator; see `Drive.why_no_simulator`.
+        why: it may not be the simulator; see `Drive.simulator_problem`.
         key: the option or parameter that sets the speed, for the message.
         speed: simulated time per wall time; 0 for as fast as possible.
     """

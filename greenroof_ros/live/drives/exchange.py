@@ -494,7 +494,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             if error.kind == "connection":
                 raise
             seconds, note, timeout_known = None, str(error), False
-        no_simulator = self._drive.why_no_simulator() if self._checks_simulator else None
+        no_simulator = self._drive.simulator_problem() if self._checks_simulator else None
         self._settings_read_at = time.monotonic()
         self._update(
             timeout_s=seconds, timeout_known=timeout_known, timeout_note=note,

@@ -122,7 +122,7 @@ class Address:
         return "serial" if self.line or self.gateway else "tcp"
 
     @property
-    def is_here(self) -> bool:
+    def is_on_this_machine(self) -> bool:
         """Whether it is at loopback or a pseudo-terminal; may block while the host is resolved."""
         if self.line:
             return _is_pseudo(self.line)
@@ -136,7 +136,7 @@ class Address:
             Path(self.line).resolve() == Path(other.line).resolve()
         )
 
-    def place(self, port: int) -> str:
+    def canonical_name(self, port: int) -> str:
         """Return a name for the host or line that is the same however the address is written.
 
         It does not include the device id. May block while the host name is resolved.
@@ -195,10 +195,10 @@ def parse_drive_address(text: str, key: str) -> Address:
     Raises:
         ConfigurationError: it is none of these.
     """
-    place, comma, device_id = text.rpartition(",")
+    canonical_name, comma, device_id = text.rpartition(",")
     if not comma:
         return parse_address(text, key)
-    address = parse_address(place, key)
+    address = parse_address(canonical_name, key)
     low, high = (0, 255) if address.interface == "tcp" else (1, 247)
     if not re.fullmatch(r"[0-9]{1,3}", device_id) or not low <= int(device_id) <= high:
         raise ConfigurationError(

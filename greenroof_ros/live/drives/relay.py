@@ -63,11 +63,11 @@ class RelayEndpoint:
         return self.file.timer
 
     @property
-    def is_here(self) -> bool:
+    def is_on_this_machine(self) -> bool:
         """Whether its broker is at loopback; may block while the host is resolved."""
-        return Address(self.broker.host).is_here
+        return Address(self.broker.host).is_on_this_machine
 
-    def place(self) -> str:
+    def canonical_name(self) -> str:
         """Return a name of the place that is the same however the address is written.
 
         May block while the host name is resolved.
@@ -75,15 +75,15 @@ class RelayEndpoint:
         Raises:
             OSError: there is no such host, or no name server answers.
         """
-        return f"{Address(self.broker.host).place(self.broker.port)}-{self.device}"
+        return f"{Address(self.broker.host).canonical_name(self.broker.port)}-{self.device}"
 
     def lock_name(self) -> str:
         """Return the name of its lock.
 
         Raises:
-            OSError: as in `place`.
+            OSError: as in `canonical_name`.
         """
-        return self.place()
+        return self.canonical_name()
 
     def connection(self, timeout_s: float = 0.5) -> Relay:
         """Return the relay on a new connection, not yet opened; it must be connected only once.
@@ -406,7 +406,7 @@ class Relay:
             "switched it off, it was without power, or its timer has expired"
         )
 
-    def why_no_simulator(self) -> str:
+    def simulator_problem(self) -> str:
         """Return why this may not be the relay simulator; empty if it certainly is.
 
         Nothing is published to switch it. Nothing at all is sent unless the broker is at loopback.
@@ -414,7 +414,7 @@ class Relay:
         Raises:
             DriveError: of the kind ``connection``: nobody answers there.
         """
-        if not self._endpoint.is_here:
+        if not self._endpoint.is_on_this_machine:
             return f"the broker of {self.line.where} is not at loopback"
         try:
             named = _text(self._value(self.file.name))

@@ -127,7 +127,7 @@ class ModbusSensor(Sensor):
         return f"{address.host}:{address.port or _MODBUS_PORT}"
 
     @property
-    def place(self) -> tuple[object, ...]:
+    def unique_key(self) -> tuple[object, ...]:
         """Its register: no two sensors may have the same."""
         return self.connection, self.device_id, self.kind, self.register
 
@@ -182,7 +182,7 @@ class MqttSensor(Sensor):
         return str(section.get("address")).startswith(("mqtt://", "mqtts://"))
 
     @property
-    def place(self) -> tuple[object, ...]:
+    def unique_key(self) -> tuple[object, ...]:
         """Its topic and the value's path: no two sensors may have the same."""
         try:
             broker, topic = self.broker_and_topic()
@@ -261,7 +261,7 @@ def _mistakes(
             yield f"{section}.{key}", expected
     for (first, earlier), (second, later) in combinations(sensors.by_section.items(), 2):
         of = first.replace("_", " ")
-        if earlier.place == later.place:
+        if earlier.unique_key == later.unique_key:
             key = "register" if isinstance(later, ModbusSensor) else "address"
             yield f"{second}.{key}", f"is also the {of}'s: both sensors would be the same"
         if isinstance(earlier, ModbusSensor) and isinstance(later, ModbusSensor) and parse_address(

@@ -45,7 +45,7 @@ class Total:
         self._rises: deque[tuple[float, float]] = deque()  # recent: when, and the total before
         self._growing = False  # whether the newest total continues an earlier one
         self._rates: defaultdict[float, float] = defaultdict(float)  # by their end (s)
-        self._due = self._shown = 0.0
+        self._due = self._rate = 0.0
         self._updated_at = time.monotonic()
 
     def sensor_lost(self) -> None:
@@ -57,21 +57,21 @@ class Total:
         """Return the present rate; None if nothing is due and no growth is known."""
         with self._lock:
             now = time.monotonic()
-            self._due -= self._shown * (now - self._updated_at)
+            self._due -= self._rate * (now - self._updated_at)
             self._updated_at = now
             for end in [end for end in self._rates if end <= now]:
                 del self._rates[end]
             if self._due <= 0:
-                self._shown = 0.0
+                self._rate = 0.0
             else:
-                rate = sum(self._rates.values()) or self._shown
+                rate = sum(self._rates.values()) or self._rate
                 # What the greatest rate, or a late call, has left over.
                 behind = self._due - sum(
                     part * (end - now) for end, part in self._rates.items()
                 )
                 high = self._sensor.high
-                self._shown = high if behind > _BURST_S * rate else min(rate, high)
-            return self._shown if self._shown or self._growing else None
+                self._rate = high if behind > _BURST_S * rate else min(rate, high)
+            return self._rate if self._rate or self._growing else None
 
     def add(self, raw: float) -> None:
         """Add a total.
@@ -132,13 +132,14 @@ class Total:
             return
         self._former = None
         self._rises.append((now, before))
-        began = time.monotonic()
-        end = began + min(max(gap, _SHORTEST_S), self._longest_s)
+        started_at = time.monotonic()
+        end = started_at + min(max(gap, _SHORTEST_S), self._longest_s)
         # One of several tips at once shares the time of the first.
         end = min(
-            (other for other in self._rates if end < other <= began + self._burst_s), default=end
+            (other for other in self._rates if end < other <= started_at + self._burst_s),
+            default=end,
         )
-        self._rates[end] += rise / (end - began)
+        self._rates[end] += rise / (end - started_at)
         self._due += rise
 
     def _refuse(self, raw: float, now: float) -> None:

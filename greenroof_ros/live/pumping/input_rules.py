@@ -128,7 +128,7 @@ class Wetting:
 
     def __init__(self) -> None:
         """Begin with dry surfaces."""
-        self._held = 0.0  # m
+        self._retained = 0.0  # m
 
     def excess(self, rain: float, passed: float) -> float:
         """Return the rain beyond what the surfaces may hold back (m/s).
@@ -137,9 +137,9 @@ class Wetting:
             rain: m/s.
             passed: for how long (s).
         """
-        held = max(0.0, self._held + (rain - _LOSS) * passed)
-        self._held = min(held, _WETTING)
-        return (held - self._held) / passed
+        retained = max(0.0, self._retained + (rain - _LOSS) * passed)
+        self._retained = min(retained, _WETTING)
+        return (retained - self._retained) / passed
 
 
 def expected_movement(

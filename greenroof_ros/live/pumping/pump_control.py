@@ -438,9 +438,9 @@ class PumpControl:
         if failed_start and self._setpoint is not None:
             self._failed_starts += 1
         if observed.speed is not None:  # a short silence does not reset the timer
-            beyond = self._is_beyond_ramp(observed.speed, drive_dt)
-            self._follow_error_for = self._follow_error_for + drive_dt if beyond else 0.0
-            if self._setpoint is not None and not beyond and not failed_start:
+            follow_limit = self._is_beyond_ramp(observed.speed, drive_dt)
+            self._follow_error_for = self._follow_error_for + drive_dt if follow_limit else 0.0
+            if self._setpoint is not None and not follow_limit and not failed_start:
                 self._failed_starts = 0
         found = [undelivered, self._flows_at_rest(drive_dt, observed), backwards]
         if observed.speed is not None and self._follow_error_for > self._settings.follow_time:
@@ -467,8 +467,8 @@ class PumpControl:
         if worst:
             self._ledger.fault(latched[worst].sentence, worst)
         record = self._ledger.record
-        kept = Problem.if_any("record_unknown", record.unknown), self._ledger.active_hold
-        reasons += [reason for reason in kept if reason is not None]
+        persistent = Problem.if_any("record_unknown", record.unknown), self._ledger.active_hold
+        reasons += [reason for reason in persistent if reason is not None]
         if record.fault:
             row = interlocks.get(record.fault_code)
             known = row is not None and row.kind == LATCHED

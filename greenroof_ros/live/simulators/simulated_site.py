@@ -192,10 +192,10 @@ class SiteBench(Bench):
         if self._output is not None:
             print(*COLUMNS, sep=",", file=self._output, flush=True)
         publishing = [asyncio.create_task(publisher.run(ended)) for publisher in self._publishers]
-        began = time.monotonic()
+        started_at = time.monotonic()
         speed = await self._speed()
         while not ended.is_set():
-            due = began + (self.tick + 1) * self._tick_s
+            due = started_at + (self.tick + 1) * self._tick_s
             flow, speed = await self._mean_flow(speed, due)
             self._step(speed, flow)
         await asyncio.gather(*publishing)

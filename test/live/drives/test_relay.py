@@ -319,11 +319,11 @@ def test_only_the_simulator_at_loopback_is_one(bench: Bench) -> None:
     relay = bench.at.connection()
     try:
         relay.line.connect()
-        assert relay.why_no_simulator() == ""
+        assert relay.simulator_problem() == ""
     finally:
         relay.line.close()
     remote = endpoint("tasmota", "mqtt://192.0.2.1/roof")
-    assert "not at loopback" in remote.connection().why_no_simulator()
+    assert "not at loopback" in remote.connection().simulator_problem()
 
 
 def test_another_relay_is_none(tmp_path: Path) -> None:
@@ -335,7 +335,7 @@ def test_another_relay_is_none(tmp_path: Path) -> None:
             answer = threading.Timer(0.3, lambda: tap.say(
                 "stat/roof/STATUS2", '{"StatusFWR": {"Version": "14.2.0(release-tasmota)"}}'))
             answer.start()
-            assert "identifies itself as '14.2.0(release-tasmota)'" in relay.why_no_simulator()
+            assert "identifies itself as '14.2.0(release-tasmota)'" in relay.simulator_problem()
         finally:
             relay.line.close()
 

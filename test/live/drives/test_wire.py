@@ -301,7 +301,7 @@ def test_another_product_is_no_simulator() -> None:
     why = follow("abb_acs880", (
         "who? : 2B 0E 01 00 -> 2B 0E 01 01 00 00 02 00 0D" + b"greenroof_ros".hex() + "01 02"
         + b"PM".hex()
-    ), Drive.why_no_simulator)
+    ), Drive.simulator_problem)
     assert why.endswith(" identifies itself as 'greenroof_ros', 'PM'")
 
 

@@ -214,7 +214,7 @@ def test_rtu_over_a_pseudo_terminal() -> None:
         driver = Drive(file, parse_address(drive.address), 0.2)
         with closing(driver.line):
             driver.line.connect()
-            assert driver.why_no_simulator() == ""
+            assert driver.simulator_problem() == ""
             drive.power_cycle()
             with pytest.raises(DriveError, match="no valid answer"):
                 driver.read()

@@ -1,4 +1,4 @@
-"""A watcher beside a run: a separate process; a run neither waits for it nor fails with it."""
+"""A page of a run, served by a process of its own; a run neither waits for it nor fails with it."""
 
 from __future__ import annotations
 
