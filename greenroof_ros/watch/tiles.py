@@ -151,16 +151,16 @@ def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     may_turn = lost or (
         node is not None and (node.may_turn or (is_silent and values.get("stands") is False))
     )
-    is_online = values.get("speed", 0.0) is not None  # also if its node never reports a speed
+    speed_known = values.get("speed", 0.0) is not None  # also if its node never reports a speed
     flow_known = not (lost or store.unknown_flow.is_unknown)
-    pumped = store.newest.get(_FLOW) if flow_known and (is_online or may_turn) else None
+    pumped = store.newest.get(_FLOW) if flow_known and (speed_known or may_turn) else None
     command = store.newest.get(_COMMAND)
     state, why = _state(store, text)
     parts = []
     if may_turn:
         parts.append("it is not known whether it is at rest")
         state, why = "unknown", why if text is not None else ""
-    elif not is_online:
+    elif not speed_known:
         parts.append("its drive is not heard: at rest when last heard, or stopped by its timeout")
     if pumped is not None:
         parts.append(words.NOT_PLAUSIBLE if pumped.value is None else flow(pumped.value))

@@ -789,7 +789,9 @@ def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
     """It is shown; present incidents, and those since, are reported by the nodes themselves."""
     graph, before = store("live", SITE), time.time()
     over = incident("pump", "drive", "no connection", "drive_lost", before - 60, before - 30)
-    graph.recorded_incidents = [over, replace(over, ended_at=None), replace(over, ended_at=before + 60)]
+    graph.recorded_incidents = [
+        over, replace(over, ended_at=None), replace(over, ended_at=before + 60)
+    ]
     assert shown(graph)["alarms"] == []
     graph.add_statuses(time.monotonic(), [])
     assert [row["over"] for row in shown(graph)["alarms"]] == [before - 30]
