@@ -37,7 +37,7 @@ from greenroof_ros.graph.states import PUMP, RECORDER
 from greenroof_ros.live.drive import (
     add_graph_arguments,
     chosen_drive,
-    own_parameters,
+    node_parameter_files,
     refuse,
 )
 from greenroof_ros.live.in_the_loop import PUMP_NODE, DriveInLoop, drive_parameters
@@ -120,7 +120,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
         **({} if drive is None else {PUMP: PUMP_NODE}),
     }
-    user_files = own_parameters(arguments, modules, run.controller)
+    user_files = node_parameter_files(arguments, modules, run.controller)
     with only_bringup(arguments.namespace):
         refuse_other_nodes(
             arguments.namespace,

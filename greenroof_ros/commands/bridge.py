@@ -13,7 +13,7 @@ from greenroof_ros.common.mqtt import parse_broker
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.bridge import Bridge
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 
 # As for the page (nice): about a tenth of a core if other processes want all of it.
 _NICENESS = 10
@@ -88,7 +88,7 @@ def main() -> int:
     os.nice(_NICENESS)
     # A script that starts this in its background has it ignore SIGINT.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    store, signals = Store(arguments.namespace), Signals()
+    store, signals = GraphStore(arguments.namespace), Signals()
     with suppress(InterruptedRun), Feed(store) as feed:
         Bridge(store, feed, broker, arguments.prefix).run(signals)
     return EXIT_DONE

@@ -12,7 +12,7 @@ from typing import Any
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, add_namespace, command
 from greenroof_ros.watch.document import document
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import SPACE, UNKNOWN
 
 WARNING, ALARM, NOTHING = 1, 2, 3
@@ -60,7 +60,7 @@ def make_parser() -> Parser:
 def main() -> int:
     """Print the status, and return how serious it is."""
     arguments = make_parser().parse_args()
-    store = Store(arguments.namespace)
+    store = GraphStore(arguments.namespace)
     with Feed(store, recording=False):
         shown = _listen(store)
         code = _judge(shown)
@@ -73,7 +73,7 @@ def main() -> int:
     return code
 
 
-def _listen(store: Store) -> dict[str, Any]:
+def _listen(store: GraphStore) -> dict[str, Any]:
     """Return the document when everything is known, or after the longest time."""
     began, first = time.monotonic(), None
     while True:
@@ -144,12 +144,13 @@ def _alarm(row: Mapping[str, Any]) -> str:
     return f"{_LEVELS[row['level']]}: {row['id']}: {row['what']}{follows}"
 
 
-def _values(store: Store, shown: Mapping[str, Any], code: int) -> dict[str, Any]:
+def _values(store: GraphStore, shown: Mapping[str, Any], code: int) -> dict[str, Any]:
     """Return the status as data; None is *unknown*."""
     tiles, now = shown["tiles"], shown["time"]["now"]
     controller = tiles["controller"]["value"]
     with store.lock:
-        forecast, factor, command = store.forecast, store.factor, store.known("/pump/command")
+        forecast, factor = store.forecast, store.factor
+        command = store.present_value("/pump/command")
     amount = None if forecast is None or now is None else forecast.amount(now)
     return {
         "status": _STATES[code],

@@ -13,7 +13,7 @@ from greenroof_ros.common.errors import ConfigurationError, with_extra
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback, new_token, read_token
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 
 # Niceness: a watcher must not slow down others; on a busy core it gets a tenth of the time.
 _NICENESS = 10
@@ -127,7 +127,7 @@ def main() -> int:
     arguments = make_parser().parse_args()
     _refuse_wrong(arguments)
     os.nice(_NICENESS)
-    store = Store(arguments.namespace)
+    store = GraphStore(arguments.namespace)
     store.allow_release = arguments.allow_release
     try:
         from greenroof_ros.watch.server import serve

@@ -94,7 +94,7 @@ class DriveInLoop:
         with ExitStack() as ends:
             ends.enter_context(self._supervisor)
             self._supervisor.start(NodeStart(PUMP, PUMP_NODE))
-            self._wait()
+            self._wait_for_drive()
             ends.pop_all()
         return self
 
@@ -113,7 +113,7 @@ class DriveInLoop:
             NodeFailed: the pump node ended or hangs.
         """
         supervisor = self._supervisor
-        supervisor.listen(0.0)
+        supervisor.read_reports(0.0)
         self.log.update(supervisor.last, tick)
         for report in supervisor.last.values():
             self._progress.warn(report["warnings"])
@@ -131,14 +131,14 @@ class DriveInLoop:
             self._progress.print_line(error.last_lines)
             raise NodeFailed(error.reason, "", error.code) from error
 
-    def _wait(self) -> None:
+    def _wait_for_drive(self) -> None:
         supervisor, progress = self._supervisor, self._progress
         progress.print_line(f"holds and faults of the drive are kept in {self._state_file}")
         until = time.monotonic() + _DRIVE_LIMIT_S
         report: dict[str, Any] = {}
         while not report.get("active"):
             self._signals.check()
-            supervisor.listen(0.1)
+            supervisor.read_reports(0.1)
             report = supervisor.last.get(PUMP, {})
             diagnoses = report.get("diagnoses", {})
             trouble = "; ".join(

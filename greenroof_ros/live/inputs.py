@@ -113,7 +113,7 @@ class LiveInput(Input):
     Attributes:
         rules: the rules.
         verdict: which rule is broken, if any.
-        heard: whether any message has come.
+        received: whether any message was received.
         optional: whether the node acts without it.
     """
 
@@ -129,9 +129,9 @@ class LiveInput(Input):
         """
         super().__init__(publishers)
         self.rules = rules
-        self.heard = self._unknown = False
+        self.received = self._unknown = False
         self.optional = optional
-        self.judge()
+        self.check()
 
     @property
     def good(self) -> bool:
@@ -144,8 +144,8 @@ class LiveInput(Input):
         return self.verdict.problem(self.name)
 
     def receive(self, message: bytes) -> None:
-        """Keep the value of a message, or 0 if the value must be refused, and judge it."""
-        self.heard, self._unknown = True, False
+        """Receive the value of a message, or 0 if the value must be refused, and check it."""
+        self.received, self._unknown = True, False
         try:
             super().receive(message)
         except (LockstepError, ValueError, struct.error) as error:
@@ -153,12 +153,12 @@ class LiveInput(Input):
             self.refusal = str(error)
         case = "unknown" if self._unknown else "refused"
         refused = Verdict("input_refused", case, {"why": self.refusal})
-        self.rules.came(boot_time(), self.value, refused if self.refusal else None)
-        self.judge()
+        self.rules.receive(boot_time(), self.value, refused if self.refusal else None)
+        self.check()
 
-    def judge(self) -> None:
-        """Judge the newest value at the present time."""
-        self.verdict: Verdict = self.rules.judge(boot_time(), self.publishers.second())
+    def check(self) -> None:
+        """Check the newest value at the present time."""
+        self.verdict: Verdict = self.rules.check(boot_time(), self.publishers.second())
 
     def refuse(self, why: str) -> None:
         """Refuse the newest value, because the node cannot act on it.
@@ -168,7 +168,7 @@ class LiveInput(Input):
         """
         self.refused += 1
         self.rules.refuse(boot_time(), why)
-        self.judge()
+        self.check()
 
     def _refuse(self, value: float, instead: Any) -> None:
         if self.topic.may_be_unknown and math.isnan(value):

@@ -25,7 +25,7 @@ from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run_directory import write_parameters
 from greenroof_ros.live import in_the_loop, site_run
-from greenroof_ros.live.drive import DriveChoice, chosen_drive, own_parameters
+from greenroof_ros.live.drive import DriveChoice, chosen_drive, node_parameter_files
 from greenroof_ros.live.drives.drive_file import find_drive_file
 from greenroof_ros.live.drives.lock import DriveLock
 from greenroof_ros.live.live_site import LiveSite
@@ -159,7 +159,7 @@ NODES = {
 def parameters(file: Path) -> list[Path]:
     """Return the parameter files that bringup with a drive makes from one."""
     arguments = make_parser().parse_args(["--namespace", "site1", "--node-parameters", str(file)])
-    return own_parameters(arguments, NODES, find_controller("onoff"))
+    return node_parameter_files(arguments, NODES, find_controller("onoff"))
 
 
 _ONLY_BRINGUP = "must not be given to the node pump"
@@ -242,7 +242,7 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
     with closing(Wire(acs880())) as wire:
         choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
         driver, stop = DriveLock(choice.read()), choice.stopper()
-        driver.take()
+        driver.acquire()
         assert stop(1) == (
             False,
             f"another program (process {os.getpid()}) runs the drive, and may run the pump: "
@@ -297,7 +297,7 @@ def test_a_mistake_is_said_with_its_traceback(capfd: pytest.CaptureFixture[str])
     supervisor: Any = SimpleNamespace(may_run="")
     with pytest.raises(ValueError, match="a mistake") as caught:
         raise ValueError("a mistake")
-    assert site_run._end(record, supervisor, caught.value) == 1
+    assert site_run._report_end(record, supervisor, caught.value) == 1
     assert LINES.wait(60)
     assert written == [("failed", "ValueError: a mistake")]
     first, second, *_, last = capfd.readouterr().err.splitlines()

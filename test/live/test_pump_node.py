@@ -33,7 +33,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.times import to_people
-from greenroof_ros.live.drives.exchange import Snapshot
+from greenroof_ros.live.drives.exchange import DriveSnapshot
 from greenroof_ros.live.pump_drive import PumpDrive
 from greenroof_ros.live.pumping.ledger import Ledger
 
@@ -99,18 +99,19 @@ def test_lifecycle(rig: PumpRig) -> None:
     assert node.poll() is None
 
 
-GUARDS = Snapshot(timeout_known=True, timeout_s=3.0)
+GUARDS = DriveSnapshot(timeout_known=True, timeout_s=3.0)
 
 
 @pytest.mark.parametrize(
     ("make", "address", "snapshot", "changes", "words"),
     [
         ("abb_acs880", "gateway://127.0.0.1", GUARDS, {}, None),
-        ("abb_acs880", "gateway://127.0.0.1", Snapshot(timeout_known=True, timeout_s=10.5), {},
+        ("abb_acs880", "gateway://127.0.0.1", DriveSnapshot(timeout_known=True, timeout_s=10.5), {},
          "is 10.5 s, but must be at most 10 s (drive_timeout_limit); to set it: "),
-        ("abb_acs880", "gateway://127.0.0.1", Snapshot(timeout_known=True, timeout_note="0"), {},
+        ("abb_acs880", "gateway://127.0.0.1",
+         DriveSnapshot(timeout_known=True, timeout_note="0"), {},
          "is not effective (0); to set it: "),
-        ("abb_acs880", "tcp://127.0.0.1", Snapshot(timeout_note="no timeout.tcp"), {},
+        ("abb_acs880", "tcp://127.0.0.1", DriveSnapshot(timeout_note="no timeout.tcp"), {},
          "could not be read (no timeout.tcp)"),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, {},
          "and confirm that (local_settings_stop_the_pump: true); to set it: "),
@@ -119,13 +120,13 @@ GUARDS = Snapshot(timeout_known=True, timeout_s=3.0)
     ],
 )
 def test_a_timeout_that_does_not_guard(
-    make: str, address: str, snapshot: Snapshot, changes: dict[str, object], words: str | None
+    make: str, address: str, snapshot: DriveSnapshot, changes: dict[str, object], words: str | None
 ) -> None:
     drive = PumpDrive({
         "drive": make, "address": address, "exchange_period": 0.1, "drive_timeout_limit": 10.0,
         "local_settings_stop_the_pump": False, "broker_login": "", "broker_authority": "",
         **changes,
-    }, "pump", seeks_simulator=False)
+    }, "pump", checks_simulator=False)
     problem = drive.timeout_problem(snapshot)
     assert (problem is None) == (words is None)
     assert problem is None or words in problem.sentence
@@ -159,7 +160,7 @@ def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> No
     rig.observer.until(lambda: rig.shows("command", STALE, "command_limit"), LATE, "the reason")
     assert rig.tick(0.5) == 0.0  # after a silence the first command finds the pump at rest
     rig.run()
-    words = "was not heard at the end", "only its own panel can stop it now"
+    words = "did not answer at the end", "only its own panel can stop it now"
     ends_in_words(rig, node, "silence", *words)
 
 
@@ -217,7 +218,7 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
     """
     file = rig.cwd / "pump.json"
     with closing(Ledger(file, time.time)) as holder:
-        assert holder.why_not_kept(20.0) == ""
+        assert holder.flush(20.0) == ""
         words = f"process {os.getpid()} already uses it"
         before = file.read_bytes()
         node = rig.start(state_file=file)

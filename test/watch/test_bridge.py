@@ -27,7 +27,7 @@ from greenroof_ros.watch.bridge import Bridge, alarms_of, state_of
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.home_assistant import discovery
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 
 pytest.importorskip("paho.mqtt", reason="the bridge needs paho-mqtt")
 
@@ -96,7 +96,7 @@ def test_discovery_is_what_home_assistant_documents() -> None:
 # --- what is published ----------------------------------------------------------------------------
 
 
-def state(graph: Store, wall: float = 0.0) -> dict[str, Any]:
+def state(graph: GraphStore, wall: float = 0.0) -> dict[str, Any]:
     return state_of(graph, read_document(graph, wall))
 
 
@@ -110,7 +110,7 @@ def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
     graph.add_plan(START + 9 * SECOND, np.array([
         [1000.0, 0.0, 0.04], [4600.0, 1e-3, 0.045], [43_200.0, 0.0, 0.04],
     ]), past=False)
-    graph.look(0.0, START / SECOND + 10)
+    graph.update(0.0, START / SECOND + 10)
     said = state(graph)
     assert {key: said[key] for key in (
         "mode", "roof_level", "cistern_level", "rain", "flow", "command", "frost", "planned_volume",

@@ -36,8 +36,8 @@ from greenroof_ros.watch import words
 from greenroof_ros.watch.document import LINES
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
-from greenroof_ros.watch.store import Store
-from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.store import GraphStore
+from greenroof_ros.watch.wire import WireStatus
 
 SITE = replace(PAPER_SITE, utc_offset=-5.0)  # START is 00:00 there
 TORONTO, STANDARD = ZoneInfo("America/Toronto"), timezone(timedelta(hours=-5))
@@ -51,7 +51,7 @@ LEVELS = "roof", "cistern"  # lines with a point at the end of a stretch, not wh
 ENSEMBLE = np.outer(np.arange(1.0, 12.0), np.full(32, 1e-7))  # 11 members, (member, step)
 
 
-def watched(mode: str = "simulated", **values: float) -> Store:
+def watched(mode: str = "simulated", **values: float) -> GraphStore:
     """Return a store after a minute with these values; ``_`` stands for ``/``."""
     given = {**QUIET, **{f"/{name.replace('_', '/')}": value for name, value in values.items()}}
     graph = store(mode, SITE)
@@ -59,20 +59,20 @@ def watched(mode: str = "simulated", **values: float) -> Store:
     return graph
 
 
-def add_at(graph: Store, topic: str, *pairs: tuple[float, float]) -> None:
+def add_at(graph: GraphStore, topic: str, *pairs: tuple[float, float]) -> None:
     """Add values of a topic, each with its second."""
     seconds, values = zip(*pairs, strict=True)
     graph.add(topic, START + SECOND * np.array(seconds, np.int64), np.array(values))
 
 
 def forecast(
-    graph: Store, time_ns: int, rain: Any, hours: float = 12, *, issued: float = math.nan
+    graph: GraphStore, time_ns: int, rain: Any, hours: float = 12, *, issued: float = math.nan
 ) -> None:
     """Add a forecast with growing steps, up to this many hours ahead."""
     graph.add_forecast(time_ns, rain, np.array([issued, *growing_steps(hours)[1:]]))
 
 
-def plan_lasts(graph: Store, first: int, last: int) -> None:
+def plan_lasts(graph: GraphStore, first: int, last: int) -> None:
     """Have the controller report from one second to another that its plan is unchanged."""
     for second in range(first, last, 60):
         graph.add_plan(START + second * SECOND, np.empty((0, 4)))
@@ -89,7 +89,7 @@ def leaves(value: Any) -> Iterator[Any]:
         yield value
 
 
-def shown(graph: Store, wall: float = 100.0) -> dict[str, Any]:
+def shown(graph: GraphStore, wall: float = 100.0) -> dict[str, Any]:
     """Return the document, which must be short, and JSON that a browser accepts.
 
     Here plain spaces are between numbers and units.
@@ -105,16 +105,16 @@ def shown(graph: Store, wall: float = 100.0) -> dict[str, Any]:
     return document
 
 
-def tile_of(graph: Store, name: str, wall: float = 100.0) -> dict[str, Any]:
+def tile_of(graph: GraphStore, name: str, wall: float = 100.0) -> dict[str, Any]:
     tile: dict[str, Any] = shown(graph, wall)["tiles"][name]
     return tile
 
 
-def account_of(graph: Store, wall: float = 100.0) -> dict[str, dict[str, Any]]:
+def account_of(graph: GraphStore, wall: float = 100.0) -> dict[str, dict[str, Any]]:
     return {row["key"]: row for row in shown(graph, wall)["account"]["rows"]}
 
 
-def pump_says(graph: Store, wall: float, text: str, stamp_ns: int = 0, **said: Any) -> None:
+def pump_says(graph: GraphStore, wall: float, text: str, stamp_ns: int = 0, **said: Any) -> None:
     graph.add_statuses(wall, node("/pump", "pump", pump=text, **said), stamp_ns)
 
 
@@ -238,7 +238,7 @@ def test_rain_and_what_is_to_come() -> None:
 
 def test_what_is_known_by_words_alone() -> None:
     """If nobody hears a controller's command, it is not shown as working."""
-    graph = Store()
+    graph = GraphStore()
     pump_says(graph, 100.0, "held: there is frost")
     graph.add_statuses(100.0, node("/mpc", "controller"))
     pump, controller = (tile_of(graph, name) for name in ("pump", "controller"))
@@ -367,7 +367,7 @@ def test_a_value_that_does_not_come_any_more_is_stale() -> None:
     for second in range(17):
         values = {"/cistern/level": 2.0, **({"/roof/level": 0.0453} if second < 10 else {})}
         add_values(graph, 61 + second, 62 + second, values)
-        graph.look(100.0 + second, 0.0)  # by the feed, whether a page is open or not
+        graph.update(100.0 + second, 0.0)  # by the feed, whether a page is open or not
         if second == 13:
             stale.append(tile_of(graph, "roof", 113.0)["stale"])
     document = shown(graph, 116.0)
@@ -394,15 +394,15 @@ def test_what_comes_seldom_may_be_silent_for_longer() -> None:
 def test_the_time_of_a_live_site_goes_on_without_values_and_may_be_set_back() -> None:
     """Set back by an hour: new values count, and the recording's later ones do not."""
     graph = watched("live")
-    graph.look(100.0, START / 1e9 + 60)
+    graph.update(100.0, START / 1e9 + 60)
     assert shown(graph, 101.0)["notes"] == []
-    graph.look(112.0, START / 1e9 + 72)
+    graph.update(112.0, START / 1e9 + 72)
     document = shown(graph, 112.0)
     assert document["time"]["text"] == "2021-07-20 00:01:12 UTC-05:00"
     assert document["notes"] == ["No values have come for 12 s."]
     assert read_series(graph, 1.0)["now"] == START / 1e9 + 72
     pump_says(graph, 112.0, "off: nothing is commanded")
-    graph.look(112.5, START / 1e9 - 3539)
+    graph.update(112.5, START / 1e9 - 3539)
     add_values(graph, 55, 62, {"/roof/level": 0.01})
     add_values(graph, -3539, -3530, QUIET)
     document = shown(graph, 113.0)
@@ -433,7 +433,7 @@ def test_nothing_of_an_ended_run_is_stale_and_it_has_no_future() -> None:
 
 
 def test_headings() -> None:
-    graph = Store()
+    graph = GraphStore()
     for mode, factor, heading in (
         ("none", None, "Nothing is heard yet"),
         ("simulated", 30.0, "Simulated run, 30 times real time"),
@@ -446,7 +446,7 @@ def test_headings() -> None:
 
 
 def test_a_watcher_that_knows_nothing() -> None:
-    document = shown(Store("/site1"), 5.0)
+    document = shown(GraphStore("/site1"), 5.0)
     assert document["namespace"] == "/site1"
     assert document["time"] == {
         "now": None, "text": "unknown", "clock": [],
@@ -454,13 +454,13 @@ def test_a_watcher_that_knows_nothing() -> None:
     assert document["tiles"].pop("summary")["sentence"] == "no run or site is found."
     assert {tile["state"] for tile in document["tiles"].values()} == {"unknown"}
     assert {row["value"] for row in document["account"]["rows"]} == {"unknown"}
-    assert not any(read_series(Store(), 12)["lines"].values())
+    assert not any(read_series(GraphStore(), 12)["lines"].values())
 
 
 def test_another_run_begins() -> None:
     """It can be of an earlier day."""
     graph = watched()
-    graph.start_over()
+    graph.reset()
     assert tile_of(graph, "roof")["state"] == "unknown"
     add_values(graph, -86_400, -86_300, QUIET)
     assert tile_of(graph, "roof")["state"] == "good"
@@ -616,7 +616,7 @@ def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
     assert "it is not known what the pump does" in document["tiles"]["summary"]["sentence"]
 
 
-def with_pump(graph: Store, state: str, **said: Any) -> dict[str, Any]:
+def with_pump(graph: GraphStore, state: str, **said: Any) -> dict[str, Any]:
     """Return the document after this report of the pump node, with its part and another warning."""
     graph.add_statuses(100.0, node(
         "/pump", "pump", ("pump", WARN, state, "drive_lost"), ("limits", WARN, "3 m3", "limited"),
@@ -673,19 +673,19 @@ def test_a_drive_that_is_not_heard_has_no_flow_although_it_stands() -> None:
 def test_a_flow_that_is_not_known_is_a_gap() -> None:
     """In the chart and the account, from when it was last known until it is known again."""
     graph = watched("live", pump_flow=1e-3)
-    graph.look(99.0, START / 1e9 + 60)
+    graph.update(99.0, START / 1e9 + 60)
     known = {"stands": False, "speed": 1.0, "flow": 1e-3}
 
-    def say(second: int, said: dict[str, Any]) -> None:
-        graph.look(100.0 + second, START / 1e9 + second)
+    def print_line(second: int, said: dict[str, Any]) -> None:
+        graph.update(100.0 + second, START / 1e9 + second)
         pump_says(graph, 100.0 + second, "off: lost", START + second * SECOND, **said)
 
-    say(60, known)
-    say(70, {"stands": False, "speed": None, "flow": None})
+    print_line(60, known)
+    print_line(70, {"stands": False, "speed": None, "flow": None})
     add_values(graph, 61, 161, {**QUIET, "/pump/flow": 0.0})
-    say(160, known)
+    print_line(160, known)
     add_values(graph, 161, 181, {**QUIET, "/pump/flow": 1e-3})
-    graph.look(301.0, START / 1e9 + 180)
+    graph.update(301.0, START / 1e9 + 180)
     flow = read_series(graph, 1)["lines"]["flow"]
     assert [row[1] for row in flow] == [*[1e-3] * 4, None, *[1e-3] * 2]
     assert flow[4][0] == START / 1e9 + 60
@@ -801,7 +801,9 @@ def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
     """It is shown; present incidents, and those since, are reported by the nodes themselves."""
     graph, before = store("live", SITE), time.time()
     over = incident("pump", "drive", "no connection", "drive_lost", before - 60, before - 30)
-    graph.recorded_incidents = [over, replace(over, over=None), replace(over, over=before + 60)]
+    graph.recorded_incidents = [
+        over, replace(over, ended_at=None), replace(over, ended_at=before + 60)
+    ]
     assert shown(graph)["alarms"] == []
     graph.add_statuses(time.monotonic(), [])
     assert [row["over"] for row in shown(graph)["alarms"]] == [before - 30]
@@ -897,7 +899,7 @@ def test_a_flood_of_statuses_crowds_nobody_out_and_leaves_a_short_document() -> 
     tracemalloc.start()
     for turn in range(1, 4):
         flood = [
-            Status(f"/{turn} {number} {long[:100]}", number % 4, long, {"a": long})
+            WireStatus(f"/{turn} {number} {long[:100]}", number % 4, long, {"a": long})
             for number in range(10_000)
         ]
         graph.add_statuses(100.0 + turn / 4, [*flood, *forged, *own])
@@ -1012,7 +1014,7 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
     (3000, 12, 9000.0),  # three samples
 ])
 def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None:
-    graph = Store()
+    graph = GraphStore()
     add_values(graph, 0, round(hours * 3600), {"/roof/level": 0.04}, every=seconds)
     series = read_series(graph, hours)
     assert series["gaps"]["roof"] == gap
@@ -1022,7 +1024,7 @@ def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None
 
 def test_a_run_that_has_just_begun_has_many_rows() -> None:
     """Ten minutes of 12 h are shown in stretches of 20 s, from the first to the newest value."""
-    graph = Store()
+    graph = GraphStore()
     add_values(graph, 0, 600, {"/roof/level": 0.04, "/weather/precipitation": 0.0})
     series = read_series(graph, 12)
     assert series["stretch"] == 20.0
@@ -1099,8 +1101,8 @@ def _fail(*_: Any, **__: Any) -> Any:
 @pytest.mark.parametrize("place", [
     "tiles.rain", "tiles.roof", "tiles.cistern", "tiles.pump", "tiles.controller", "tiles.waiting",
     "tiles.too_wet", "words.date_and_time", "words.length_of_time", "account.Account.totals",
-    "alarms.Alarms.rows", "alarms.Alarms.counts", "alarms.Alarms.events", "alarms.Alarms.look",
-    "store.Store.incidents",
+    "alarms.Alarms.rows", "alarms.Alarms.counts", "alarms.Alarms.events", "alarms.Alarms.update",
+    "store.GraphStore.incidents",
 ])
 def test_whatever_cannot_be_shown_the_pump_can_be_stopped(
     place: str, monkeypatch: pytest.MonkeyPatch

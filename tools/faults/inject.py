@@ -288,7 +288,7 @@ def _rewrite_timeout(rig: Rig, case: Case, undo: ExitStack) -> None:
     runs. Then the drive can be reached again.
     """
     file, address = read_drive_file(Path(rig.drive_file)), parse_address(rig.drive_at)
-    timeout = file.timeout.over(address)
+    timeout = file.timeout.guarding(address)
     assert timeout is not None
     register = file.registers[timeout.register]
 

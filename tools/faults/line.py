@@ -10,7 +10,7 @@ import time
 
 from greenroof_ros.live.drives.modbus_line import Address, DriveError, ModbusLine
 from greenroof_ros.live.simulators import faults
-from greenroof_ros.live.simulators.server import Device, Server, StandingFault
+from greenroof_ros.live.simulators.server import ActiveFault, Device, Server
 
 
 class Line:
@@ -23,9 +23,9 @@ class Line:
         self._behind = ModbusLine(
             Address("127.0.0.1", behind), port=0, device_id=1, timeout_s=0.2
         )
-        self._fault = StandingFault()
+        self._fault = ActiveFault()
         self._level: dict[int, int] = {}
-        device = Device(lambda: self._level, hears=self._request)
+        device = Device(lambda: self._level, on_request=self._request)
         self._server = Server(Address("127.0.0.1", port), {1: device}, fault=self._fault)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
@@ -42,7 +42,7 @@ class Line:
 
     async def _serve(self) -> None:
         while not self._ended.is_set():
-            await self._server.be_open(self._fault.name != "refused")
+            await self._server.set_open(self._fault.name != "refused")
             await asyncio.sleep(0.02)
         self._server.close()
         self._behind.close()

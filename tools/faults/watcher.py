@@ -26,7 +26,7 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.domain import choose_transport
 from greenroof_ros.graph.messages import message_class, qos_profile
 from greenroof_ros.watch.alarms import Alarms
-from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.wire import WireStatus
 
 
 @contextmanager
@@ -106,8 +106,8 @@ class Watcher:
         now = time.monotonic()
         for status in message.status:
             self._receive(now, status)
-        self._alarms.hear(now, time.time(), [
-            Status(status.name, status.level[0], status.message,
+        self._alarms.receive(now, time.time(), [
+            WireStatus(status.name, status.level[0], status.message,
                    {entry.key: entry.value for entry in status.values})
             for status in message.status
         ])

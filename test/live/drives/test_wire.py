@@ -227,7 +227,7 @@ def test_another_ones_run_is_noticed(name: str, register: str, runs: str, stops:
 
     def stop_and_look(drive: Drive) -> list[str]:
         drive.stop()
-        return [drive.intruder() for _ in range(3)]
+        return [drive.second_master() for _ in range(3)]
 
     results = follow(name, STOPS[name].rstrip() + read_back, stop_and_look)
     assert results[:2] == ["", ""] and f"word is 0x{runs}, but 0x{stops} was" in results[2]
@@ -301,7 +301,7 @@ def test_another_product_is_no_simulator() -> None:
     why = follow("abb_acs880", (
         "who? : 2B 0E 01 00 -> 2B 0E 01 01 00 00 02 00 0D" + b"greenroof_ros".hex() + "01 02"
         + b"PM".hex()
-    ), Drive.why_no_simulator)
+    ), Drive.simulator_problem)
     assert why.endswith(" identifies itself as 'greenroof_ros', 'PM'")
 
 

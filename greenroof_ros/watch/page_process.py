@@ -1,4 +1,4 @@
-"""A watcher beside a run: a separate process; a run neither waits for it nor fails with it."""
+"""A page of a run, served by a process of its own; a run neither waits for it nor fails with it."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def watcher(namespace: str, site_file: Path) -> Iterator[None]:
         env=child_environment(),
     )
     ending = threading.Event()
-    said = threading.Thread(target=_hand_on, args=(process, ending), daemon=True)
-    said.start()
+    printer = threading.Thread(target=_print_output, args=(process, ending), daemon=True)
+    printer.start()
     try:
         yield
     finally:
@@ -48,10 +48,10 @@ def watcher(namespace: str, site_file: Path) -> Iterator[None]:
             process.wait(_ENDING_S)
         except subprocess.TimeoutExpired:
             process.kill()
-        said.join(_ENDING_S)
+        printer.join(_ENDING_S)
 
 
-def _hand_on(process: subprocess.Popen[str], ending: threading.Event) -> None:
+def _print_output(process: subprocess.Popen[str], ending: threading.Event) -> None:
     """Print a watcher's output, and a line if it ended without being asked to."""
     assert process.stdout is not None
     for line in process.stdout:
