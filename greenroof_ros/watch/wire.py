@@ -63,8 +63,8 @@ class _Cursor:
 
     def text(self) -> str:
         length = self.whole()
-        length = min(max(length - 1, 0), _TEXT)  # a NUL ends it
-        return self.read(length)[:length].decode("utf-8", errors="replace")
+        used = min(max(length - 1, 0), _TEXT)  # a NUL ends it
+        return self.read(length)[:used].decode("utf-8", errors="replace")
 
     def numbers(self, count: int) -> NDArray[np.float64]:
         if count > _NUMBERS:
