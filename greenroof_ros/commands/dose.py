@@ -18,8 +18,8 @@ from greenroof_ros.common.command_line import (
     within,
 )
 from greenroof_ros.graph.domain import importing_ros
-from greenroof_ros.graph.graph_client import DIAGNOSTICS, GraphClient, StopFailedError
 from greenroof_ros.watch import wire
+from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, StopFailedError
 
 _PATIENCE_S = 20.0
 # If the pump node is silent for longer than this (s), the fate of the dose is unknown.

@@ -8,7 +8,7 @@ from contextlib import closing
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.graph.domain import importing_ros
-from greenroof_ros.graph.graph_client import GraphClient, StopFailedError
+from greenroof_ros.watch.graph_client import GraphClient, StopFailedError
 
 # How long a command waits for the pump node (s): to discover it takes seconds.
 _PATIENCE_S = 20.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from greenroof_ros.commands.pump_request import request_of_pump
 from greenroof_ros.common.command_line import Parser, add_namespace, command
-from greenroof_ros.graph.graph_client import GraphClient
+from greenroof_ros.watch.graph_client import GraphClient
 
 
 def make_parser() -> Parser:

@@ -162,7 +162,7 @@ _SCRATCH = "greenroof_ros_scratch-"
 
 @contextlib.contextmanager
 def scratch_directory(place: str | None = None) -> Iterator[Path]:
-    """Make a directory for temporary files, and remove those of killed processes.
+    """Make a directory for temporary files, and remove what killed processes left.
 
     Its process has it locked. A lock, unlike a process number, also holds between containers that
     share ``/dev/shm``.

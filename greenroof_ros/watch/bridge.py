@@ -14,9 +14,9 @@ from typing import Any
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.common.processes import Signals
 from greenroof_ros.common.standard_error import print_line
-from greenroof_ros.graph.graph_client import StopFailedError
 from greenroof_ros.watch.document import document
 from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.graph_client import StopFailedError
 from greenroof_ros.watch.home_assistant import (
     NUMBERS,
     OFF,

@@ -1,6 +1,6 @@
 """Feeds the store: from the graph that runs and from the bag that it writes.
 
-A watcher must not slow down the graph: see :mod:`greenroof_ros.graph.graph_client`. But each of its
+A watcher must not slow down the graph: see :mod:`greenroof_ros.watch.graph_client`. But each of its
 subscriptions costs the publisher time in every tick, so it receives the numbers of a run only up to
 a certain speed. Above that it receives only /diagnostics.
 
@@ -26,12 +26,12 @@ import numpy as np
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.summary import site_file_of
-from greenroof_ros.graph.graph_client import DIAGNOSTICS, GraphClient, StopFailedError
 from greenroof_ros.graph.states import RECORDER
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.alarms import read_run_files
 from greenroof_ros.watch.bag import BagProcess, Batch
+from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, StopFailedError
 from greenroof_ros.watch.store import PLAN, GraphStore, papers_site
 
 # The fastest run, in times real time, whose numbers are received: 60 and some jitter.
@@ -172,7 +172,7 @@ class Feed:
         Args:
             action: ``stop``, ``release``, ``clear`` or ``dose``.
             request: for a stop or a dose, as the methods hold_pump and request_dose of
-                :class:`greenroof_ros.graph.graph_client.GraphClient` take it.
+                :class:`greenroof_ros.watch.graph_client.GraphClient` take it.
 
         Returns:
             The pump node's answer.

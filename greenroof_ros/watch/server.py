@@ -29,10 +29,10 @@ from aiohttp import web
 
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.graph.graph_client import StopFailedError
 from greenroof_ros.watch import words
 from greenroof_ros.watch.document import HOURS, document, series
 from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.graph_client import StopFailedError
 from greenroof_ros.watch.listening import Listener, listen
 from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.store import GraphStore

@@ -27,10 +27,10 @@ pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED
-from greenroof_ros.graph.graph_client import StopFailedError
 from greenroof_ros.watch import feed, wire
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.graph_client import StopFailedError
 from greenroof_ros.watch.store import GraphStore
 
 LEVEL = "/roof/level"

@@ -24,8 +24,8 @@ import paths  # noqa: F401
 from graphs import Process, free_ports, reserved_domain, wait_for
 from places import DATA
 
-from greenroof_ros.graph.graph_client import GraphClient
 from greenroof_ros.watch import wire
+from greenroof_ros.watch.graph_client import GraphClient
 
 _TURN_S = 6.0
 

@@ -16,7 +16,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
 
-from greenroof_ros.graph.graph_client import GraphClient, StopFailedError
+from greenroof_ros.watch.graph_client import GraphClient, StopFailedError
 
 
 @pytest.fixture
