@@ -256,17 +256,17 @@ READS: list[tuple[str, str, dict[str, Any]]] = [
     ("abb_acs880", """
 400004        : 03 0003 0001 -> 03 02 1231
 400005        : 03 0004 0001 -> 03 02 FE70 : -400
-""", {"speed": 0.0, "fault": "", "stands": True}),
+""", {"speed": 0.0, "fault": "", "at_rest": True}),
     ("abb_acs880", """
 400004        : 03 0003 0001 -> 03 02 1231
 400005        : 03 0004 0001 -> 03 02 E0C0 : -8000
-""", {"speed": -0.4, "fault": "the pump turns backwards (speed -40.0%)", "stands": False}),
+""", {"speed": -0.4, "fault": "the pump turns backwards (speed -40.0%)", "at_rest": False}),
     # The alarm word bit by bit, high word first; there is another fault besides the timeout.
     ("danfoss_fc202", """
 50200         : 03 C417 0001 -> 03 02 060B : trip
 16-90         : 03 4203 0002 -> 03 04 4000 0010 : bits 4 and 30
 50210         : 03 C421 0001 -> 03 02 FFFF : -1 of 16384
-""", {"fault": "control word timeout, safe stop", "timed_out": False, "stands": True}),
+""", {"fault": "control word timeout, safe stop", "timed_out": False, "at_rest": True}),
     # 45.0 Hz of 50.0 Hz; 12.3 m3/h are 12.3 / 3600 m3/s.
     ("grundfos_cim500", """
 00201         : 03 00C8 0001 -> 03 02 0340 : bits 6 8 9
