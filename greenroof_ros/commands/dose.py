@@ -19,7 +19,7 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, StopFailedError
+from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
 
 _PATIENCE_S = 20.0
 # If the pump node is silent for longer than this (s), the fate of the dose is unknown.
@@ -84,10 +84,10 @@ def main() -> int:
         requested_at, shown = time.time(), ""
         progress = _Progress(pump, requested_at)
         with closing(GraphClient(arguments.namespace, progress.receive)) as client:
-            client.prepare_stop(pump)
+            client.connect_pump(pump)
             try:
                 client.request_dose(arguments.volume, requested_at, _PATIENCE_S)
-            except StopFailedError as failure:
+            except PumpRequestError as failure:
                 print(f"error: {failure}", file=sys.stderr)
                 return EXIT_FAILED
             progress.last_message = progress.accepted = time.monotonic()

@@ -8,7 +8,7 @@ from contextlib import closing
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.graph.domain import importing_ros
-from greenroof_ros.watch.graph_client import GraphClient, StopFailedError
+from greenroof_ros.watch.graph_client import GraphClient, PumpRequestError
 
 # How long a command waits for the pump node (s): to discover it takes seconds.
 _PATIENCE_S = 20.0
@@ -26,9 +26,9 @@ def request_of_pump(namespace: str, request: Callable[[GraphClient, float], str]
     """
     try:
         with importing_ros(), closing(GraphClient(namespace, lambda *_: None)) as client:
-            client.prepare_stop(f"{namespace}/pump")
+            client.connect_pump(f"{namespace}/pump")
             print(request(client, _PATIENCE_S))
-    except StopFailedError as failure:
+    except PumpRequestError as failure:
         print(f"error: {failure}", file=sys.stderr)
         return EXIT_FAILED
     return EXIT_DONE

@@ -62,7 +62,7 @@ def main() -> int:
     arguments = make_parser().parse_args()
     store = GraphStore(arguments.namespace)
     with Feed(store, recording=False):
-        shown = _listen(store)
+        shown = _read_status(store)
         code = _judge(shown)
         values = _values(store, shown, code)
     if arguments.json:
@@ -73,7 +73,7 @@ def main() -> int:
     return code
 
 
-def _listen(store: GraphStore) -> dict[str, Any]:
+def _read_status(store: GraphStore) -> dict[str, Any]:
     """Return the document when everything is known, or after the longest time."""
     began, first = time.monotonic(), None
     while True:

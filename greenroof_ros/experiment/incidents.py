@@ -252,7 +252,7 @@ class IncidentLog:
                 self._suspect(about, part, tick)
 
     def _suspect(self, about: tuple[str, str], part: NodePart, tick: int | None) -> None:
-        """Begin an incident once it has lasted long enough."""
+        """Start an incident once it has lasted long enough."""
         now = time.monotonic()
         cause, began = part.diagnosis["message"], wall_time()
         if tick is None and about not in self._good:
@@ -264,14 +264,14 @@ class IncidentLog:
             self._pending.pop(about)
         elif now - first_seen >= part.rule.lasts_s:
             del self._pending[about]
-            self._begin(incident)
+            self._start(incident)
 
     def fail(self, node: str, cause: str) -> None:
-        """Begin the incident of a node's own process, and end its earlier one, if any."""
+        """Start the incident of a node's own process, and end its earlier one, if any."""
         self.end(node, PROCESS)
-        self._begin(Incident(0, node, PROCESS, cause, wall_time(), code="node_failed"))
+        self._start(Incident(0, node, PROCESS, cause, wall_time(), code="node_failed"))
 
-    def _begin(self, incident: Incident) -> None:
+    def _start(self, incident: Incident) -> None:
         self.count += 1
         incident = replace(incident, number=self._before + self.count)
         self._open[incident.node, incident.part] = incident

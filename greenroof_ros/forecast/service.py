@@ -309,7 +309,7 @@ class Fetcher:
         while not self.wait(self.fetch()):
             pass
 
-    def end(self) -> None:
+    def stop(self) -> None:
         """Stop fetching."""
         self._ended.set()
 

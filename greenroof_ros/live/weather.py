@@ -197,7 +197,7 @@ class LiveWeatherNode(LiveNode):
     def on_stop(self) -> None:
         """End the fetching."""
         if self._fetcher is not None:
-            self._fetcher.end()
+            self._fetcher.stop()
 
     def _outlook(
         self, forecast: LiveForecast, now: datetime, rain: float | None

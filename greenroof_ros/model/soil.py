@@ -44,7 +44,7 @@ class SoilSlopes(NamedTuple):
     drained_2: float
 
 
-class Followed(NamedTuple):
+class RoofSeries(NamedTuple):
     """What left a roof, and what its drainage layer held, for each sample."""
 
     evaporated: Values
@@ -195,7 +195,7 @@ class PaperSoil:
     def follow(
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values | None, durations: Values,
-    ) -> Followed:
+    ) -> RoofSeries:
         """Compute the unmeasured quantities of a roof with known volumes.
 
         Args:
@@ -213,7 +213,7 @@ class PaperSoil:
         # As in Plant.flows: at most the available water evaporates.
         available = x2 / durations + rain * self._site.a2 + pump - drainage
         evaporated = np.fmin(potential, np.maximum(available, 0.0))
-        return Followed(evaporated, drainage, np.full_like(x2, layer), layer)
+        return RoofSeries(evaporated, drainage, np.full_like(x2, layer), layer)
 
     def _darcy(self, x2: Any) -> Any:
         """Return the drainage (m3/s) of a soil that holds x2 (m3), at least its capacity."""
@@ -419,7 +419,7 @@ class MeasuredSoil:
     def follow(
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values | None, durations: Values,
-    ) -> Followed:
+    ) -> RoofSeries:
         """Compute what the substrate lost, and the drainage even if ``drainage`` is given."""
         samples = np.nan_to_num(x2), rain * self._a2 + pump, potential, durations
         evaporated, drained, layers = array("d"), array("d"), array("d")
@@ -432,7 +432,7 @@ class MeasuredSoil:
             drained.append(self.layer_outflow(layer, percolated, seconds))
             layers.append(layer)
             layer = max(0.0, layer + seconds * (percolated - drained[-1]))
-        return Followed(
+        return RoofSeries(
             np.frombuffer(evaporated), np.frombuffer(drained), np.frombuffer(layers), layer
         )
 

@@ -16,7 +16,7 @@ from greenroof_ros.common.processes import Signals
 from greenroof_ros.common.standard_error import print_line
 from greenroof_ros.watch.document import document
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.graph_client import StopFailedError
+from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.home_assistant import (
     NUMBERS,
     OFF,
@@ -112,7 +112,7 @@ class Bridge:
         try:
             print_line(f"stop, over MQTT: {self._feed.request_action('stop', owner='MQTT')}")
             self._stop_until = -math.inf
-        except StopFailedError as failure:
+        except PumpRequestError as failure:
             print_line(f"stop, over MQTT: {failure}")
             if failure.answered:
                 self._stop_until = -math.inf

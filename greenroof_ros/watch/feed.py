@@ -31,7 +31,7 @@ from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.alarms import read_run_files
 from greenroof_ros.watch.bag import BagProcess, Batch
-from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, StopFailedError
+from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
 from greenroof_ros.watch.store import PLAN, GraphStore, papers_site
 
 # The fastest run, in times real time, whose numbers are received: 60 and some jitter.
@@ -178,7 +178,7 @@ class Feed:
             The pump node's answer.
 
         Raises:
-            StopFailedError: the pump node did not confirm it.
+            PumpRequestError: the pump node did not confirm it.
         """
         future: Future[str] = Future()
         with self._request_lock:
@@ -193,13 +193,13 @@ class Feed:
             what = "the pump node was not asked, and nothing was done"
             if not future.cancel():
                 what = "it is not known whether the pump node did that"
-            raise StopFailedError(f"The watcher is busy: {what}.") from None
+            raise PumpRequestError(f"The watcher is busy: {what}.") from None
 
     def _drop_before_stop(self) -> None:
         """Cancel requests from before a stop: they must not be carried out after it."""
         for action, _, before in self._requests:
             if action != "stop" and before.set_running_or_notify_cancel():
-                before.set_exception(StopFailedError(
+                before.set_exception(PumpRequestError(
                     "Nothing was done: somebody is asking to stop the pump."
                 ))
         self._requests = [request for request in self._requests if request[0] == "stop"]
@@ -495,18 +495,18 @@ class Feed:
 
     # --- stopping -------------------------------------------------------------------------------
 
-    def _prepare_stop(self) -> None:
+    def _connect_pump(self) -> None:
         """Look for the services of the pump node, so that a call finds them at once.
 
         Raises:
-            StopFailedError: two nodes claim to be the pump node.
+            PumpRequestError: two nodes claim to be the pump node.
         """
         assert self._client is not None
         now, graph = time.monotonic(), self._store.graph
         node, two = graph.pump(now), graph.two_pumps(now)
-        self._client.prepare_stop(None if two or node is None else node.name)
+        self._client.connect_pump(None if two or node is None else node.name)
         if two:
-            raise StopFailedError(two)
+            raise PumpRequestError(two)
 
     def _answer(self) -> None:
         if (client := self._client) is None:
@@ -520,9 +520,9 @@ class Feed:
                 action, request, future = self._requests.pop(0)
             if future.set_running_or_notify_cancel():
                 try:
-                    self._prepare_stop()
+                    self._connect_pump()
                     future.set_result(acts[action](**request, timeout_s=_STOP_S))
                 except Exception as error:  # it is raised in the thread that asked
                     future.set_exception(error)
-        with suppress(StopFailedError):
-            self._prepare_stop()
+        with suppress(PumpRequestError):
+            self._connect_pump()

@@ -28,7 +28,7 @@ _DEPTH = 64
 DIAGNOSTICS = "/diagnostics"
 
 
-class StopFailedError(Exception):
+class PumpRequestError(Exception):
     """The pump node did not confirm a request; the message says why.
 
     Attributes:
@@ -119,7 +119,7 @@ class GraphClient:
         """End the present wait, from another thread."""
         self._wake.set()
 
-    def prepare_stop(self, pump_node: str | None) -> None:
+    def connect_pump(self, pump_node: str | None) -> None:
         """Open clients for the services of a pump node, so that a call finds them at once.
 
         Args:
@@ -150,7 +150,7 @@ class GraphClient:
             The pump node's answer.
 
         Raises:
-            StopFailedError: the pump node did not confirm it.
+            PumpRequestError: the pump node did not confirm it.
         """
         end = {} if until is None else {"until": until}
         return self._set_parameters("hold", timeout_s, owner=owner, reason=reason, **end)
@@ -175,7 +175,7 @@ class GraphClient:
             The pump node's answer.
 
         Raises:
-            StopFailedError: it was refused, or there was no answer.
+            PumpRequestError: it was refused, or there was no answer.
         """
         return self._set_parameters("dose", timeout_s, volume=volume, asked_at=requested_at)
 
@@ -189,12 +189,12 @@ class GraphClient:
 
     def _request(self, service: str, timeout_s: float, **request: Any) -> str:
         if self._pump is None:
-            raise StopFailedError("There is no pump node that could be stopped from here.")
+            raise PumpRequestError("There is no pump node that could be stopped from here.")
         name, client = self._pump, self._services[service]
         until = time.monotonic() + timeout_s
         while not client.service_is_ready():
             if time.monotonic() > until:
-                raise StopFailedError(
+                raise PumpRequestError(
                     f"{name} does not answer: nothing provides its service {service}. Start its "
                     "graph first, in the same ROS_DOMAIN_ID and with the same "
                     "ROS_AUTOMATIC_DISCOVERY_RANGE."
@@ -204,7 +204,7 @@ class GraphClient:
         self._executor.spin_until_future_complete(answer, max(0.0, until - time.monotonic()))
         if not answer.done():
             client.remove_pending_request(answer)
-            raise StopFailedError(
+            raise PumpRequestError(
                 f"{name} did not answer within {timeout_s:g} s: it may or may not have done that."
             )
         result = answer.result()
@@ -214,7 +214,7 @@ class GraphClient:
             ok, message = result.success, result.message
         if not ok:
             # A hold with this answer may be in force, but would not survive a restart.
-            raise StopFailedError(str(message), answered=True)
+            raise PumpRequestError(str(message), answered=True)
         return str(message)
 
     def close(self) -> None:

@@ -32,7 +32,7 @@ from greenroof_ros.common.ranges import Range
 from greenroof_ros.watch import words
 from greenroof_ros.watch.document import HOURS, document, series
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.graph_client import StopFailedError
+from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.listening import Listener, listen
 from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.store import GraphStore
@@ -363,7 +363,7 @@ class _PageApplication:
             request = {"owner": "the page"} if action == "stop" else given
             answer = await asyncio.to_thread(self._feed.request_action, action, **request)
             ok, sentence = True, answer
-        except StopFailedError as failure:
+        except PumpRequestError as failure:
             ok, sentence = False, str(failure)
         except Exception as error:
             traceback.print_exc()

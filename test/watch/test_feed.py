@@ -30,7 +30,7 @@ from greenroof_ros.common.command_line import EXIT_INTERRUPTED
 from greenroof_ros.watch import feed, wire
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.graph_client import StopFailedError
+from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.store import GraphStore
 
 LEVEL = "/roof/level"
@@ -230,7 +230,7 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
 
     def refusal(feed: Feed) -> str:
         began = time.monotonic()
-        with pytest.raises(StopFailedError) as refused:
+        with pytest.raises(PumpRequestError) as refused:
             feed.request_action("stop", owner="the page")
         assert time.monotonic() - began < 15
         return str(refused.value)
@@ -310,7 +310,7 @@ def test_a_stop_is_answered_whatever_else_fails(domain: int) -> None:
     with in_domain(domain), Feed(Broken()) as feed:
         time.sleep(0.5)
         began = time.monotonic()
-        with pytest.raises(StopFailedError, match="no pump node"):
+        with pytest.raises(PumpRequestError, match="no pump node"):
             feed.request_action("stop", owner="the page")
         assert time.monotonic() - began < 15
 
@@ -321,7 +321,7 @@ def test_a_stop_goes_before_what_was_asked_before_it_which_is_not_done() -> None
     answers: dict[int, str] = {}
 
     def ask(number: int, action: str) -> None:
-        with pytest.raises(StopFailedError) as failed:
+        with pytest.raises(PumpRequestError) as failed:
             feed.request_action(action)
         answers[number] = str(failed.value)
 

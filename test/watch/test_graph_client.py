@@ -16,7 +16,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
 
-from greenroof_ros.watch.graph_client import GraphClient, StopFailedError
+from greenroof_ros.watch.graph_client import GraphClient, PumpRequestError
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ class Pump(Peer):
 def test_hold(place: int) -> None:
     """The pump node's message is returned; if it does not say that it holds, that is an error."""
     client = GraphClient("", lambda *_: None)
-    client.prepare_stop("/pump")
+    client.connect_pump("/pump")
     pump = Pump(place)
     assert client.hold_pump("the page", timeout_s=20) == "held: a hold by the page"
     assert client.hold_pump("MQTT", "frost", 4e9, timeout_s=20)
@@ -70,11 +70,11 @@ def test_hold(place: int) -> None:
         {"owner": "the page", "reason": ""}, {"owner": "MQTT", "reason": "frost", "until": 4e9},
     ]
     pump.success, pump.answer = False, "held: a hold by the page; but the disk is full"
-    with pytest.raises(StopFailedError, match="the disk is full"):
+    with pytest.raises(PumpRequestError, match="the disk is full"):
         client.hold_pump("the page", timeout_s=20)
     pump.answers_after = 2.0
     began = time.monotonic()
-    with pytest.raises(StopFailedError, match=r"did not answer within 0\.5 s"):
+    with pytest.raises(PumpRequestError, match=r"did not answer within 0\.5 s"):
         client.hold_pump("the page", timeout_s=0.5)
     assert time.monotonic() - began < 2
     client.close()

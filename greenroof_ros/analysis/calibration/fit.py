@@ -189,8 +189,8 @@ class _Stages:
     def __init__(self, update_progress: UpdateProgress) -> None:
         self._update_progress, self._stage, self._simulations = update_progress, -1, 0
 
-    def begin(self, most: int) -> None:
-        """Begin the next stage, of at most this many simulations."""
+    def start(self, most: int) -> None:
+        """Start the next stage, of at most this many simulations."""
         self._stage, self._most, self._before = self._stage + 1, most, self._simulations
         self.simulated(0)
 
@@ -264,7 +264,7 @@ def fit(
         return np.column_stack(columns)
 
     def identify() -> tuple[Steps, list[str]]:
-        stages.begin(1 + len(every))
+        stages.start(1 + len(every))
         return _identify([span.name for span in every], jacobian())
 
     def solve() -> OptimizeResult:
@@ -274,7 +274,7 @@ def fit(
             return differences(near)
 
         # Each evaluation can be followed by a Jacobian: one simulation for each parameter.
-        stages.begin(_MOST_EVALUATIONS * (1 + int(free.sum())))
+        stages.start(_MOST_EVALUATIONS * (1 + int(free.sum())))
         solution = least_squares(
             moved, at[free], bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1",
             f_scale=_ROBUST_FROM, xtol=1e-8, ftol=1e-9, max_nfev=_MOST_EVALUATIONS,
@@ -290,7 +290,7 @@ def fit(
         for span, share, is_free in zip(every, at, free, strict=True)
     ))
     tried = [at, *map(np.array, grid)]
-    stages.begin(len(tried))
+    stages.start(len(tried))
     at = min(tried, key=lambda shares: _cost(differences(shares)))
     solve()
     # Again at the solution: it may identify other parameters than the start of the search.

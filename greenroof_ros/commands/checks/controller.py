@@ -80,7 +80,7 @@ class ControllerCheck(NodeCheck):
         self._doubled = ""
         self._slowest = 0.0
 
-    def try_all(self) -> None:
+    def run_checks(self) -> None:
         """Run all checks in turn; after each stop the controller must water again."""
         with self.check("publishes nothing before the first tick"):
             early = len(self.answers)

@@ -92,7 +92,7 @@ class NodeCheck(ABC):
         self._tau, self._speed = tau, speed
         self._executor = make_executor()
         self._executor.add_node(node)
-        self._trying = f"waiting for the {self.kind}"
+        self._current_check = f"waiting for the {self.kind}"
         self._lines = ProgressLines()
         self._publishers: dict[str, Callable[[Any], None]] = {}
 
@@ -108,17 +108,17 @@ class NodeCheck(ABC):
         self.results.append(CheckResult("its topics fit the interface", unfit))
         if not unfit:
             self.join()
-            self.try_all()
+            self.run_checks()
         return self.results
 
     @abstractmethod
-    def try_all(self) -> None:
+    def run_checks(self) -> None:
         """Run all checks in turn, except for the topics."""
 
     @contextmanager
     def check(self, title: str) -> Iterator[None]:
         """Run a check and store its result."""
-        self._trying = f"check {len(self.results) + 1} of {self.checks}: {title}"
+        self._current_check = f"check {len(self.results) + 1} of {self.checks}: {title}"
         problem, self.result = "", ""
         try:
             yield
@@ -234,7 +234,7 @@ class NodeCheck(ABC):
             ProblemError: no more ticks are tried.
         """
         require(not self.hindered, self.hindered)
-        self._lines.update(self._trying)
+        self._lines.update(self._current_check)
         self.publish(CLOCK, _EPOCH_NS + round(self.ticks * self._tau * 1e9))
         self.ticks += 1
 
@@ -257,7 +257,7 @@ class NodeCheck(ABC):
         until = time.monotonic() + seconds
         while (remaining := until - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=remaining)
-        self._lines.update(self._trying)
+        self._lines.update(self._current_check)
 
 
 @contextmanager

@@ -112,7 +112,7 @@ class PumpCheck(NodeCheck):
         self._lockstep_problem = ""
         self._state = ""
 
-    def try_all(self) -> None:
+    def run_checks(self) -> None:
         """Run all checks in turn; after each stop except the last, the pump must run again."""
         limits, site = self._limits, self._site
         with self.check("is off at start: no flow before a command, and 0 at command 0"):
