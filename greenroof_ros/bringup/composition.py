@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import signal
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from greenroof_ros.bringup.watchdog import Watchdog
 from greenroof_ros.common.command_line import EXIT_FAILED, exit_code
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import Signals
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.graph.messages import LockstepError
+from greenroof_ros.graph.messages import LockstepError, describe
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.spin import end_nodes, ros, spin
 from greenroof_ros.graph.states import RECORDER
@@ -34,7 +34,7 @@ _SHOWN_EVERY = 4
 class Composition:
     """Plant, weather, controller and recorder of one run, as nodes of this process.
 
-    Used in a ``with`` statement; whatever ends the run, the bag is closed at its end.
+    Used in a ``with`` statement, in which :meth:`end` must be called, whatever ends the run.
 
     Attributes:
         refused: how many values the nodes refused, by topic.
@@ -75,11 +75,20 @@ class Composition:
         self._ends.enter_context(ros(self._arguments))
         return self
 
-    def __exit__(self, kind: object, error: BaseException | None, *_: object) -> None:
-        """End the nodes, and shut ROS down."""
-        with self._ends:
-            end_nodes(list(self._nodes.values()), None if error is None else str(error))
-        signal.alarm(0)  # the summary is not written yet
+    def __exit__(self, *_: object) -> None:
+        """Shut ROS down; the process must end soon."""
+        self._ends.close()
+
+    def end(self, failure: str | None) -> str | None:
+        """End the nodes, and close the bag.
+
+        Args:
+            failure: why the run has failed; None if it has not.
+
+        Returns:
+            The first error, also one of the end; None if there was none.
+        """
+        return end_nodes(list(self._nodes.values()), failure)
 
     def spin(self, drive: DriveInLoop | None) -> None:
         """Make the nodes, and run them to the end of the run.
@@ -98,14 +107,17 @@ class Composition:
             if drive is not None:
                 ends.enter_context(drive)
             run = self._run
-            self._nodes["plant"] = PlantNode()
+            plant = self._nodes["plant"] = PlantNode()
             self._nodes["weather"] = WeatherNode()
             if run.controller.reference != EXTERNAL:
                 self._nodes[run.controller.name] = ControllerNode(run.controller.reference)
             if self._record:
                 self._nodes[RECORDER] = RecorderNode()
 
+            watchdog = ends.enter_context(Watchdog(plant.limit))
+
             def may_end() -> bool:
+                watchdog.report()
                 self._signals.check()
                 if drive is not None:
                     drive.check(self.tick)
@@ -161,21 +173,15 @@ class Composition:
     def results(self) -> dict[str, Any]:
         """The numbers of a run that is done, for its summary."""
         controller = self._nodes.get(self._run.controller.name)
-        solver = {"solver": None} if controller is None else controller.summary()
-        recorder = self._nodes[RECORDER].summary() if self._record else {"messages": None}
-        return {**self._nodes["plant"].summary(), **solver, **recorder}
+        solver = {"solver": None} if controller is None else controller.result
+        recorder = self._nodes[RECORDER].result if self._record else {"messages": None}
+        return {**self._nodes["plant"].result, **solver, **recorder}
 
     def explain(self, error: Exception) -> tuple[str, int]:
-        """Return why a run failed, in a sentence, and the exit code.
-
-        Raises:
-            Exception: the error itself, if it is none that ends a run.
-        """
+        """Return why a run failed, in a sentence, and the exit code."""
         if isinstance(error, ConfigurationError):
             return str(error), exit_code(error)
         if isinstance(error, (LockstepError, OSError)):
             return str(error), EXIT_FAILED
         code = getattr(error, "code", None)  # of a process
-        if code is None:
-            raise error
-        return str(error), code
+        return (describe(error), EXIT_FAILED) if code is None else (str(error), code)

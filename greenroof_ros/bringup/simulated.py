@@ -105,7 +105,6 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """
     with importing_ros():
         from greenroof_ros.bringup.composition import Composition
-        from greenroof_ros.graph.spin import end_soon
     drive = chosen_drive(arguments)
     speed = arguments.speed
     if speed is None:  # real time with a drive, otherwise as fast as possible
@@ -151,21 +150,24 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
             progress,
         ) if drive is not None else None
         status, reason, code = summary.DONE, "", EXIT_DONE
-        try:
-            with progress, graph:
-                graph.spin(loop)
-        except InterruptedRun as error:
-            status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
-            print_line(reason)
-        except Exception as error:
-            status, reason, code = summary.FAILED, *graph.explain(error)
-            print_line(f"error: {reason}")
-        signals.ignore()
-        incidents = IncidentLog(print_line) if loop is None else loop.log
-        if loop is not None and loop.may_run:
-            code = EXIT_FAILED
-        _end(run, directory, graph, incidents, status, reason, as_json=arguments.json)
-        end_soon()
+        with graph:
+            try:
+                with progress:
+                    graph.spin(loop)
+            except InterruptedRun as error:
+                status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
+                print_line(reason)
+            except Exception as error:
+                status, reason, code = summary.FAILED, *graph.explain(error)
+                print_line(f"error: {reason}")
+            signals.ignore()
+            failure = reason or None
+            if graph.end(failure) != failure:  # the bag cannot be closed
+                code = EXIT_FAILED
+            incidents = IncidentLog(print_line) if loop is None else loop.log
+            if loop is not None and loop.may_run:
+                code = EXIT_FAILED
+            _end(run, directory, graph, incidents, status, reason, as_json=arguments.json)
         return code or (EXIT_FAILED if incidents.count else EXIT_DONE)
 
 

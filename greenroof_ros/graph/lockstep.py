@@ -32,7 +32,7 @@ from typing import NamedTuple
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import LockstepError
-from greenroof_ros.graph.publishers import list_nodes
+from greenroof_ros.graph.publishers import DISCOVERY_S, list_nodes
 
 CLOCK, RUN = "/clock", "/run"
 
@@ -94,10 +94,10 @@ class Lockstep:
             second = name not in awaited
             if second and not tolerates_second:
                 kind = LockstepError if self.tick else OccupiedError
+                publishers = list_nodes(entry.publishers.names(DISCOVERY_S))
                 raise kind(
-                    f"{entry.name} came twice in tick {self.tick} "
-                    f"({list_nodes(entry.publishers.names())}); another publisher, or nodes from "
-                    "an earlier run, are in this graph"
+                    f"{entry.name} came twice in tick {self.tick} ({publishers}); another "
+                    "publisher, or nodes from an earlier run, are in this graph"
                 )
             entry.receive(message)
             awaited.discard(name)

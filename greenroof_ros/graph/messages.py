@@ -13,6 +13,7 @@ from __future__ import annotations
 import importlib
 import math
 import struct
+import traceback
 from array import array
 from collections.abc import Callable
 from functools import partial
@@ -40,6 +41,18 @@ _NS = 1_000_000_000
 
 class LockstepError(Exception):
     """The graph cannot go on; the message names the topic and the node."""
+
+
+class HangError(Exception):
+    """A callback does not return; the message says for how long, and where it is."""
+
+
+def describe(error: Exception) -> str:
+    """Return an unexpected error as one line: its type, its message and its place in the code."""
+    if isinstance(error, HangError):
+        return str(error)
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
 
 
 class WithFront(NamedTuple):

@@ -39,6 +39,7 @@ class SimulationNode(GraphNode):
 
     Attributes:
         lockstep: makes the node act.
+        result: what it has added to the run's summary; empty before the run is over.
     """
 
     def __init__(self, name: str, role: str) -> None:
@@ -54,6 +55,7 @@ class SimulationNode(GraphNode):
         self._now_ns = 0  # 0: not set yet
         super().__init__(name, role, read_topics(), simulated=True)
         self.lockstep = Lockstep(self.on_inputs, self.finish)
+        self.result: dict[str, Any] = {}
         self._waits_for: list[Publishers] = []
         self._tolerated: set[str] = set()  # topics whose second publisher the node handles
         self._incompatible_since: dict[str, float] = {}
@@ -148,7 +150,7 @@ class SimulationNode(GraphNode):
     def finish(self) -> None:
         """Report from now on that the run is over for this node, with the node's summary."""
         self._update_warnings(time.monotonic())
-        self._final = self.summary()
+        self.result = self._final = self.summary()
         self.reports.state = FINISHED
         self.report_state()
 
@@ -180,7 +182,7 @@ class SimulationNode(GraphNode):
             if name not in self._tolerated and publishers.count > 1 and publishers.compatible > 1:
                 # Before the run it is a wrong set-up, later a failure.
                 kind = LockstepError if self.acted else OccupiedError
-                raise kind(f"{entry.name} {publishers.second()}")
+                raise kind(f"{entry.name} {publishers.second(DISCOVERY_S)}")
 
     def _update_warnings(self, now: float) -> None:
         """Warn of refused values, and of publishers incompatible for the discovery time."""

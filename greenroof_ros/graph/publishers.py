@@ -56,12 +56,14 @@ class Publishers:
         """How many publishers have a compatible quality of service: their messages arrive."""
         return len(self._endpoints()) - len(self._incompatible())
 
-    def names(self) -> list[str]:
+    def names(self, wait_s: float = 0.0) -> list[str]:
         """Return the names of the publishers' nodes; if all have gone, the last known names.
 
-        A name may be discovered after the first messages: this waits for it, for error messages.
+        Args:
+            wait_s: how long to wait for a name that is not discovered yet: after the first
+                messages, it may take :data:`DISCOVERY_S`.
         """
-        until = time.monotonic() + DISCOVERY_S
+        until = time.monotonic() + wait_s
         known = {info.node_name for info in self._endpoints()}
         while _UNKNOWN_NAME in known and time.monotonic() < until:
             time.sleep(0.01)
@@ -69,13 +71,18 @@ class Publishers:
         self._names = sorted(map(display_name, known)) or self._names
         return self._names
 
-    def second(self) -> str:
-        """Return that there is a second publisher, as a clause; empty if there is none."""
+    def second(self, wait_s: float = 0.0) -> str:
+        """Return that there is a second publisher, as a clause; empty if there is none.
+
+        Args:
+            wait_s: see :meth:`names`.
+        """
         count = self.count
         if count < 2 or len(self._endpoints()) < 2:
             return ""
+        names = list_nodes(self.names(wait_s))
         return (
-            f"has {count} publishers ({list_nodes(self.names())}), but must have one: end the "
+            f"has {count} publishers ({names}), but must have one: end the "
             "other, or use another ROS_DOMAIN_ID or --namespace"
         )
 

@@ -34,6 +34,8 @@ _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 def ros(arguments: Sequence[str]) -> Iterator[None]:
     """Initialise ROS for the nodes of this process, and shut it down at the end.
 
+    At its end the process must be done: then the kernel ends it within 6 s.
+
     Args:
         arguments: the command line, with ROS arguments.
 
@@ -51,7 +53,7 @@ def ros(arguments: Sequence[str]) -> Iterator[None]:
         yield
     finally:
         end_soon()
-        rclpy.try_shutdown()
+        rclpy.try_shutdown()  # all nodes leave the graph
 
 
 def spin(nodes: Sequence[SimulationNode], may_end: Callable[[], bool]) -> None:
@@ -85,16 +87,15 @@ def spin(nodes: Sequence[SimulationNode], may_end: Callable[[], bool]) -> None:
         executor.spin_until_future_complete(pause, timeout_sec=_CHECK_S)
         pause = Future()
         now = time.monotonic()
+        failed = next((node.failure for node in nodes if node.failure is not None), None)
+        if failed is not None:
+            raise failed
         for node in nodes:
-            if node.failure is not None:
-                raise node.failure
             node.check(now)
 
 
 def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
-    """End nodes: let each close what is open, report its end, and leave the graph.
-
-    From here the process must end within 6 s, since a SIGALRM is pending: bringup cancels it.
+    """End nodes: let each close what is open, and report its end.
 
     Args:
         nodes: the nodes.
@@ -111,9 +112,6 @@ def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
             print(f"error: {error}", file=sys.stderr)
     for node in nodes:
         node.end(failure)
-    end_soon()
-    for node in nodes:
-        node.destroy_node()
     return failure
 
 

@@ -82,7 +82,7 @@ class LivePublishers(Publishers):
         """How many publishers have a compatible quality of service: their messages arrive."""
         return self._alive if self._by_lease else super().compatible
 
-    def second(self) -> str:
+    def second(self, wait_s: float = 0.0) -> str:
         """Return that there is a second publisher, or with a lease an incompatible one.
 
         If only one of two is known, the middleware miscounted after a lease ran out on a busy
@@ -93,7 +93,7 @@ class LivePublishers(Publishers):
                 return incompatible
             if time.monotonic() - self._unfit_since > DISCOVERY_S:
                 self._unfit_since = -math.inf  # it has gone
-        return super().second()
+        return super().second(wait_s)
 
     def warning(self, now: float) -> str:
         """Return a sentence on publishers that stay incompatible for the discovery time, or "".
