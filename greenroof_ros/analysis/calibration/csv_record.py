@@ -408,8 +408,8 @@ def _from_temperatures(
     if far.any():
         raise ConfigurationError(
             f"has no temperature within {_LONGEST_GAP} days of {record_dates[counted[far][0]]}, "
-            "from which evapotranspiration is computed; add a row for each day without them, with its "
-            "temperatures and the other cells empty, or leave its month out with --months",
+            "from which evapotranspiration is computed; add a row for each day without them, with "
+            "its temperatures and the other cells empty, or leave its month out with --months",
             file=record.source,
         )
     lines = []
