@@ -159,5 +159,5 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
         (tmp_path / "no" / "a.csv", "must be in a directory that exists"),
         (existing, "exists; name another file"),
     ):
-        reason = refusal(refuse_unwritable, file, (".html", ".csv"), "--output")
-        assert reason.startswith(f"--output = '{file}': {reason}")
+        message = refusal(refuse_unwritable, file, (".html", ".csv"), "--output")
+        assert message.startswith(f"--output = '{file}': {reason}")

@@ -401,21 +401,21 @@ def _from_temperatures(
     if not there.any():
         raise ConfigurationError("no day has its temperatures", file=record.source)
     days, day_of_step = np.unique(record.seconds // DAY_S, return_inverse=True)
-    dates = days.astype("datetime64[D]")
+    record_dates = days.astype("datetime64[D]")
     counted = np.unique(day_of_step[counts])
     at = dates.astype(np.int64)
     far = np.abs(days[counted, None] - at[there]).min(axis=1) > _LONGEST_GAP
     if far.any():
         raise ConfigurationError(
-            f"has no temperature within {_LONGEST_GAP} days of {dates[counted[far][0]]}, from "
-            "which evapotranspiration is computed; add a row for each day without them, with its "
-            "temperatures and the other cells empty, or leave its month out with --months",
+            f"has no temperature within {_LONGEST_GAP} days of {record_dates[counted[far][0]]}, "
+            "from which evapotranspiration is computed; add a row for each day without them, with "
+            "its temperatures and the other cells empty, or leave its month out with --months",
             file=record.source,
         )
     lines = []
     for values in extremes:
         known = ~np.isnan(values)
         lines.append(np.interp(days, at[known], values[known]))
-    daily = hargreaves(site.latitude, dates, *lines)
+    daily = hargreaves(site.latitude, record_dates, *lines)
     east = site.longitude - record.offset_s / 240
     return spread_over_day(daily, site.latitude, record.seconds, day_of_step, record.step_s, east)

@@ -340,7 +340,7 @@ def _comparison(
 
     def residuals(simulated: Simulated) -> Values:
         pairs = zip(together(simulated._asdict()), measured, spread, strict=True)
-        return np.concatenate([(shown - measured) / scale for shown, measured, scale in pairs])
+        return np.concatenate([(shown - target) / scale for shown, target, scale in pairs])
 
     begin = np.unique(seconds // span_s) * span_s
     return residuals, np.tile(begin // _WEEK_S, len(measured))

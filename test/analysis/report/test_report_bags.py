@@ -541,9 +541,9 @@ def test_how_runs_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         assert len(re.findall(f'class="text( short)? warning">{ended}</td>', text)) >= 2
     assert '<th scope="row">nothing</th><td>mpc</td><td>failed: no start within 30 s' in text
     _show(report)
-    reason = " ".join(capsys.readouterr().out.split())
-    assert "lossy: done, with 2 incidents; the report lists them" in reason
-    assert f"broken {ending}; all results are for the recorded part" in reason
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "lossy: done, with 2 incidents; the report lists them" in printed
+    assert f"broken {ending}; all results are for the recorded part" in printed
     assert incidents_of(lossy, broken) == [
         ["1", "lossy", "pump: drive", "00:02:00 (tick 120)", "00:09:48 (tick 588)", "7.8",
          "no connection to the drive"],
