@@ -17,7 +17,7 @@ from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.graph.messages import LockstepError, describe
 from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.spin import end_nodes, ros, spin
+from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.graph.states import RECORDER
 from greenroof_ros.nodes.controller import ControllerNode
 from greenroof_ros.nodes.plant import PlantNode
@@ -76,8 +76,9 @@ class Composition:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Shut ROS down; the process must end soon."""
-        self._ends.close()
+        """Let the nodes leave the graph, and shut ROS down; the process must end soon."""
+        with self._ends:
+            destroy_nodes(list(self._nodes.values()))
 
     def end(self, failure: str | None) -> str | None:
         """End the nodes, and close the bag.

@@ -28,7 +28,7 @@ from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
-from greenroof_ros.graph.spin import end_nodes, ros, spin
+from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.model.site import Site
 
 # How long peers must be missing before this is logged, and how often it is repeated (s).
@@ -194,6 +194,7 @@ def run_nodes(
         finally:
             if nodes and end_nodes(nodes, failure) is not None:
                 code = code or EXIT_FAILED
+            destroy_nodes(nodes)
     return code
 
 

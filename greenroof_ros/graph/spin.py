@@ -53,7 +53,7 @@ def ros(arguments: Sequence[str]) -> Iterator[None]:
         yield
     finally:
         end_soon()
-        rclpy.try_shutdown()  # all nodes leave the graph
+        rclpy.try_shutdown()
 
 
 def spin(nodes: Sequence[SimulationNode], may_end: Callable[[], bool]) -> None:
@@ -113,6 +113,13 @@ def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
     for node in nodes:
         node.end(failure)
     return failure
+
+
+def destroy_nodes(nodes: Sequence[GraphNode]) -> None:
+    """Let nodes leave the graph, after :func:`end_nodes`; this process must end within 6 s."""
+    end_soon()
+    for node in nodes:
+        node.destroy_node()
 
 
 def end_soon() -> None:
