@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -27,6 +28,9 @@ from greenroof_ros.nodes.weather import WeatherNode
 if TYPE_CHECKING:
     from greenroof_ros.live.in_the_loop import DriveInLoop
 
+# How long messages of a node that is not composed are still received after the last tick (s): one
+# that publishes twice a tick can be found only then.
+_EXTRA_S = 0.5
 # How often the progress is shown: each of this many checks of the wall clock.
 _SHOWN_EVERY = 4
 
@@ -43,7 +47,7 @@ class Composition:
 
     def __init__(
         self, run: Run, parameters: Sequence[Path], namespace: str, *, record: bool,
-        signals: Signals, progress: RunProgress,
+        external: bool, signals: Signals, progress: RunProgress,
     ) -> None:
         """Make no node yet.
 
@@ -52,10 +56,12 @@ class Composition:
             parameters: ROS 2 parameter files; later files override earlier ones.
             namespace: such as ``/site1``; empty for none.
             record: whether there is a recorder.
+            external: whether a node of the run is not composed here.
             signals: end the run.
             progress: shows the run.
         """
         self._run, self._record, self._signals = run, record, signals
+        self._external = external
         self._progress = progress
         # rcl's own log files would grow in the user's home.
         self._arguments = [
@@ -66,8 +72,8 @@ class Composition:
         if namespace:
             self._arguments += ["-r", f"__ns:={namespace}"]
         self._nodes: dict[str, SimulationNode] = {}
-        self._failure: str | None = None
         self._checks = 0
+        self._finished_at = time.monotonic()
         self._ends = ExitStack()
 
     def __enter__(self) -> Composition:
@@ -123,9 +129,17 @@ class Composition:
                 if drive is not None:
                     drive.check(self.tick)
                 self._show()
-                return all(node.finished for node in self._nodes.values())
+                return self._finished()
 
             spin(list(self._nodes.values()), may_end)
+
+    def _finished(self) -> bool:
+        """Whether the run is over for all nodes, and nothing more has come."""
+        now = time.monotonic()
+        if not all(node.finished for node in self._nodes.values()):
+            self._finished_at = now
+            return False
+        return now - self._finished_at >= (_EXTRA_S if self._external else 0.0)
 
     def _show(self) -> None:
         """Show the progress, and new warnings of the nodes."""

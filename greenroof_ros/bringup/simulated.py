@@ -143,7 +143,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         progress = RunProgress(run.steps, run.site.tau, LINES)
         graph = Composition(
             run, [parameters, *user_files], arguments.namespace, record=not arguments.no_record,
-            signals=signals, progress=progress,
+            external=is_external or arguments.pump == EXTERNAL, signals=signals, progress=progress,
         )
         loop = DriveInLoop(
             drive, of_drive, directory, [parameters, *user_files], arguments.namespace, signals,

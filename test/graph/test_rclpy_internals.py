@@ -50,7 +50,7 @@ class Small(Lifecycle, Node):
     def on_configure(self) -> None:
         pass
 
-    def on_asked(self) -> None:
+    def on_transition_request(self) -> None:
         self.wakes += 1
 
 
