@@ -39,11 +39,11 @@ GROUPS = {
         "fetch-forecast": Command("fetch_forecast", "fetch a forecast from the internet"),
         "hold": Command("hold", "keep the pump off, until a release or a time"),
         "release": Command("release", "end the hold of the pump"),
-        "dose": Command("dose", "let the pump deliver a volume once, now"),
+        "dose": Command("dose", "pump a given volume now"),
     },
     "see what it does, or did": {
         "watch": Command("watch", "show a run or a site, on a page in a browser"),
-        "status": Command("status", "say once how it is, with an exit code for scripts"),
+        "status": Command("status", "print the present state, with an exit code for scripts"),
         "bridge": Command("bridge", "publish a site on MQTT, for Home Assistant; with a stop"),
         "report": Command("report", "make figures and tables of runs, studies and bags"),
         "recover": Command("recover", "restore a bag after a crash or a full disk"),
