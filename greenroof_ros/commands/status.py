@@ -18,8 +18,8 @@ from greenroof_ros.watch.words import SPACE, UNKNOWN
 WARNING, ALARM, NOTHING = 1, 2, 3
 _STATES = {EXIT_DONE: "well", WARNING: "warning", ALARM: "alarm", NOTHING: "nothing running"}
 
-# How long it subscribes at least, once it has found a node, and how long in all (s). Each node reports
-# four times a second, but the middleware may take seconds to find it.
+# How long it subscribes at least, once it has found a node, and how long in all (s). Each node
+# reports four times a second, but the middleware may take seconds to find it.
 _SETTLED_S, _LONGEST_S = 2.0, 5.0
 _POLL_S = 0.1
 _MOST_LINES = 15
@@ -29,8 +29,8 @@ _LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not heard"}
 _DESCRIPTION = """\
 Print the present state of the run or the site in this ROS domain: levels, pump, rain and forecast,
 controller and alarms, in at most 15 lines, in the words of the page of 'greenroof watch'. It only
-subscribes: for 2 s once it has found a node, and for 5 s if values are missing or nothing runs. Each
-node reports four times a second, but discovery may take seconds.
+subscribes: for 2 s once it has found a node, and for 5 s if values are missing or nothing runs.
+Each node reports four times a second, but discovery may take seconds.
 """
 _EPILOG = """\
 examples:

@@ -136,7 +136,9 @@ class Lockstep:
             end = round(self.run.last_tick) + 1
             early = self._of_tick if self.tick > end else self._of_tick - self.awaited
             if early:
-                raise LockstepError(f"{min(early)} has a second message in tick {end} (after the last)")
+                raise LockstepError(
+                    f"{min(early)} has a second message in tick {end} (after the last)"
+                )
             self.awaited.clear()
             self._finish()
 
