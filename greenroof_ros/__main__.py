@@ -44,14 +44,14 @@ GROUPS = {
     "see what it does, or did": {
         "watch": Command("watch", "show a run or a site, on a page in a browser"),
         "status": Command("status", "print the present state, with an exit code for scripts"),
-        "bridge": Command("bridge", "publish a site on MQTT, for Home Assistant; with a stop"),
+        "bridge": Command("bridge", "publish on MQTT, for Home Assistant, which can stop the pump"),
         "report": Command("report", "make figures and tables of runs, studies and bags"),
         "recover": Command("recover", "restore a bag after a crash or a full disk"),
     },
     "compare controllers, without ROS": {
-        "simulate": Command("simulate", "run once, in one process, with the graph's numbers"),
+        "simulate": Command("simulate", "run once, in one process; the numbers equal the graph's"),
         "study": Command("study", "run a grid of runs: the paper's 30, or yours"),
-        "bound": Command("bound", "compute the least deviation that is possible"),
+        "bound": Command("bound", "compute the least possible deviation"),
     },
     "fit it to your site": {
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
