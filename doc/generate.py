@@ -614,12 +614,8 @@ def nodes() -> str | None:
     return "\n".join([
         "### several nodes\n\n" + markdown((*header, "nodes"), shared),
         *(
-            f"### {node}\n\n"
-            + markdown(header, (
-                row for row, nodes in of_nodes.items()
-                if nodes == [node]
-            ))
-            for node in declared
+            f"### {node}\n\n{markdown(header, own)}" for node in declared
+            if (own := [row for row, nodes in of_nodes.items() if nodes == [node]])
         ),
     ])
 

@@ -69,8 +69,9 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="namespace of the graph, as passed to bringup; also the site's name on MQTT (roof "
-        "without a namespace). Two sites on one broker need different ones (default: none)",
+        help="namespace of the graph, as given to greenroof run or live; also the site's name on "
+        "MQTT (roof without a namespace). Two sites on one broker need different ones (default: "
+        "none)",
     )
     return parser
 

@@ -13,7 +13,7 @@ _INVENTED = (
     "THE PUMP WILL RUN. The levels and weather that the check sends are invented: it would let the "
     "pump run a cistern dry, or pump into a frozen pipe. With a real pump, make sure yourself that "
     "there is water in the cistern, room on the roof and no frost, and set --period to the site's "
-    "tau (1): at 0.1 the least times on and off pass ten times as fast for the motor, which is "
+    "tau (1): at 0.1 the minimum on and off times pass ten times as fast for the motor, which is "
     "started nine times."
 )
 _SUBJECT = (
@@ -21,7 +21,7 @@ _SUBJECT = (
     "interface, using topics only: off at start, one flow for each command, refused values, "
     "watchdog, a second publisher, frost, unknown levels and frost, a cistern at the suction "
     "level, and that it runs again after each. The check plays plant, weather and controller "
-    "itself, so start no bringup. With a --period of less than tau this package's pump node "
+    "itself, so start no run. With a --period of less than tau this package's pump node "
     "refuses any drive but the drive simulator; the pump node ends with the check, as it does "
     "with the plant of a run."
 )

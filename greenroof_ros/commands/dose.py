@@ -1,4 +1,4 @@
-"""Deliver a volume once: ``greenroof dose``."""
+"""Deliver a given volume now: ``greenroof dose``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(
         prog="greenroof dose",
-        description="Deliver a volume once, now, regardless of the controller's command, if the "
+        description="Deliver a given volume now, regardless of the controller's command, if the "
         "site file allows it (greatest_dose) and no interlock is active, but never above the "
         "roof's target. An interlock ends a dose for good; a dose that cannot begin within a "
         "minute ends, too. Ctrl-C ends this command but not the dose: to end that, stop the pump.",

@@ -1,4 +1,4 @@
-"""What commands have in common that make a request to the pump node and print its answer."""
+"""Shared by commands that make a request to the pump node, and print its answer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Say once how a run or a site is, with an exit code for scripts: ``greenroof status``."""
+"""Print the present state of a run or a site, and exit with a code: ``greenroof status``."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from greenroof_ros.watch.words import SPACE, UNKNOWN
 WARNING, ALARM, NOTHING = 1, 2, 3
 _STATES = {EXIT_DONE: "well", WARNING: "warning", ALARM: "alarm", NOTHING: "nothing running"}
 
-# How long it listens at least, once it hears a node, and how long in all (s). Each node reports
-# four times a second, but the middleware may take seconds to find it.
+# How long it subscribes at least, once it has found a node, and how long in all (s). Each node
+# reports four times a second, but the middleware may take seconds to find it.
 _SETTLED_S, _LONGEST_S = 2.0, 5.0
 _POLL_S = 0.1
 _MOST_LINES = 15
@@ -27,10 +27,10 @@ _TILES = "roof", "cistern", "pump", "rain", "controller"
 _LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not heard"}
 
 _DESCRIPTION = """\
-Say once how the run or the site in this ROS domain is: levels, pump, rain and forecast, controller
-and alarms, in at most 15 lines, with the words of the page of 'greenroof watch'. It only listens,
-for 2 s once it hears a node, and for 5 s if values are missing or nothing runs: each node reports
-four times a second, but may be found late.
+Print the present state of the run or the site in this ROS domain: levels, pump, rain and forecast,
+controller and alarms, in at most 15 lines, in the words of the page of 'greenroof watch'. It only
+subscribes: for 2 s once it has found a node, and for 5 s if values are missing or nothing runs.
+Each node reports four times a second, but discovery may take seconds.
 """
 _EPILOG = """\
 examples:

@@ -264,7 +264,7 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
     """Add the option that names the graph of a command which joins one."""
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="namespace of the graph, as passed to bringup (default: none)",
+        help="namespace of the graph, as given to greenroof run or live (default: none)",
     )
 
 

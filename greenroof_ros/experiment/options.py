@@ -105,7 +105,8 @@ def add_controller_arguments(
     options = ", ".join(_option(parameter) for parameter in controller.parameters)
     parser.hint = f"the parameters of {controller.name} are {options}"
     of_controller = parser.add_argument_group(
-        f"parameters of {controller.name}", "With another --controller, --help shows that one's."
+        f"parameters of {controller.name}",
+        "With another --controller, --help shows its parameters.",
     )
     of_controller.add_argument(
         "--parameters", type=Path, metavar="FILE",

@@ -149,7 +149,7 @@ def only_bringup(namespace: str) -> Iterator[None]:
 def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[], None]) -> None:
     """Listen for 1 s, and refuse if nodes with these names are already in the namespace.
 
-    The listening node then leaves the graph: this process takes no part in the run.
+    The listening node leaves the graph before the nodes of the run are made.
 
     Args:
         namespace: such as ``/site1``; empty for none.

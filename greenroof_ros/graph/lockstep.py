@@ -16,8 +16,8 @@ and the plant is at most 32 ticks ahead of the recorder. These end a run:
 - a second publisher, or a second message before the node has acted. Only the pump node tolerates
   these, for the command, and stops the pump; the plant also gets them and ends the run;
 - a second message after the node has acted. It counts for the next tick, and is found when that
-  tick's own message comes; after the last tick, any message is one too many. A message that only
-  the recorder misses shows in its count.
+  tick's own message comes; after the last tick, any message ends the run. A message that only the
+  recorder misses shows in its count.
 
 The plant publishes ``/run`` before the first tick: N, with which every node knows its last tick. No
 timer or sleep delays a tick. Wall clocks only end a run that hangs, and stop the pump node's drive.
@@ -96,7 +96,7 @@ class Lockstep:
                 kind = LockstepError if self.tick else OccupiedError
                 publishers = list_nodes(entry.publishers.names(DISCOVERY_S))
                 raise kind(
-                    f"{entry.name} came twice in tick {self.tick} ({publishers}); another "
+                    f"{entry.name} has a second message in tick {self.tick} ({publishers}); another "
                     "publisher, or nodes from an earlier run, are in this graph"
                 )
             entry.receive(message)
@@ -112,7 +112,7 @@ class Lockstep:
         self.tick += 1
         self._act()
         if self.done:
-            self.awaited.clear()  # any further message is one too many
+            self.awaited.clear()  # any further message ends the run
             self._finish()
 
     def join(self, values: array[float]) -> None:
@@ -136,7 +136,9 @@ class Lockstep:
             end = round(self.run.last_tick) + 1
             early = self._of_tick if self.tick > end else self._of_tick - self.awaited
             if early:
-                raise LockstepError(f"{min(early)} came twice in tick {end} (after the last)")
+                raise LockstepError(
+                    f"{min(early)} has a second message in tick {end} (after the last)"
+                )
             self.awaited.clear()
             self._finish()
 

@@ -99,8 +99,8 @@ class Publishers:
         offered = [lacks(info.qos_profile, self.required) for info in incompatible]
         why = dict.fromkeys(word for words in offered for word in words)
         return (
-            f"has a publisher that cannot be heard ({list_nodes(names)}): it {' and '.join(why)}, "
-            f"but must be {requirements(self.required)}; change it, or end it"
+            f"has a publisher with an incompatible QoS ({list_nodes(names)}): it "
+            f"{' and '.join(why)}, but must be {requirements(self.required)}; change it, or end it"
         )
 
     def _endpoints(self) -> list[Any]:

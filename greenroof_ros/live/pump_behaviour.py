@@ -663,7 +663,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 def second_publisher(entry: Input, code: str) -> Problem | None:
     """Return that an input has a second publisher, under this code; None if it has none.
 
-    If one of them cannot be heard, it is named: it may be trying to stop the pump.
+    If one of them is incompatible, it is named: it may be trying to stop the pump.
     """
     second = entry.publishers.second()
     if not second:

@@ -287,12 +287,12 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     rig.until_code("pump", "two_controllers")
     twin.destroy_node()
     rig.run()
-    # A publisher that the graph cannot hear, as by ros2 topic pub, may be sending 0 to stop it.
-    unheard = Node("unheard", context=rig.observer.context)
-    unheard.create_publisher(Float64, "/pump/command", 10)
+    # An incompatible publisher, such as ros2 topic pub, may be sending 0 to stop it.
+    volatile = Node("volatile", context=rig.observer.context)
+    volatile.create_publisher(Float64, "/pump/command", 10)
     rig.until_at_rest(6)
-    rig.until_reported("command", ERROR, "cannot be heard (unheard)")
-    unheard.destroy_node()
+    rig.until_reported("command", ERROR, "incompatible QoS (volatile)")
+    volatile.destroy_node()
     rig.run()
     assert rig.shows("command", OK)
     rig.until_code("pump", "")

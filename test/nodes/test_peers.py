@@ -160,15 +160,15 @@ COUNT = "expected 1 messages of each topic; some were lost or arrived twice: /ci
 # The node, its messages, those after its first command, its exit code, and its message.
 WRONG: dict[str, tuple[str, Messages, Messages, int, str]] = {
     "a level twice before the run": (
-        "onoff", [LEVEL, LEVEL], [], 3, "/cistern/level came twice in tick 0 ("),
+        "onoff", [LEVEL, LEVEL], [], 3, "/cistern/level has a second message in tick 0 ("),
     "a level twice in the run": (
-        "onoff", INPUTS, [LEVEL, LEVEL], 1, "/cistern/level came twice in tick 1 ("),
+        "onoff", INPUTS, [LEVEL, LEVEL], 1, "/cistern/level has a second message in tick 1 ("),
     "a level after the last tick": (
-        "onoff", [RUN, *INPUTS], [LEVEL], 1, "/cistern/level came twice in tick 1 ("),
+        "onoff", [RUN, *INPUTS], [LEVEL], 1, "/cistern/level has a second message in tick 1 ("),
     "a level after the last tick, before the run": (
-        "onoff", INPUTS, [LEVEL, RUN], 1, "/cistern/level came twice in tick 1 ("),
+        "onoff", INPUTS, [LEVEL, RUN], 1, "/cistern/level has a second message in tick 1 ("),
     "a tick after the last, before the run": (
-        "onoff", INPUTS, [*INPUTS, RUN], 1, "came twice in tick 1 ("),
+        "onoff", INPUTS, [*INPUTS, RUN], 1, "has a second message in tick 1 ("),
     "another run": (
         "onoff", [("/run", [7.0, 5.0, 0.0]), *INPUTS], [("/run", [8.0, 5.0, 0.0])], 1,
         "the plant was started again, or there are two"),
