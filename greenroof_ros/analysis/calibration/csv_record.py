@@ -28,7 +28,11 @@ from greenroof_ros.common.times import parse_time
 from greenroof_ros.formats.records import QUANTITIES, Limits, Table, Unit, gaps, read_table
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.evapotranspiration import check_latitude, hargreaves, over_the_day
+from greenroof_ros.weather.evapotranspiration import (
+    DailyTemperatures,
+    check_latitude,
+    extremes_of_days,
+)
 
 TIME = "time"
 REFERENCE = "reference evapotranspiration"
@@ -60,8 +64,6 @@ _CHANGES, _SUNDAY = {3, 4, 9, 10, 11}, 6
 # A row further than this from whole steps (share of a step) is off; at most this share of rows may
 # be: a clock that is set each week makes two in a thousand.
 _LOOSENESS, _MOST_OFF = 0.1, 0.01
-# Least share of a day with temperatures to know its extremes, and how far away they may be (d).
-_ENOUGH, _LONGEST_GAP = 0.75, 3
 # Temperatures further apart (s) miss a day's extremes: three hours apart they show at least 0.92 of
 # a sine's range, six hours apart 0.71.
 _LONGEST_STEP_S = 3 * HOUR_S
@@ -382,15 +384,13 @@ def _from_temperatures(
             "they are at most three hours apart; write columns 'least temperature [degC]' and "
             "'greatest temperature [degC]' instead", file=record.source, key=_COURSE,
         )
-    enough = _ENOUGH * DAY_S / record.step_s if _COURSE in numbers else 1.0
     dates, day = np.unique(
         np.array([time.date() for time in rows.times], dtype="datetime64[D]"), return_inverse=True
     )
-    least, greatest = extremes = np.full((2, len(dates)), np.nan)
-    for name, extreme, of_days in ((_LEAST, np.fmin, least), (_GREATEST, np.fmax, greatest)):
-        values = numbers[_COURSE if _COURSE in numbers else name]
-        extreme.at(of_days, day, values)
-        of_days[np.bincount(day, ~np.isnan(values)) < enough] = np.nan
+    low, high = (_COURSE, _COURSE) if _COURSE in numbers else (_LEAST, _GREATEST)
+    least, greatest = extremes = extremes_of_days(
+        day, numbers[low], numbers[high], DAY_S / record.step_s if _COURSE in numbers else 1.0
+    )
     crossed = np.flatnonzero(least > greatest)
     if len(crossed):
         raise ConfigurationError(
@@ -400,22 +400,13 @@ def _from_temperatures(
     there = ~np.isnan(extremes).any(axis=0)
     if not there.any():
         raise ConfigurationError("no day has its temperatures", file=record.source)
-    days, day_of_step = np.unique(record.seconds // DAY_S, return_inverse=True)
-    wanted = days.astype("datetime64[D]")
-    counted = np.unique(day_of_step[counts])
-    at = dates.astype(np.int64)
-    far = np.abs(days[counted, None] - at[there]).min(axis=1) > _LONGEST_GAP
+    temperatures = DailyTemperatures(dates, extremes)
+    counted = np.unique((record.seconds[counts] // DAY_S).astype("datetime64[D]"))
+    far = temperatures.far(counted)
     if far.any():
         raise ConfigurationError(
-            f"has no temperature within {_LONGEST_GAP} days of {wanted[counted[far][0]]}, from "
-            "which evapotranspiration is computed; add a row for each day without them, with its "
-            "temperatures and the other cells empty, or leave its month out with --months",
-            file=record.source,
+            f"has no temperature within 3 days of {counted[far][0]}, from which evapotranspiration "
+            "is computed; add a row for each day without them, with its temperatures and the other "
+            "cells empty, or leave its month out with --months", file=record.source,
         )
-    lines = []
-    for values in extremes:
-        known = ~np.isnan(values)
-        lines.append(np.interp(days, at[known], values[known]))
-    daily = hargreaves(site.latitude, wanted, *lines)
-    east = site.longitude - record.offset_s / 240
-    return over_the_day(daily, site.latitude, record.seconds, day_of_step, record.step_s, east)
+    return temperatures.evapotranspiration(site, record.seconds, record.step_s, record.offset_s)
