@@ -94,7 +94,14 @@ def read_weather(
         ConfigurationError: a file is broken, two contradict each other, or they cannot give the
             method.
     """
-    measured = read_measured(files, site)
+    return complete(read_measured(files, site), site, method, gaps, rain_only=rain_only)
+
+
+def complete(
+    measured: Records, site: Site, method: str | None = None, gaps: str = REFUSE, *,
+    rain_only: bool = False,
+) -> Weather:
+    """Fill gaps of records and give them evapotranspiration, as :func:`read_weather` does."""
     values = {
         quantity: bridged(series, LONGEST_GAP.get(quantity, 0))
         for quantity, series in measured.values.items()
@@ -165,10 +172,10 @@ def evapotranspiration(
     means = monthly(records, site)
     chosen = method
     if chosen is None:
-        chosen = FAO56
-        if lacking:
-            chosen = HARGREAVES if TEMPERATURE in records.values else MONTHLY
-        if chosen != MONTHLY and means is not None:
+        chosen = HARGREAVES if lacking else FAO56
+        if TEMPERATURE in lacking:
+            chosen, lacking = MONTHLY, [TEMPERATURE]
+        elif means is not None:
             try:
                 check_latitude(site)
             except ConfigurationError:
@@ -177,7 +184,7 @@ def evapotranspiration(
         series = from_temperatures(records, site)
         if method is None and means is not None and np.isnan(series).all():
             chosen, lacking = MONTHLY, ["a day with 18 hours of temperature"]
-    for_want = f", for want of {' and '.join(lacking)}" if lacking else ""
+    for_want = f", for want of {', '.join(lacking)}" if lacking else ""
     if chosen == HARGREAVES:
         return series, chosen, [
             "evapotranspiration is computed from each day's least and greatest temperature "
