@@ -108,8 +108,8 @@ def read_records(file: Path, site: Site, /) -> Records:
         values = {name: _means(series, hours, step) for name, series in values.items()}
         hours = np.arange(hours[-1] + 1)
         notes.append(
-            f"{file.name}: rows are {duration(3600 * step)} apart; each hour has their mean, of rain "
-            f"their mean rate, if at least {_ENOUGH:g} of them are there"
+            f"{file.name}: rows are {duration(3600 * step)} apart; each hour has their mean, of "
+            f"rain their mean rate, if at least {_ENOUGH:g} of them are there"
         )
     about = _about(file)
     here = {file: (about["latitude"], about["longitude"])} if (
