@@ -16,7 +16,6 @@ from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import naming, shared_directory
 from greenroof_ros.common.times import to_people
-from greenroof_ros.experiment.run import far_files
 from greenroof_ros.experiment.summary_table import grid
 from greenroof_ros.formats.own_csv import write_records
 from greenroof_ros.formats.reading import format_name
@@ -119,6 +118,7 @@ def _about(measured: Records, site: Site) -> dict[str, Any]:
         "files": [str(file) for file in measured.files],
         "format": " and ".join(dict.fromkeys(map(format_name, measured.files))),
         "places": [list(place) for place in places],
+        "site_place": [site.latitude, site.longitude],
         "km_from_site": _distances(places, site),
         "first_hour": measured.first.isoformat(),
         "last_hour": (measured.first + (measured.hours - 1) * HOUR).isoformat(),
@@ -137,7 +137,7 @@ def _about(measured: Records, site: Site) -> dict[str, Any]:
         },
         "suspicious": suspicious_rain(measured, range(measured.hours)),
         "evapotranspiration": _evapotranspiration(weather, unknown),
-        "notes": [*weather.notes, *far_files(measured, site)],
+        "notes": list(weather.notes),
     }
 
 
@@ -196,7 +196,8 @@ def _rows(about: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     )
     for number, place in enumerate(about["places"]):
         away = "" if about["km_from_site"] is None else (
-            f"{about['km_from_site'][number]:.0f} km from the site"
+            f"{about['km_from_site'][number]:.0f} km from the site, "
+            f"{place_text(*about['site_place'])} (--site)"
         )
         yield "place", place_text(*place), away
     if not about["places"]:

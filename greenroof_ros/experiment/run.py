@@ -15,7 +15,7 @@ from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
-from greenroof_ros.formats.records import HOUR, Records
+from greenroof_ros.formats.records import HOUR
 from greenroof_ros.model.place import kilometres, place_text
 from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
 from greenroof_ros.model.site import Site
@@ -73,7 +73,7 @@ class Run:
 
     def notes(self) -> list[str]:
         """Return what a reader must know before the results, in sentences."""
-        return [*self._short(), *far_files(self.weather, self.site)]
+        return [*self._short(), *_far(self.weather, self.site)]
 
     def _short(self) -> Iterator[str]:
         """Yield a sentence if the run is shorter than the look-ahead: it may wait for later rain.
@@ -107,7 +107,7 @@ class Run:
         return self.controller.make(self.site, self.parameters)
 
 
-def far_files(weather: Records, site: Site) -> Iterator[str]:
+def _far(weather: Weather, site: Site) -> Iterator[str]:
     """Yield a sentence for each weather file whose place is far from the site's."""
     if site.latitude is None or site.longitude is None:
         return

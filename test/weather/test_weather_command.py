@@ -128,10 +128,11 @@ def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
 
 def test_what_a_file_of_elsewhere_is(tmp_path: Path) -> None:
     """A run refuses it; here its distance is said: a degree of latitude is 111.2 km."""
-    said = about(tmp_path, open_meteo(tmp_path / "answer.json", latitude=44.63))
+    file = open_meteo(tmp_path / "answer.json", latitude=44.63)
+    said = about(tmp_path, file)
     assert said["format"] == "Open-Meteo"
     assert said["km_from_site"] == [pytest.approx(111.2, abs=0.1)]
-    assert any("111 km from the site" in note for note in said["notes"])
+    assert "111 km from the site, 43.63 N, 79.40 W (--site)" in weather(tmp_path, file).stdout
     assert any("precipitation (mm) of -999 at 2021-07-08T16:00" in note for note in said["notes"])
     assert said["missing"] == {"precipitation": ["2021-07-08T15:00-05:00"]}
 
