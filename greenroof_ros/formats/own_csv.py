@@ -59,7 +59,7 @@ _ENDS = {
     "wind_height": Range(0.5, 100.0, "m"), "rain_late": Range(0.0, 1.0, "h"),
 }
 _ABOUT = re.compile(rf"\b({'|'.join(_ENDS)})\s*[:=]\s*([-+]?\d+(?:\.\d*)?)", re.IGNORECASE)
-# Least share of an hour's rows to know its values.
+# Least share of an hour's rows to know its rain; another quantity needs one value.
 _ENOUGH = 0.75
 # Other names of quantities, and units of amounts in a row.
 _SYNONYMS = {"rain": PRECIPITATION}
@@ -87,8 +87,8 @@ def read_records(file: Path, site: Site, /) -> Records:
     its ``time`` (ISO 8601 with the offset from UTC; without an offset it is a time of the clock in
     ``time_zone`` of the site). An hour without a line is missing.
 
-    Lines less than an hour apart, at a regular step, are averaged by the hours of the clock. An
-    hour with less than 0.75 of its values is missing.
+    Lines less than an hour apart, at a regular step, are averaged by the hours of the clock. Rain
+    of an hour with less than 0.75 of its lines is missing.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
@@ -105,11 +105,14 @@ def read_records(file: Path, site: Site, /) -> Records:
         )
     notes = table.notes
     if step < 1:
-        values = {name: _means(series, hours, step) for name, series in values.items()}
+        values = {
+            name: _means(series, hours, _ENOUGH / step if name == PRECIPITATION else 1.0)
+            for name, series in values.items()
+        }
         hours = np.arange(hours[-1] + 1)
         notes.append(
             f"{file.name}: rows are {duration(3600 * step)} apart; each hour has their mean, of "
-            f"rain their mean rate, if at least {_ENOUGH:g} of them are there"
+            f"rain their mean rate if at least {_ENOUGH:g} of them are there"
         )
     about = _about(file)
     here = {file: (about["latitude"], about["longitude"])} if (
@@ -143,20 +146,20 @@ def _hours(table: Table, site: Site) -> tuple[datetime, NDArray[np.intp], float]
 
 
 def _means(
-    series: NDArray[np.float64], hours: NDArray[np.intp], step: float
+    series: NDArray[np.float64], hours: NDArray[np.intp], fewest: float
 ) -> NDArray[np.float64]:
     """Return the mean of each hour's rows; NaN if there are too few.
 
     Args:
         series: values of the rows, NaN if missing.
         hours: of the rows.
-        step: of the rows (h).
+        fewest: number of values that an hour must have.
     """
     count = np.bincount(hours, ~np.isnan(series))
     total = np.bincount(hours, np.nan_to_num(series))
-    enough = np.round(count * step, 6) >= _ENOUGH
     # Tenths of a millimetre do not add up exactly in binary numbers.
-    return np.where(enough, np.round(total / np.maximum(count, 1), 9), np.nan)
+    means = np.round(total / np.maximum(count, 1), 9)
+    return np.where(count >= round(fewest, 6), means, np.nan)
 
 
 def _about(file: Path) -> dict[str, float]:
