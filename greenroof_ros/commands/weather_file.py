@@ -35,17 +35,17 @@ from greenroof_ros.weather.series import Weather, suspicious_rain
 _DESCRIPTION = """\
 Read weather as simulate does, and say what it is: service, place, period, columns, sums of rain,
 gaps, what is odd, and how evapotranspiration would be computed. Several files are joined. A file of
-your own needs only a column of rain:
-
+your own needs only the times and a column 'rain [mm]': the amount of each row, which begins at its
+time. Rows are an hour apart, or less at a regular step. With a column 'temperature [degC]'
+evapotranspiration is computed by Hargreaves; without it the site's monthly means are used, and no
+frost is assumed.
+"""
+_EPILOG = """\
+a file of your own:
   time,rain [mm]
   2024-06-01T00:00-05:00,0.0
   2024-06-01T00:05-05:00,0.2
 
-Rain is the amount of each row, which begins at its time; rows are an hour apart, or less at a
-regular step. With a column 'temperature [degC]' evapotranspiration is computed by Hargreaves;
-without it the site's monthly means are used, and no frost is assumed.
-"""
-_EPILOG = """\
 examples:
   greenroof weather logger.csv --site my_site.yaml
   greenroof weather 'hourly_*.csv' --output toronto.csv
