@@ -55,6 +55,7 @@ GROUPS = {
     },
     "fit it to your site": {
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
+        "weather": Command("weather_file", "say what a weather file is; write it as a plain CSV"),
         "verify": Command("verify", "compare forecasts of rain with records"),
     },
     "connect your own parts": {

@@ -186,8 +186,10 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--evapotranspiration", metavar="METHOD",
-        help="fao56: computed by FAO-56 Penman-Monteith; or the name of the weather file's own "
-        "column, such as published (default: the file's own, fao56 if it has none)",
+        help="fao56: computed by FAO-56 Penman-Monteith; hargreaves: from temperature alone, by "
+        "FAO-56 Eq. 52; monthly: the site's monthly_evapotranspiration; or the name of the weather "
+        "file's own column, such as published (default: the file's own, otherwise the first of "
+        "these three for which it has what is needed)",
     )
 
 

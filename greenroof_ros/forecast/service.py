@@ -201,7 +201,7 @@ def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
         quantity: bridged(series, LONGEST_GAP.get(quantity, 0))
         for quantity, series in records.values.items()
     })
-    series, notes = evapotranspiration(records, site)
+    series, _, notes = evapotranspiration(records, site)
     evaporated = fill_long_gaps({EVAPOTRANSPIRATION: series})[EVAPOTRANSPIRATION]
     means = monthly(records, site)
     if means is not None and np.isnan(evaporated).all():

@@ -96,8 +96,8 @@ class Lockstep:
                 kind = LockstepError if self.tick else OccupiedError
                 publishers = list_nodes(entry.publishers.names(DISCOVERY_S))
                 raise kind(
-                    f"{entry.name} has a second message in tick {self.tick} ({publishers}); another "
-                    "publisher, or nodes from an earlier run, are in this graph"
+                    f"{entry.name} has a second message in tick {self.tick} ({publishers}); "
+                    "another publisher, or nodes from an earlier run, are in this graph"
                 )
             entry.receive(message)
             awaited.discard(name)

@@ -202,7 +202,8 @@ class Site:
     )
     monthly_evapotranspiration: tuple[float, ...] | None = entry(
         "means of the reference evapotranspiration, January to December, in brackets; used by a "
-        "live site without a forecast", 0.0, 20.0, unit="mm/day", default=None,
+        "live site without a forecast, and for weather without temperature", 0.0, 20.0,
+        unit="mm/day", default=None,
     )
     quiet_hours: tuple[str, ...] | None = entry(
         "times of day in which the pump stays off, by the clock in time_zone, such as "

@@ -14,7 +14,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.plant import pumps_run
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
-from greenroof_ros.weather.evapotranspiration import FAO56
+from greenroof_ros.weather.evapotranspiration import COMPUTED
 
 # Duration of the steps (s): short relative to storms, long relative to a sensor's noise.
 _STEP_S = 300.0
@@ -66,7 +66,7 @@ def read_bag_record(bag: Path, site: Site) -> RoofRecord:
     first = np.searchsorted(trajectory.time, edges[:-1], side="right") - 1
     reference = summed(trajectory.evapotranspiration) * mm
     run = run_directory(bag)
-    if read_about(run, site).row["evapotranspiration"] == FAO56:
+    if read_about(run, site).row["evapotranspiration"] in COMPUTED:
         own = run / "configuration" / "site.yaml"
         reference /= (read_site(own) if own.is_file() else site).crop_coefficient
     if not np.any(reference > 0):

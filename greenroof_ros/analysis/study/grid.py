@@ -52,6 +52,7 @@ from greenroof_ros.model.initial_state import (
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS, SensorPumpErrors
 from greenroof_ros.model.site import PLACE, Site, edited, read_site, site_parameters
 from greenroof_ros.recording.results_table import shortest
+from greenroof_ros.weather.evapotranspiration import COMPUTED
 from greenroof_ros.weather.reading import find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, Weather
 
@@ -79,7 +80,8 @@ _FILE, _START = "must be the name of a file", "must be a time such as 2021-07-07
 _NAME = "must be a name of your own"
 _TEXTS = {
     "file": _FILE, "start": _START, "name": _NAME,
-    "evapotranspiration": "must be fao56, or published for the weather files' own column",
+    "evapotranspiration":
+        f"must be {', '.join(COMPUTED)}, or published for the weather files' own column",
     "skill": f"must be one of {', '.join(SKILLS)}, or the name of a file",
 }
 _SETTINGS = "must hold parameters, a list of these, or nothing"

@@ -29,7 +29,7 @@ WRONG = {
         re.sub("initial:.*\n", "", GRID), "initial: is missing or empty; it must be one of low-low"
     ),
     "no-controllers": (GRID[: GRID.index("controllers")], "parameters: mpc, onoff, anticipating_"),
-    "no-text": (edited("[published, fao56]", "5"), "evapotranspiration = 5: must be fao56, or pub"),
+    "no-text": (edited("[published, fao56]", "5"), "evapotranspiration = 5: must be fao56, harg"),
     "no-skill": (GRID + "forecast: {model: errors, skill: 5}\n", "must be one of much_better, "),
     "no-forecast": (GRID + "forecast: 5\n", "must be one of perfect, persistence, errors, "),
     "site-kind": (edited(SITE, "site: [10]"), "line 2: site: must be the name of a file, {file"),
