@@ -43,8 +43,8 @@ GROUPS = {
     },
     "see what it does, or did": {
         "watch": Command("watch", "show a run or a site, on a page in a browser"),
-        "status": Command("status", "print the present state, with an exit code for scripts"),
-        "bridge": Command("bridge", "publish on MQTT, for Home Assistant, which can stop the pump"),
+        "status": Command("status", "print the present state; its exit code is for scripts"),
+        "bridge": Command("bridge", "publish on MQTT, for Home Assistant; it can stop the pump"),
         "report": Command("report", "make figures and tables of runs, studies and bags"),
         "recover": Command("recover", "restore a bag after a crash or a full disk"),
     },
@@ -55,7 +55,7 @@ GROUPS = {
     },
     "fit it to your site": {
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
-        "weather": Command("weather_file", "say what a weather file is; write it as a plain CSV"),
+        "weather": Command("weather_file", "describe a weather file; write it as a plain CSV"),
         "verify": Command("verify", "compare forecasts of rain with records"),
     },
     "connect your own parts": {

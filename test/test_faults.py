@@ -28,7 +28,7 @@ SITE: Sample = {f"site:danfoss_fc202/{fault}/0": outcome for fault, outcome in {
     "kill/pump": (["pump", "node_failed"], "ran again"),
     "stop long/pump": (["pump", "node_failed"], "ran again"),
     "kill/weather": (["weather", "node_failed"], "ran again"),
-    "kill/onoff": (["pump: pump", "no_command"], "ran again"),
+    "kill/onoff": (["onoff", "node_failed"], "ran again"),
     "stop long/bringup": ("", "ran again"),
     "kill/bringup": ("", "ended"),
     # Only the drive's own timeout can stop the pump.

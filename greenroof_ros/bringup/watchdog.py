@@ -10,7 +10,7 @@ from collections.abc import Callable
 from types import FrameType
 
 from greenroof_ros.common.command_line import EXIT_FAILED
-from greenroof_ros.graph.messages import HangError
+from greenroof_ros.common.errors import HangError
 
 # How often it is checked whether the callbacks return (s).
 _CHECK_S = 0.25

@@ -162,7 +162,10 @@ def command(
             parts = (error.filename2 or error.filename, error.strerror or str(error))
             print("error:", ": ".join(filter(None, parts)), file=sys.stderr)
             code = failed or EXIT_FAILED
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, ImportError) as error:
+            # While a compiled module is imported, Ctrl-C becomes an ImportError.
+            if not isinstance(error.__cause__ or error, KeyboardInterrupt):
+                raise
             print("interrupted", file=sys.stderr)
             code = EXIT_INTERRUPTED
         finally:

@@ -27,6 +27,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, Float64MultiArray, String
 
+from greenroof_ros.common.errors import HangError
 from greenroof_ros.common.interface import Qos
 
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
@@ -41,10 +42,6 @@ _NS = 1_000_000_000
 
 class LockstepError(Exception):
     """The graph cannot go on; the message names the topic and the node."""
-
-
-class HangError(Exception):
-    """A callback does not return; the message says for how long, and where it is."""
 
 
 def describe(error: Exception) -> str:
