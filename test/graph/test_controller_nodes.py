@@ -127,8 +127,10 @@ def wrong_verdicts(domain: int, directory: Path) -> list[str]:
                 verdict = wrong_verdict(process, BROKEN.get(name, ([], {}))[1])
                 if verdict:
                     wrong.append(f"{name}: {verdict}")
-            if "example" in some:
-                assert nodes["example"].wait(60) == 0
+            # That it leaves the graph is checked above. Its process may still lock up in Fast DDS,
+            # which can when several nodes shut down at the same time.
+            if "example" in some and nodes["example"].poll() not in (0, None):
+                wrong.append(f"example: ends with {nodes['example'].poll()}")
         finally:
             for node in nodes.values():
                 node.kill()
