@@ -70,10 +70,15 @@ study: $(FOR_STUDY)
 	    $(BIN)/python -m greenroof_ros report studies/paper --force && exit $$code
 
 # Without ARGS every test, four processes more than there are cores, since graphs mostly wait.
-# Which tests may run side by side, test/conftest.py says.
+# Which tests may run side by side, test/conftest.py says. What failed runs once more, one at a time:
+# a live site's limits are of real time, which a busy machine exceeds. What fails again, fails.
 test: $(FOR_TEST)
 ifeq ($(ARGS),)
-	@$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 4)) --dist loadgroup --no-loadscope-reorder
+	@$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 4)) --dist loadgroup \
+	    --no-loadscope-reorder; code=$$?; [ $$code -eq 1 ] || exit $$code; \
+	    echo "Once more, one at a time, what failed:"; \
+	    $(BIN)/python -m pytest --numprocesses 1 --dist loadgroup --exitfirst \
+	        --last-failed --last-failed-no-failures none
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif
