@@ -122,7 +122,7 @@ faults: $(FOR_TEST)
 	@$(BIN)/python -m pytest tools/faults/campaign.py -q -rN -p no:cacheprovider -n 4 --dist loadgroup \
 	    -o timeout=1200 $(ARGS)
 ifeq ($(ARGS),)
-	@$(BIN)/python tools/faults/table.py runs/faults doc/reference/faults.md
+	@$(BIN)/python tools/faults/table.py runs/faults doc/development/fault-campaign.md
 endif
 
 # Ends after the mutant in hand on Ctrl-C; what was found is kept in runs/.

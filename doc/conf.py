@@ -22,7 +22,7 @@ extensions = [
     "docstrings_and_formulas",  # beside this file
 ]
 exclude_patterns = [
-    "_build", "_templates", "included", "overview.md",  # index.rst includes the last
+    "_build", "_templates", "README.md",  # which index.rst includes
     # Files that rosdoc2 adds to these pages.
     "greenroof_ros*.rst", "modules.rst", "user_docs*", "standards.rst", "standard_docs",
     "interfaces", "__*.rst",

@@ -1,7 +1,8 @@
 """Write the documentation's tables and drawings from the package's own: ``python doc/generate.py``.
 
 A table stands in a page between ``<!-- table: NAME -->`` and ``<!-- end of table -->``, so it can
-be read without a build. ``make docs`` writes all of them again, and a test compares them with what
+be read without a build, and a file of the package between ``<!-- file: PATH -->`` and ``<!-- end of
+file -->``. ``make docs`` writes all of them again, and a test compares them with what
 this writes. The nodes' tables need ROS 2; without it they stay unchanged. The layouts in
 ``config/layouts/``, the drawings of who publishes what and the README's figure are written too.
 """
@@ -649,15 +650,35 @@ TABLES: dict[str, Callable[[], str | None]] = {
 }
 
 
+_FILE = re.compile(
+    r"(?<=<!-- file: )(?P<path>\S+)(?: lines (?P<first>\d+)-(?P<last>\d+))? -->\n.*?"
+    r"(?=<!-- end of file -->)",
+    re.DOTALL,
+)
+LANGUAGES = {".yaml": "yaml", ".py": "python", ".service": "ini", ".csv": "text"}
+
+
+def excerpt(match: re.Match[str]) -> str:
+    """Return a file of the package, or some of its lines, as a block of code."""
+    path = DOC.parent / match["path"]
+    lines = path.read_text(encoding="utf-8").splitlines()
+    which = ""
+    if match["first"] is not None:
+        lines = lines[int(match["first"]) - 1 : int(match["last"])]
+        which = f" lines {match['first']}-{match['last']}"
+    code = "\n".join(lines)
+    return f"{match['path']}{which} -->\n```{LANGUAGES[path.suffix]}\n{code}\n```\n"
+
+
 def renew(page: str) -> str:
-    """Return a page with its tables written again."""
+    """Return a page with its tables and its excerpts of files written again."""
 
     def table(match: re.Match[str]) -> str:
         made = TABLES[match["name"]]()
         text = match["table"] if made is None else f"\n{made}\n"
         return f"{match['name']}{match['gap']}{text}"
 
-    return _BLOCK.sub(table, page)
+    return _FILE.sub(excerpt, _BLOCK.sub(table, page))
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ from doc_commands.page import run_page
 
 NOTES = read_notes()
 # The page with which a new user's site begins.
-RUN = PAGES if os.environ.get("GREENROOF_ROS_TEST_DOCS") else ["doc/running/live.md"]
+RUN = PAGES if os.environ.get("GREENROOF_ROS_TEST_DOCS") else ["doc/howto/operate-a-live-site.md"]
 FAILURES = {
     "python -c 'raise SystemExit(3)'\ntrue\n": (Note(""), "exit code 3: python"),
     "python -c 'raise ValueError' || true\n": (Note(""), "a traceback"),

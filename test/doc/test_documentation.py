@@ -30,9 +30,9 @@ def name(path: Path) -> str:
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if "<!-- table: " in page.read_text()], ids=name
+    "page", [page for page in PAGES if "<!-- end of " in page.read_text()], ids=name
 )
-def test_tables_are_the_packages(page: Path) -> None:
+def test_tables_and_excerpts_are_the_packages(page: Path) -> None:
     """'make docs' would write nothing else."""
     text = page.read_text()
     assert generate.renew(text) == text
@@ -141,7 +141,7 @@ def test_picture_shows_the_topics() -> None:
 
 def test_from_nothing_has_the_sensors_of_its_parts(tmp_path: Path) -> None:
     """All but the optional ones; the file is one that a site reads."""
-    page = DOC / "tutorials" / "from-nothing.md"
+    page = DOC / "tutorials" / "a-live-site.md"
     (text,) = (body for *_, body in fences(name(page)) if body.startswith("# my_sensors.yaml"))
     (tmp_path / "my_sensors.yaml").write_text(text)
     assert read_sensors(tmp_path / "my_sensors.yaml").by_section.keys() == {
