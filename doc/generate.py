@@ -10,9 +10,9 @@ this writes. The nodes' tables need ROS 2; without it they stay unchanged. The l
 from __future__ import annotations
 
 import argparse
-import csv
 import importlib
 import importlib.util
+import inspect
 import itertools
 import math
 import os
@@ -37,12 +37,15 @@ from who_publishes import WAYS, drawing
 from worth import drawing as drawing_of_worth
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
+from greenroof_ros.analysis.calibration.checks import FINDINGS
 from greenroof_ros.common.conditions import read_conditions, read_interlocks
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic, markdown_table, read_topics
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
+from greenroof_ros.experiment.incidents import Incident
 from greenroof_ros.forecast.skill import Climate, Errors
+from greenroof_ros.formats.records import NEARLY, QUANTITIES
 from greenroof_ros.live.drives import drive_file, relay_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.live.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS, SITE_FAULTS, Fault
@@ -425,22 +428,37 @@ def conditions() -> str:
     )
 
 
-def mutation() -> str:
-    """Return the baseline of mutation testing."""
-    path = DOC.parent / "tools" / "mutation" / "baseline.csv"
-    with path.open(newline="", encoding="utf-8") as stream:
-        rows = list(csv.DictReader(stream))
-    counted = ("folder", "mutants", "sampled", "killed", "survived", "timeouts")
+def findings() -> str:
+    """Return the codes with which a calibration refuses a record."""
+    rows = ((f"`{code}`", when) for code, when in FINDINGS.refusals.items())
+    return markdown(("code", "refused if"), rows)
+
+
+def plausible_values() -> str:
+    """Return the accepted values of the columns of a weather file."""
     return markdown(
-        (*counted, "share that survived", "its interval of 95 %"),
+        ("quantity", "unit", "accepted", "set to the limit if outside by up to"),
         (
-            (
-                *(row[name] for name in counted), f"{float(row['share']):.0%}",
-                f"{float(row['low']):.0%} to {float(row['high']):.0%}",
-            )
-            for row in rows
+            (name, unit, f"{low:g} to {high:g}", f"{NEARLY[name]:g}" if name in NEARLY else "")
+            for name, (unit, low, high) in QUANTITIES.items()
         ),
     )
+
+
+def _json_words(text: str) -> str:
+    """Return what a docstring says of an attribute, as of a key in JSON."""
+    for before, after in (("``", "`"), (r"\bNone\b", "`null`"), (r"; from :mod:`[^`]*`", "")):
+        text = re.sub(before, after, text)
+    return text.rstrip(".")
+
+
+def incident() -> str:
+    """Return the keys of an incident."""
+    described = inspect.cleandoc(Incident.__doc__ or "").partition("Attributes:\n")[2]
+    pairs = (line.strip().partition(": ") for line in described.splitlines())
+    return markdown(("key", "meaning"), (
+        (f"`{name}`", _json_words(text)) for name, _, text in pairs
+    ))
 
 
 def result(name: str) -> str:
@@ -630,7 +648,9 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "pump settings": pump_settings,
     "interlocks": interlocks,
     "conditions": conditions,
-    "mutation": mutation,
+    "findings": findings,
+    "plausible values": plausible_values,
+    "incident": incident,
     "commands": commands,
     "command groups": command_groups,
     "nodes": nodes,

@@ -266,7 +266,7 @@ MEASURED = {
 
 
 def main() -> None:
-    """Measure in rounds and print the table of doc/development/performance.md."""
+    """Measure in rounds and print the ratios."""
     rows: dict[str, list[float]] = {key: [] for key in MEASURED}
     with reserved_domain() as domain:
         for number in range(ROUNDS):

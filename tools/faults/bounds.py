@@ -1,6 +1,6 @@
 """How long the pump may run after a fault: the documented times, from the code's defaults.
 
-doc/reference/interlocks.md and doc/reference/live-inputs.md give the same figures.
+doc/reference/interlocks.md and doc/reference/live-nodes.md give the same figures.
 """
 
 from __future__ import annotations

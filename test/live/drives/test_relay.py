@@ -279,8 +279,8 @@ def test_one_that_does_not_switch_on_says_so_and_is_not_switched_again(bench: Be
 
 @pytest.mark.parametrize("make", MAKES)
 def test_the_topics_that_the_broker_must_let_through(make: str, tmp_path: Path) -> None:
-    """The rules in doc/reference/relays.md; the relay and the driver connect anonymously."""
-    page = (CHECKOUT / "doc/reference/relays.md").read_text(encoding="utf-8")
+    """The rules in doc/reference/drive-files.md; the relay and the driver connect anonymously."""
+    page = (CHECKOUT / "doc/reference/drive-files.md").read_text(encoding="utf-8")
     block = page.partition(f"# {make}\n")[2].partition("\n\n")[0].partition("```")[0]
     topics = [line.split() for line in block.splitlines() if line.startswith("topic ")]
     assert len(topics) > 1
