@@ -1,7 +1,8 @@
 """Drawings of who publishes what, made from ``msg_defs/topics.yaml``: one for each way to run.
 
 A column is a node, or a device on Modbus. A row is a topic, from the dot of its publisher to the
-arrows of its subscribers. The SVG takes its colour from the page, light or dark.
+arrows of its subscribers. It is dark on white, since a picture does not know whether the page that
+shows it is light or dark.
 """
 
 from __future__ import annotations
@@ -91,8 +92,9 @@ def drawing(way: Way) -> str:
     parts = [
         f'<svg viewBox="0 0 {width} {height}" width="{width}" style="max-width: 100%" role="img" '
         f'aria-label="Who publishes what: {escape(way.name)}" '
-        'xmlns="http://www.w3.org/2000/svg" font-size="13" fill="currentColor" '
-        'stroke="currentColor" font-family="sans-serif">'
+        'xmlns="http://www.w3.org/2000/svg" font-size="13" fill="#1f2328" stroke="#1f2328" '
+        'font-family="sans-serif">',
+        f'<rect width="{width}" height="{height}" fill="#ffffff" stroke="none"/>',
     ]
     for name, x in at.items():
         device = name in way.devices
