@@ -40,7 +40,7 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True)
 class Figure:
-    """The content of a figure: titles of the axes, the ends of the vertical axis, and its points."""
+    """The content of a figure: titles of its axes, ends of the vertical axis, and points."""
 
     x: str
     y: str

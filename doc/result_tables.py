@@ -177,7 +177,7 @@ def roof(row: Row) -> str:
 
 
 def _ratio(row: Row) -> str:
-    """Return the ratio of a deviation to that of on/off control, with its interval."""
+    """Return the ratio of a deviation to the deviation of on/off, with its interval."""
     value, low, high = (float(row[name]) for name in ("over_onoff", "low", "high"))
     return f"{value:.3f} ({low:.3f} to {high:.3f})"
 
