@@ -52,10 +52,9 @@ def _visit_math(self: Any, node: nodes.math) -> None:
 
 
 def _visit_math_block(self: Any, node: nodes.math_block) -> None:
-    """Write a formula with its label, which is its number in the paper."""
+    """Write a formula on a line of its own."""
     formula = _mathml(node.astext()).replace("<math ", '<math display="block" ', 1)
-    number = f'<span class="number">({node["label"]})</span>' if node.get("label") else ""
-    self.body.append(f'<div class="math">{formula}{number}</div>')
+    self.body.append(f'<div class="math">{formula}</div>')
     raise nodes.SkipNode
 
 

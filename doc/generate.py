@@ -31,7 +31,7 @@ sys.path[:0] = [str(DOC), str(DOC.parent)]
 from layouts import LAYOUTS
 from layouts import rows as displays
 from real_season_tables import REAL_SEASONS
-from result_figures import draw
+from result_figures import FIGURES, draw
 from result_tables import RESULTS, choices
 from who_publishes import WAYS, drawing
 from worth import drawing as drawing_of_worth
@@ -462,10 +462,8 @@ def incident() -> str:
 
 
 def result(name: str) -> str:
-    """Return a table of results, with its figure."""
-    made = RESULTS[name]()
-    picture = f"![{made.figure.about}](_static/results/{name}.svg)\n"
-    return f"{markdown(made.header, made.rows)}\n{picture}"
+    """Return a table of results."""
+    return markdown(*RESULTS[name]())
 
 
 def real_seasons(name: str) -> str:
@@ -715,9 +713,9 @@ def main() -> None:
         path.write_text(layout(), encoding="utf-8")
     for name, way in WAYS.items():
         (DOC / "_static" / f"{name}.svg").write_text(drawing(way), encoding="utf-8")
-    for name, made in RESULTS.items():
+    for name, figure in FIGURES.items():
         path = DOC / "_static" / "results" / f"{name}.svg"
-        path.write_text(draw(made().figure), encoding="utf-8")
+        path.write_text(draw(figure()), encoding="utf-8")
     (DOC / "_static" / "worth.svg").write_text(drawing_of_worth(), encoding="utf-8")
 
 

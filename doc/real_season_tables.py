@@ -58,14 +58,14 @@ def numbers() -> dict[tuple[str, ...], Number]:
 
 
 def season(roof: str) -> Table:
-    """Return the numbers of a roof's runs."""
+    """Return the numbers of a roof's runs; a measure that is the same in all runs is left out."""
     forecasts = dict.fromkeys(key[1] for key in numbers() if key[0] == roof)
-    return ("forecast", *_COLUMNS), [
-        (forecast, *(
-            numbers()[roof, forecast, measure].text(*how) for measure, how in _COLUMNS.items()
-        ))
-        for forecast in forecasts
-    ]
+    columns = {
+        measure: [numbers()[roof, forecast, measure].text(*how) for forecast in forecasts]
+        for measure, how in _COLUMNS.items()
+    }
+    columns = {name: texts for name, texts in columns.items() if len(set(texts)) > 1}
+    return ("forecast", *columns), list(zip(forecasts, *columns.values(), strict=True))
 
 
 REAL_SEASONS: dict[str, Callable[[], Table]] = {

@@ -1,90 +1,124 @@
-"""Draw the figures of the results, in the style and colours of the report."""
+"""The figures of the results whose numbers make a curve, in the style of the report."""
 
 from __future__ import annotations
 
-from typing import Any
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
 
 import altair as alt
 import vl_convert
-from result_tables import LEAST, Figure, Mark, numbers_of
+from result_tables import read, roof
 
 from greenroof_ros.analysis.report.drawing import COLOURS, CONFIG
 
-_CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead", LEAST)
-# Widths (px): a figure, a letter of its rows' names; height of a row (px).
-_WIDTH, _LETTER, _ROW = 440, 6.5, 20
-_INK = "#222222"
+_WIDTH, _HEIGHT = 300, 220
+"""of a panel (px)"""
+
+
+class Point(NamedTuple):
+    """A point of a curve.
+
+    Attributes:
+        panel: title of its panel.
+        curve: name of its curve.
+        x: horizontal position.
+        y: vertical position.
+        low: lower end of its 95 % interval.
+        high: upper end.
+    """
+
+    panel: str
+    curve: str
+    x: float
+    y: float
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True)
+class Figure:
+    """The content of a figure: titles of its axes, ends of the vertical axis, and points."""
+
+    x: str
+    y: str
+    ends: tuple[float, float]
+    points: tuple[Point, ...]
+
+    @property
+    def digest(self) -> str:
+        """Identifies the numbers of the figure."""
+        return hashlib.sha256(json.dumps(asdict(self)).encode()).hexdigest()
+
+
+def horizons() -> Figure:
+    """Return the deviation by horizon of forecasts with errors, and of perfect ones."""
+    return Figure(
+        "horizon (h)", "deviation relative to on/off", (0.5, 1.0),
+        tuple(
+            Point(
+                roof(row), "perfect" if row["forecast"] == "perfect" else "real skill",
+                float(row["parameter:horizon"]),
+                *(float(row[name]) for name in ("over_onoff", "low", "high")),
+            )
+            for row in read("horizons") if row["parameter:horizon"]
+        ),
+    )
+
+
+def sizing() -> Figure:
+    """Return the mains water that each cistern saves."""
+    starts = {"site": "start at the mains level", "full": "start with a full cistern"}
+    return Figure(
+        "cistern (m³)", "mains water saved in a season (m³)", (0.0, 150.0),
+        tuple(
+            Point(
+                starts[row["initial"]], f"{float(row['green_roof_m2']):g} m² of green roof",
+                float(row["cistern_m3"]),
+                *(float(row[name]) for name in ("saved_m3", "low", "high")),
+            )
+            for row in read("sizing")
+        ),
+    )
+
+
+FIGURES: dict[str, Callable[[], Figure]] = {"horizons": horizons, "sizing": sizing}
 
 
 def draw(figure: Figure) -> str:
     """Return a figure as SVG, with the digest of the numbers in it."""
-    panels = list(dict.fromkeys(mark.panel for mark in figure.marks))
-    rows = list(dict.fromkeys(mark.row for mark in figure.marks))
-    names = _LETTER * max(map(len, rows))
-    width = (_WIDTH - names) / figure.columns
+    panels = dict.fromkeys(point.panel for point in figure.points)
     charts = [
-        _panel(figure, panel, rows, named=number % figure.columns == 0).properties(
-            title=panel, width=width, height=_ROW * len(rows)
-        )
-        for number, panel in enumerate(panels)
+        _panel(figure, panel).properties(title=panel, width=_WIDTH, height=_HEIGHT)
+        for panel in panels
     ]
-    chart = alt.concat(*charts, columns=figure.columns, spacing=14).configure(**CONFIG)
+    chart = alt.hconcat(*charts, spacing=20).configure(**CONFIG)
     svg: str = vl_convert.vegalite_to_svg(chart.to_dict())
     return svg.replace("<svg ", f'<svg data-drawn-from="{figure.digest}" ', 1)
 
 
-def _panel(figure: Figure, panel: str, rows: list[str], *, named: bool) -> alt.LayerChart:
-    """Return a panel; the rows' names stand beside it only if ``named``."""
-    values = [_values(figure, mark) for mark in figure.marks if mark.panel == panel]
+def _panel(figure: Figure, panel: str) -> alt.LayerChart:
+    values = [point._asdict() for point in figure.points if point.panel == panel]
+    curves = list(dict.fromkeys(point.curve for point in figure.points))
+    ticks = sorted({point.x for point in figure.points})
     x: dict[str, Any] = {
-        "scale": alt.Scale(domain=_domain(figure), nice=False), "title": figure.axis,
-        "axis": alt.Axis(tickCount=3),
+        "scale": alt.Scale(type="log", nice=False, padding=12),
+        "axis": alt.Axis(values=ticks, format="d"), "title": figure.x,
     }
-    names = alt.Axis(labels=named, ticks=named, labelLimit=0)
-    base = alt.Chart(alt.Data(values=values)).encode(
-        y=alt.Y("row:N", title=None, sort=rows, scale=alt.Scale(domain=rows), axis=names)
+    y = alt.Scale(domain=list(figure.ends), nice=False)
+    colour = alt.Color(
+        "curve:N", title=None, scale=alt.Scale(domain=curves, range=list(COLOURS[: len(curves)]))
     )
-    colour = alt.Color("colour:N", scale=None)
-    if figure.ratio:
-        onoff = alt.Chart(alt.Data(values=[{"value": 1}])).mark_rule(color="#888888")
-        layers = [
-            onoff.encode(x=alt.X("value:Q", **x)),
-            base.mark_rule(strokeWidth=2).encode(x=alt.X("low:Q", **x), x2="high:Q", color=colour),
-            base.mark_point(filled=True, size=60, opacity=1).encode(
-                x=alt.X("value:Q", **x), color=colour
-            ),
-        ]
-    else:
-        layers = [
-            base.mark_bar(height=13).encode(x=alt.X("value:Q", **x), color=colour),
-            base.mark_rule(strokeWidth=1.5, color=_INK).encode(x=alt.X("low:Q", **x), x2="high:Q"),
-        ]
-    layers += [
-        base.mark_tick(color=_INK, thickness=2, height=15).encode(x=alt.X("beside:Q", **x)),
-        base.mark_text(align="left", dx=5, fontSize=11, color=_INK).encode(
-            x=alt.X("end:Q", **x), text="label:N"
+    base = alt.Chart(alt.Data(values=values)).encode(x=alt.X("x:Q", **x), color=colour)
+    return alt.layer(
+        base.mark_rule(strokeWidth=1.5, opacity=0.7).encode(
+            y=alt.Y("low:Q", scale=y, title=figure.y), y2="high:Q"
         ),
-    ]
-    return alt.layer(*layers)
-
-
-def _domain(figure: Figure) -> list[float]:
-    """Return the ends of all horizontal axes, with room for a number beside the last mark."""
-    ends = [end for mark in figure.marks for end in _ends(mark)]
-    low, high = (min(*ends, 1.0), max(*ends, 1.0)) if figure.ratio else (0.0, max(ends))
-    margin = 0.05 * (high - low) if figure.ratio else 0.0
-    letters = max(len(numbers_of(figure, mark)) for mark in figure.marks)
-    return [low - margin, high + 0.035 * letters * figure.columns * (high - low)]
-
-
-def _ends(mark: Mark) -> list[float]:
-    ends = (mark.value, mark.beside, mark.low, mark.high)
-    return [end for end in ends if end is not None]
-
-
-def _values(figure: Figure, mark: Mark) -> dict[str, Any]:
-    colours = dict(zip(_CONTROLLERS, COLOURS, strict=False))
-    return {
-        **mark._asdict(), "colour": colours.get(mark.controller, COLOURS[0]),
-        "end": max(_ends(mark)), "label": numbers_of(figure, mark),
-    }
+        base.mark_line(strokeWidth=2).encode(y=alt.Y("y:Q", scale=y)),
+        base.mark_point(filled=True, size=45, opacity=1).encode(
+            y=alt.Y("y:Q", scale=y),
+            shape=alt.Shape("curve:N", title=None, scale=alt.Scale(domain=curves)),
+        ),
+    )

@@ -1,88 +1,23 @@
-"""The tables and figures of the results, from ``doc/results/*.csv``, which tools/results writes.
-
-A table has a figure of the same numbers: a panel for each of its columns, a bar or a point for each
-of its rows. The colour shows the controller, and is the same in all figures.
-"""
+"""The tables of the results, from ``doc/results/*.csv``, which tools/results writes."""
 
 from __future__ import annotations
 
 import csv
-import hashlib
-import json
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from real_season_tables import OVER_ONOFF, TOGETHER, numbers
+from real_season_tables import OVER_ONOFF, TOGETHER, Table, numbers
 
 from greenroof_ros.common.files import shared_directory
 
 _RESULTS = Path(__file__).resolve().parent / "results"
-_DEVIATION = "mean deviation (mm)"
 _NAMES = {"onoff": "on/off"}
-LEAST = "least possible"
-_ROOFS = {"site_z": "the paper's roof", "site_catchment": "a measured roof"}
-_RATIO = "deviation over on/off's"
+_BOUND = "lower bound"
+# The roofs, by how the names of their site files begin.
+_ROOFS = {"site_z": "the paper's roof", "site_catchment": "the Neubrandenburg roof"}
 
 Row = dict[str, str]
-
-
-class Mark(NamedTuple):
-    """A number in a figure.
-
-    Attributes:
-        panel: title of its panel.
-        row: name of its row there.
-        controller: which controller it belongs to, for the colour.
-        value: the number.
-        beside: a second number of the same row, drawn as a black line; None if there is none.
-        low: lower end of its interval; None if there is none.
-        high: upper end.
-    """
-
-    panel: str
-    row: str
-    controller: str
-    value: float
-    beside: float | None = None
-    low: float | None = None
-    high: float | None = None
-
-
-@dataclass(frozen=True)
-class Figure:
-    """The content of a figure.
-
-    Attributes:
-        about: description, for readers who cannot see it.
-        axis: title of all its horizontal axes, with the unit.
-        marks: its numbers, in reading order.
-        columns: number of panels side by side.
-        ratio: whether the numbers are ratios, compared with 1; otherwise they are bars from 0.
-        form: format of the numbers beside the marks.
-    """
-
-    about: str
-    axis: str
-    marks: tuple[Mark, ...]
-    columns: int
-    ratio: bool = False
-    form: str = ".2f"
-
-    @property
-    def digest(self) -> str:
-        """Identifies the numbers of the figure."""
-        return hashlib.sha256(json.dumps(asdict(self)).encode()).hexdigest()
-
-
-class Result(NamedTuple):
-    """A table, and its figure."""
-
-    header: tuple[str, ...]
-    rows: list[tuple[str, ...]]
-    figure: Figure
 
 
 def read(name: str) -> list[Row]:
@@ -102,12 +37,24 @@ def _mm(row: Row) -> float:
     return float(row["mean_deviation_mm"])
 
 
-def _least(row: Row) -> float:
-    """Return the least possible mean deviation (mm)."""
+def _bound(row: Row) -> float:
+    """Return the lower bound on the mean deviation (mm)."""
     return _mm(row) * float(row["bound_m3"]) / float(row["total_deviation_m3"])
 
 
-def methods() -> Result:
+def _table(corner: str, cells: Iterable[tuple[str, str, str]]) -> Table:
+    """Return a table of cells, each with its row and its column, in reading order."""
+    rows: dict[str, dict[str, str]] = {}
+    columns: dict[str, None] = {}
+    for name, column, text in cells:
+        columns.setdefault(column)
+        rows.setdefault(name, {})[column] = text
+    return (corner, *columns), [
+        (name, *(row.get(column, "") for column in columns)) for name, row in rows.items()
+    ]
+
+
+def methods() -> Table:
     """Return the paper's settings, with the authors' totals, and with the other method."""
     path = shared_directory() / "config" / "paper" / "totals.csv"
     with path.open(newline="", encoding="utf-8") as stream:
@@ -115,20 +62,19 @@ def methods() -> Result:
             (row["controller"], float(row["parameter"])): float(row["total_deviation_m3"])
             for row in csv.DictReader(stream) if row["initial"] == "low-low"
         }
-    marks, cells = [], {}
+    cells = []
     for row in read("methods"):
-        total, name = float(row["total_deviation_m3"]), _setting(row, "weight", "fraction")
-        mark = Mark(row["evapotranspiration"], name, row["controller"], _mm(row))
-        if mark.panel == "published":
+        name = _setting(row, "weight", "fraction")
+        if row["evapotranspiration"] == "published":
             parameter = float(row["parameter:weight"] or row["parameter:fraction"])
-            theirs = authors[row["controller"], parameter]
-            cells[name] = [f"{total:.0f}", f"{theirs:.0f}"]
-            mark = mark._replace(beside=mark.value * theirs / total)
-        cells[name].append(f"{mark.value:.2f}")
-        marks.append(mark)
-    figure = Figure("By setting", _DEVIATION, tuple(marks), 2)
-    heads = ("setting", "total (m³)", "the authors' (m³)", "mean (mm)", "mean, `fao56` (mm)")
-    return Result(heads, [(name, *row) for name, row in cells.items()], figure)
+            cells += [
+                (name, "total (m³)", f"{float(row['total_deviation_m3']):.0f}"),
+                (name, "the authors' (m³)", f"{authors[row['controller'], parameter]:.0f}"),
+                (name, "mean (mm)", f"{_mm(row):.2f}"),
+            ]
+        else:
+            cells.append((name, "mean, `fao56` (mm)", f"{_mm(row):.2f}"))
+    return _table("setting", cells)
 
 
 _WINDOWS = {
@@ -141,56 +87,48 @@ def _window(row: Row) -> str:
     return _WINDOWS[row["start"][:13]]
 
 
-def windows() -> Result:
-    """Return all controllers, with the least possible deviation."""
+def windows() -> Table:
+    """Return all controllers, with the lower bound."""
     rows = read("windows")
-    least = {_window(row): _least(row) for row in rows}
-    figure = Figure("By controller", _DEVIATION, (
-        *(Mark(window, LEAST, LEAST, value) for window, value in least.items()),
-        *(Mark(_window(row), _setting(row), row["controller"], _mm(row)) for row in rows),
-    ), 3)
-
-    def cells(mark: Mark) -> tuple[str]:
-        times = mark.value / least[mark.panel]
-        return (f"{mark.value:.2f}" + ("" if mark.row == LEAST else f" ({times:.4f})"),)
-
-    return Result(("", *least), _by_row(figure, cells), figure)
+    bounds = {_window(row): _bound(row) for row in rows}
+    return _table("", (
+        *((_BOUND, window, f"{bound:.2f}") for window, bound in bounds.items()),
+        *(
+            (_setting(row), _window(row), f"{_mm(row):.2f} ({_mm(row) / bounds[_window(row)]:.4f})")
+            for row in rows
+        ),
+    ))
 
 
-def forecasts() -> Result:
+def forecasts() -> Table:
     """Return mean and worst tenth over the seeds of forecasts with errors."""
     rows = read("forecasts")
     skills = dict.fromkeys(row["forecast_skill"] for row in rows if row["forecast_skill"])
-    figure = Figure(
-        "By skill", _DEVIATION, tuple(
-            Mark(f"skill {skill}", _setting(row), row["controller"], _mm(row),
-                 float(row["worst_tenth_mm"]) if row["forecast_skill"] else None)
-            for skill in skills for row in rows if row["forecast_skill"] in ("", skill)
-        ), 3,
-    )
-    return _plain("", figure)
+    return _table("", (
+        (
+            _setting(row), f"skill `{skill}`",
+            f"{_mm(row):.2f}"
+            + (f" / {float(row['worst_tenth_mm']):.2f}" if row["forecast_skill"] else ""),
+        )
+        for skill in skills for row in rows if row["forecast_skill"] in ("", skill)
+    ))
 
 
-def useless_forecasts() -> Result:
+def useless_forecasts() -> Table:
     """Return the cost of useless forecasts."""
-    forecasts = {"dry.csv": "no rain", "rain_that_never_comes.csv": "rain"}
-    marks = []
-    for row in read("useless_forecasts"):
-        budget = row["parameter:waiting_budget"]
-        name = f"{_setting(row)}, {float(budget):g} h" if budget else _setting(row)
-        for file, words in forecasts.items():
-            if row["forecast"] in (file, "perfect"):
-                marks.append(Mark(f"{_window(row)}, {words}", name, row["controller"], _mm(row)))
-    order = [f"{window}, {words}" for window in ("the paper's hours", "a dry half day")
-             for words in forecasts.values()]
-    figure = Figure(
-        "By forecast", _DEVIATION,
-        tuple(sorted(marks, key=lambda mark: order.index(mark.panel))), 2,
-    )
-    return _plain("`waiting_budget`", figure)
+    rows = read("useless_forecasts")
+    cells = []
+    for window in ("the paper's hours", "a dry half day"):
+        for file, words in (("dry.csv", "no rain"), ("rain_that_never_comes.csv", "rain")):
+            for row in rows:
+                if _window(row) == window and row["forecast"] in (file, "perfect"):
+                    budget = row["parameter:waiting_budget"]
+                    name = f"{_setting(row)}, {float(budget):g} h" if budget else _setting(row)
+                    cells.append((name, f"{window}, {words}", f"{_mm(row):.2f}"))
+    return _table("`waiting_budget`", cells)
 
 
-def robustness() -> Result:
+def robustness() -> Table:
     """Return the cost of sensor and pump errors; the mean over the seeds of noise."""
     values: dict[tuple[str, str], list[float]] = {}
     for row in read("robustness"):
@@ -201,135 +139,69 @@ def robustness() -> Result:
             else f"{float(row['minimum_on']):.0f} s on and off" if float(row["minimum_on"])
             else "none"
         )
-        values.setdefault((row["controller"], errors), []).append(_mm(row))
-    figure = Figure("By error", _DEVIATION, tuple(
-        Mark(_NAMES.get(name, name), errors, name, float(np.mean(deviations)))
-        for (name, errors), deviations in values.items()
-    ), 2)
-    return _plain("error", figure)
+        values.setdefault((errors, _setting(row)), []).append(_mm(row))
+    return _table("error", (
+        (*case, f"{np.mean(deviations):.2f}") for case, deviations in values.items()
+    ))
 
 
-def month() -> Result:
+def month() -> Table:
     """Return the deviation by horizon of perfect forecasts."""
     rows = read("month")
-    without = [row for row in rows if not row["parameter:horizon"]]
     ahead = [row for row in rows if row["parameter:horizon"]]
-    panels = list(dict.fromkeys(row["controller"] for row in ahead))
-    least = _least(rows[0])
-    marks = [
-        Mark(panel, _setting(row), row["controller"], _mm(row))
-        for row in without for panel in panels
-    ]
-    marks += [
-        Mark(row["controller"], f"{float(row['parameter:horizon']):g} h", row["controller"],
-             _mm(row))
-        for row in ahead
-    ]
-    marks += [Mark(panel, LEAST, LEAST, least) for panel in panels]
-    figure = Figure("By horizon", _DEVIATION, tuple(marks), 2)
-    return Result(
-        ("", *(f"`{panel}`" for panel in panels)),
-        _by_row(figure, lambda mark: (f"{mark.value:.2f} ({mark.value / least:.3f})",)), figure,
-    )
+    controllers = list(dict.fromkeys(row["controller"] for row in ahead))
+    bound = _bound(rows[0])
+
+    def text(deviation: float) -> str:
+        return f"{deviation:.2f} ({deviation / bound:.3f})"
+
+    return _table("", (
+        *(
+            (_setting(row), f"`{controller}`", text(_mm(row)))
+            for row in rows if not row["parameter:horizon"] for controller in controllers
+        ),
+        *(
+            (f"{float(row['parameter:horizon']):g} h", f"`{row['controller']}`", text(_mm(row)))
+            for row in ahead
+        ),
+        *((_BOUND, f"`{controller}`", text(bound)) for controller in controllers),
+    ))
 
 
 # --- seasons --------------------------------------------------------------------------------------
 
 
-def _roof(row: Row) -> str:
+def roof(row: Row) -> str:
+    """Return the name of a row's roof."""
     return next(words for begin, words in _ROOFS.items() if row["site"].startswith(begin))
 
 
-def _ratio(panel: str, name: str, row: Row, beside: float | None = None) -> Mark:
-    """Return the ratio of a deviation to on/off's, with its interval if it is known."""
-    ends = (float(row[end]) if row[end] else None for end in ("low", "high"))
-    return Mark(panel, name, row["controller"], float(row["over_onoff"]), beside, *ends)
+def _ratio(row: Row) -> str:
+    """Return the ratio of a deviation to the deviation of on/off, with its interval."""
+    value, low, high = (float(row[name]) for name in ("over_onoff", "low", "high"))
+    return f"{value:.3f} ({low:.3f} to {high:.3f})"
 
 
-def _interval(mark: Mark) -> str:
-    if mark.low is None:
-        return f"{mark.value:.3f}"
-    return f"{mark.value:.3f} ({mark.low:.3f} to {mark.high:.3f})"
-
-
-def seasons() -> Result:
+def seasons() -> Table:
     """Return the controllers over whole seasons on both roofs."""
-    roofs = list(_ROOFS.values())
-    marks: dict[tuple[str, str], Mark] = {}
-    cells: dict[tuple[str, str], str] = {}
+    cells: list[tuple[str, str, str]] = []
     for row in sorted(read("seasons"), key=lambda row: float(row["over_onoff"])):
         level = row["parameter:level"] or "1.0"
         name = _setting(row)
         name += f", level {level}" if level != "1.0" else ""
         name += ", perfect" if row["parameter:horizon"] and row["forecast"] == "perfect" else ""
         name += ", no skill" if row["forecast_skill"] == "none" else ""
-        case = _roof(row), name
-        marks[case] = _ratio(*case, row)
         if row["over_onoff"] != "1.0":
-            cells[case] = f"{_mm(row):.2f} mm, {_interval(marks[case])}"
+            cells.append((name, roof(row), f"{_mm(row):.2f} mm, {_ratio(row)}"))
             continue
-        cells[case] = f"{_mm(row):.2f} mm"
-        least = 1.0 / float(row["over_least"])
-        marks[case[0], LEAST] = Mark(case[0], LEAST, LEAST, least)
-        cells[case[0], LEAST] = f"{least * _mm(row):.2f} mm, {least:.3f}"
-    figure = Figure(
-        "By controller", _RATIO,
-        tuple(sorted(marks.values(), key=lambda mark: roofs.index(mark.panel))), 2, ratio=True,
-    )
-    names = dict.fromkeys(name for _, name in marks)
-    return Result(
-        ("controller", *roofs),
-        [(name, *(cells[roof, name] for roof in roofs)) for name in names], figure,
-    )
-
-
-def horizons() -> Result:
-    """Return the deviation by horizon of forecasts with errors, and of perfect ones."""
-    rows = {
-        (_roof(row), f"{float(row['parameter:horizon']):g} h", row["forecast"] == "perfect"): row
-        for row in read("horizons") if row["parameter:horizon"]
-    }
-    figure = Figure(
-        "By horizon", _RATIO, tuple(
-            _ratio(roof, horizon, row, float(rows[roof, horizon, True]["over_onoff"]))
-            for (roof, horizon, perfect), row in rows.items() if not perfect
-        ), 2, ratio=True,
-    )
-
-    def cells(mark: Mark) -> tuple[str, str]:
-        errors, perfect = (rows[mark.panel, mark.row, perfect] for perfect in (False, True))
-        return (
-            f"{_mm(errors):.2f} mm, {_interval(mark)}", f"{_mm(perfect):.2f} mm, {mark.beside:.3f}"
-        )
-
-    heads = [text for roof in _ROOFS.values() for text in (roof, "perfect")]
-    return Result(("`horizon`", *heads), _by_row(figure, cells), figure)
-
-
-def sizing() -> Result:
-    """Return the mains water that each cistern saves, beginning as empty as allowed, and full."""
-    saved = {
-        (row["initial"], float(row["cistern_m3"]), float(row["green_roof_m2"])): row
-        for row in read("sizing")
-    }
-    figure = Figure(
-        "By size", "mains water saved (m³)", tuple(
-            Mark(f"{roof:g} m²", f"{cistern:g} m³", "",
-                 *(float(row[name]) for row, name in (
-                     (row, "saved_m3"), (saved["full", cistern, roof], "saved_m3"),
-                     (row, "low"), (row, "high"),
-                 )))
-            for (initial, cistern, roof), row in saved.items() if initial == "site"
-        ), 3, form=".1f",
-    )
-
-    def cells(mark: Mark) -> tuple[str]:
-        return (f"{mark.value:.1f} ({mark.low:.1f} to {mark.high:.1f}), {mark.beside:.1f}",)
-
-    return Result(
-        ("cistern", *dict.fromkeys(mark.panel for mark in figure.marks)), _by_row(figure, cells),
-        figure,
-    )
+        bound = 1.0 / float(row["over_least"])
+        cells += [
+            (name, roof(row), f"{_mm(row):.2f} mm"),
+            (_BOUND, roof(row), f"{bound * _mm(row):.2f} mm, {bound:.3f}"),
+        ]
+    header, rows = _table("controller", cells)
+    order = [header.index(words) for words in _ROOFS.values()]
+    return (header[0], *_ROOFS.values()), [(row[0], *(row[k] for k in order)) for row in rows]
 
 
 _GENERATED = {
@@ -340,13 +212,13 @@ _GENERATED = {
 _ISSUED = "`lookahead`, issued"
 
 
-def choices() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def choices() -> Table:
     """Return the table that helps choose: deviations over on/off's, generated and issued."""
     cells: dict[str, dict[str, str]] = {}
     for row in read("seasons"):
         name = _GENERATED.get((row["controller"], row["forecast_skill"]))
         if name is not None:
-            cells.setdefault(name, {})[_roof(row)] = _interval(_ratio("", "", row))
+            cells.setdefault(name, {})[roof(row)] = _ratio(row)
     roofs = tuple(_ROOFS.values())
     cells[_ISSUED] = {
         place: numbers()[roof, TOGETHER, OVER_ONOFF].text("{:.3f}")
@@ -357,32 +229,7 @@ def choices() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     return ("controller and forecast", *roofs), rows
 
 
-# --- from marks to cells and drawings -------------------------------------------------------------
-
-
-def numbers_of(figure: Figure, mark: Mark) -> str:
-    """Return the numbers of a mark, as cells and figures show them."""
-    numbers = (mark.value,) if mark.beside is None else (mark.value, mark.beside)
-    return " / ".join(f"{number:{figure.form}}" for number in numbers)
-
-
-def _plain(corner: str, figure: Figure) -> Result:
-    """Return a table with the numbers of a figure, unchanged."""
-    panels = dict.fromkeys(mark.panel for mark in figure.marks)
-    return Result(
-        (corner, *panels), _by_row(figure, lambda mark: (numbers_of(figure, mark),)), figure
-    )
-
-
-def _by_row(figure: Figure, cells: Callable[[Mark], Iterable[str]]) -> list[tuple[str, ...]]:
-    """Return the rows of a table with the numbers of a figure, panel by panel."""
-    rows: dict[str, list[str]] = {}
-    for mark in figure.marks:
-        rows.setdefault(mark.row, []).extend(cells(mark))
-    return [(name, *row) for name, row in rows.items()]
-
-
-RESULTS: dict[str, Callable[[], Result]] = {
+RESULTS: dict[str, Callable[[], Table]] = {
     "methods": methods,
     "windows": windows,
     "forecasts": forecasts,
@@ -390,6 +237,4 @@ RESULTS: dict[str, Callable[[], Result]] = {
     "robustness": robustness,
     "month": month,
     "seasons": seasons,
-    "horizons": horizons,
-    "sizing": sizing,
 }

@@ -18,7 +18,7 @@ _SHOWN = {
     "with perfect forecasts": "perfect",
 }
 _TITLES = {
-    "measured": "Measured roof: drains in most storms",
+    "measured": "Neubrandenburg roof: drains in most storms",
     "paper": "The paper's roof: drains only when full",
 }
 _WIDTH, _LEFT, _RIGHT, _ROW, _HEAD, _FOOT = 600, 215, 90, 27, 64, 48
@@ -76,7 +76,7 @@ def drawing() -> str:
     return "\n".join([
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {top}" '
         'font-family="Helvetica, Arial, sans-serif" font-size="16" role="img" '
-        'aria-label="Deviation from the target level in percent of on/off\'s, on two roofs">',
+        'aria-label="Deviation from the target level in percent of on/off, on two roofs">',
         f"<style>{_STYLE}</style>",
         f'<rect class="back" width="{_WIDTH}" height="{top}" rx="8"/>',
         *panels,
@@ -103,7 +103,7 @@ def _panel(title: str, rows: list[Row], top: int) -> tuple[list[str], int]:
         parts += _row(row, top + _HEAD + _ROW * number)
     parts.append(
         f'<text class="quiet" x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{bottom + 26}" '
-        'text-anchor="middle" font-size="14">deviation from the target, in % of on/off\'s</text>'
+        'text-anchor="middle" font-size="14">deviation from the target, in % of on/off</text>'
     )
     return parts, _HEAD + _ROW * len(rows) + _FOOT
 

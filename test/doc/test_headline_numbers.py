@@ -1,4 +1,4 @@
-"""The headline numbers of the README agree with its figure, and with the file of both."""
+"""The headline numbers of README and results agree with their figure, and with its file."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import worth
 from real_season_tables import OVER_NO_RAIN, TOGETHER, Number, numbers
 
 README = " ".join((CHECKOUT / "README.md").read_text().split())
+RESULTS = " ".join((CHECKOUT / "doc" / "results.md").read_text().split())
 PLACES = ("measured", "paper")
 
 
@@ -51,6 +52,22 @@ def test_readme_says_what_the_target_is_worth() -> None:
         f"At 39 mm instead of 45.7 mm, on/off pumps {100 * (1 - lower / pumped):.0f} % less water "
         f"onto the measured roof; even perfect forecasts save {100 * (1 - perfect / pumped):.0f} %."
     ) in README
+
+
+def test_results_say_what_forecasts_and_target_are_worth() -> None:
+    """The sentences above the tables have the numbers of the tables."""
+    roofs = ("measured", "measured, target 39 mm", "paper")
+    measured, own, paper = (numbers()[roof, TOGETHER, OVER_NO_RAIN] for roof in roofs)
+    assert f"{gain(measured).replace('(', 'less (')} than with a forecast of no rain" in RESULTS
+    assert f"{gain(own)} less at its own target of 39 mm" in RESULTS
+    assert f"{gain(paper)} less on the paper's roof" in RESULTS
+    pumped, lower, perfect = (
+        numbers()[roof, forecast, "pumped (m³)"].value
+        for roof, forecast in ((roofs[0], "on/off"), (roofs[1], "on/off"), (roofs[0], "perfect"))
+    )
+    saved = f"{100 * (1 - lower / pumped):.0f} % less than at 45.7 mm: {pumped - lower:.1f} m³"
+    assert f"At 39 mm on/off pumped {saved}" in RESULTS
+    assert f"`lookahead` pumped {100 * (1 - perfect / pumped):.0f} % less than on/off" in RESULTS
 
 
 def gain(ratio: Number) -> str:
