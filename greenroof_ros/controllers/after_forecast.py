@@ -19,7 +19,7 @@ _DAY_S = 86_400.0
 # mean over Toronto's seasons (May to October) of 2015 to 2025, and 0.04 to 0.55 in single seasons.
 _NET_DRYING = 0.3
 
-# Longest horizon at which a service's forecasts pay (h): doc/howto/size-a-cistern.md.
+# Longest horizon at which a service's forecasts pay (h): doc/results.md.
 _PAYS, _PAYS_MEASURED = 120.0, 48.0
 HORIZON = Parameter(
     "horizon", _PAYS, "h", 0.1, LONGEST_HORIZON,

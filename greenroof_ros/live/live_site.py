@@ -57,9 +57,8 @@ class LiveSite:
             ConfigurationError: an option or a file that it names is wrong or missing.
         """
         self.site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
-        self.controller, self.parameters = controller_from_arguments(
-            arguments, read_site(self.site_file)
-        )
+        site = read_site(self.site_file)
+        self.controller, self.parameters = controller_from_arguments(arguments, site)
         self.drive = drive = chosen_drive(arguments)
         others_weather, has_forecast = arguments.weather is not None, arguments.forecast is not None
         refuse(
@@ -82,6 +81,11 @@ class LiveSite:
         if arguments.sensors != EXTERNAL:
             self.sensors = _readable(arguments.sensors, "--sensors")
             self.sensed = read_sensors(self.sensors)
+            depth = self.sensed.roof.substrate_depth
+            refuse((
+                depth not in (None, site.z_soil), f"{self.sensors}: roof.substrate_depth", depth,
+                f"must be z_soil of the site file, {site.z_soil:g} m",
+            ))
             if drive is not None:
                 _refuse_shared_line(drive, self.sensed)
         has_thermometer = self.sensed is not None and self.sensed.thermometer is not None

@@ -135,6 +135,18 @@ def test_wrong_namespace(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert name in message and "such as site1" in message
 
 
+def test_the_depth_of_a_moisture_probes_substrate_is_the_sites(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Table I: the soil is 0.5 m deep."""
+    sensors = tmp_path / "sensors.yaml"
+    shipped = (CHECKOUT / "config" / "sensors.yaml").read_text()
+    sensors.write_text(shipped.replace("high: 0.6 ", "high: 0.1\n  substrate_depth: 0.108 "))
+    assert refused(
+        monkeypatch, "live", "--weather", "external", "--sensors", str(sensors), *DRIVE.split(),
+    ) == f"{sensors}: roof.substrate_depth = 0.108: must be z_soil of the site file, 0.5 m"
+
+
 def test_a_serial_line_of_a_sensor_and_the_drive(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -6,7 +6,8 @@ reduced to ``doc/results/NAME.csv``; ``python doc/generate.py`` makes the page's
 
 A table of runs has a row for each run, in all digits: what differs between the runs, and their
 deviation. A table of seeds or seasons has a row for each controller, over all of them. The studies
-of seasons take hours, and need the records of ``doc/howto/size-a-cistern.md`` in ``--weather DIR``.
+of seasons take hours, and need the records of ``doc/howto/choose-target-and-controller.md`` in
+``--weather DIR``.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ class Readings:
             ValueError: the reading is not a number, or out of range.
         """
         sensor = self._sensor
-        value = sensor.scale * raw + sensor.offset
+        value = sensor.convert(raw)
         if not math.isfinite(value):
             raise ValueError(f"says {raw}, which is not a number")
         if self._total is not None:

@@ -74,7 +74,7 @@ QUANTITIES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """What all sensors have. The value is the median of readings, each scale x raw + offset."""
+    """What all sensors have. The value is the median of converted readings."""
 
     scale: float = entry("value = scale x raw + offset, in the quantity's unit", -1e3, 1e3)
     low: float = entry(
@@ -90,6 +90,18 @@ class Sensor:
         "scale x raw is a running total (m or m3), whose increase per second is the value; needs "
         "median: 1", default=False,
     )
+    substrate_depth: float | None = entry(
+        "roof only: scale x raw + offset is a volumetric moisture content (m3/m3); the level is it "
+        "times this depth (m), which is z_soil of the site", 0.01, 2, default=None,
+    )
+
+    def convert(self, raw: float) -> float:
+        """Return the quantity for a raw value; not of a total."""
+        return (self.scale * raw + self.offset) * (self.substrate_depth or 1.0)
+
+    def raw_for(self, value: float) -> float:
+        """Return the raw value at which :meth:`convert` returns this value."""
+        return (value / (self.substrate_depth or 1.0) - self.offset) / self.scale
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,6 +304,13 @@ def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
         yield "high", f"must be at most {topic.high:g} {topic.unit}: higher values are not accepted"
     if sensor.median % 2 == 0:
         yield "median", "must be odd, so that the median is one of the readings"
+    if sensor.substrate_depth is not None and section != "roof":
+        yield "substrate_depth", "is for the roof"
+    if sensor.substrate_depth is not None and sensor.high > sensor.substrate_depth:
+        yield "high", (
+            f"must be at most substrate_depth, {sensor.substrate_depth:g} m: the substrate cannot "
+            "hold more water than its volume"
+        )
     if sensor.counts and section not in ("flow_meter", "rain_gauge"):
         yield "counts", "is for a flow meter or a rain gauge"
     if sensor.counts and sensor.median > 1:
@@ -326,8 +345,8 @@ def _modbus_mistakes(
     yield from coding_mistakes(sensor.type, sensor.word_order)
     if sensor.register + sensor.registers > 65536:
         yield "register", "leaves no room for all its registers"
-    ends = sorted(sensor.scale * raw + sensor.offset for raw in limits(sensor.type))
-    step, unit = abs(sensor.scale), quantity.topic.unit
+    ends = sorted(map(sensor.convert, limits(sensor.type)))
+    step, unit = abs(sensor.scale) * (sensor.substrate_depth or 1.0), quantity.topic.unit
     if not sensor.counts and (ends[0] > sensor.low + step or ends[1] < sensor.high - step):
         yield "scale", (
             f"cannot give {sensor.low:g} to {sensor.high:g} {unit}: {sensor.type} with offset "

@@ -169,7 +169,7 @@ class SiteBench(Bench):
         elif self._has_fault(section, "drifting"):
             minutes = (self.tick - self._fault_since) * self._site.tau / _PER_MINUTE
             value += minutes * parameter * faults.LEVEL_UNIT
-        self._frozen[section] = (value - sensor.offset) / sensor.scale
+        self._frozen[section] = sensor.raw_for(value)
         return self._frozen[section]
 
     def _published(self, section: str) -> float | None:

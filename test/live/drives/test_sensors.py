@@ -83,6 +83,12 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
         ("8000 0000 0000 0000",
          {"type": "uint64", "word_order": "high first", "missing": 2**63},
          "says 0x8000000000000000, which means 'no reading'"),
+        # A moisture probe in 0.1 %: 0.361 m3/m3 of a substrate 0.108 m deep is 38.99 mm of water;
+        # with the wilting point, 0.02 m3/m3, as the zero it is 36.83 mm.
+        ("0169", {"scale": 0.001, "substrate_depth": 0.108}, 0.038988),
+        ("0169", {"scale": 0.001, "offset": -0.02, "substrate_depth": 0.108}, 0.036828),
+        ("03E9", {"scale": 0.001, "substrate_depth": 0.108, "high": 0.108},
+         "says 0.108108 m (raw 1001), which is not from 0 to 0.108 m"),
         # A value that cannot be a level is refused with the reason.
         ("EA61", {}, "says 6.0001 m (raw 60001), which is not from 0 to 6 m"),
         ("FFFF", {"missing": 0xFFFF}, "says 0xFFFF, which means 'no reading'"),
@@ -313,6 +319,13 @@ def test_the_shipped_file_is_read() -> None:
         (["low: 0.0 ", "low: -0.2 "], 18, "cistern.low = -0.2: must be at least -0.1 m: a level"),
         (["high: 6.0 ", "high: -6.0 "], 19, "cistern.high = -6.0: must be above low, 0 m"),
         (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot give 0 to 6 m"),
+        (["median: 5  ", "substrate_depth: 0.5\n  median: 5  "], 21,
+         "cistern.substrate_depth = 0.5: is for the roof"),
+        (["high: 0.6 ", "substrate_depth: 0.5\n  high: 0.6 "], 34,
+         "roof.high = 0.6: must be at most substrate_depth, 0.5 m: the substrate cannot hold more"),
+        (["high: 0.6 ", "substrate_depth: 0.1\n  high: 0.1 ",
+          "scale: 0.0001                  # m per count [", "scale: 0.00001  # ["], 30,
+         "roof.scale = 1e-05: cannot give 0 to 0.1 m: uint16 with offset 0 gives 0 to 0.065535 m"),
         (["5031", "5030"], 27, "roof.register = 0: is also the cistern's: both sensors would be"),
     ],
 )

@@ -188,6 +188,13 @@ def test_both_sensors_may_be_on_one_line() -> None:
     assert [server.devices[number].on_request(0) for number in (1, 2)] == [False, True]
 
 
+def test_a_moisture_probe_reads_the_water_of_the_roof_per_volume_of_its_substrate() -> None:
+    """5 cm in a substrate of 0.5 m are 0.1 m3/m3: 100 counts of 0.1 %."""
+    probe = replace(SENSORS.roof, scale=0.001, substrate_depth=0.5, high=0.5)
+    _, roof = site_of(0.0, replace(SENSORS, roof=probe)).servers
+    assert roof.devices[1].read()[0] == 100
+
+
 @needs_mosquitto
 def test_sensors_on_mqtt_beside_one_on_modbus(tmp_path: Path) -> None:
     """The roof's 3.44 m3 are 5 cm on 68.8 m2; 36 mm/h are 1e-5 m/s, counted tick by tick."""
