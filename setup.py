@@ -136,12 +136,17 @@ setup(
         # Forecasts of CaSPAr; Unidata's own reader, while h5netcdf brings h5py and xarray pandas.
         "netcdf": ["netCDF4>=1.7,<2"],
         "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
+        # The environment GreenRoof-v0, for reinforcement learning; 0.29 has the present interface.
+        "gym": ["gymnasium>=0.29,<2"],
         "test": [
             # With 9.2, pytest-xdist 3.8 keeps no group together: fixtures are made once a worker.
             "pytest>=8,<9.2",
             "pytest-xdist>=3.8,<4",  # the tests on all cores; 3.8 is the oldest that was tried
             "pytest-timeout>=2.3,<3",  # a test that hangs fails, and the others go on
             "hypothesis>=6.100",  # properties of the plant and the controllers
+            "gymnasium>=1,<2",  # whether its checks pass the environment
+            "pandas>=2",  # weather in its data frames, and trajectories as such
+            "pyarrow>=15",  # what polars needs for that
             "playwright>=1.40",  # reads the report's page in the system's Chromium
             # A new minor release of a linter brings new rules; they are taken in on purpose.
             "ruff~=0.17.0",
@@ -174,6 +179,8 @@ setup(
         "console_scripts": [
             f"greenroof = {NAME}.__main__:main", *(EXECUTABLES if IN_WORKSPACE else []),
         ],
+        # Gymnasium before 1.0 loads it; __root__ is a name without a namespace.
+        "gymnasium.envs": [f"__root__ = {NAME}.analysis.api.gym:register"],
     },
     zip_safe=False,
 )

@@ -1,11 +1,65 @@
-"""A green roof watered from a storm cistern, as a ROS 2 node graph and as a library without ROS."""
+"""A green roof watered from a storm cistern, as a ROS 2 node graph and as a library without ROS.
 
+The names of ``__all__`` are loaded on first use, so that ``import greenroof_ros`` takes no time.
+"""
+
+import importlib
 import os
 import signal
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from greenroof_ros.analysis.api import gym
+    from greenroof_ros.analysis.api.control import ForecastSteps, SiteState
+    from greenroof_ros.analysis.api.environment import Environment
+    from greenroof_ros.analysis.api.inputs import read_site
+    from greenroof_ros.analysis.api.result import Result, read_bag
+    from greenroof_ros.analysis.api.simulate import Comparison, compare, simulate
+    from greenroof_ros.common.errors import ConfigurationError
+    from greenroof_ros.common.parameter import Parameter
+    from greenroof_ros.forecast.choice import ForecastChoice
+    from greenroof_ros.model.site import Site
 
 __version__ = "1.0.0"
+
+__all__ = [
+    "Comparison", "ConfigurationError", "Environment", "ForecastChoice", "ForecastSteps",
+    "Parameter", "Result", "Site", "SiteState", "compare", "gym", "read_bag", "read_site",
+    "simulate",
+]
+
+# The module of each of these names.
+_MODULES = {
+    "Comparison": "analysis.api.simulate",
+    "ConfigurationError": "common.errors",
+    "Environment": "analysis.api.environment",
+    "ForecastChoice": "forecast.choice",
+    "ForecastSteps": "analysis.api.control",
+    "Parameter": "common.parameter",
+    "Result": "analysis.api.result",
+    "Site": "model.site",
+    "SiteState": "analysis.api.control",
+    "compare": "analysis.api.simulate",
+    "read_bag": "analysis.api.result",
+    "read_site": "analysis.api.inputs",
+    "simulate": "analysis.api.simulate",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a name of ``__all__``."""
+    if name == "gym":
+        return importlib.import_module(f"{__name__}.analysis.api.gym")
+    if name in _MODULES:
+        return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Return the names that can be loaded, and the others."""
+    return sorted({*globals(), *__all__})
+
 
 # Bash's exit code after Ctrl-C.
 INTERRUPTED = 130

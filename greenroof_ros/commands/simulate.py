@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import time
 from contextlib import ExitStack
+from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from greenroof_ros.experiment.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.model.metrics import Metrics
 
-# Columns of the trajectory file besides the time, with the attribute of a tick in each.
+# Columns of the trajectory file besides the times, with the attribute of a tick in each.
 _COLUMNS = {
     "cistern_m3": "x1",
     "roof_m3": "x2",
@@ -95,14 +96,16 @@ def main() -> int:
                     key="--trajectory", value=str(arguments.trajectory),
                 ) from error
             rows = csv.writer(stream)
-            rows.writerow(("time_s", *columns))
+            rows.writerow(("time", "time_s", *columns))
         controller = run.make_controller()
         metrics = Metrics()
         progress = stack.enter_context(RunProgress(run.steps, tau))
         began = shown = time.monotonic()
         for tick in closed_loop(run, controller, metrics):
             if rows is not None and (tick.k % every == 0 or tick.k == run.steps):
-                rows.writerow((tick.k * tau, *values(tick)))
+                seconds = tick.k * tau
+                time_of = run.start + timedelta(seconds=seconds)
+                rows.writerow((time_of.isoformat(), seconds, *values(tick)))
             now = time.monotonic()
             if arguments.speed:
                 due = began + tick.k * tau / arguments.speed

@@ -23,7 +23,7 @@ from greenroof_ros.forecast.live_forecast import (
     LiveForecast,
     NoForecastError,
 )
-from greenroof_ros.forecast.resampling import Outlook, look_ahead_ends
+from greenroof_ros.forecast.resampling import Outlook
 from greenroof_ros.forecast.service import (
     ATTRIBUTION,
     ENSEMBLE,
@@ -40,7 +40,7 @@ from greenroof_ros.live.engine import live_parameters
 from greenroof_ros.live.executable import live_command
 from greenroof_ros.live.inputs import LiveInput
 from greenroof_ros.live.node import LiveNode
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON, look_ahead_ends
 from greenroof_ros.model.site import Site
 
 # How long the start waits for the first forecast (s); most files take less.

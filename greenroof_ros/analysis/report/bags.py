@@ -1,4 +1,7 @@
-"""Run directories and bags as runs of a report: their results, and the curves to draw."""
+"""Run directories and bags as runs of a report: their results, and the curves to draw.
+
+A run directory has a bag, or else the trajectory of a simulation in one process.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
 from greenroof_ros.recording.bag_reader import Recorded, load_bag
 from greenroof_ros.recording.bag_writer import METADATA, recovered_bag
-from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.recording.trajectory import TRAJECTORY, Trajectory, read_parquet
 from greenroof_ros.weather.reading import read_weather
 
 MOST_POINTS = 500
@@ -66,7 +69,7 @@ def _closed_and_repair(path: Path, bag: Path) -> tuple[list[Path], str]:
 
 def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
     """Return the run in a run directory or bag; a row with its error if it left no bag."""
-    bag, run = _bag_in(path), run_directory(path)
+    bag, run, kept = _bag_in(path), run_directory(path), path / TRAJECTORY
     closed, repair = _closed_and_repair(path, bag)
     bag = next(iter(closed), bag)
     own_site, notes = site_file_of(run), list[Note]()
@@ -83,7 +86,7 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
     if bag == recovered_bag(_bag_in(path)):
         notes.append(Note(f"{bag.name} is what greenroof recover found whole in {name}"))
     about = read_about(run, site)
-    if not closed:
+    if not closed and not kept.is_file():
         if any(bag.glob("*.mcap")) or any(bag.glob("*.db3")):
             raise ConfigurationError(
                 f"has no metadata.yaml: it is being recorded, or was cut off; {repair}", file=bag
@@ -92,8 +95,8 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
             error = f"{about.ending}; no bag"
             return {"run": name, "what": about.row["controller"], "error": error}
         raise ConfigurationError(
-            "must be a study (with results.csv), a run (with bag/), a bag (with metadata.yaml) or "
-            "an .mcap file",
+            f"must be a study (with results.csv), a run (with bag/ or {TRAJECTORY}), a bag (with "
+            "metadata.yaml) or an .mcap file",
             file=path,
         )
     zone = about.zone
@@ -108,7 +111,7 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
         about,
         row={**row, **labels(row), "seed": ""},  # a run by itself is no group of seeds
         notes=(*notes, *about.notes),
-        load=partial(
+        load=partial(load_trajectory, kept) if not closed else partial(
             load_bag, bag, site, zone or timezone.utc,
             own=about.own, external_pump=about.external_pump, repair=repair,
         ),
@@ -124,6 +127,14 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
             "from": meaning_of_initial(row),
         },
     )
+
+
+def load_trajectory(path: Path) -> Recorded:
+    """Read the trajectory of a simulation in one process."""
+    trajectory = read_parquet(path)
+    if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
+        raise ConfigurationError("must have two or more samples, in order of time", file=path)
+    return Recorded(trajectory)
 
 
 def _own_bound(

@@ -17,6 +17,7 @@ from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.results_table import summary_columns
+from greenroof_ros.recording.trajectory import TRAJECTORY
 from greenroof_ros.weather.reading import read_weather
 
 
@@ -70,7 +71,7 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
         run, metrics.results(), metrics.weekly_deviations(), wall_s=wall,
         solver=controller.statistics(),
     )
-    files = {} if trajectory is None else {"trajectory.parquet": trajectory.to_parquet()}
+    files = {} if trajectory is None else {TRAJECTORY: trajectory.to_parquet()}
     return Outcome(summary_columns(result), _timings(result), files)
 
 

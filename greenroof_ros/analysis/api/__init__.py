@@ -1,0 +1,1 @@
+"""The Python interface, ``import greenroof_ros as gr``: simulations, charts, environments."""
