@@ -39,7 +39,7 @@ class Environment:
         ...     command = 1.0 if roof.state.roof_level < roof.site.z_veg else 0.0
         ...     tick = roof.step(command)
         >>> round(roof.metrics["total_deviation_m3"], 1)
-        1597.5
+        59.3
 
     Attributes:
         site: its parameters.

@@ -30,7 +30,7 @@ class Result:
         >>> import greenroof_ros as gr
         >>> result = gr.simulate("onoff", hours=1)
         >>> round(result.metrics["pumped_m3"], 3)
-        1.144
+        0.735
         >>> result.trajectory.height
         3601
 
@@ -126,17 +126,19 @@ class Result:
 def table(site: Site, ticks: Trajectory) -> polars.DataFrame:
     """Return a trajectory as :attr:`Result.trajectory` describes it."""
     frame = ticks.to_frame()
-    place = frame.columns.index("roof_m3") + 1
-    frame.insert_column(place, frame["cistern_m3"].alias("cistern_level_m") / site.a1)
-    frame.insert_column(place + 1, frame["roof_m3"].alias("roof_level_m") / site.a2)
-    if site.drainage_storage is None:
-        return frame
     with in_extra("study"):
         import polars
 
         from greenroof_ros.analysis.report.bags import samples_of
-    layer = polars.Series("drainage_layer_m3", samples_of(site, ticks).layer)
-    return frame.with_columns(layer)
+    place = frame.columns.index("roof_m3") + 1
+    # Not divided by polars, which multiplies by the reciprocal: other bits than the plant's.
+    frame.insert_column(place, polars.Series("cistern_level_m", ticks.cistern / site.a1))
+    frame.insert_column(place + 1, polars.Series("roof_level_m", ticks.roof / site.a2))
+    if site.drainage_storage is None:
+        return frame
+    return frame.with_columns(
+        polars.Series("drainage_layer_m3", samples_of(site, ticks).layer)
+    )
 
 
 def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.DataFrame:

@@ -78,10 +78,10 @@ def simulate(
         >>> import greenroof_ros as gr
         >>> result = gr.simulate("onoff", level=0.9, hours=2)
         >>> print(f"{result.metrics['pumped_m3']:.2f} m3 pumped")
-        0.82 m3 pumped
+        0.43 m3 pumped
         >>> dry = lambda state, forecast: 1.0 if state.roof_level < 0.04 else 0.0
         >>> gr.simulate(dry, hours=2).metrics["pump_starts"]
-        1
+        2
     """
     choice, instance = choose_controller(controller)
     if instance is not None and parameters:
@@ -166,7 +166,7 @@ def compare(
         >>> compared = gr.compare({"on/off": "onoff", "fills to 90 %": gr.simulate(
         ...     "onoff", level=0.9, hours=1)}, hours=1)
         >>> compared.table["controller", "pump_starts"].rows()
-        [('on/off', 1), ('fills to 90 %', 1)]
+        [('on/off', 2), ('fills to 90 %', 2)]
     """
     return Comparison({
         name: controller if isinstance(controller, Result) else simulate(controller, **inputs)

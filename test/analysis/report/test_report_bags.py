@@ -64,6 +64,7 @@ def test_parquet(tmp_path: Path) -> None:
     random, file = np.random.default_rng(1), tmp_path / "file"
     columns = random.integers(-(2**63), 2**63, size=(len(NAMES), 500)).view(np.float64)
     columns[:, :3] = [-0.0, np.nan, np.inf]
+    columns[NAMES.index("time")] = np.arange(500.0)  # a table has times of the calendar, too
     written = Trajectory(start=START, **dict(zip(NAMES, columns, strict=True)))
     whole = written.to_parquet()
     file.write_bytes(whole)
