@@ -34,12 +34,13 @@ class RainWait:
 
     def command(self, cistern_level, roof_level, precipitation, evapotranspiration) -> float:
         """Decide from the levels (m) and the forecast of rain (m/s), a mean for each step."""
+        missing = self._site.z_veg - roof_level
+        if missing <= 0 or cistern_level < self._site.suction_level:
+            return 0.0
         lengths = np.diff(self.forecast_ends)
         known = len(precipitation) == len(lengths)
         coming = float(np.dot(precipitation, lengths)) if known else 0.0  # m
-        enough = roof_level + coming >= self._site.z_veg  # not so if the forecast has a NaN
-        can_pump = cistern_level >= self._site.suction_level
-        return self.command_on if can_pump and not enough else 0.0
+        return 0.0 if coming >= missing else self.command_on  # also if it is NaN
 
     def skip(self) -> None:
         """Do nothing: there is no state to keep."""

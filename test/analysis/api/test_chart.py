@@ -37,6 +37,8 @@ def test_panels(compared: gr.Comparison) -> None:
         assert len(rows) < 2 * 550
         for name, result in compared.results.items():
             values = result.trajectory[column] * factor
+            if panel == 3:
+                values = values[:-1]  # the last flow is not applied
             drawn = [row["v"] for row in rows if row["name"] == name]
             assert max(drawn) == pytest.approx(values.max(), rel=1e-6)
             assert min(drawn) == pytest.approx(values.min(), rel=1e-6)
