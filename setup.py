@@ -180,7 +180,7 @@ setup(
             f"greenroof = {NAME}.__main__:main", *(EXECUTABLES if IN_WORKSPACE else []),
         ],
         # Gymnasium before 1.0 loads it; __root__ is a name without a namespace.
-        "gymnasium.envs": [f"__root__ = {NAME}.analysis.api.gym:register"],
+        "gymnasium.envs": [f"__root__ = {NAME}.analysis.api:register_in_gymnasium"],
     },
     zip_safe=False,
 )

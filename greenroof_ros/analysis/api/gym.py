@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.analysis.api import register_in_gymnasium
 from greenroof_ros.analysis.api.control import SiteState
 from greenroof_ros.analysis.api.environment import Environment
 from greenroof_ros.common.errors import in_extra
@@ -29,7 +30,6 @@ with in_extra("gym"):
 
 Values = NDArray[np.float64]
 
-ID = "GreenRoof-v0"
 _TO_MM_PER_H = 3.6e6
 _TO_M3_PER_H = 3600.0
 
@@ -131,10 +131,4 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         ))
 
 
-def register() -> None:
-    """Add the environment to Gymnasium's registry, once."""
-    if ID not in gymnasium.registry:
-        gymnasium.register(ID, f"{__name__}:{GreenRoofEnv.__name__}")
-
-
-register()
+register_in_gymnasium()

@@ -156,11 +156,12 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
         ConfigurationError: the bag is damaged or is not of such a graph, or a package is missing.
 
     Example:
-        After ``greenroof run --hours 1 --output run``:
-
-        >>> import greenroof_ros as gr
-        >>> gr.read_bag("run")["roof_level_m"].max()  # doctest: +SKIP
-        0.0457
+        >>> import tempfile, greenroof_ros as gr
+        >>> with tempfile.TemporaryDirectory() as directory:
+        ...     run = gr.simulate("onoff", hours=1).save(directory)
+        ...     frame = gr.read_bag(run)
+        >>> print(frame["time"][-1], round(frame["roof_level_m"][-1], 4))
+        2021-07-07 03:00:00-05:00 0.0458
     """
     with in_extra("study"):
         from greenroof_ros.analysis.report.bags import read_run
