@@ -151,7 +151,7 @@ def check_parameters(
     Raises:
         ConfigurationError: it has no such parameter, or a value is outside its range.
     """
-    known = choice.parameters
+    known, values = choice.parameters, choice.defaults(site)
     for name, value in given.items():
         if name not in known:
             raise ConfigurationError(
@@ -159,10 +159,10 @@ def check_parameters(
                 f"{did_you_mean(name, [*INPUTS, *known])}", key=name, value=value,
             )
         try:
-            known[name].range.check(value)
+            values[name] = known[name].range.check(value)
         except ValueError as error:
             raise ConfigurationError(str(error), key=name, value=value) from None
-    return {**choice.defaults(site), **given}
+    return values
 
 
 def make_run(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.analysis.api.inputs import PathText, file_of_site
 from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.times import duration, to_minutes
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
@@ -22,13 +23,15 @@ if TYPE_CHECKING:
     import polars
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """The result of a simulation.
 
     Example:
         >>> import greenroof_ros as gr
         >>> result = gr.simulate("onoff", hours=1)
+        >>> result
+        <Result: onoff, 60 min from 2021-07-07T02:00-05:00>
         >>> round(result.metrics["pumped_m3"], 3)
         0.735
         >>> result.trajectory.height
@@ -43,6 +46,11 @@ class Result:
     run: Run
     summary: Mapping[str, Any]
     ticks: Trajectory
+
+    def __repr__(self) -> str:
+        """Return controller, length and start."""
+        length = duration(self.run.steps * self.run.site.tau)
+        return f"<Result: {self.run.controller.name}, {length} from {to_minutes(self.run.start)}>"
 
     @cached_property
     def metrics(self) -> dict[str, float]:
@@ -161,7 +169,7 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
         ...     run = gr.simulate("onoff", hours=1).save(directory)
         ...     frame = gr.read_bag(run)
         >>> print(frame["time"][-1], round(frame["roof_level_m"][-1], 4))
-        2021-07-07 03:00:00-05:00 0.0458
+        2021-07-07 03:00:00-05:00 0.0457
     """
     with in_extra("study"):
         from greenroof_ros.analysis.report.bags import read_run
