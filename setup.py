@@ -73,7 +73,8 @@ setup(
         "Topic :: Scientific/Engineering :: Hydrology",
     ],
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"], f"{NAME}.analysis.report": ["*.html"], f"{NAME}.watch": ["page/*"],
+    package_data={NAME: ["py.typed"],
+                  f"{NAME}.analysis.report": ["*.html"], f"{NAME}.watch": ["page/*"],
                   f"{NAME}.analysis.calibration": ["page.html", "findings.yaml"],
                   f"{NAME}.analysis.verification": ["page.html", "findings.yaml"]},
     data_files=[

@@ -140,8 +140,9 @@ def parameters_of(instance: Controller, choice: ControllerChoice) -> dict[str, f
     Raises:
         ConfigurationError: it has a parameter ``horizon``, but not as an attribute.
     """
-    values = {name: getattr(instance, name) for name in choice.parameters if hasattr(
-        instance, name)}
+    values = {
+        name: getattr(instance, name) for name in choice.parameters if hasattr(instance, name)
+    }
     if "horizon" in choice.parameters and "horizon" not in values:
         raise ConfigurationError(
             "must have its parameter horizon as an attribute, or its forecast's length is not "
