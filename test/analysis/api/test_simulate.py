@@ -73,11 +73,15 @@ def test_the_numbers_are_the_commands(
 
 def test_the_papers_trajectories() -> None:
     """From low-low, as the published code of the paper's authors computes them."""
-    for controller, file in (
-        ("mpc", "trajectory_low-low_mpc_0.001.csv"), ("onoff", "trajectory_low-low_onoff_1.csv"),
-    ):
-        reference = polars.read_csv(DATA / file)
-        frame = gr.simulate(controller).trajectory
+    totals = polars.read_csv(CONFIG / "paper" / "totals.csv")
+    for controller, parameter in (("mpc", 0.001), ("onoff", 1)):
+        reference = polars.read_csv(DATA / f"trajectory_low-low_{controller}_{parameter}.csv")
+        result = gr.simulate(controller)
+        (total,) = totals.filter(
+            initial="low-low", controller=controller, parameter=parameter
+        )["total_deviation_m3"]
+        assert result.metrics["total_deviation_m3"] == pytest.approx(total, rel=5e-5)
+        frame = result.trajectory
         assert frame.height == 43_201
         ours = frame[reference["t_s"].to_list()]
         for name in ("cistern_m3", "roof_m3"):
