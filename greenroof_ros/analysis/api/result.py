@@ -173,10 +173,9 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
     """
     with in_extra("study"):
         from greenroof_ros.analysis.report.bags import read_run
-        from greenroof_ros.analysis.report.run import Run as RecordedRun
     bag = Path(path)
     run = read_run(bag, bag.name, None if site is None else file_of_site(site))
-    if not isinstance(run, RecordedRun):
+    if isinstance(run, dict):
         raise ConfigurationError(run["error"], file=bag)
     assert run.load is not None, "a run with a bag has a trajectory"
     return table(run.site, run.load().trajectory)
