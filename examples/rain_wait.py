@@ -4,7 +4,7 @@
     greenroof run --controller examples.rain_wait:RainWait --horizon 6
     greenroof check-controller examples.rain_wait:RainWait
 
-Over the paper's window the roof stays closer to its target than with the paper's controllers.
+Over the paper's window the roof stays closer to its target than with mpc or onoff.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class RainWait:
         lengths = np.diff(self.forecast_ends)
         known = len(precipitation) == len(lengths)
         coming = float(np.dot(precipitation, lengths)) if known else 0.0  # m
-        return 0.0 if coming >= missing else self.command_on  # also if it is NaN
+        return 0.0 if coming >= missing else self.command_on  # NaN is not enough
 
     def skip(self) -> None:
         """Do nothing: there is no state to keep."""

@@ -230,6 +230,16 @@ def test_a_saved_run_is_read_by_the_report(tmp_path: Path) -> None:
     assert "on/off" in (tmp_path / "report" / "report.html").read_text()
 
 
+def test_a_run_that_failed_has_no_trajectory(tmp_path: Path) -> None:
+    """It is refused, with its reason."""
+    directory = gr.simulate("onoff", hours=0.1).save(tmp_path / "mine")
+    (directory / "trajectory.parquet").unlink()
+    text = (directory / "summary.json").read_text()
+    failed = text.replace('"done"', '"failed"').replace('"reason": null', '"reason": "no power"')
+    (directory / "summary.json").write_text(failed)
+    refusal(gr.read_bag, directory, match="mine: failed.*no power.*no bag")
+
+
 def test_a_saved_run_has_the_weather_of_a_data_frame(tmp_path: Path) -> None:
     frame = polars.DataFrame({
         "time": [f"2024-06-01T{hour:02}:00Z" for hour in range(24)],
