@@ -21,7 +21,7 @@ CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 COMMANDS = (
     "simulate", "bound", "recover", "topics", "check_controller", "check_pump", "drive_simulator",
     "site_simulator", "forecast_simulator", "fetch_forecast", "hold", "release", "dose", "status",
-    "calibrate", "verify", "bridge", "study", "report", "watch",
+    "calibrate", "weather_file", "verify", "bridge", "study", "report", "watch",
 )
 # Colcon calls one of these, and setup.cfg says where executables go. Pip calls neither, and would
 # put names such as `report` and `watch` on everybody's PATH.

@@ -36,7 +36,7 @@ nitpicky = True
 suppress_warnings = ["ref.python"]
 nitpick_ignore_regex = [
     (r"py:.*", r"(?!greenroof_ros).*"), (r"py:.*", r".*\._\w+"), (r"py:data", r".*"),
-    (r"py:(class|obj)", r".*\.(Amount|Cell|Record|K|Word)"),
+    (r"py:(class|obj)", r".*\.(Amount|Cell|Record|S|Word)"),
 ]
 
 highlight_language = "none"

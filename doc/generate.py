@@ -202,8 +202,8 @@ _DRIVE_PARTS = {
     "`registers`, each": drive_file.Register,
     "`sequences`": drive_file.Sequences,
     "a step of `sequences`": drive_file.Step,
-    "a condition: in `status`, and `until` of a step": drive_file.Condition,
-    "`status`": drive_file.Status,
+    "a condition: in `status`, and `until` of a step": drive_file.RegisterCondition,
+    "`status`": drive_file.StatusWord,
     "`faults`, `warnings`": drive_file.Codes,
     "`timeout`": drive_file.Timeouts,
     "`timeout.serial`, `timeout.tcp`": drive_file.Timeout,
@@ -216,12 +216,12 @@ _RELAY_PARTS = {
     "the file": relay_file.RelayFile,
     "`sources`, each": drive_file.Source,
     "`questions`, each": relay_file.Question,
-    "`state`": relay_file.State,
+    "`state`": relay_file.RelayState,
     "`timer`": relay_file.Timer,
     "`timer.scales`, each": relay_file.Scale,
     "`must`, each": relay_file.Setting,
     "`name`": relay_file.Value,
-    "`switch_on`, `switch_off`": relay_file.Message,
+    "`switch_on`, `switch_off`": relay_file.RelayMessage,
 }
 
 
@@ -351,7 +351,7 @@ def drives() -> str:
         drive = drive_file.read_drive_file(path)
         parts.append(f"### {drive.path.stem}\n\n{cell(drive.make)}: {cell(drive.model)}.\n")
         ports: dict[tuple[tuple[str, str], ...], list[str]] = {}
-        for interface, timeout in drive.timeout.known.items():
+        for interface, timeout in drive.timeout.by_interface.items():
             rows = (
                 ("set it", timeout.how_to_set), ("restarted by", timeout.kept_alive_by),
                 ("beware", timeout.traps),
@@ -614,12 +614,8 @@ def nodes() -> str | None:
     return "\n".join([
         "### several nodes\n\n" + markdown((*header, "nodes"), shared),
         *(
-            f"### {node}\n\n"
-            + markdown(header, (
-                row for row, nodes in of_nodes.items()
-                if nodes == [node]
-            ))
-            for node in declared
+            f"### {node}\n\n{markdown(header, own)}" for node in declared
+            if (own := [row for row, nodes in of_nodes.items() if nodes == [node]])
         ),
     ])
 

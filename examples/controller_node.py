@@ -25,7 +25,7 @@ tick = {}  # the messages of the present tick, by topic
 def on_message(topic, message):
     """Answer each tick once: when all of its inputs have come."""
     if topic in tick:
-        raise SystemExit(f"{topic} came twice in a tick: is there another graph?")
+        raise SystemExit(f"{topic} has a second message in a tick: is there another graph?")
     tick[topic] = message.data
     if len(tick) == len(INPUTS):
         publisher.publish(Float64(data=command()))

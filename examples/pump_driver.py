@@ -1,11 +1,6 @@
-"""A pump driver that replaces the simulated pump: /pump/command in, /pump/flow out.
-
-It needs only rclpy. Start it, then bringup with ``--pump external``; start it again for each run.
-This pump's flow follows the command with a first-order lag.
-"""
+"""A pump driver that needs only rclpy: start it before each run with ``--pump external``."""
 
 import math
-from functools import partial
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -15,9 +10,10 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64
 
-MAX_FLOW, LAG, TICK = 0.008, 30.0, 1.0  # of this pump: m3/s, s; of the graph: s
+MAX_FLOW, LAG, TICK = 0.008, 30.0, 1.0  # m3/s; first-order lag of the flow, s; tau, s
 SILENCE = 3.0  # time without a command after which the pump stops (s)
 SUCTION = 0.75  # cistern level at or below which the pump runs dry (m)
+state = dict.fromkeys(("cistern/level", "roof/level", "weather/frost"), math.nan)  # by topic
 
 
 def on_command(message):
@@ -29,11 +25,6 @@ def on_command(message):
         command = 0.0
     flow.data += (command * MAX_FLOW - flow.data) * (1 - math.exp(-TICK / LAG))
     publisher.publish(flow)
-
-
-def on_state(topic, message):
-    """Store the state that the pump's interlocks need."""
-    state[topic] = message.data
 
 
 def on_silence():
@@ -52,10 +43,9 @@ def on_liveliness(event):
 rclpy.init()
 node, flow = rclpy.create_node("pump"), Float64()
 node.commanders = 0
-qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-state = dict.fromkeys(("cistern/level", "roof/level", "weather/frost"), math.nan)
-for topic in state:  # before the command, which comes last in a tick
-    node.create_subscription(Float64, topic, partial(on_state, topic), qos)
+qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # and reliable
+for key in state:  # before the command, which comes last in a tick
+    node.create_subscription(Float64, key, lambda msg, key=key: state.update({key: msg.data}), qos)
 qos.liveliness_lease_duration = Duration(seconds=1)
 publisher = node.create_publisher(Float64, "pump/flow", qos)
 watchdog = node.create_timer(SILENCE, on_silence, clock=Clock(clock_type=ClockType.STEADY_TIME))

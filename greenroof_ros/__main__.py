@@ -39,22 +39,23 @@ GROUPS = {
         "fetch-forecast": Command("fetch_forecast", "fetch a forecast from the internet"),
         "hold": Command("hold", "keep the pump off, until a release or a time"),
         "release": Command("release", "end the hold of the pump"),
-        "dose": Command("dose", "let the pump deliver a volume once, now"),
+        "dose": Command("dose", "pump a given volume now"),
     },
     "see what it does, or did": {
         "watch": Command("watch", "show a run or a site, on a page in a browser"),
-        "status": Command("status", "say once how it is, with an exit code for scripts"),
-        "bridge": Command("bridge", "publish a site on MQTT, for Home Assistant; with a stop"),
+        "status": Command("status", "print the present state; its exit code is for scripts"),
+        "bridge": Command("bridge", "publish on MQTT, for Home Assistant; it can stop the pump"),
         "report": Command("report", "make figures and tables of runs, studies and bags"),
         "recover": Command("recover", "restore a bag after a crash or a full disk"),
     },
     "compare controllers, without ROS": {
-        "simulate": Command("simulate", "run once, in one process, with the graph's numbers"),
+        "simulate": Command("simulate", "run once, in one process; the numbers equal the graph's"),
         "study": Command("study", "run a grid of runs: the paper's 30, or yours"),
-        "bound": Command("bound", "compute the least deviation that is possible"),
+        "bound": Command("bound", "compute the least possible deviation"),
     },
     "fit it to your site": {
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
+        "weather": Command("weather_file", "describe a weather file; write it as a plain CSV"),
         "verify": Command("verify", "compare forecasts of rain with records"),
     },
     "connect your own parts": {

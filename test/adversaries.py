@@ -28,7 +28,7 @@ class Adversary:
         self._kind = kind
         self._weather = weather
 
-    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+    def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return rain (mm/h), shape (members, hours), and the true evapotranspiration (mm/day)."""
         last = len(self._weather.precipitation) - 1
         ahead = hour + np.arange(hours)

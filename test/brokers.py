@@ -77,7 +77,7 @@ class Mosquitto:
         """Suspend the broker: it answers nothing, but its connections stay open."""
         self.process.send_signal(signal.SIGSTOP)
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         """Resume the broker."""
         self.process.send_signal(signal.SIGCONT)
 
@@ -96,24 +96,24 @@ class Talker:
     """A client that publishes, each message confirmed by the broker; ``with`` connects it.
 
     Attributes:
-        heard: what it received: when (s, `time.monotonic`), topic, payload, whether retained.
+        received: when (s, `time.monotonic`), topic, payload, whether retained.
     """
 
     def __init__(self, broker: Mosquitto, topic: str = "#") -> None:
         """Prepare a client that receives a topic; ``#`` stands for all."""
-        self.heard: list[tuple[float, str, str, bool]] = []
+        self.received: list[tuple[float, str, str, bool]] = []
         self._topic, self._connected = topic, threading.Event()
         self._client = make_client(
             parse_broker(broker.address, "broker", broker.login, broker.authority),
-            f"talker_{id(self)}", self._subscribe, self._hear,
+            f"talker_{id(self)}", self._subscribe, self._receive,
         )
 
     def _subscribe(self) -> None:
         self._client.subscribe(self._topic, qos=1)
         self._connected.set()
 
-    def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        self.heard.append((time.monotonic(), topic, payload.decode(errors="replace"), retained))
+    def _receive(self, topic: str, payload: bytes, retained: bool) -> None:
+        self.received.append((time.monotonic(), topic, payload.decode(errors="replace"), retained))
 
     def __enter__(self) -> Talker:
         self._client.loop_start()
@@ -124,13 +124,13 @@ class Talker:
         self._client.disconnect()
         self._client.loop_stop()
 
-    def say(self, topic: str, message: str, *, retain: bool = False) -> None:
+    def publish(self, topic: str, message: str, *, retain: bool = False) -> None:
         """Publish a message, and wait until the broker has it."""
         self._client.publish(topic, message, qos=1, retain=retain).wait_for_publish(20)
 
     def of(self, topic: str) -> list[str]:
         """Return the payloads of a topic."""
-        return [payload for _, at, payload, _ in self.heard if at == topic]
+        return [payload for _, at, payload, _ in self.received if at == topic]
 
     def last(self, topic: str) -> str:
         """Return the last payload of a topic; empty before the first."""

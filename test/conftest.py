@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from graphs import Process, bring_up, own_domain
+from graphs import Process, bring_up, reserved_domain
 from hypothesis import settings
 from inherited import no_state_of_the_user, pytest_configure
 from places import Once
@@ -50,7 +50,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             # All tests that need the paper's study run in one worker.
             item.add_marker(pytest.mark.xdist_group("test_fidelity.py"))
             files.setdefault(item.path.name, len(files))
-        elif graph or item.path.parent.name == "study":
+        elif item.path.name != "test_packaging.py" and (  # it shares what pip installs
+            graph or item.path.parent.name == "study"
+        ):
             alone[item.nodeid] = len(alone)
         else:
             item.add_marker(pytest.mark.xdist_group(item.path.name))
@@ -71,7 +73,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def unused_domain() -> Iterator[int]:
     """A ROS domain of this worker, for commands that are refused before they start a node."""
-    with own_domain() as number:
+    with reserved_domain() as number:
         yield number
 
 
@@ -98,7 +100,7 @@ def site(observer: Observer) -> Site:
 
 
 @pytest.fixture(autouse=True)
-def nothing_left() -> Iterator[None]:
+def end_leftover_runs() -> Iterator[None]:
     """End runs that a failed test left behind, so that they cannot meet the next test's runs."""
     yield
     Process.end_all()

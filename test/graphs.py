@@ -22,11 +22,11 @@ from typing import Any, ClassVar
 from mcap.reader import make_reader
 from places import module_of
 
-from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.common.processes import child_environment
 
 
 @contextmanager
-def own_domain() -> Iterator[int]:
+def reserved_domain() -> Iterator[int]:
     """Hold a ROS domain that no other test session or worker on this machine holds.
 
     Domains from 51 on are for studies.
@@ -159,7 +159,7 @@ class Process:
             cwd=cwd, stdin=subprocess.DEVNULL, stdout=self._out,
             stderr=self._err if stderr is None else stderr,
             # If pytest's worker is killed, the graph ends with it.
-            env={**asked_to_end_with_this(), **environment(domain)}, start_new_session=True,
+            env={**child_environment(), **environment(domain)}, start_new_session=True,
             preexec_fn=prepare if ignored else None,
         )
         self.started.append(self)
@@ -168,7 +168,7 @@ class Process:
     def end_all(cls) -> None:
         """End the processes that a failed test left running, and print their stderr for pytest."""
         for process in cls.started:
-            print(f"{process.process.args}: {process._last_said()}")
+            print(f"{process.process.args}: {process._last_output()}")
             if process.process.poll() is None:
                 process.process.send_signal(signal.SIGINT)
                 process.wait(300)
@@ -200,7 +200,7 @@ class Process:
 
         wait_for(grown, 120, "a growing bag")
 
-    def until_said(self, words: str, seconds: float = 60) -> None:
+    def until_printed(self, words: str, seconds: float = 60) -> None:
         """Wait until it has printed these words on its standard error."""
         wait_for(lambda: words in self.stderr(), seconds, f"{words!r} of {self.process.args}")
 
@@ -213,7 +213,7 @@ class Process:
                 os.kill(pid, signal.SIGKILL)  # nodes first: a suspended bringup cannot end them
             raise AssertionError(f"still running after {seconds:g} s; {self.stderr()}") from None
 
-    def _last_said(self) -> str:
+    def _last_output(self) -> str:
         """Return the end of its standard error, even if its directory was moved."""
         number = self._err.fileno()
         tail = os.pread(number, 2000, max(0, os.fstat(number).st_size - 2000))

@@ -26,7 +26,7 @@ class Wire:
 
     def __init__(self, answer: Callable[[bytes], Answer], port: int = 0) -> None:
         self.answer = answer
-        self.seen: list[bytes] = []
+        self.requests: list[bytes] = []
         self.times: list[float] = []  # when each frame came (s, `time.monotonic`)
         self.connections = 0
         self.resets = 0  # number of connections that the other side reset instead of closing
@@ -38,7 +38,7 @@ class Wire:
     @property
     def frames(self) -> list[str]:
         """The received frames, in hexadecimal digits."""
-        return [request.hex() for request in self.seen]
+        return [request.hex() for request in self.requests]
 
     @property
     def at(self) -> str:
@@ -78,7 +78,7 @@ class Wire:
             with connection.makefile("rb") as stream:
                 while head := stream.read(6):
                     request = head + stream.read(int.from_bytes(head[4:6], "big"))
-                    self.seen.append(request)
+                    self.requests.append(request)
                     self.times.append(time.monotonic())
                     answers = self.answer(request)
                     if answers is None:
@@ -204,7 +204,7 @@ class SerialWire:
 
     def __init__(self, answer: Callable[[bytes], bytes | list[bytes]]) -> None:
         self.answer = answer
-        self.seen: list[bytes] = []
+        self.requests: list[bytes] = []
         self._ours, self._theirs = os.openpty()
         tty.setraw(self._theirs)
         self.line = os.ttyname(self._theirs)
@@ -219,7 +219,7 @@ class SerialWire:
                 with contextlib.suppress(OSError):
                     data += os.read(self._ours, 256)
             while len(data) >= 8:
-                self.seen.append(data[:8])
+                self.requests.append(data[:8])
                 answer = self.answer(data[:8])
                 for piece in [answer] if isinstance(answer, bytes) else answer:
                     os.write(self._ours, piece)
@@ -235,7 +235,7 @@ class SerialWire:
             os.close(self._theirs)
 
 
-def over_serial(registers: Registers) -> Callable[[bytes], bytes]:
+def rtu_server(registers: Registers) -> Callable[[bytes], bytes]:
     """Return a function that answers RTU frames from registers."""
 
     def answer(request: bytes) -> bytes:

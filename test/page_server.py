@@ -15,11 +15,11 @@ from typing import Any
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, listen
 from greenroof_ros.watch.server import serving
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 
 
 @contextmanager
-def served(store: Store, token: str | None = None, port: int = 0) -> Iterator[int]:
+def served(store: GraphStore, token: str | None = None, port: int = 0) -> Iterator[int]:
     """Serve the store's content on loopback without a graph; yield the port."""
     feed = Feed(store)  # not entered: there are no updates and no commands
     loop = asyncio.new_event_loop()

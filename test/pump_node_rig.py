@@ -29,8 +29,8 @@ class PumpRig:
         self._drive: Simulator | None = None
         self._nodes = 0
         self.node = observer.node
-        self.flows: list[float] = observer.hear("/pump/flow")
-        self.states: list[str] = observer.hear("/pump/state")
+        self.flows: list[float] = observer.collect("/pump/flow")
+        self.states: list[str] = observer.collect("/pump/state")
         self._ticks = 0
         self._volumes = [75.0, 0.3]
         self._publishers: dict[str, Any] = {}
@@ -38,7 +38,7 @@ class PumpRig:
 
     def _open(self) -> None:
         """Begin a new run: a restarted node takes part from the next tick on."""
-        self.leave()
+        self.remove_publishers()
         self._publishers = {
             name: self.observer.publisher(name)
             for name in ("/clock", "/cistern/level", "/roof/level", "/weather/frost",
@@ -86,7 +86,7 @@ class PumpRig:
         module = "live.pump" if live else "live.loop_pump"
         return self.observer.start(module, popen=popen, **settings)
 
-    def leave(self) -> None:
+    def remove_publishers(self) -> None:
         """Remove all publishers."""
         for publisher in self._publishers.values():
             self.node.destroy_publisher(publisher)
@@ -136,9 +136,9 @@ class PumpRig:
         wait_for(ticked, seconds, f"{event} ({self.states[-3:]})")
         return time.monotonic() - began
 
-    def until_said(self, part: str, level: bytes, *words: str, command: float = 0.5) -> None:
+    def until_reported(self, part: str, level: bytes, *words: str, command: float = 0.5) -> None:
         """Publish ticks until a part of the node reports this level with these words."""
-        self.tick_until(command, lambda: self.says(part, level, *words), LATE, f"{part}: {words}")
+        self.tick_until(command, lambda: self.shows(part, level, *words), LATE, f"{part}: {words}")
 
     def until_code(self, part: str, code: str, command: float = 0.5) -> None:
         """Publish ticks until a part of the node reports this code."""
@@ -148,7 +148,7 @@ class PumpRig:
         """Publish ticks until the state contains these words."""
         self.tick_until(0.5, lambda: words in self.state, seconds, words)
 
-    def until_it_stands(self, seconds: float, command: float = 0.5) -> float:
+    def until_at_rest(self, seconds: float, command: float = 0.5) -> float:
         """Publish ticks until the motor stands and flow is 0; return how long that took (s)."""
         return self.tick_until(
             command, lambda: self.drive.speed() == 0.0 and self.flows[-1] == 0.0, seconds, "a stop"
@@ -182,9 +182,9 @@ class PumpRig:
             60, "the node",
         )
 
-    def says(self, part: str, level: bytes, *words: str) -> bool:
+    def shows(self, part: str, level: bytes, *words: str) -> bool:
         """Return whether a part of the node reports this level with these words."""
-        return self.observer.says(f"/pump: {part}", level, *words)()
+        return self.observer.shows(f"/pump: {part}", level, *words)()
 
     def call(self, kind: Any, name: str, **fields: object) -> Any:
         """Call a service of the node."""

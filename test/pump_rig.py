@@ -111,7 +111,7 @@ class Rig:
             self.plant.step(0.0, self.plant.flows(0.0, 0.0, self.plant_flow(self.speed)))
             self.plant.x1 -= self.leak * self.tau
         self.now += seconds
-        self.control.pass_unseen(seconds)
+        self.control.count_unseen(seconds)
 
     def plant_flow(self, speed: float) -> float:
         """Return the pump's flow at a speed (m3/s), computed independently by the affinity laws."""

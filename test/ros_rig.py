@@ -92,7 +92,7 @@ class Observer:
         cwd: directory in which nodes beside it are started.
         started: these nodes, which end with it.
         diagnoses: the latest status of each name on /diagnostics.
-        said: all messages received there.
+        messages: all messages received there.
     """
 
     def __init__(self, domain: int, cwd: Path) -> None:
@@ -104,7 +104,7 @@ class Observer:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.diagnoses: dict[str, DiagnosticStatus] = {}
-        self.said: list[str] = []
+        self.messages: list[str] = []
         self.node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, qos("/diagnostics")
         )
@@ -112,7 +112,7 @@ class Observer:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             self.diagnoses[status.name] = status
-            self.said.append(status.message)
+            self.messages.append(status.message)
 
     def start(
         self, command: str, *, popen: dict[str, Any] | None = None, **parameters: object
@@ -135,7 +135,7 @@ class Observer:
 
         return wait_for(spun, seconds, event)
 
-    def hear(
+    def collect(
         self, topic: str, value: Callable[[Any], Any] = lambda message: message.data,
         namespace: str = "",
     ) -> list[Any]:
@@ -172,16 +172,16 @@ class Observer:
         self.until(future.done, 60, f"an answer of {service}")
         return future.result()
 
-    def says(self, part: str, level: bytes, *words: str) -> Callable[[], bool]:
-        """Return whether a part reports this level with these words."""
+    def shows(self, part: str, level: bytes, *words: str) -> Callable[[], bool]:
+        """Return whether a part shows this level with these words."""
 
-        def said() -> bool:
+        def is_shown() -> bool:
             status = self.diagnoses.get(part)
             return status is not None and status.level == level and (
                 all(word in status.message for word in words)
             )
 
-        return said
+        return is_shown
 
     def values(self, name: str) -> dict[str, Any]:
         """Return the latest values that a node reported, or a part's code with its details."""
@@ -211,8 +211,8 @@ class Site:
     def __init__(self, watcher: Observer) -> None:
         """Publish nothing yet."""
         self.watcher, self.cwd = watcher, watcher.cwd
-        self.node, self.says, self.call = watcher.node, watcher.says, watcher.call
-        self.said, self.diagnoses = watcher.said, watcher.diagnoses
+        self.node, self.shows, self.call = watcher.node, watcher.shows, watcher.call
+        self.messages, self.diagnoses = watcher.messages, watcher.diagnoses
         self.values: dict[str, Any] = {}
         self.publishers: dict[str, Any] = {}
         self._next = time.monotonic()
@@ -239,7 +239,7 @@ class Site:
             skipped = message.layout.data_offset if hasattr(message, "layout") else None
             return time.monotonic(), message.data if not skipped else message.data[skipped:]
 
-        return self.watcher.hear(topic, value_of)
+        return self.watcher.collect(topic, value_of)
 
     def play(self) -> None:
         """Publish the present values."""

@@ -18,7 +18,7 @@ import pytest
 from places import CHECKOUT, module_of
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.common.processes import child_environment
 from greenroof_ros.live.drives.modbus_line import Address, DriveError, ModbusLine, parse_address
 from greenroof_ros.live.simulators import faults
 from greenroof_ros.live.simulators.faults import (
@@ -68,7 +68,7 @@ class Workbench:
         self._line = ModbusLine(address, port=0, device_id=faults.DEVICE_ID, timeout_s=timeout_s)
         self.close = self._line.close
 
-    def _ask(self, request: Callable[[], T]) -> T:
+    def _request(self, request: Callable[[], T]) -> T:
         try:
             if not self._line.connected:
                 self._line.connect()
@@ -78,11 +78,11 @@ class Workbench:
             raise
 
     def _write(self, register: int, value: int) -> None:
-        self._ask(lambda: self._line.write(register, value))
+        self._request(lambda: self._line.write(register, value))
 
     def speed(self) -> float:
         """Return the true speed of the motor (share of rated)."""
-        return faults.SPEED_UNIT * self._ask(lambda: self._line.read(faults.SPEED, 1))[0]
+        return faults.SPEED_UNIT * self._request(lambda: self._line.read(faults.SPEED, 1))[0]
 
     def inject(self, fault: str, parameter: int = DEFAULT) -> None:
         """Inject a fault; there is one at a time, and ``none`` ends it."""
@@ -110,7 +110,7 @@ class Simulator(Workbench):
         self.process = subprocess.Popen(
             [sys.executable, "-m", module_of(module), *options],
             cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            stdin=subprocess.DEVNULL, env=asked_to_end_with_this(),
+            stdin=subprocess.DEVNULL, env=child_environment(),
         )
         assert self.process.stdout is not None
         ready = self.process.stdout.readline()
@@ -120,7 +120,7 @@ class Simulator(Workbench):
         self.address = ready.split()[2].rstrip(",")
         self.ports = [int(port) for port in _PLACE.findall(ready)]
         self.workbench = f"tcp://127.0.0.1:{self.ports[-1]}"
-        self.said, self.complained = "", ""
+        self.output, self.errors = "", ""
         known = SITE_FAULTS if module == "site_simulator" else FAULTS
         super().__init__(parse_address(self.workbench), known, PATIENCE_S)
 
@@ -128,7 +128,7 @@ class Simulator(Workbench):
         """End it by Ctrl-C and return its exit code."""
         self.close()
         self.process.send_signal(signal.SIGINT)
-        self.said, self.complained = self.process.communicate(timeout=120)
+        self.output, self.errors = self.process.communicate(timeout=120)
         return self.process.returncode
 
     def __enter__(self) -> Simulator:
@@ -137,7 +137,7 @@ class Simulator(Workbench):
     def __exit__(self, kind: object, *_: object) -> None:
         code = self.end()
         if kind is None:
-            assert (code, self.complained) == (0, "")
+            assert (code, self.errors) == (0, "")
 
 
 def refusal(monkeypatch: pytest.MonkeyPatch, module: ModuleType, *options: str) -> str:

@@ -70,13 +70,13 @@ def figures(forecast: np.ndarray, observed: np.ndarray) -> np.ndarray:
     """
     scores = []
     for hours, event in SUMS.items():
-        sums, seen = (rain.reshape(-1, hours).sum(axis=1) for rain in (forecast, observed))
-        given = ~np.isnan(sums)
-        sums, seen = sums[given], seen[given]
-        hits = ((sums >= event) & (seen >= event)).sum()
+        sums, observed_sums = (rain.reshape(-1, hours).sum(axis=1) for rain in (forecast, observed))
+        complete = ~np.isnan(sums)
+        sums, observed_sums = sums[complete], observed_sums[complete]
+        hits = ((sums >= event) & (observed_sums >= event)).sum()
         scores.append((
-            np.corrcoef(sums, seen)[0, 1], hits / (seen >= event).sum(),
-            1 - hits / (sums >= event).sum(), sums.sum() / seen.sum(),
+            np.corrcoef(sums, observed_sums)[0, 1], hits / (observed_sums >= event).sum(),
+            1 - hits / (sums >= event).sum(), sums.sum() / observed_sums.sum(),
         ))
     return np.array(scores)
 
@@ -106,7 +106,7 @@ def days_ahead(
     furthest = 24 * max(days) + 6
     # The first issue is at 01:00 local standard time, 06:00 UTC.
     for issue in range(1, len(rain) - furthest, 6):
-        forecast = model.known(issue, furthest)[0]
+        forecast = model.forecast(issue, furthest)[0]
         for day in days:
             lead = 24 * day
             ahead[day][:, issue + lead : issue + lead + 6] = forecast[:, lead : lead + 6]

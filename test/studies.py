@@ -12,7 +12,7 @@ from pathlib import Path
 
 from greenroof_ros.analysis.study.case_run import bound_case, run_case
 from greenroof_ros.analysis.study.grid import read_grid
-from greenroof_ros.analysis.study.store import Store
+from greenroof_ros.analysis.study.store import StudyStore
 from greenroof_ros.common.files import shared_directory
 
 CONFIG = shared_directory() / "config"
@@ -50,21 +50,21 @@ def begun(directory: Path, *options: str, **variables: str) -> subprocess.Popen[
     )
 
 
-def store_of(directory: Path, *, trajectory_every: float | None = 0.0) -> Store:
+def store_of(directory: Path, *, trajectory_every: float | None = 0.0) -> StudyStore:
     """Begin the study of the grid in a directory, or continue it."""
     file = directory / "grid.yaml"
-    return Store(directory / "out", file, read_grid(file), trajectory_every=trajectory_every)
+    return StudyStore(directory / "out", file, read_grid(file), trajectory_every=trajectory_every)
 
 
-def run_here(directory: Path, text: str) -> Store:
+def run_here(directory: Path, text: str) -> StudyStore:
     """Do all runs of a grid in this process."""
     grid(directory, text)
     store = store_of(directory)
     inputs = directory / "out" / "configuration"
     for case in store.cases:
-        store.keep(case, run_case(inputs, case, store.trajectory_every))
+        store.write_outcome(case, run_case(inputs, case, store.trajectory_every))
         if case.bound_block != 0 and case.problem not in store.bounds:
-            store.keep_bound(case, bound_case(inputs, case))
+            store.write_bound(case, bound_case(inputs, case))
     store.write_tables()
     return store
 

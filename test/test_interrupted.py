@@ -18,7 +18,7 @@ from greenroof_ros.__main__ import COMMANDS
 LONG = {
     "simulate": "--hours 60 --start 2021-07-07T02:00 --speed 1",
     "run": "--hours 60 --start 2021-07-07T02:00 --speed 1 --no-record",
-    "bound": "--block 1 --hours 4",
+    "bound": "--block 1 --hours 3",
 }
 
 
@@ -42,7 +42,7 @@ def interrupted(directory: Path, words: str, after_s: float) -> tuple[int, str]:
     return process.wait(60), "".join(lines)
 
 
-@pytest.mark.parametrize("after_s", [0.0, 0.1, 0.25, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("after_s", [0.0, 0.1, 0.25, 0.5, 1.0])
 @pytest.mark.parametrize("name", ["simulate", "run", "bound"])
 def test_a_command_that_runs(name: str, after_s: float, tmp_path: Path) -> None:
     code, error = interrupted(tmp_path, f"{name} {LONG[name]}", after_s)
@@ -53,9 +53,8 @@ def test_a_command_that_runs(name: str, after_s: float, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_while_it_is_imported(name: str, tmp_path: Path) -> None:
     """It ends with 130, or is done with its help before."""
-    for after_s in (0.0, 0.15):
-        code, error = interrupted(tmp_path, f"{name} --help", after_s)
-        assert (code, error) in ((130, "interrupted\n"), (0, "")), (after_s, error)
+    code, error = interrupted(tmp_path, f"{name} --help", 0.1)
+    assert (code, error) in ((130, "interrupted\n"), (0, "")), error
 
 
 def test_a_background_command_ignores_it_as_the_shell_asked(tmp_path: Path) -> None:

@@ -143,17 +143,6 @@ def pip_of(environment):
     return [sys.executable, "-m", "pip", "--python", environment / "bin" / "python"]
 
 
-def empty_environment(directory):
-    """Create an empty virtual environment in a directory and return it."""
-    environment = bare_environment(Path(os.environ.get("HOME", directory)))
-    # Without pip: installing it would take as long as everything else.
-    run(
-        sys.executable, "-m", "venv", "--without-pip", directory / "venv",
-        cwd=directory, env=environment,
-    )
-    return directory / "venv"
-
-
 def with_wheel(environment, released, extras=""):
     """Install the wheel with its extras into a virtual environment, and return the environment."""
     (wheel,) = released.glob("*.whl")
@@ -177,8 +166,15 @@ def released(package_index, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def pip_installed(released, tmp_path_factory):
-    """Return a new virtual environment in which only the wheel was installed."""
-    return with_wheel(empty_environment(tmp_path_factory.mktemp("pip")), released)
+    """Return a new virtual environment in which only the wheel was installed.
+
+    Tests further down add extras to it, so that what they have in common is installed once.
+    """
+    directory = tmp_path_factory.mktemp("pip")
+    # Without pip: installing it would take as long as everything else.
+    run(sys.executable, "-m", "venv", "--without-pip", directory / "venv",
+        cwd=directory, env=bare_environment(directory))
+    return with_wheel(directory / "venv", released)
 
 
 def test_a_package_index_would_take_the_release(released):
@@ -278,10 +274,9 @@ controllers: {mpc: {}, onoff: {}}
 
 
 @pytest.fixture(scope="module")
-def with_extras(released, tmp_path_factory):
-    """Return a new virtual environment with the wheel and the extras for studies and the page."""
-    empty = empty_environment(tmp_path_factory.mktemp("extras"))
-    return with_wheel(empty, released, "[study,watch]")
+def with_extras(pip_installed, released):
+    """Return the same environment with the extras for studies and the page added."""
+    return with_wheel(pip_installed, released, "[study,watch]")
 
 
 @pytest.fixture(scope="module")

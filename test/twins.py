@@ -13,10 +13,10 @@ import numpy as np
 from paper import PAPER_SITE
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.analysis.calibration.record import Record
+from greenroof_ros.analysis.calibration.record import RoofRecord
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.evapotranspiration import hargreaves, over_the_day
+from greenroof_ros.weather.evapotranspiration import hargreaves, spread_over_day
 
 STEP_S = 300
 NOISE_M = 0.002
@@ -35,12 +35,12 @@ FILLED_AT_FIRST = 0.5
 
 def a_record(
     rain: np.ndarray, step_s: float = 300.0, month: int = 5, **series: np.ndarray | None
-) -> Record:
+) -> RoofRecord:
     """Return a record from the beginning of a month; missing series are zero or None."""
     nothing = np.zeros(len(rain))
     series_of = {"reference": nothing, "pumped": nothing, "runoff": None, "level": None} | series
     start = datetime(2021, month, 1, tzinfo=timezone.utc)
-    return Record(Path("roof.csv"), start, step_s, rain, **series_of)
+    return RoofRecord(Path("roof.csv"), start, step_s, rain, **series_of)
 
 
 def storms(days: int, random: np.random.Generator) -> np.ndarray:
@@ -76,7 +76,7 @@ def record_rows(
     least, greatest = middle - 5, middle + 5
     seconds = (np.datetime64(start, "s") + STEP_S * np.arange(len(rain))).astype(np.int64)
     day = np.arange(len(rain)) // DAY
-    reference = over_the_day(
+    reference = spread_over_day(
         hargreaves(site.latitude, dates, least, greatest), site.latitude, seconds, day, STEP_S,
         site.longitude - 15 * site.utc_offset,
     )
@@ -86,7 +86,7 @@ def record_rows(
     pair = np.arange(len(rain)) % (4 * DAY) // 2
     command = np.where(pumping & ((pair == 40) | (pair == 60)), 0.25, 0.0)
     level, cistern, runoff = [], [], []
-    for step, (fell, asked_mm) in enumerate(zip(rain.tolist(), reference.tolist(), strict=True)):
+    for step, (fell, wanted_mm) in enumerate(zip(rain.tolist(), reference.tolist(), strict=True)):
         plant, ticks = (wet, round(STEP_S / _TICK_S)) if fell > 0 or command[step] > 0 else (dry, 1)
         plant.x1, plant.x2, plant.layer, drained = x1, x2, layer, 0.0
         cistern.append(plant.levels()[0])
@@ -95,7 +95,7 @@ def record_rows(
             command[step] = 0.0
         for _ in range(ticks):
             flows = plant.flows(
-                fell / 1000 / STEP_S, asked_mm * site.crop_coefficient * site.a2 / 1000 / STEP_S,
+                fell / 1000 / STEP_S, wanted_mm * site.crop_coefficient * site.a2 / 1000 / STEP_S,
                 float(command[step]) * maximum_pump_flow(site, plant.x1),
             )
             drained += flows.drainage * STEP_S / ticks
@@ -146,7 +146,7 @@ def write(rows: list[list[str]], file: Path) -> Path:
     return file
 
 
-def record_of(rows: list[list[str]], hours: int = 0) -> Record:
+def record_of(rows: list[list[str]], hours: int = 0) -> RoofRecord:
     """Return the record in rows; with hours, its sums over this many hours."""
     with TemporaryDirectory() as directory:
         file = write(summed(rows, hours) if hours else rows, Path(directory) / "twin.csv")

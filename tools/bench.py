@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import paths  # noqa: F401
-from graphs import environment, own_domain
+from graphs import environment, reserved_domain
 from markdown_tables import head, row
 from places import CONFIG
 
@@ -268,7 +268,7 @@ MEASURED = {
 def main() -> None:
     """Measure in rounds and print the table of doc/reference/performance.md."""
     rows: dict[str, list[float]] = {key: [] for key in MEASURED}
-    with own_domain() as domain:
+    with reserved_domain() as domain:
         for number in range(ROUNDS):
             load = os.getloadavg()[0]  # of the minute before
             recorded = measure_graph(domain)

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import signal
+import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from greenroof_ros.bringup.watchdog import Watchdog
 from greenroof_ros.common.command_line import EXIT_FAILED, exit_code
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import Signals
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.graph.messages import LockstepError
+from greenroof_ros.graph.messages import LockstepError, describe
 from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.spin import end_nodes, ros, spin
+from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.graph.states import RECORDER
 from greenroof_ros.nodes.controller import ControllerNode
 from greenroof_ros.nodes.plant import PlantNode
@@ -27,6 +28,9 @@ from greenroof_ros.nodes.weather import WeatherNode
 if TYPE_CHECKING:
     from greenroof_ros.live.in_the_loop import DriveInLoop
 
+# How long messages of a node that is not composed are still received after the last tick (s): one
+# that publishes twice a tick can be found only then.
+_EXTRA_S = 0.5
 # How often the progress is shown: each of this many checks of the wall clock.
 _SHOWN_EVERY = 4
 
@@ -34,7 +38,7 @@ _SHOWN_EVERY = 4
 class Composition:
     """Plant, weather, controller and recorder of one run, as nodes of this process.
 
-    Used in a ``with`` statement; whatever ends the run, the bag is closed at its end.
+    Used in a ``with`` statement, in which :meth:`end` must be called, whatever ends the run.
 
     Attributes:
         refused: how many values the nodes refused, by topic.
@@ -43,7 +47,7 @@ class Composition:
 
     def __init__(
         self, run: Run, parameters: Sequence[Path], namespace: str, *, record: bool,
-        signals: Signals, progress: RunProgress,
+        external: bool, signals: Signals, progress: RunProgress,
     ) -> None:
         """Make no node yet.
 
@@ -52,10 +56,12 @@ class Composition:
             parameters: ROS 2 parameter files; later files override earlier ones.
             namespace: such as ``/site1``; empty for none.
             record: whether there is a recorder.
+            external: whether a node of the run is not composed here.
             signals: end the run.
             progress: shows the run.
         """
         self._run, self._record, self._signals = run, record, signals
+        self._external = external
         self._progress = progress
         # rcl's own log files would grow in the user's home.
         self._arguments = [
@@ -66,8 +72,8 @@ class Composition:
         if namespace:
             self._arguments += ["-r", f"__ns:={namespace}"]
         self._nodes: dict[str, SimulationNode] = {}
-        self._failure: str | None = None
         self._checks = 0
+        self._finished_at = time.monotonic()
         self._ends = ExitStack()
 
     def __enter__(self) -> Composition:
@@ -75,11 +81,21 @@ class Composition:
         self._ends.enter_context(ros(self._arguments))
         return self
 
-    def __exit__(self, kind: object, error: BaseException | None, *_: object) -> None:
-        """End the nodes, and shut ROS down."""
+    def __exit__(self, *_: object) -> None:
+        """Let the nodes leave the graph, and shut ROS down; the process must end soon."""
         with self._ends:
-            end_nodes(list(self._nodes.values()), None if error is None else str(error))
-        signal.alarm(0)  # the summary is not written yet
+            destroy_nodes(list(self._nodes.values()))
+
+    def end(self, failure: str | None) -> str | None:
+        """End the nodes, and close the bag.
+
+        Args:
+            failure: why the run has failed; None if it has not.
+
+        Returns:
+            The first error, also one of the end; None if there was none.
+        """
+        return end_nodes(list(self._nodes.values()), failure)
 
     def spin(self, drive: DriveInLoop | None) -> None:
         """Make the nodes, and run them to the end of the run.
@@ -88,7 +104,7 @@ class Composition:
             drive: a drive in the loop instead of the simulated pump; None for none.
 
         Raises:
-            InterruptedRun: a signal came.
+            InterruptedRun: a signal was received.
             LockstepError: the graph cannot go on.
             ConfigurationError: a parameter is wrong.
             NodeFailed: the pump node ended or hangs.
@@ -98,21 +114,32 @@ class Composition:
             if drive is not None:
                 ends.enter_context(drive)
             run = self._run
-            self._nodes["plant"] = PlantNode()
+            plant = self._nodes["plant"] = PlantNode()
             self._nodes["weather"] = WeatherNode()
             if run.controller.reference != EXTERNAL:
                 self._nodes[run.controller.name] = ControllerNode(run.controller.reference)
             if self._record:
                 self._nodes[RECORDER] = RecorderNode()
 
-            def over() -> bool:
+            watchdog = ends.enter_context(Watchdog(plant.limit))
+
+            def may_end() -> bool:
+                watchdog.report()
                 self._signals.check()
                 if drive is not None:
                     drive.check(self.tick)
                 self._show()
-                return all(node.finished for node in self._nodes.values())
+                return self._finished()
 
-            spin(list(self._nodes.values()), over)
+            spin(list(self._nodes.values()), may_end)
+
+    def _finished(self) -> bool:
+        """Whether the run is over for all nodes, and nothing more has come."""
+        now = time.monotonic()
+        if not all(node.finished for node in self._nodes.values()):
+            self._finished_at = now
+            return False
+        return now - self._finished_at >= (_EXTRA_S if self._external else 0.0)
 
     def _show(self) -> None:
         """Show the progress, and new warnings of the nodes."""
@@ -123,7 +150,7 @@ class Composition:
             self._progress.warn(node.warnings)
         plant = self._nodes["plant"]
         if not plant.acted:
-            missing = ", ".join(map(plant.call, plant.absent()))
+            missing = ", ".join(map(plant.name_of, plant.absent()))
             self._progress.waiting(f"waiting for {missing}" if missing else "starting")
             return
         shown = plant.progress()
@@ -161,21 +188,15 @@ class Composition:
     def results(self) -> dict[str, Any]:
         """The numbers of a run that is done, for its summary."""
         controller = self._nodes.get(self._run.controller.name)
-        solver = {"solver": None} if controller is None else controller.summary()
-        recorder = self._nodes[RECORDER].summary() if self._record else {"messages": None}
-        return {**self._nodes["plant"].summary(), **solver, **recorder}
+        solver = {"solver": None} if controller is None else controller.result
+        recorder = self._nodes[RECORDER].result if self._record else {"messages": None}
+        return {**self._nodes["plant"].result, **solver, **recorder}
 
     def explain(self, error: Exception) -> tuple[str, int]:
-        """Return why a run failed, in a sentence, and the exit code.
-
-        Raises:
-            Exception: the error itself, if it is none that ends a run.
-        """
+        """Return why a run failed, in a sentence, and the exit code."""
         if isinstance(error, ConfigurationError):
             return str(error), exit_code(error)
         if isinstance(error, (LockstepError, OSError)):
             return str(error), EXIT_FAILED
         code = getattr(error, "code", None)  # of a process
-        if code is None:
-            raise error
-        return str(error), code
+        return (describe(error), EXIT_FAILED) if code is None else (str(error), code)

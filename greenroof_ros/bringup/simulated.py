@@ -20,7 +20,7 @@ from greenroof_ros.common.command_line import (
     command,
 )
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.common.standard_error import LINES, say
+from greenroof_ros.common.standard_error import LINES, print_line
 from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.incidents import IncidentLog
@@ -37,7 +37,7 @@ from greenroof_ros.graph.states import PUMP, RECORDER
 from greenroof_ros.live.drive import (
     add_graph_arguments,
     chosen_drive,
-    own_parameters,
+    node_parameter_files,
     refuse,
 )
 from greenroof_ros.live.in_the_loop import PUMP_NODE, DriveInLoop, drive_parameters
@@ -105,26 +105,25 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """
     with importing_ros():
         from greenroof_ros.bringup.composition import Composition
-        from greenroof_ros.graph.spin import end_soon
     drive = chosen_drive(arguments)
     speed = arguments.speed
     if speed is None:  # real time with a drive, otherwise as fast as possible
         speed = 0.0 if drive is None else 1.0
     if drive is not None:
         drive.refuse_speed(speed, signals.check)
-    own_controller = run.controller.reference == EXTERNAL
+    is_external = run.controller.reference == EXTERNAL
     modules = {
         "plant": f"{_NODES}.plant",
         "weather": f"{_NODES}.weather",
-        **({} if own_controller else {run.controller.name: f"{_NODES}.controller"}),
+        **({} if is_external else {run.controller.name: f"{_NODES}.controller"}),
         **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
         **({} if drive is None else {PUMP: PUMP_NODE}),
     }
-    own_files = own_parameters(arguments, modules, run.controller)
+    user_files = node_parameter_files(arguments, modules, run.controller)
     with only_bringup(arguments.namespace):
         refuse_other_nodes(
             arguments.namespace,
-            {*modules, RECORDER, *([] if own_controller else controller_names())}, signals.check,
+            {*modules, RECORDER, *([] if is_external else controller_names())}, signals.check,
         )
         directory = make_run_directory(arguments.output, run.controller.name)
         of_drive = {} if drive is None else drive_parameters(
@@ -143,29 +142,32 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         summary.write(summary.build_unfinished(run, summary.RUNNING), directory)
         progress = RunProgress(run.steps, run.site.tau, LINES)
         graph = Composition(
-            run, [parameters, *own_files], arguments.namespace, record=not arguments.no_record,
-            signals=signals, progress=progress,
+            run, [parameters, *user_files], arguments.namespace, record=not arguments.no_record,
+            external=is_external or arguments.pump == EXTERNAL, signals=signals, progress=progress,
         )
         loop = DriveInLoop(
-            drive, of_drive, directory, [parameters, *own_files], arguments.namespace, signals,
+            drive, of_drive, directory, [parameters, *user_files], arguments.namespace, signals,
             progress,
         ) if drive is not None else None
         status, reason, code = summary.DONE, "", EXIT_DONE
-        try:
-            with progress, graph:
-                graph.spin(loop)
-        except InterruptedRun as error:
-            status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
-            say(reason)
-        except Exception as error:
-            status, reason, code = summary.FAILED, *graph.explain(error)
-            say(f"error: {reason}")
-        signals.ignore()
-        incidents = IncidentLog(say) if loop is None else loop.log
-        if loop is not None and loop.may_run:
-            code = EXIT_FAILED
-        _end(run, directory, graph, incidents, status, reason, as_json=arguments.json)
-        end_soon()
+        with graph:
+            try:
+                with progress:
+                    graph.spin(loop)
+            except InterruptedRun as error:
+                status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
+                print_line(reason)
+            except Exception as error:
+                status, reason, code = summary.FAILED, *graph.explain(error)
+                print_line(f"error: {reason}")
+            signals.ignore()
+            failure = reason or None
+            if graph.end(failure) != failure:  # the bag cannot be closed
+                code = EXIT_FAILED
+            incidents = IncidentLog(print_line) if loop is None else loop.log
+            if loop is not None and loop.may_run:
+                code = EXIT_FAILED
+            _end(run, directory, graph, incidents, status, reason, as_json=arguments.json)
         return code or (EXIT_FAILED if incidents.count else EXIT_DONE)
 
 
@@ -183,7 +185,7 @@ def _end(
         summary.write(result, directory)
         summary_table.show(result, directory, as_json=as_json)
         return
-    _say_what_is_in_bag(directory, count_ticks(directory / "bag"))
+    _print_bag_contents(directory, count_ticks(directory / "bag"))
     tick = graph.tick
     result = summary.build_unfinished(
         run, status, reason=reason, last_tick=tick if tick >= 0 else None, **notes
@@ -191,7 +193,7 @@ def _end(
     summary.write(result, directory)
 
 
-def _say_what_is_in_bag(directory: Path, ticks: int | None) -> None:
+def _print_bag_contents(directory: Path, ticks: int | None) -> None:
     """Print what is in the bag of an unfinished run, and how to open it.
 
     Args:
@@ -209,7 +211,7 @@ def _say_what_is_in_bag(directory: Path, ticks: int | None) -> None:
             f"{bag} was not closed; to restore its ticks and look at them:",
             f"  greenroof recover {run}", report,
         ]
-    say("\n".join(lines))
+    print_line("\n".join(lines))
 
 
 @command

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.watch.beside import watcher
+from greenroof_ros.watch.page_process import watcher
 
 
 def bring_up(

@@ -1,1 +1,1 @@
-"""One module for each command of ``greenroof``; ``bringup`` has ``greenroof run``."""
+"""One module for each command of ``greenroof``; ``run`` and ``live`` are in ``bringup``."""

@@ -15,7 +15,7 @@ from rich.table import Table
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, within
 from greenroof_ros.experiment.clairvoyant import _BLOCK_S, Bound, NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
-from greenroof_ros.experiment.plan import CarriedOut, recursion_plan
+from greenroof_ros.experiment.plan import PlanResult, recursion_plan
 from greenroof_ros.experiment.run import Run, count_ticks
 from greenroof_ros.experiment.summary import setting
 from greenroof_ros.experiment.summary_table import grid, print_notes, setting_rows
@@ -38,7 +38,7 @@ def _note_if_slow(note: str) -> Iterator[None]:
 
 
 def _result(
-    run: Run, max_command: float, bound: Bound, recursion: CarriedOut
+    run: Run, max_command: float, bound: Bound, recursion: PlanResult
 ) -> dict[str, Any]:
     """Return the object that ``--json`` prints."""
     attained = min(bound.plan_m3, recursion.total_m3)

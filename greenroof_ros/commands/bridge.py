@@ -13,10 +13,10 @@ from greenroof_ros.common.mqtt import parse_broker
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.bridge import Bridge
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 
 # As for the page (nice): about a tenth of a core if other processes want all of it.
-_GIVE_WAY = 10
+_NICENESS = 10
 
 _DESCRIPTION = """\
 Publish on MQTT what the page of 'greenroof watch' shows: levels, pump, rain, frost, what the
@@ -69,8 +69,9 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="namespace of the graph, as passed to bringup; also the site's name on MQTT (roof "
-        "without a namespace). Two sites on one broker need different ones (default: none)",
+        help="namespace of the graph, as given to greenroof run or live; also the site's name on "
+        "MQTT (roof without a namespace). Two sites on one broker need different ones (default: "
+        "none)",
     )
     return parser
 
@@ -85,10 +86,10 @@ def main() -> int:
             value=arguments.prefix,
         )
     broker = parse_broker(arguments.broker, "--broker", arguments.login, arguments.authority)
-    os.nice(_GIVE_WAY)
+    os.nice(_NICENESS)
     # A script that starts this in its background has it ignore SIGINT.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    store, signals = Store(arguments.namespace), Signals()
+    store, signals = GraphStore(arguments.namespace), Signals()
     with suppress(InterruptedRun), Feed(store) as feed:
         Bridge(store, feed, broker, arguments.prefix).run(signals)
     return EXIT_DONE

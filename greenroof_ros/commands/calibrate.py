@@ -26,7 +26,7 @@ from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.analysis.calibration.fit import Fit, fit, measured_roof, reachable_target
 from greenroof_ros.analysis.calibration.pumps import fit_pumps
 from greenroof_ros.analysis.calibration.record import (
-    Record,
+    RoofRecord,
     Steps,
     comparable,
     halve,
@@ -34,7 +34,7 @@ from greenroof_ros.analysis.calibration.record import (
     month_numbers,
     time_name,
 )
-from greenroof_ros.analysis.calibration.scores import Scores, score
+from greenroof_ros.analysis.calibration.scores import FitScores, score
 from greenroof_ros.analysis.calibration.site_file import (
     CROP_NOTE,
     INTERVAL_NOTE,
@@ -56,7 +56,7 @@ _LIMITS = ("m3/s", 0.0, 0.5), ("m", 0.0, 500.0)
 _HEADER = "flow [m3/s]", "head [m]"
 _DESCRIPTION = """\
 Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
-drainage time and crop coefficient, as far as the record can tell them. The first half of its rain
+drainage time and crop coefficient, as far as the record determines them. The first half of its rain
 is fitted, the second judges the fit. If the record has the pumps' state and the cistern's level,
 the pump curve is fitted first, to how fast the cistern falls.
 """
@@ -222,7 +222,7 @@ def _calibrate(
     months: str | None = arguments.months
     zone = None if arguments.time_zone is None else _zone(arguments.time_zone)
 
-    def read(site: Site) -> Record:
+    def read(site: Site) -> RoofRecord:
         if measured.is_dir() or measured.suffix.lower() == ".mcap":
             return read_bag_record(measured, site)
         return read_csv_record(measured, site, months, zone)
@@ -244,8 +244,8 @@ def _calibrate(
     doubts = accept([*pumps.findings, *check_record(counted, site)], arguments.accept, measured)
     halves = halve(record, comparable(record) & counts)
     _refuse_dry(record, **halves)
-    with progress_bar() as tell:
-        fitted = fit(site, record, halves["fit"], tell)
+    with progress_bar() as update_progress:
+        fitted = fit(site, record, halves["fit"], update_progress)
     fitted = fitted._replace(
         site=reachable_target(fitted.site), parameters=[*fitted.parameters, *pumps.parameters]
     )
@@ -274,7 +274,7 @@ def _calibrate(
     return text, page
 
 
-def _refuse_dry(record: Record, fit: Steps, validation: Steps) -> None:
+def _refuse_dry(record: RoofRecord, fit: Steps, validation: Steps) -> None:
     """Refuse a record if there is nothing to fit, or no step after it."""
     if not fit.any() or all(np.ptp(values[fit]) == 0 for values in record.measured.values()):
         raise ConfigurationError(
@@ -288,13 +288,13 @@ def _refuse_dry(record: Record, fit: Steps, validation: Steps) -> None:
         )
 
 
-def _span(record: Record, steps: Steps) -> str:
+def _span(record: RoofRecord, steps: Steps) -> str:
     first, last = np.flatnonzero(steps)[[0, -1]]
     return " to ".join(record.time(int(step))[:16] for step in (first, last))
 
 
 def _heading(
-    measured: Path, spans: Mapping[str, str], rows: Collection[Scores],
+    measured: Path, spans: Mapping[str, str], rows: Collection[FitScores],
     findings: Sequence[Finding],
 ) -> list[str]:
     """Return the heading of the site file."""
@@ -304,7 +304,7 @@ def _heading(
     ]
     for row in rows:
         nse = ", ".join(
-            f"{value:.2f} ({time_name(over_s)})" for over_s, value in row.nse.items()
+            f"{value:.2f} ({time_name(span_s)})" for span_s, value in row.nse.items()
         )
         volume = f"; volume {_volume(row)}" if row.quantity == "runoff" else ""
         lines.append(f"{row.quantity}, {row.part}: NSE {nse}{volume}.")
@@ -312,11 +312,11 @@ def _heading(
     return [line for text in lines for line in textwrap.wrap(text, 98)]
 
 
-def _volume(row: Scores) -> str:
+def _volume(row: FitScores) -> str:
     return f"{100 * row.volume_error:+.1f} %" if row.quantity == "runoff" else ""
 
 
-def _print_fit(fitted: Fit, rows: Sequence[Scores]) -> None:
+def _print_fit(fitted: Fit, rows: Sequence[FitScores]) -> None:
     """Print parameters and scores."""
     table = Table(
         "parameter", "value", "95 % interval", "", title="Parameters", title_justify="left"
@@ -324,7 +324,7 @@ def _print_fit(fitted: Fit, rows: Sequence[Scores]) -> None:
     for parameter in fitted.parameters:
         table.add_row(
             parameter.name, f"{parameter.value:.4g}", parameter.interval or "not fitted",
-            parameter.words,
+            parameter.reason,
         )
     times = list(rows[0].nse)
     scores = Table("of", title="Scores", title_justify="left")

@@ -5,7 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Finding, Parser, command, print_findings, within
+from greenroof_ros.common.command_line import (
+    CheckResult,
+    Parser,
+    command,
+    print_check_results,
+    within,
+)
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import controller_names, find_controller
@@ -23,14 +29,14 @@ _NODE = (
     "With --node, check a running node, in any language, that 'greenroof run --controller "
     "external' can use. It must keep four rules: (1) every topic reliable, transient local, keep "
     "last 64, and its publisher with a liveliness lease of 1 s; (2) exactly one message on "
-    "/pump/command for each tick, when all its inputs of the tick have come; (3) an answer to "
+    "/pump/command for each tick, when all its inputs of the tick have arrived; (3) an answer to "
     "every tick, finite and not negative, 0 in frost and when a level or frost is not finite; "
     "(4) it ends when /clock has no publisher any more. The check plays plant and weather itself, "
     "so start no run; it ends the node."
 )
 
 
-def _options(reference: str) -> Finding:
+def _options(reference: str) -> CheckResult:
     """Check that no parameter has the name of an option of the commands."""
     parser = Parser()
     problem = ""
@@ -39,7 +45,7 @@ def _options(reference: str) -> Finding:
         add_output_arguments(parser)
     except argparse.ArgumentError as error:
         problem = f"{error}; rename the parameter"
-    return Finding("its parameters have names that no option of the commands has", problem)
+    return CheckResult("its parameters have names that no option of the commands has", problem)
 
 
 def make_parser() -> Parser:
@@ -91,14 +97,14 @@ def main() -> int:
     if arguments.node is not None:
         with importing_ros():
             from greenroof_ros.commands.checks.controller import check_controller_node
-        findings = check_controller_node(
+        results = check_controller_node(
             arguments.node, site, horizon=arguments.horizon, answer=arguments.answer_within,
             arrival=arguments.wait,
         )
-        return print_findings(f"controller node {arguments.node}", findings)
+        return print_check_results(f"controller node {arguments.node}", results)
     choice = find_controller(arguments.controller)
-    findings = [*check_controller(choice, site), _options(arguments.controller)]
-    return print_findings(f"{choice.name}, {choice.path}", findings)
+    results = [*check_controller(choice, site), _options(arguments.controller)]
+    return print_check_results(f"{choice.name}, {choice.path}", results)
 
 
 if __name__ == "__main__":

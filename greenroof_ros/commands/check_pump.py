@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, command, print_findings, within
+from greenroof_ros.common.command_line import Parser, command, print_check_results, within
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.model.site import read_site
@@ -13,7 +13,7 @@ _INVENTED = (
     "THE PUMP WILL RUN. The levels and weather that the check sends are invented: it would let the "
     "pump run a cistern dry, or pump into a frozen pipe. With a real pump, make sure yourself that "
     "there is water in the cistern, room on the roof and no frost, and set --period to the site's "
-    "tau (1): at 0.1 the least times on and off pass ten times as fast for the motor, which is "
+    "tau (1): at 0.1 the minimum on and off times pass ten times as fast for the motor, which is "
     "started nine times."
 )
 _SUBJECT = (
@@ -21,7 +21,7 @@ _SUBJECT = (
     "interface, using topics only: off at start, one flow for each command, refused values, "
     "watchdog, a second publisher, frost, unknown levels and frost, a cistern at the suction "
     "level, and that it runs again after each. The check plays plant, weather and controller "
-    "itself, so start no bringup. With a --period of less than tau this package's pump node "
+    "itself, so start no run. With a --period of less than tau this package's pump node "
     "refuses any drive but the drive simulator; the pump node ends with the check, as it does "
     "with the plant of a run."
 )
@@ -30,7 +30,7 @@ _LIMIT = (
     "is really at rest, so watch the pump. The check plays lockstep, one flow for each command, "
     "not a live graph, in which a driver must also stop for an input that falls silent."
 )
-# Options in seconds: option, field of `Limits`, least value, default and meaning.
+# Options in seconds: option, field of `DriverLimits`, least value, default and meaning.
 _TIMES = (
     (
         "--period", "period", 0.001, 0.1, "least time between two commands; each is a tick of the "
@@ -85,12 +85,12 @@ def main() -> int:
     """Check the driver named on the command line."""
     arguments = make_parser().parse_args()
     with importing_ros():
-        from greenroof_ros.commands.checks.pump_driver import Limits, check_pump
+        from greenroof_ros.commands.checks.pump_driver import DriverLimits, check_pump
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     times = {limit: getattr(arguments, limit) for _, limit, *_ in _TIMES}
-    limits = Limits(command=arguments.command, **times)
-    findings = check_pump(arguments.node, site, limits)
-    code = print_findings(f"pump driver {arguments.node}", findings)
+    limits = DriverLimits(command=arguments.command, **times)
+    results = check_pump(arguments.node, site, limits)
+    code = print_check_results(f"pump driver {arguments.node}", results)
     print(_LIMIT)
     return code
 

@@ -1,4 +1,4 @@
-"""Deliver a volume once: ``greenroof dose``."""
+"""Deliver a given volume now: ``greenroof dose``."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from greenroof_ros.common.command_line import (
     within,
 )
 from greenroof_ros.graph.domain import importing_ros
-from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
 from greenroof_ros.watch import wire
+from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
 
 _PATIENCE_S = 20.0
 # If the pump node is silent for longer than this (s), the fate of the dose is unknown.
 _SILENT_S = 5.0
-_LOOK_S = 0.1
+_POLL_S = 0.1
 
 
 def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(
         prog="greenroof dose",
-        description="Deliver a volume once, now, regardless of the controller's command, if the "
+        description="Deliver a given volume now, regardless of the controller's command, if the "
         "site file allows it (greatest_dose) and no interlock is active, but never above the "
         "roof's target. An interlock ends a dose for good; a dose that cannot begin within a "
         "minute ends, too. Ctrl-C ends this command but not the dose: to end that, stop the pump.",
@@ -51,53 +51,53 @@ class _Progress:
 
     Attributes:
         dose: its last report; None before the first.
-        heard: time of the node's last message (steady clock, s).
-        begun: time when the dose was accepted (steady clock, s).
+        last_message: time of the node's last message (steady clock, s).
+        accepted: time when the dose was accepted (steady clock, s).
         lost: whether the node no longer knows the dose, because it was restarted.
     """
 
-    def __init__(self, pump: str, asked_at: float) -> None:
+    def __init__(self, pump: str, requested_at: float) -> None:
         self.dose: dict[str, Any] | None = None
-        self.heard, self.begun, self.lost = time.monotonic(), math.inf, False
-        self._pump, self._asked_at = pump, asked_at
+        self.last_message, self.accepted, self.lost = time.monotonic(), math.inf, False
+        self._pump, self._requested_at = pump, requested_at
 
-    def take(self, name: str, message: bytes, *_: Any) -> None:
+    def receive(self, name: str, message: bytes, *_: Any) -> None:
         """Handle a message of the graph."""
         if name != DIAGNOSTICS or (statuses := wire.statuses(message)) is None:
             return
         for status in statuses[1]:
             if status.name == self._pump:
                 dose = json.loads(status.values.get("dose", "null"))
-                self.heard = time.monotonic()
-                if dose is not None and dose["id"] == self._asked_at:
+                self.last_message = time.monotonic()
+                if dose is not None and dose["id"] == self._requested_at:
                     self.dose = dose
-                elif self.dose is not None or self.heard > self.begun + _SILENT_S:
+                elif self.dose is not None or self.last_message > self.accepted + _SILENT_S:
                     self.lost = True
 
 
 @command
 def main() -> int:
-    """Ask for a dose, and print its progress until it ends."""
+    """Request a dose, and print its progress until it ends."""
     arguments = make_parser().parse_args()
     pump = f"{arguments.namespace}/pump"
     with importing_ros():
-        asked_at, shown = time.time(), ""
-        progress = _Progress(pump, asked_at)
-        with closing(Looker(arguments.namespace, progress.take)) as looker:
-            looker.prepare_stop(pump)
+        requested_at, shown = time.time(), ""
+        progress = _Progress(pump, requested_at)
+        with closing(GraphClient(arguments.namespace, progress.receive)) as client:
+            client.connect_pump(pump)
             try:
-                looker.give_dose(arguments.volume, asked_at, _PATIENCE_S)
-            except StopFailedError as failure:
+                client.request_dose(arguments.volume, requested_at, _PATIENCE_S)
+            except PumpRequestError as failure:
                 print(f"error: {failure}", file=sys.stderr)
                 return EXIT_FAILED
-            progress.heard = progress.begun = time.monotonic()
-            print(f"dose {asked_at:.6f} of {arguments.volume:g} m3 is accepted", flush=True)
+            progress.last_message = progress.accepted = time.monotonic()
+            print(f"dose {requested_at:.6f} of {arguments.volume:g} m3 is accepted", flush=True)
             while progress.dose is None or not progress.dose["over"]:
-                looker.look(_LOOK_S)
+                client.receive(_POLL_S)
                 if progress.lost:
                     print(f"{pump} was restarted, which ended the dose", flush=True)
                     return EXIT_FAILED
-                if time.monotonic() - progress.heard > _SILENT_S:
+                if time.monotonic() - progress.last_message > _SILENT_S:
                     print(f"{pump} is no longer heard: it is not known whether the dose continues")
                     return EXIT_FAILED
                 if progress.dose is not None and progress.dose["said"] != shown:

@@ -54,7 +54,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--keep", type=Path, metavar="DIR",
-        help="directory that keeps each new forecast, and of all the newest 2 GB; verify, and "
+        help="directory that keeps each new forecast, 2 GB at most; verify, and "
         "--forecast of simulate, read it",
     )
     parser.add_argument(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from greenroof_ros.commands.pump_request import request_of_pump
 from greenroof_ros.common.command_line import (
     Parser,
     add_namespace,
@@ -12,7 +13,6 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_time, to_people
-from greenroof_ros.graph.pump_request import request_of_pump
 
 # Hours of the longest hold with an end: ten years.
 _MOST_H = 87_600
@@ -74,7 +74,7 @@ def main() -> int:
     until = None if arguments.until is None else _read_until(arguments.until)
     if arguments.hours is not None:
         until = time.time() + arguments.hours * 3600
-    return request_of_pump(arguments.namespace, lambda looker, timeout_s: looker.hold_pump(
+    return request_of_pump(arguments.namespace, lambda client, timeout_s: client.hold_pump(
         "the command line", arguments.reason, until, timeout_s,
     ))
 

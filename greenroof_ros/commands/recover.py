@@ -1,4 +1,4 @@
-"""Repair a damaged bag, or one whose recorder was killed: ``greenroof recover DIR``."""
+"""Repair a damaged bag, or the bag of a run that was killed: ``greenroof recover DIR``."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from greenroof_ros.recording.whole_records import (
     FileBytes,
     is_intact,
     read_contents,
-    whole_messages,
+    read_whole_messages,
 )
 
 # The times of the last message before a loss and of the first behind it (ns), if there are any.
@@ -220,7 +220,7 @@ def _rewrite(
     damaged = False
     with copy.open("xb") as stream:
         writer = McapWriter(stream)
-        for time, together in _groups(whole_messages(data, contents)):
+        for time, together in _groups(read_whole_messages(data, contents)):
             if time is None or len(together) < per_tick:
                 damaged = True
                 continue
@@ -302,7 +302,7 @@ def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(
         prog="greenroof recover",
-        description="Repair a damaged bag, or one whose recorder was killed or ran out of disk: "
+        description="Repair a damaged bag, or the bag of a run that was killed or ran out of disk: "
         "every complete tick, or every message of a live site, goes into a new bag next to the old "
         "one, which stays unchanged. A report of the run then uses the new one.",
         epilog="exit codes: 0 the new bag has all that was recorded, 1 some of it was lost, as the "

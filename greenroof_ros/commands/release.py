@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from greenroof_ros.commands.pump_request import request_of_pump
 from greenroof_ros.common.command_line import Parser, add_namespace, command
-from greenroof_ros.graph.looker import Looker
-from greenroof_ros.graph.pump_request import request_of_pump
+from greenroof_ros.watch.graph_client import GraphClient
 
 
 def make_parser() -> Parser:
@@ -23,7 +23,7 @@ def make_parser() -> Parser:
 def main() -> int:
     """Release the pump, and print what the pump node answers."""
     arguments = make_parser().parse_args()
-    return request_of_pump(arguments.namespace, Looker.release_pump)
+    return request_of_pump(arguments.namespace, GraphClient.release_pump)
 
 
 if __name__ == "__main__":

@@ -91,7 +91,7 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
 
     Args:
         directory: of the new report.
-        own: tells by its name whether a file in ``figures/`` belongs to a report.
+        own: returns by its name whether a file in ``figures/`` belongs to a report.
         force: whether an earlier report may be replaced.
 
     Raises:

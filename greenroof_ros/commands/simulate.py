@@ -48,7 +48,7 @@ def make_parser() -> Parser:
         prog="greenroof simulate",
         usage="%(prog)s [options]",
         description="Run cistern, roof, pumps and controller over real weather in one process, "
-        "without ROS. The numbers equal the node graph's (bringup), bit for bit.",
+        "without ROS. The numbers equal the node graph's (greenroof run), bit for bit.",
         epilog="examples:\n"
         "  greenroof simulate --controller lookahead --horizon 12 --trajectory run.csv\n"
         "  greenroof simulate --start 2021-07-08T05:00 --hours 6\n"

@@ -1,4 +1,4 @@
-"""Say once how a run or a site is, with an exit code for scripts: ``greenroof status``."""
+"""Print the present state of a run or a site, and exit with a code: ``greenroof status``."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from typing import Any
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, add_namespace, command
 from greenroof_ros.watch.document import document
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import SPACE, UNKNOWN
 
 WARNING, ALARM, NOTHING = 1, 2, 3
 _STATES = {EXIT_DONE: "well", WARNING: "warning", ALARM: "alarm", NOTHING: "nothing running"}
 
-# How long it listens at least, once it hears a node, and how long in all (s). Each node reports
-# four times a second, but the middleware may take seconds to find it.
+# How long it subscribes at least, once it has found a node, and how long in all (s). Each node
+# reports four times a second, but the middleware may take seconds to find it.
 _SETTLED_S, _LONGEST_S = 2.0, 5.0
-_LOOK_S = 0.1
+_POLL_S = 0.1
 _MOST_LINES = 15
 _TILES = "roof", "cistern", "pump", "rain", "controller"
 _LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not heard"}
 
 _DESCRIPTION = """\
-Say once how the run or the site in this ROS domain is: levels, pump, rain and forecast, controller
-and alarms, in at most 15 lines, with the words of the page of 'greenroof watch'. It only listens,
-for 2 s once it hears a node, and for 5 s if values are missing or nothing runs: each node reports
-four times a second, but may be found late.
+Print the present state of the run or the site in this ROS domain: levels, pump, rain and forecast,
+controller and alarms, in at most 15 lines, in the words of the page of 'greenroof watch'. It only
+subscribes: for 2 s once it has found a node, and for 5 s if values are missing or nothing runs.
+Each node reports four times a second, but discovery may take seconds.
 """
 _EPILOG = """\
 examples:
@@ -60,9 +60,9 @@ def make_parser() -> Parser:
 def main() -> int:
     """Print the status, and return how serious it is."""
     arguments = make_parser().parse_args()
-    store = Store(arguments.namespace)
+    store = GraphStore(arguments.namespace)
     with Feed(store, recording=False):
-        shown = _listen(store)
+        shown = _read_status(store)
         code = _judge(shown)
         values = _values(store, shown, code)
     if arguments.json:
@@ -73,16 +73,16 @@ def main() -> int:
     return code
 
 
-def _listen(store: Store) -> dict[str, Any]:
+def _read_status(store: GraphStore) -> dict[str, Any]:
     """Return the document when everything is known, or after the longest time."""
-    began, heard = time.monotonic(), None
+    began, first = time.monotonic(), None
     while True:
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_S)
         now = time.monotonic()
         shown = document(store, now)
-        if shown["mode"] != "none" and heard is None:
-            heard = now
-        settled = heard is not None and now - heard >= _SETTLED_S and not _unknown(shown)
+        if shown["mode"] != "none" and first is None:
+            first = now
+        settled = first is not None and now - first >= _SETTLED_S and not _unknown(shown)
         if settled or now - began >= _LONGEST_S:
             return shown
 
@@ -116,11 +116,11 @@ def _lines(shown: Mapping[str, Any], code: int) -> list[str]:
     """Return the status in words; a single line if nothing runs."""
     tiles = shown["tiles"]
     summary = tiles["summary"]
-    said = f"{summary['word']} {summary['sentence']}"
+    summary_line = f"{summary['word']} {summary['sentence']}"
     if code == NOTHING:
-        return [f"{said} {shown['advice']}"]
+        return [f"{summary_line} {shown['advice']}"]
     where = filter(None, (shown["heading"], shown["namespace"], shown["time"]["text"]))
-    lines = [said, f"What to do: {shown['advice']}", "; ".join(where)]
+    lines = [summary_line, f"What to do: {shown['advice']}", "; ".join(where)]
     for name in _TILES:
         tile = tiles[name]
         why = tile.get("why", "")
@@ -144,12 +144,13 @@ def _alarm(row: Mapping[str, Any]) -> str:
     return f"{_LEVELS[row['level']]}: {row['id']}: {row['what']}{follows}"
 
 
-def _values(store: Store, shown: Mapping[str, Any], code: int) -> dict[str, Any]:
+def _values(store: GraphStore, shown: Mapping[str, Any], code: int) -> dict[str, Any]:
     """Return the status as data; None is *unknown*."""
     tiles, now = shown["tiles"], shown["time"]["now"]
     controller = tiles["controller"]["value"]
     with store.lock:
-        forecast, factor, command = store.forecast, store.factor, store.known("/pump/command")
+        forecast, factor = store.forecast, store.factor
+        command = store.present_value("/pump/command")
     amount = None if forecast is None or now is None else forecast.amount(now)
     return {
         "status": _STATES[code],

@@ -15,7 +15,7 @@ from rich.table import Column, Table
 
 from greenroof_ros.analysis.study.case_run import bound_case, run_case
 from greenroof_ros.analysis.study.grid import Case, contents, read_grid
-from greenroof_ros.analysis.study.store import Store
+from greenroof_ros.analysis.study.store import StudyStore
 from greenroof_ros.analysis.study.workers import Workers, processes
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
@@ -86,13 +86,13 @@ def make_parser() -> Parser:
         help="hand the runs to a Dask cluster, such as tcp://10.0.0.1:8786, instead of processes "
         "of this machine; its workers need greenroof_ros[dask,study]",
     )
-    kept = parser.add_mutually_exclusive_group()
-    kept.add_argument(
+    trajectories = parser.add_mutually_exclusive_group()
+    trajectories.add_argument(
         "--trajectory-every", type=within(0, 1e9), default=0.0, metavar="S",
         help="keep a sample of each run every S seconds, in whole ticks: half a year in ticks of a "
         "second takes a gigabyte of memory (default: every tick)",
     )
-    kept.add_argument(
+    trajectories.add_argument(
         "--no-trajectories", action="store_true",
         help="keep only the table, for thousands of runs; a report then has no figures of weather, "
         "commands and volumes",
@@ -119,7 +119,7 @@ def main() -> int:
         grid = shipped
     cases = read_grid(grid, arguments.weather)
     every = None if arguments.no_trajectories else arguments.trajectory_every
-    store = Store(
+    store = StudyStore(
         arguments.output or Path("studies") / grid.stem, grid, cases, trajectory_every=every
     )
     open_cases = [case for case in cases if case.identity not in store.outcomes]
@@ -160,7 +160,7 @@ def main() -> int:
 
 
 def _run(
-    store: Store, cases: Sequence[Case], unbounded: Sequence[Case], workers: Workers,
+    store: StudyStore, cases: Sequence[Case], unbounded: Sequence[Case], workers: Workers,
     signals: Signals,
 ) -> None:
     """Run some cases and compute bounds for others; store each result when it arrives."""
@@ -178,9 +178,9 @@ def _run(
     for case in ordered:
         pending[workers.submit(run_case, case, store.trajectory_every)] = case, True
     tasks, runs = len(pending), 0
-    with progress_bar() as tell:
+    with progress_bar() as update_progress:
         while pending:
-            tell(f"{runs} of {len(ordered)} runs", 1 - len(pending) / tasks)
+            update_progress(f"{runs} of {len(ordered)} runs", 1 - len(pending) / tasks)
             workers.check()
             done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
             broken: Exception | None = None
@@ -197,7 +197,7 @@ def _run(
                         what, store.failures[case.identity] = "failed", reason
                     print(f"{what}: {names.name(case)}: {reason}", file=sys.stderr)
                 else:
-                    (store.keep if is_run else store.keep_bound)(case, result)
+                    (store.write_outcome if is_run else store.write_bound)(case, result)
                 runs += is_run
             if broken is not None:
                 raise broken

@@ -222,11 +222,11 @@ def _csv_text(tallies: Mapping[Class, Tally]) -> str:
 def _bar(total: int) -> Iterator[Callable[[int], None]]:
     """Show a progress bar; yield a function that is called with the number of issues just done."""
     done = 0
-    with progress_bar() as tell:
+    with progress_bar() as update_progress:
         def advance(more: int) -> None:
             nonlocal done
             done += more
-            tell(f"verifying: {done} of {total} issues", done / total)
+            update_progress(f"verifying: {done} of {total} issues", done / total)
 
         yield advance
 

@@ -13,10 +13,10 @@ from greenroof_ros.common.errors import ConfigurationError, with_extra
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback, new_token, read_token
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 
 # Niceness: a watcher must not slow down others; on a busy core it gets a tenth of the time.
-_GIVE_WAY = 10
+_NICENESS = 10
 
 _DESCRIPTION = """\
 Show what the roof does, on a page in a browser: levels, pump, rain, what the controller intends,
@@ -104,7 +104,7 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
         )
 
 
-def _say_address(url: str, host: str, port: int | None, *, release: bool) -> None:
+def _print_address(url: str, host: str, port: int | None, *, release: bool) -> None:
     """Print the page's address, and what other people may do with it."""
     if port is None and f":{PORTS[0]}/" not in url:
         print(f"port {PORTS[0]} is in use, perhaps by another watcher", file=sys.stderr)
@@ -126,8 +126,8 @@ def main() -> int:
     """Watch until asked to end."""
     arguments = make_parser().parse_args()
     _refuse_wrong(arguments)
-    os.nice(_GIVE_WAY)
-    store = Store(arguments.namespace)
+    os.nice(_NICENESS)
+    store = GraphStore(arguments.namespace)
     store.allow_release = arguments.allow_release
     try:
         from greenroof_ros.watch.server import serve
@@ -146,7 +146,7 @@ def main() -> int:
     ):
         serve(
             store, feed, host=host, port=port, token=token, signals=signals,
-            on_ready=lambda url: _say_address(url, host, port, release=store.allow_release),
+            on_ready=lambda url: _print_address(url, host, port, release=store.allow_release),
         )
     return EXIT_DONE
 

@@ -162,7 +162,10 @@ def command(
             parts = (error.filename2 or error.filename, error.strerror or str(error))
             print("error:", ": ".join(filter(None, parts)), file=sys.stderr)
             code = failed or EXIT_FAILED
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, ImportError) as error:
+            # While a compiled module is imported, Ctrl-C becomes an ImportError.
+            if not isinstance(error.__cause__ or error, KeyboardInterrupt):
+                raise
             print("interrupted", file=sys.stderr)
             code = EXIT_INTERRUPTED
         finally:
@@ -264,39 +267,39 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
     """Add the option that names the graph of a command which joins one."""
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="namespace of the graph, as passed to bringup (default: none)",
+        help="namespace of the graph, as given to greenroof run or live (default: none)",
     )
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """The result of one check.
 
     Attributes:
         check: what the part must do.
         problem: what it does instead; empty if the check passed.
-        came: the result, if the check passed and the result is worth showing.
+        result: of the check, if it passed and this is worth showing.
     """
 
     check: str
     problem: str
-    came: str = ""
+    result: str = ""
 
 
-def print_findings(title: str, findings: Sequence[Finding]) -> int:
-    """Print findings as a table; return exit code 0 if every check passed, otherwise 1."""
+def print_check_results(title: str, results: Sequence[CheckResult]) -> int:
+    """Print results as a table; return exit code 0 if every check passed, otherwise 1."""
     from rich.console import Console  # most commands print none
     from rich.table import Table
 
     table = Table(title=title, title_justify="left")
     for name in ("check", "result"):
         table.add_column(name)
-    for finding in findings:
-        passed = f"passed: {finding.came}" if finding.came else "passed"
-        table.add_row(finding.check, finding.problem or passed)
+    for result in results:
+        passed = f"passed: {result.result}" if result.result else "passed"
+        table.add_row(result.check, result.problem or passed)
     Console().print(table)
-    failed = [finding for finding in findings if finding.problem]
-    print(f"{len(findings) - len(failed)} of {len(findings)} checks passed")
+    failed = [result for result in results if result.problem]
+    print(f"{len(results) - len(failed)} of {len(results)} checks passed")
     return EXIT_FAILED if failed else EXIT_DONE
 
 

@@ -69,7 +69,7 @@ class Condition:
     interlock: Interlock | None = None
 
     @property
-    def needs_a_hand(self) -> bool:
+    def needs_operator(self) -> bool:
         """Whether the pump needs somebody at it, whatever caused the condition."""
         return self.by_hand or (self.interlock is not None and self.interlock.kind == LATCHED)
 

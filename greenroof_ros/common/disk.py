@@ -105,8 +105,8 @@ class DiskThread:
 DISK = DiskThread()
 
 
-class Newest(Generic[_T]):
-    """Writes the newest of the values it is given; a newer value replaces a value that still waits.
+class LatestWriter(Generic[_T]):
+    """Writes the newest of its values; a newer value replaces a value that still waits.
 
     Attributes:
         problem: why the last value could not be written, in words; empty if it was.
@@ -122,13 +122,13 @@ class Newest(Generic[_T]):
         self.problem = ""
         self._write, self._explain = write, explain
 
-    def give(self, value: _T) -> None:
+    def write(self, value: _T) -> None:
         """Queue a value for writing."""
         self._value = value
-        if not DISK.do(self._write_newest):
+        if not DISK.do(self._write_latest):
             self.problem = self._explain(OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)))
 
-    def _write_newest(self) -> None:
+    def _write_latest(self) -> None:
         try:
             self._write(self._value)
             self.problem = ""
@@ -139,16 +139,16 @@ class Newest(Generic[_T]):
 _CLOSE_S = 2.0
 
 
-class Kept:
+class NumberFile:
     """A file of named numbers. The disk thread writes it, since a disk may hang.
 
     The file is replaced as a whole: after a power cut it is the old one or the new one.
     """
 
     def __init__(self, file: Path) -> None:
-        """Take the file, which need not exist."""
+        """Set the file, which need not exist."""
         self._file = file
-        self._newest = Newest[dict[str, float]](
+        self._newest = LatestWriter[dict[str, float]](
             lambda values: replace_text(file, json.dumps(values, indent=1)), str
         )
 
@@ -177,7 +177,7 @@ class Kept:
 
     def write(self, values: Mapping[str, float]) -> None:
         """Queue numbers for writing."""
-        self._newest.give(dict(values))
+        self._newest.write(dict(values))
 
     def close(self) -> None:
         """Wait at most two seconds until everything is written."""

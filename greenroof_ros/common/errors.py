@@ -36,6 +36,10 @@ class ConfigurationError(Exception):
         super().__init__(f"{place}: {self.wrong}" if place else self.wrong)
 
 
+class HangError(Exception):
+    """A callback does not return; the message says for how long, and where it is."""
+
+
 class OccupiedError(ConfigurationError):
     """Another graph already runs where this one should run; commands end with exit code 3."""
 

@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Any
 
 _PR_SET_PDEATHSIG = 1
-# The environment variable that asks a child process to end with its parent: the parent's number.
+# The environment variable of a child that must end with its parent: the parent's number.
 _PARENT = "GREENROOF_ROS_PARENT"
 
 
-def asked_to_end_with_this() -> dict[str, str]:
-    """Return an environment in which a command of this package ends with the present process.
+def child_environment() -> dict[str, str]:
+    """Return the environment of a child: a command of this package that ends with this process.
 
     The child itself arranges that when it starts: Python code between fork and exec
     (``preexec_fn``) can deadlock if the parent has threads.
@@ -35,7 +35,7 @@ def asked_to_end_with_this() -> dict[str, str]:
 
 
 def end_with_parent() -> None:
-    """Have the kernel end this process when its parent dies, even by kill -9, if the parent asked.
+    """Have the kernel end this process when its parent dies, even by kill -9, if so requested.
 
     The signal is SIGTERM, since background processes of a shell may ignore SIGINT. If the parent
     died before this call, the process ends, too.
@@ -79,7 +79,7 @@ class LockedError(Exception):
         self.holder = holder
 
 
-def take_name(name: str) -> socket.socket:
+def acquire_name_lock(name: str) -> socket.socket:
     """Return a lock on a name, for all users of this machine; it is held until it is closed.
 
     The lock is a socket in Linux's abstract namespace. It has no file, which a cleaner of ``/tmp``
@@ -122,7 +122,7 @@ def _listener(address: str) -> int | None:
     return int(_CREDENTIALS.unpack(credentials)[0]) or None  # 0: in another process namespace
 
 
-def take_lock(path: Path) -> FileIO:
+def acquire_file_lock(path: Path) -> FileIO:
     """Return the open file of a lock; the lock is held until the file is closed.
 
     Args:
@@ -162,7 +162,7 @@ _SCRATCH = "greenroof_ros_scratch-"
 
 @contextlib.contextmanager
 def scratch_directory(place: str | None = None) -> Iterator[Path]:
-    """Make a directory for temporary files, and remove those that killed processes have left.
+    """Make a directory for temporary files, and remove what killed processes left.
 
     Its process has it locked. A lock, unlike a process number, also holds between containers that
     share ``/dev/shm``.
@@ -170,14 +170,14 @@ def scratch_directory(place: str | None = None) -> Iterator[Path]:
     Args:
         place: where; by default the system's directory for temporary files.
     """
-    for left in Path(place or tempfile.gettempdir()).glob(f"{_SCRATCH}*"):
-        with contextlib.suppress(OSError), _locked(left):  # another user's, or in use
-            shutil.rmtree(left)
+    for stale in Path(place or tempfile.gettempdir()).glob(f"{_SCRATCH}*"):
+        with contextlib.suppress(OSError), _locked(stale):  # another user's, or in use
+            shutil.rmtree(stale)
     with contextlib.ExitStack() as ends:
         directory, locked = Path(), False
         while not (locked and directory.exists()):
             directory, locked = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=place)), False
-            # Until it is locked, another process may take it for one that was left, and remove it.
+            # Until it is locked, another process may think it stale, and remove it.
             with contextlib.suppress(FileNotFoundError, BlockingIOError):
                 ends.enter_context(_locked(directory))
                 locked = True
@@ -208,7 +208,7 @@ class InterruptedRun(Exception):
 
 
 class Signals:
-    """Notes that a signal came; the run checks for it where it can end cleanly.
+    """Stores that a signal was received; the run checks for it where it can end cleanly.
 
     An exception from the handler could interrupt anything, even the ending of the nodes. A signal
     that was ignored stays ignored: ``nohup`` ignores the end of the terminal, and a shell ignores
@@ -216,13 +216,13 @@ class Signals:
     """
 
     def __init__(self) -> None:
-        self._came: signal.Signals | None = None
+        self._received: signal.Signals | None = None
         for number in _NUMBERS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._on_signal)
 
     def _on_signal(self, signum: int, frame: Any) -> None:
-        self._came = signal.Signals(signum)
+        self._received = signal.Signals(signum)
 
     def ignore(self) -> None:
         """Ignore further signals, which would interrupt the shutdown of the interpreter."""
@@ -230,9 +230,9 @@ class Signals:
             signal.signal(number, signal.SIG_IGN)
 
     def check(self) -> None:
-        """Raise :class:`InterruptedRun` if a signal came."""
-        if self._came is not None:
-            raise InterruptedRun(f"interrupted by {self._came.name}")
+        """Raise :class:`InterruptedRun` if a signal was received."""
+        if self._received is not None:
+            raise InterruptedRun(f"interrupted by {self._received.name}")
 
 
 def notify(*lines: str) -> None:

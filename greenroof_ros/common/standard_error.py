@@ -43,7 +43,7 @@ class Lines:
         self._lock = threading.Lock()
         self._thread = DiskThread()
 
-    def say(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Queue one or more lines for writing; return at once."""
         self.write(f"{text}\n")
 
@@ -87,28 +87,28 @@ class Lines:
 
 # The lines of this process, which are written before it ends.
 LINES = Lines(2)
-say = LINES.say
+print_line = LINES.print_line
 atexit.register(LINES.wait, _END_S)
 
 
 class ProgressLines:
     """Prints progress every ten seconds; nothing within the first ten."""
 
-    def __init__(self, say: Callable[[str], None] | None = None) -> None:
+    def __init__(self, print_line: Callable[[str], None] | None = None) -> None:
         """Start the first ten seconds.
 
         Args:
-            say: prints a line; by default on standard error.
+            print_line: prints a line; by default on standard error.
         """
-        self._say = say or _print
+        self._print_line = print_line or _print
         self._due = time.monotonic() + _EVERY_S
 
-    def tell(self, text: str) -> None:
-        """Report progress; it is printed if a line is due."""
+    def update(self, text: str) -> None:
+        """Update the progress; it is printed if a line is due."""
         now = time.monotonic()
         if now >= self._due:
             self._due = now + _EVERY_S
-            self._say(text)
+            self._print_line(text)
 
 
 def _print(text: str) -> None:
@@ -134,9 +134,9 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     ) as progress:
         task = progress.add_task("", total=1.0)
 
-        def tell(text: str, share: float) -> None:
+        def update_progress(text: str, share: float) -> None:
             progress.update(task, description=text, completed=share)
             if not console.is_interactive:
-                lines.tell(f"{text}: {share:.0%}")
+                lines.update(f"{text}: {share:.0%}")
 
-        yield tell
+        yield update_progress

@@ -58,7 +58,7 @@ class AfterForecast:
     """
 
     def __init__(self, site: Site, horizon: float, days_after: float) -> None:
-        """Take the site, how far the forecast reaches (h), and how many whole days follow."""
+        """Set the site, how far the forecast reaches (h), and how many whole days follow."""
         edges = growing_steps(horizon)
         self.steps = len(edges) - 1
         self._days = int(days_after)

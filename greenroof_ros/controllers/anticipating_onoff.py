@@ -21,7 +21,7 @@ from greenroof_ros.model.soil import soil_of
 Array = NDArray[np.float64]
 
 # Interval at which it checks whether to go on waiting (s).
-_LOOK_S = 60.0
+_CHECK_S = 60.0
 
 
 class AnticipatingOnOff:
@@ -78,7 +78,7 @@ class AnticipatingOnOff:
         waiting_budget: float,
         waiting_share: float,
     ) -> None:
-        """Take the site and the parameters.
+        """Set the site and the parameters.
 
         Args:
             site: the parameters of Table I.
@@ -131,7 +131,7 @@ class AnticipatingOnOff:
         exhausted = self._regret_budget.judge(x1, x2, self.fraction)
         dry = x2 < site.x2_star and cistern_level >= site.suction_level
         if dry and not exhausted:
-            dry = self._waited >= _LOOK_S and self._stays_dry(x2, rain, evaporated)
+            dry = self._waited >= _CHECK_S and self._stays_dry(x2, rain, evaporated)
         command = self.fraction if dry else 0.0
         self._waited += site.tau
         pumped, now = pump_flow(site, x1, x2, command), (float(rain[0, 0]), float(evaporated[0]))

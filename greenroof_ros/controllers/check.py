@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.common.command_line import Finding
+from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.controllers.protocol import Controller
@@ -68,43 +68,43 @@ class _Trial:
         """Make a controller with its default parameters, except for these changes."""
         return self.choice.make(self.site, {**self.choice.defaults(self.site), **changes})
 
-    def ask(self, controller: Controller, stride: int = 1) -> list[float]:
-        """Ask for commands at every ``stride``-th combination of levels and forecasts."""
+    def request_commands(self, controller: Controller, stride: int = 1) -> list[float]:
+        """Request commands at every ``stride``-th combination of levels and forecasts."""
         return [_checked_command(controller, *inputs) for inputs in self.inputs(stride)]
 
 
-def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
+def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
     """Check a controller against :class:`~greenroof_ros.controllers.protocol.Controller`.
 
-    Every check asks new controllers for commands, with levels and forecasts from a dry to a flooded
-    site. The checks cover what the node graph, ``simulate``, studies and reports rely on.
+    Every check requests commands of new controllers, with levels and forecasts from a dry to a
+    flooded site. The checks cover what the node graph, ``simulate``, studies and reports rely on.
 
     Args:
         choice: the controller.
         site: the site that it is tried on.
 
     Returns:
-        A finding for each check, in the order in which a user should repair them.
+        A result for each check, in the order in which a user should repair them.
 
     Raises:
         ConfigurationError: the class cannot be imported, or lacks what every controller has.
     """
     _ = choice.kind
-    findings, seen = [], set[str]()
+    results, reported = [], set[str]()
     for name, check in _CHECKS.items():
         problem = ""
         try:
             check(_Trial(choice, site))
         except Exception as error:  # whatever a user's class raises
-            known = isinstance(error, (_ProblemError, ConfigurationError))
+            expected = isinstance(error, (_ProblemError, ConfigurationError))
             problem = str(error)
-            if not known:
+            if not expected:
                 problem = f"raises {type(error).__name__}: {error} ({_where(error, choice.kind)})"
-                if problem in seen:  # one fault mostly fails many checks
+                if problem in reported:  # one fault mostly fails many checks
                     problem = f"raises the same {type(error).__name__} as above"
-                seen.add(problem)
-        findings.append(Finding(name, problem))
-    return findings
+                reported.add(problem)
+        results.append(CheckResult(name, problem))
+    return results
 
 
 def _where(error: Exception, kind: Any) -> str:
@@ -125,7 +125,7 @@ def _where(error: Exception, kind: Any) -> str:
 
 
 def _checked_command(controller: Controller, *inputs: Any) -> float:
-    """Ask for a command and check it."""
+    """Request a command and check it."""
     command = controller.command(*inputs)
     if isinstance(command, bool) or not isinstance(command, (int, float)):
         raise _ProblemError(f"command() returns {command!r}; it must return a float")
@@ -162,18 +162,19 @@ def _whole_range(trial: _Trial) -> None:
             continue  # another horizon needs another forecast
         for value in (parameter.low, parameter.high):
             try:
-                trial.ask(trial.make(**{parameter.name: value}), stride=7)
+                trial.request_commands(trial.make(**{parameter.name: value}), stride=7)
             except _ProblemError as error:
                 raise _ProblemError(f"with {parameter.name} = {value:g} {error}") from None
 
 
 def _deterministic(trial: _Trial) -> None:
-    for first, second in zip(trial.ask(trial.make()), trial.ask(trial.make()), strict=True):
+    one, other = (trial.request_commands(trial.make()) for _ in range(2))
+    for first, second in zip(one, other, strict=True):
         if first != second:
             raise _ProblemError(f"two instances command {first!r} and {second!r} for equal inputs")
 
 
-def _inputs_kept(trial: _Trial) -> None:
+def _inputs_unchanged(trial: _Trial) -> None:
     controller = trial.make()
     for inputs in trial.inputs():
         before = [np.array(forecast) for forecast in inputs[2:]]
@@ -221,7 +222,7 @@ def _may_change(trial: _Trial) -> None:
             raise _ProblemError(f"it has no attribute {name} with the parameter's value")
         for value in (parameter.low, parameter.high):
             setattr(controller, name, value)
-            trial.ask(controller, stride=11)
+            trial.request_commands(controller, stride=11)
 
 
 def _outputs(trial: _Trial) -> None:
@@ -257,10 +258,10 @@ _CHECKS: dict[str, Callable[[_Trial], object]] = {
         _parameters,
     "it can be made with the site and a value for each parameter": _Trial.make,
     "its commands are finite and not negative, at all levels and for all forecasts":
-        lambda trial: trial.ask(trial.make()),
+        lambda trial: trial.request_commands(trial.make()),
     "its commands are also valid with each parameter at either end of its range": _whole_range,
     "two instances give the same commands for the same inputs": _deterministic,
-    "it does not change the forecasts that it gets": _inputs_kept,
+    "it does not change the forecasts that it gets": _inputs_unchanged,
     "ticks can be skipped, at the start and later, and its commands stay valid": _skip,
     "a missing or wrong forecast gives a valid command or a ConfigurationError, nothing else":
         _wrong_forecasts,

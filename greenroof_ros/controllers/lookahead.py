@@ -33,7 +33,7 @@ _LONGEST_PLAN_S = 3600.0
 _LONGEST_SHARE = 1 / 48
 # Interval (s) at which it checks whether a member's forecast rain, plus the rain since the plan,
 # has changed by more than this (m). Rain that only shifts in time waits for the next plan.
-_LOOK_S = 60.0
+_CHECK_S = 60.0
 _CHANGED_M = 1e-3
 # In a plan for an ensemble a step is at least this long (s), and at least this share of the time
 # until it begins: the forecasts are less precise than that.
@@ -136,7 +136,7 @@ class Lookahead:
         waiting_budget: float,
         waiting_share: float,
     ) -> None:
-        """Take the site and the parameters; :attr:`parameters` has their units and meanings."""
+        """Set the site and the parameters; :attr:`parameters` has their units and meanings."""
         self._site, self._soil = site, soil_of(site)
         self._max_command = max_command
         self._least_on = max(least_on, site.tau)
@@ -149,8 +149,8 @@ class Lookahead:
             edges[: self._after.steps + 1], range(self._after.steps + 1, len(edges))
         )
         self._plan_edges = [
-            [*_put_together(forecast_edges, site.tau, 0.0), *days],
-            [*_put_together(forecast_edges, max(site.tau, _LEAST_STEP_S), _LEAST_SHARE), *days],
+            [*_merge_steps(forecast_edges, site.tau, 0.0), *days],
+            [*_merge_steps(forecast_edges, max(site.tau, _LEAST_STEP_S), _LEAST_SHARE), *days],
         ]
         self._program = OrderUpTo(site, cvar_level)
         self._observer = RoofObserver(site, observer_time_constant)
@@ -158,7 +158,7 @@ class Lookahead:
         self._policy: Policy | None = None
         self._age = 0.0  # of the policy (s)
         self._rain_counts = True  # in the policy
-        self._unlooked = 0.0  # since the forecast was last compared (s)
+        self._unchecked = 0.0  # since the forecast was last compared (s)
         self._planned_rain: Array = np.zeros(0)  # total over the forecast, by member (m)
         self._fallen = 0.0  # rain since the plan (m)
         self._flow = 0.0  # commanded in the last tick (m3/s)
@@ -267,9 +267,9 @@ class Lookahead:
             return True
         if rain_counts != self._rain_counts or len(rain) != len(self._planned_rain):
             return True
-        if self._unlooked < _LOOK_S:
+        if self._unchecked < _CHECK_S:
             return False
-        self._unlooked = 0.0
+        self._unchecked = 0.0
         total = self._total(rain) + self._fallen
         return float(np.abs(total - self._planned_rain).max()) > _CHANGED_M
 
@@ -363,7 +363,7 @@ class Lookahead:
 
     def _pass_tick(self) -> None:
         self._age += self._site.tau
-        self._unlooked += self._site.tau
+        self._unchecked += self._site.tau
         self._since_start += self._site.tau
 
 
@@ -376,7 +376,7 @@ def _are_numbers(rain: Array, evaporated: Array, all_of_them: bool) -> bool:
     return math.isfinite(float(rain[0, 0]) + float(evaporated[0]))
 
 
-def _put_together(edges: Array, shortest: float, share: float) -> list[int]:
+def _merge_steps(edges: Array, shortest: float, share: float) -> list[int]:
     """Return which step ends remain when short steps are merged; the first and last always do.
 
     Args:

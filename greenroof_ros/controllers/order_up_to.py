@@ -149,7 +149,7 @@ class OrderUpTo:
     def __init__(
         self, site: Site, risk: float = 0.0, fine: tuple[int, int] = (900, 300)
     ) -> None:
-        """Take the site.
+        """Set the site.
 
         Args:
             site: its parameters.
@@ -278,11 +278,11 @@ class OrderUpTo:
             level = self.levels(policy, step, groups, water, roof)
             aimed[:, step] = np.where(level >= roof, level, 0.0)
             most = np.minimum(flow[step], water / seconds + mains)
-            roof, took = self._move(
+            roof, uptake = self._move(
                 level, roof, rain[:, step], float(evapotranspiration[step]), most, seconds
             )
-            water = self._cistern.after(water - took, rain[:, step], seconds)
-            pumped[:, step], volumes[:, step] = took / seconds, roof
+            water = self._cistern.after(water - uptake, rain[:, step], seconds)
+            pumped[:, step], volumes[:, step] = uptake / seconds, roof
         return pumped, volumes, aimed
 
     def _move(
@@ -307,9 +307,9 @@ class OrderUpTo:
         alone = soil.after(filled, rain * self._site.a2 * seconds, potential, seconds)
         ended = np.minimum(filled, soil.after(filled, most, potential, seconds))
         ended = np.where(level >= filled, np.maximum(alone, ended), alone)
-        took = self._content(filled) - self._content(roof)
-        took += self._content(ended) - self._content(alone)
-        return ended, np.minimum(took, most)
+        uptake = self._content(filled) - self._content(roof)
+        uptake += self._content(ended) - self._content(alone)
+        return ended, np.minimum(uptake, most)
 
     def _content(self, x2: Any) -> Any:
         """Return the water that fills an empty roof to a volume, or to x* if that is less (m3)."""
@@ -352,14 +352,14 @@ class OrderUpTo:
             holding = seconds * (self._target - roof) + value[..., dry]
             holding = np.where(alone < roof, holding, free[..., dry])
         else:
-            kept = np.maximum(alone, np.minimum(roof, reach))
+            held = np.maximum(alone, np.minimum(roof, reach))
             if scarce:
                 first = self._content(alone)
-                took = np.minimum(self._content(kept) - first, remaining[..., dry])
-                took = np.maximum(took, 0.0)
-                kept = np.where(took > 0, soil.filled_by(first + took), alone)
-                stored = cistern.after(remaining[..., dry] - took, rain, seconds) + first + took
-            holding = seconds * self._deviation(roof, kept) + self._at(value, kept, stored)
+                uptake = np.minimum(self._content(held) - first, remaining[..., dry])
+                uptake = np.maximum(uptake, 0.0)
+                held = np.where(uptake > 0, soil.filled_by(first + uptake), alone)
+                stored = cistern.after(remaining[..., dry] - uptake, rain, seconds) + first + uptake
+            holding = seconds * self._deviation(roof, held) + self._at(value, held, stored)
         # Filled.
         within = np.maximum(reach, roof)[None]
         if scarce:
@@ -369,7 +369,7 @@ class OrderUpTo:
         result = free
         for index, members in enumerate(groups):
             ours = holding[members]
-            best = _lowest_from_here_up(self._over(ours))
+            best = _lowest_from_here_up(self._over_members(ours))
             filled = level = roof[best]
             if strong:
                 costs, contents = ours[..., best[0]], self._contents[best]
@@ -382,12 +382,12 @@ class OrderUpTo:
             if flow > 0:
                 costs = costs + (filled - roof) * (contents - self._contents[dry]) / (2 * flow)
             waiting = free[members][..., dry]
-            fills = self._over(costs) < self._over(waiting)
+            fills = self._over_members(costs) < self._over_members(waiting)
             levels[index] = np.where(fills, level, -1.0)
             result[members, :, dry] = np.where(fills, costs, waiting)
         return result, levels
 
-    def _over(self, values: Array) -> Array:
+    def _over_members(self, values: Array) -> Array:
         """Return the mean over members; if ``risk`` is above 0, over the worst of them."""
         if len(values) == 1:
             return np.asarray(values[0])

@@ -44,9 +44,8 @@ OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_override
 _OTHER_NODES = {"plant", "weather", "recorder", "pump", "bringup"}
 # Every controller's node has these parameters.
 _OF_EVERY_NODE = {
-    "site_file", "state_file", "use_sim_time", "live", "level_limit", "forecast_limit",
-    "frost_limit", "gauge_limit", "flow_limit", "recovery_time", "frozen_movement",
-    "jump_tolerance",
+    "site_file", "state_file", "use_sim_time", "level_limit", "forecast_limit", "frost_limit",
+    "gauge_limit", "flow_limit", "recovery_time", "frozen_movement", "jump_tolerance",
 }
 
 

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plant import mains_flow, maximum_pump_flow, outlet_flow, pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import left_after_tick, soil_of
+from greenroof_ros.model.soil import roof_after_tick, soil_of
 
 _log = logging.getLogger(__name__)
 
 # Water lost to a low outlet cannot be pumped until it rains: it counts as missing this long (s).
-_GONE_S = 604_800.0
+_LOST_S = 604_800.0
 
 WAITING_BUDGET = Parameter(
     "waiting_budget", 72.0, "h", 0.0, 1e6,
@@ -79,7 +79,7 @@ class RegretBudget:
     """
 
     def __init__(self, site: Site, waiting_budget: float, waiting_share: float) -> None:
-        """Take the site and the limit.
+        """Set the site and the limit.
 
         Args:
             site: the parameters of Table I.
@@ -162,7 +162,7 @@ class RegretBudget:
         cistern, onoff = x1 + self._stored, x2 + self._more
         flow = pump_flow(site, cistern, onoff, fraction)
         arriving = precipitation * site.a2 + flow
-        theirs = left_after_tick(self._soil, site.tau, onoff, arriving, evapotranspiration)
+        theirs = roof_after_tick(self._soil, site.tau, onoff, arriving, evapotranspiration)
         self._more = max(0.0, theirs) - after
         overflowed = outlet_flow(site, cistern) - outlet_flow(site, x1)
         supplied = mains_flow(site, cistern) - mains_flow(site, x1)
@@ -170,7 +170,7 @@ class RegretBudget:
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:
         """Return the cost (m3 s) of following on/off to the target, behind it all the way."""
-        stays = self._soil.kept_share(x2) * flow
+        stays = self._soil.retained_share(x2) * flow
         if behind <= 0 or stays <= 0:
             return 0.0
         missing = max(0.0, self._site.x2_star - x2 - self._more)  # on the roof with on/off
@@ -183,4 +183,4 @@ class RegretBudget:
             return 0.0
         stays = min(x1, site.cistern_volume(site.low_outlet_level))
         usable = max(0.0, stays - site.cistern_volume(site.suction_level))
-        return max(0.0, self._more - self._soil.kept_share(x2) * usable) * _GONE_S
+        return max(0.0, self._more - self._soil.retained_share(x2) * usable) * _LOST_S

@@ -7,7 +7,7 @@ from statistics import fmean
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import left_after_tick, soil_of
+from greenroof_ros.model.soil import roof_after_tick, soil_of
 
 # If all readings of this long (s), and at least this many, differ from the prediction by more than
 # this (m) to the same side, it is not noise but something unknown to the model: pumps of another
@@ -42,7 +42,7 @@ class RoofObserver:
     """
 
     def __init__(self, site: Site, observer_time_constant: float) -> None:
-        """Take the site and the averaging time of the readings (s); 0 uses each reading alone."""
+        """Set the site and the averaging time of the readings (s); 0 uses each reading alone."""
         self._site, self._soil = site, soil_of(site)
         self._gain = 1.0
         if observer_time_constant > 0:
@@ -100,7 +100,7 @@ class RoofObserver:
             The volume predicted for the next tick (m3).
         """
         arriving = precipitation * self._site.a2 + pumped
-        self._predicted = left_after_tick(
+        self._predicted = roof_after_tick(
             self._soil, self._site.tau, x2, arriving, evapotranspiration
         )
         return self._predicted

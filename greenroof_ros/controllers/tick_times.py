@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 # Number of ticks that the percentile covers.
-_MOST_KEPT = 65_536
+_CAPACITY = 65_536
 
 
 class TickTimes:
@@ -21,7 +21,7 @@ class TickTimes:
         self._count = 0
         self._sum = 0.0
         self._largest = 0.0
-        self._kept: deque[float] = deque(maxlen=_MOST_KEPT)
+        self._times: deque[float] = deque(maxlen=_CAPACITY)
 
     def __len__(self) -> int:
         """Return the number of ticks."""
@@ -29,7 +29,7 @@ class TickTimes:
 
     def append(self, seconds: float) -> None:
         """Add the time of a tick (s)."""
-        self._kept.append(seconds)
+        self._times.append(seconds)
         self._count += 1
         self._sum += seconds
         self._largest = max(self._largest, seconds)
@@ -45,6 +45,6 @@ class TickTimes:
             "solves": solves,
             "fallbacks": fallbacks,
             "mean_s": self._sum / max(1, self._count),
-            "p99_s": float(np.percentile(list(self._kept) or [0.0], 99)),
+            "p99_s": float(np.percentile(list(self._times) or [0.0], 99)),
             "max_s": self._largest,
         }

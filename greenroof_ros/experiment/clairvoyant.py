@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.experiment.plan import carry_out
+from greenroof_ros.experiment.plan import run_plan
 from greenroof_ros.experiment.roof_range import ROUNDING, RoofRange, roof_range
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.plant import maximum_pump_flow
@@ -93,7 +93,7 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     edges = np.arange(0, run.steps + 1, block)
     deviation, cost, message = _solve(run, limits, edges)
     targets = array("d", _targets(run, still, edges, deviation))
-    done = carry_out(run, lambda k, x1, x2: targets[k + 1], max_command)
+    done = run_plan(run, lambda k, x1, x2: targets[k + 1], max_command)
     return Bound(cost, done.total_m3, done.pumped_m3, block, message)
 
 

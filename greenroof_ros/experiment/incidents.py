@@ -63,7 +63,7 @@ _RULES = {
 }
 
 
-class Part(NamedTuple):
+class NodePart(NamedTuple):
     """A part of a node whose loss would be an incident, as last reported.
 
     Attributes:
@@ -84,13 +84,13 @@ class Part(NamedTuple):
         return self.diagnosis["level"] in self.rule.at
 
 
-def parts_in(reports: Mapping[str, Mapping[str, Any]]) -> Iterator[Part]:
+def parts_in(reports: Mapping[str, Mapping[str, Any]]) -> Iterator[NodePart]:
     """Yield the parts that are in the nodes' last reports."""
     for node, report in reports.items():
         for name, diagnosis in report.get("diagnoses", {}).items():
             rule = _RULES.get(diagnosis["code"]) or _RULES.get(name)
             if rule is not None:
-                yield Part(node, name, diagnosis, rule)
+                yield NodePart(node, name, diagnosis, rule)
 
 
 @dataclass(frozen=True)
@@ -180,18 +180,18 @@ class IncidentLog:
         changes: how often an incident began or ended.
     """
 
-    def __init__(self, say: Callable[[str], None], file: Path | None = None) -> None:
+    def __init__(self, print_line: Callable[[str], None], file: Path | None = None) -> None:
         """Start without incidents.
 
         Args:
-            say: prints a line for people.
+            print_line: prints a line for people.
             file: where the disk thread stores each change at once; None for nowhere.
         """
         self.incidents: deque[Incident] = deque(maxlen=MOST)
         self.count = self.changes = 0
         self._began = wall_time()
         self._before = 0  # number of the last incident from earlier starts in the file
-        self._say = say
+        self._print_line = print_line
         self._file = file
         self._open: dict[tuple[str, str], Incident] = {}
         self._good: set[tuple[str, str]] = set()
@@ -215,7 +215,7 @@ class IncidentLog:
         """Return the newest incidents for a summary."""
         return [asdict(incident) for incident in self.incidents]
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         """Continue the file of earlier starts; an incident that lasted then ends at this start.
 
         Raises:
@@ -228,13 +228,13 @@ class IncidentLog:
         for incident in read_incidents(self._file.parent):
             self._before = incident.number
             if incident.ended is None:
-                self._keep(replace(incident, ended=self._began))
+                self._store(replace(incident, ended=self._began))
 
-    def look(
+    def update(
         self, reports: Mapping[str, Mapping[str, Any]], tick: int | None = None, *,
         starting: bool = False,
     ) -> None:
-        """Begin and end incidents according to the nodes' last reports.
+        """Start and end incidents according to the nodes' last reports.
 
         Args:
             reports: the last report of each node.
@@ -251,8 +251,8 @@ class IncidentLog:
             elif about not in self._open and (not starting or about in self._good):
                 self._suspect(about, part, tick)
 
-    def _suspect(self, about: tuple[str, str], part: Part, tick: int | None) -> None:
-        """Begin an incident once it has lasted long enough."""
+    def _suspect(self, about: tuple[str, str], part: NodePart, tick: int | None) -> None:
+        """Start an incident once it has lasted long enough."""
         now = time.monotonic()
         cause, began = part.diagnosis["message"], wall_time()
         if tick is None and about not in self._good:
@@ -264,21 +264,21 @@ class IncidentLog:
             self._pending.pop(about)
         elif now - first_seen >= part.rule.lasts_s:
             del self._pending[about]
-            self._begin(incident)
+            self._start(incident)
 
     def fail(self, node: str, cause: str) -> None:
-        """Begin the incident of a node's own process, and end its earlier one, if any."""
+        """Start the incident of a node's own process, and end its earlier one, if any."""
         self.end(node, PROCESS)
-        self._begin(Incident(0, node, PROCESS, cause, wall_time(), code="node_failed"))
+        self._start(Incident(0, node, PROCESS, cause, wall_time(), code="node_failed"))
 
-    def _begin(self, incident: Incident) -> None:
+    def _start(self, incident: Incident) -> None:
         self.count += 1
         incident = replace(incident, number=self._before + self.count)
         self._open[incident.node, incident.part] = incident
         self.incidents.append(incident)
-        self._keep(incident)
+        self._store(incident)
         at = "" if incident.began_tick is None else f" at tick {incident.began_tick}"
-        self._say(f"incident {incident.number}{at}: {incident.node}: {incident.cause}")
+        self._print_line(f"incident {incident.number}{at}: {incident.node}: {incident.cause}")
 
     def end(self, node: str, part: str, tick: int | None = None) -> None:
         """End the incident of a part, if there is one."""
@@ -288,14 +288,14 @@ class IncidentLog:
         incident = replace(before, ended=wall_time(), ended_tick=tick)
         if before in self.incidents:
             self.incidents[self.incidents.index(before)] = incident
-        self._keep(incident)
+        self._store(incident)
         at = "" if tick is None else f" at tick {tick}"
-        self._say(
+        self._print_line(
             f"incident {incident.number} is over{at}, after {incident.seconds:.1f} s: "
             f"{incident.subject}"
         )
 
-    def _keep(self, incident: Incident) -> None:
+    def _store(self, incident: Incident) -> None:
         self.changes += 1
         if self._file is not None:
             DISK.do(partial(self._write, self._file, incident, tuple(self._open.values())))
@@ -314,7 +314,7 @@ class IncidentLog:
             with file.open("a", encoding="utf-8") as stream:
                 stream.writelines(f"{json.dumps(asdict(entry))}\n" for entry in written)
         except OSError as error:
-            self._say(f"warning: {file}: {error.strerror}")
+            self._print_line(f"warning: {file}: {error.strerror}")
 
 
 def _drop_cut_line(file: Path) -> None:

@@ -33,8 +33,8 @@ from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.formats.records import SERVICE_DELAY_H
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,
-    OWN_KEYS,
-    SITES_OWN,
+    SITE_STATE,
+    SITE_STATE_KEYS,
     check_volumes,
     default_state,
     initial_state,
@@ -105,7 +105,8 @@ def add_controller_arguments(
     options = ", ".join(_option(parameter) for parameter in controller.parameters)
     parser.hint = f"the parameters of {controller.name} are {options}"
     of_controller = parser.add_argument_group(
-        f"parameters of {controller.name}", "With another --controller, --help shows that one's."
+        f"parameters of {controller.name}",
+        "With another --controller, --help shows its parameters.",
     )
     of_controller.add_argument(
         "--parameters", type=Path, metavar="FILE",
@@ -127,7 +128,7 @@ def _add_parameters(
         )
 
 
-def _given(
+def _given_options(
     arguments: argparse.Namespace, names: Iterable[str], prefix: str = ""
 ) -> dict[str, Any]:
     """Return the options that a command line gives, by their names without the prefix."""
@@ -185,8 +186,10 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--evapotranspiration", metavar="METHOD",
-        help="fao56: computed by FAO-56 Penman-Monteith; or the name of the weather file's own "
-        "column, such as published (default: the file's own, fao56 if it has none)",
+        help="fao56: computed by FAO-56 Penman-Monteith; hargreaves: from temperature alone, by "
+        "FAO-56 Eq. 52; monthly: the site's monthly_evapotranspiration; or the name of the weather "
+        "file's own column, such as published (default: the file's own, otherwise the first of "
+        "these three for which it has what is needed)",
     )
 
 
@@ -259,7 +262,7 @@ def controller_from_arguments(
     parameters = controller.defaults(site)
     if arguments.parameters is not None:
         parameters = controller.read_parameters(arguments.parameters, site)
-    return controller, parameters | _given(arguments, parameters, _PARAMETER)
+    return controller, parameters | _given_options(arguments, parameters, _PARAMETER)
 
 
 def run_from_arguments(arguments: argparse.Namespace) -> Run:
@@ -275,7 +278,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     if "controller" in arguments:
         controller, parameters = controller_from_arguments(arguments, site)
         choice = forecast_from_arguments(arguments, arguments.forecast, "--forecast")
-        errors = SensorPumpErrors(**_given(arguments, PARAMETERS))
+        errors = SensorPumpErrors(**_given_options(arguments, PARAMETERS))
     else:
         controller = find_controller("onoff")
         parameters, choice = controller.defaults(site), ForecastChoice()
@@ -293,7 +296,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     else:
         initial, volumes = default_state(site)
     check_volumes(
-        site, *volumes, keys=OWN_KEYS if initial == SITES_OWN else ("--cistern", "--roof")
+        site, *volumes, keys=SITE_STATE_KEYS if initial == SITE_STATE else ("--cistern", "--roof")
     )
     weather = read_weather(
         find_files(arguments.weather or [str(default_weather())], "--weather"),
@@ -324,12 +327,12 @@ def forecast_from_arguments(
         choice = choose(text)
     except ValueError as error:
         raise ConfigurationError(str(error), key=key, value=text) from error
-    chosen = _given(arguments, OPTIONS, "forecast_")
+    chosen = _given_options(arguments, OPTIONS, "forecast_")
     for option in chosen:
-        if option not in choice.takes:
+        if option not in choice.option_names:
             owners = [
                 "a file" if name == FILE else name
-                for name in (*MODELS, FILE) if option in ForecastChoice(name).takes
+                for name in (*MODELS, FILE) if option in ForecastChoice(name).option_names
             ]
             raise ConfigurationError(
                 f"is an option of {' and '.join(owners)}; the forecast is {choice}",

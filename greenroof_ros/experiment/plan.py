@@ -1,4 +1,4 @@
-"""Plans made with perfect knowledge of the weather, and carried out in the exact plant."""
+"""Plans made with perfect knowledge of the weather, and run in the exact plant."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Plant, command_to, maximum_pump_flow
 from greenroof_ros.model.soil import soil_of
 
-Wanted = Callable[[int, float, float], float]
+TargetVolume = Callable[[int, float, float], float]
 
 # For the recursion: length of a step (s); largest number of steps, since their levels need memory;
 # nodes below and above the target.
@@ -22,7 +22,7 @@ _STEP_S, _MOST_STEPS = 300.0, 10_000
 _NODES = 3000, 1000
 
 
-class CarriedOut(NamedTuple):
+class PlanResult(NamedTuple):
     """A plan that was run through the exact plant."""
 
     total_m3: float
@@ -31,7 +31,7 @@ class CarriedOut(NamedTuple):
     """volume pumped (m3)"""
 
 
-def carry_out(run: Run, target: Wanted, max_command: float) -> CarriedOut:
+def run_plan(run: Run, target: TargetVolume, max_command: float) -> PlanResult:
     """Run a plan through the exact plant, without the run's errors of sensor and pumps.
 
     Args:
@@ -57,10 +57,10 @@ def carry_out(run: Run, target: Wanted, max_command: float) -> CarriedOut:
         plant.step(rain, moved)
     metrics.observe(site, plant.x1, plant.x2, plant.layer)
     results = metrics.results()
-    return CarriedOut(results["total_deviation_m3"], results["pumped_m3"])
+    return PlanResult(results["total_deviation_m3"], results["pumped_m3"])
 
 
-def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:
+def recursion_plan(run: Run, max_command: float = 1.0) -> PlanResult:
     """Carry out the plan of ``lookahead``'s recursion for a run with known weather.
 
     :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` plans the whole run, after which
@@ -68,7 +68,7 @@ def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:
     simplify the soil. Its total bounds the least possible total from above, on every site.
 
     Args:
-        run: as for :func:`carry_out`.
+        run: as for :func:`run_plan`.
         max_command: largest command (share of the maximum flow).
     """
     site, n = run.site, run.steps
@@ -87,4 +87,4 @@ def recursion_plan(run: Run, max_command: float = 1.0) -> CarriedOut:
         level = float(program.levels(policy, k // block, 0, program.usable(x1), x2))
         return level - BELOW_M3 if level >= x2 else -math.inf
 
-    return carry_out(run, target, max_command)
+    return run_plan(run, target, max_command)

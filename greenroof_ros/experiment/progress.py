@@ -42,7 +42,7 @@ class RunProgress(Progress):
         )
         self._run = self.add_task("", total=steps, clock="00:00:00", state="starting")
         self._tau = tau
-        self._lines = ProgressLines(self.say)
+        self._lines = ProgressLines(self.print_line)
         self._warned: deque[str] = deque(maxlen=_MOST_WARNED)
 
     def warn(self, warnings: Iterable[str]) -> None:
@@ -50,9 +50,9 @@ class RunProgress(Progress):
         for text in warnings:
             if text not in self._warned:
                 self._warned.append(text)
-                self.say(f"warning: {text}")
+                self.print_line(f"warning: {text}")
 
-    def say(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Print a line above the bar."""
         self.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
@@ -83,4 +83,4 @@ class RunProgress(Progress):
         if self.disable:
             run = self.tasks[0]
             clock, state = run.fields["clock"], run.fields["state"]
-            self._lines.tell(f"{clock} ({run.percentage:.0f} %): {state}")
+            self._lines.update(f"{clock} ({run.percentage:.0f} %): {state}")

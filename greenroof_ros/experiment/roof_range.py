@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import MeasuredSoil, PaperSoil, left_after_tick, soil_of
+from greenroof_ros.model.soil import MeasuredSoil, PaperSoil, roof_after_tick, soil_of
 
 Values = NDArray[np.float64]
 
@@ -117,7 +117,7 @@ def _of_measured(
     volume after a tick rises with the volume before it, by about the slope of the chord over the
     range. Minus this slope times the volume before, its limits are close together.
     """
-    ends = [left_after_tick(soil, site.tau, x2, rain, potential) for x2 in (low, high)]
+    ends = [roof_after_tick(soil, site.tau, x2, rain, potential) for x2 in (low, high)]
     slope = 1.0
     if high - low > ROUNDING * site.z_cap:
         slope = min(1.0, max(0.0, (ends[1] - ends[0]) / (high - low)))
@@ -165,4 +165,4 @@ def _ends(
             vertex = dry + most * (slope * most / (2 * site.tau * arriving))
             if low < vertex < min(high, site.z_cap):
                 volumes.append(vertex)
-    return [left_after_tick(soil, site.tau, x2, arriving, potential) - line * x2 for x2 in volumes]
+    return [roof_after_tick(soil, site.tau, x2, arriving, potential) - line * x2 for x2 in volumes]

@@ -92,7 +92,6 @@ def build_unfinished(
         "parameters": finite(run.parameters),
         "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2, **layer},
         **setting(run),
-        "weather_notes": [*run.weather.notes, *run.forecast.notes],
         "gaps": run.weather.gaps,
         "evapotranspiration_method": run.weather.method,
         "forecast": {
@@ -129,6 +128,7 @@ def setting(run: Run) -> dict[str, Any]:
         "weather_from": weather.first.isoformat(),
         "weather_until": weather.end.isoformat(),
         "notes": run.notes(),
+        "weather_notes": [*run.weather.notes, *run.forecast.notes],
     }
 
 

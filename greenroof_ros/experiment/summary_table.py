@@ -100,8 +100,6 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
             "at or below 0 degC, nothing pumped; "
             f"{summary['precipitation_in_frost_mm']:.1f} mm of snow or rain counted as rain",
         )
-    for note in summary["weather_notes"]:
-        yield "weather", "note", note
     for quantity, hours in summary["filled"].items():
         yield "FILLED", quantity, ", ".join(hours)
     for rain in summary["suspicious"]:
@@ -130,7 +128,7 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield site and weather of a run, with their places, the records' period and the run's."""
+    """Yield site and weather of a run: places, the records' period and the run's, and notes."""
     start = datetime.fromisoformat(summary["start"])
     end = start + timedelta(seconds=summary["steps"] * summary["tau_s"])
     places = [place_text(*place) for place in summary["weather_places"]]
@@ -140,6 +138,8 @@ def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         f"{' and '.join(places) or place_text(None, None)}; records from {records[0]} to "
         f"{records[1]}, the run from {to_minutes(start)} to {to_minutes(end)}"
     )
+    for note in summary["weather_notes"]:
+        yield "weather", "note", note
 
 
 def print_notes(console: Console, summary: Mapping[str, Any]) -> None:

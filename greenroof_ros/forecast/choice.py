@@ -73,13 +73,13 @@ class ForecastChoice:
         return None if self.skill in SKILLS else Path(self.skill)
 
     @property
-    def takes(self) -> tuple[str, ...]:
+    def option_names(self) -> tuple[str, ...]:
         """The :data:`OPTIONS` that the model, or an archive, has."""
         return _OPTIONS_OF[self.model]
 
     def options(self) -> dict[str, str | float]:
         """Return the :data:`OPTIONS` of the model that are set, each with its value."""
-        values = {name: getattr(self, name) for name in self.takes}
+        values = {name: getattr(self, name) for name in self.option_names}
         return {name: value for name, value in values.items() if value is not None}
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import duration, to_people
-from greenroof_ros.forecast.resampling import Known, Outlook
+from greenroof_ros.forecast.resampling import HourForecast, Outlook
 from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR, Issue
 from greenroof_ros.model.look_ahead import look_ahead_ends
@@ -45,16 +45,16 @@ class ForecastFile:
         self.problem = ""
         self.count = 0
         self._path = path
-        self._seen: tuple[int, ...] | None = None
+        self._file_status: tuple[int, ...] | None = None
 
-    def look(self) -> bool:
+    def update(self) -> bool:
         """Read the file if it has changed; return whether a new one was read."""
         try:
             status = self._path.stat()
-            seen = (status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size)
-            if seen == self._seen:
+            file_status = (status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size)
+            if file_status == self._file_status:
                 return False
-            self._seen = seen
+            self._file_status = file_status
             issues = read_forecasts(self._path, datetime.now(timezone.utc))
             if issues[0].evapotranspiration is None:
                 raise ConfigurationError(
@@ -63,7 +63,8 @@ class ForecastFile:
                     file=self._path,
                 )
         except OSError as error:
-            self.problem, self._seen = f"{self._path}: cannot be read: {error.strerror}", None
+            self._file_status = None
+            self.problem = f"{self._path}: cannot be read: {error.strerror}"
             return False
         except ConfigurationError as error:
             self.problem = str(error)
@@ -120,11 +121,11 @@ class LiveForecast:
         rain[:, : there.shape[1]] = there
         evapotranspiration = issue.evapotranspiration_at(ahead)
         assert evapotranspiration is not None  # a file without it is refused
-        known = Known(
+        forecast = HourForecast(
             issue.issued, rain, evapotranspiration, self._area, self._ends, observed_rain,
             math.nan if issue.temperature is None else float(issue.temperature[present]),
         )
-        return known.at(since, self._all_members)
+        return forecast.at(since, self._all_members)
 
     def shortage(self, now: datetime) -> str:
         """Return what the newest issue lacks of the look-ahead, and the remedy; empty if nothing.

@@ -85,11 +85,11 @@ class ForecastModel(ABC):
     """what of a file's forecasts could not be used as it is"""
 
     def __init__(self, weather: Weather) -> None:
-        """Take the records; missing ones are refused only when a forecast needs them."""
+        """Set the records; missing ones are refused only when a forecast needs them."""
         self._weather = weather
 
     @abstractmethod
-    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+    def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast that is the newest in an hour of the records.
 
         Args:
@@ -124,7 +124,7 @@ def _issued(weather: Weather, hour: int) -> datetime:
 class PerfectModel(ForecastModel):
     """Knows the records themselves."""
 
-    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+    def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the records; see :class:`ForecastModel`."""
         index = np.arange(hour, hour + hours)
         rain = records_at(self._weather, PRECIPITATION, index)
@@ -139,7 +139,7 @@ class PersistenceModel(ForecastModel):
     from the hour of issue. No later record is used.
     """
 
-    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+    def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
         weather = self._weather
         issued = max(newest_issue(weather.first, hour)[1], 0)
@@ -171,7 +171,7 @@ class FileModel(ForecastModel):
     """
 
     def __init__(self, archive: Archive, weather: Weather, all_members: bool) -> None:
-        """Take the forecasts.
+        """Set the forecasts.
 
         Args:
             archive: of the forecasts.
@@ -188,17 +188,17 @@ class FileModel(ForecastModel):
         # hour ago.
         delay = timedelta(hours=archive.delay + self._late)
         late = self._late * HOUR
-        known_from = [
+        available_from = [
             -((weather.first - (
                 issue.issued + delay if issue.available is None else issue.available + late
             )) // HOUR)
             for issue in archive.issues
         ]
         # An issue that arrives after a later one is of no use: only the newest counts.
-        self._known_from = np.minimum.accumulate(known_from[::-1])[::-1].tolist()
+        self._available_from = np.minimum.accumulate(available_from[::-1])[::-1].tolist()
         self.members = archive.members if all_members else 1
 
-    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+    def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
         issue, lead = self._newest(hour)
         ahead = np.arange(lead, lead + hours)
@@ -228,9 +228,9 @@ class FileModel(ForecastModel):
 
     def _newest(self, hour: int) -> tuple[Issue, int]:
         """Return the newest issue in an hour, and its age (h)."""
-        number = bisect.bisect_right(self._known_from, hour) - 1
+        number = bisect.bisect_right(self._available_from, hour) - 1
         if number < 0:
-            known = self._weather.first + self._known_from[0] * HOUR
+            known = self._weather.first + self._available_from[0] * HOUR
             raise ConfigurationError(
                 f"has forecasts that are available from {to_minutes(known)} on, but the run needs "
                 f"one at {to_minutes(self._weather.first + hour * HOUR)}",
@@ -253,7 +253,7 @@ class NormalRecords:
     """
 
     def __init__(self, climate: Climate, rain: Array, first: int) -> None:
-        """Take the records.
+        """Set the records.
 
         Args:
             climate: of the rain.
@@ -362,7 +362,7 @@ class ErrorModel(ForecastModel):
         self._drawn = lru_cache(maxsize=2 * len(weights))(self._draw)
         self._newest = lru_cache(maxsize=1)(self._make)  # one issue is needed for several hours
 
-    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+    def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
         issue, issued = newest_issue(self._weather.first, hour - self._delay)
         records = np.arange(hour, hour + hours)

@@ -49,7 +49,7 @@ class Outlook:
     temperature: float
 
 
-class Known:
+class HourForecast:
     """A forecast at a tick: rates of the present and following hours, as means over steps.
 
     While the end of each step stays in its hour, the means are linear in time. The lines always
@@ -61,7 +61,7 @@ class Known:
         self, issued: datetime | None, rain: Array, evapotranspiration: Array, area: float,
         ends: Array, rain_now: float | None = None, temperature: float = math.nan,
     ) -> None:
-        """Take a forecast.
+        """Set the forecast.
 
         Args:
             issued: see :class:`Outlook`.
@@ -112,8 +112,8 @@ class Known:
         # sums over members would differ in the last bit from sums of the same values received in
         # a message.
         at_ends = np.ascontiguousarray(self._rates[:, index])
-        come = np.ascontiguousarray(self._sums[:, index]) + at_ends * (self._ends - begins)
-        self._first = (come[:, 1:] - come[:, :-1]) / self._lengths
+        cumulative = np.ascontiguousarray(self._sums[:, index]) + at_ends * (self._ends - begins)
+        self._first = (cumulative[:, 1:] - cumulative[:, :-1]) / self._lengths
         self._slope = (at_ends[:, 1:] - at_ends[:, :-1]) / self._lengths
         self._from = since
         self._until = since + float((begins + _HOUR_S - ends).min()) - _ROUNDING_S
@@ -132,7 +132,7 @@ class PerfectForecast:
     notes: tuple[str, ...] = ()
 
     def __init__(self, series: WeatherSeries, look_ahead: int) -> None:
-        """Take the run's weather and the look-ahead M (ticks)."""
+        """Set the run's weather and the look-ahead M (ticks)."""
         self._series = series
         self._look_ahead = look_ahead
         self._ticks = range(0)  # ticks for which the present window holds
@@ -141,19 +141,19 @@ class PerfectForecast:
 
     def precipitation(self, tick: int) -> array[float]:
         """Rain (m/s), shape (M,)."""
-        self._look(tick)
+        self._update_window(tick)
         return self._rain[:]
 
     def evapotranspiration(self, tick: int) -> array[float]:
         """Evapotranspiration off the whole bed (m3/s), shape (M,)."""
-        self._look(tick)
+        self._update_window(tick)
         return self._evapotranspiration[:]
 
     def issued(self, tick: int) -> None:
         """Return None: what is known exactly has no issue."""
 
-    def _look(self, tick: int) -> None:
-        """Take the window from a tick on, if it differs from the last; mostly it is the same."""
+    def _update_window(self, tick: int) -> None:
+        """Update the window from a tick on, if it differs from the last; mostly it is the same."""
         if tick in self._ticks:
             return
         window = slice(tick, tick + self._look_ahead)
@@ -197,9 +197,9 @@ class SteppedForecast:
         self._offset = (start - weather.first).total_seconds()
         self._until = self._offset + steps * site.tau
         # Rain and evapotranspiration of a tick are computed together.
-        self._known = lru_cache(maxsize=1)(self._known_in)
+        self._hour_forecast = lru_cache(maxsize=1)(self._make_hour_forecast)
         self._at = lru_cache(maxsize=1)(self._outlook)
-        self.repeats_from = self._ask_for_all()
+        self.repeats_from = self._request_all()
         self.longest = model.longest
         self.notes = model.notes
 
@@ -219,14 +219,14 @@ class SteppedForecast:
         """Return what is known at a tick."""
         time = self._offset + tick * self._site.tau
         hour = int(time // _HOUR_S)
-        return self._known(hour).at(time - hour * _HOUR_S, self._all_members)
+        return self._hour_forecast(hour).at(time - hour * _HOUR_S, self._all_members)
 
-    def _ask_for_all(self) -> datetime | None:
+    def _request_all(self) -> datetime | None:
         """Request every hour's forecast; return the earliest time from which one only repeats."""
         times = []
         for hour in range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1):
             hours = self._hours(hour)
-            self._model.known(hour, hours)
+            self._model.forecast(hour, hours)
             repeats_from = self._model.repeats_from(hour, hours)
             if repeats_from is not None:
                 times.append(repeats_from)
@@ -237,13 +237,13 @@ class SteppedForecast:
         last_tick = min((hour + 1) * _HOUR_S, self._until)
         return math.ceil((last_tick + float(self._ends[-1])) / _HOUR_S) - hour
 
-    def _known_in(self, hour: int) -> Known:
+    def _make_hour_forecast(self, hour: int) -> HourForecast:
         """Return the newest forecast in an hour, with observed values in that hour."""
-        rain, evapotranspiration = self._model.known(hour, self._hours(hour))
+        rain, evapotranspiration = self._model.forecast(hour, self._hours(hour))
         present = min(hour, len(self._weather.precipitation) - 1)
         rain[:, 0] = self._weather.precipitation[present]
         evapotranspiration[0] = self._weather.evapotranspiration[present]
-        return Known(
+        return HourForecast(
             self._model.issued(hour), rain, evapotranspiration, self._site.a2, self._ends
         )
 

@@ -59,7 +59,7 @@ _FORECAST_URL = "https://api.open-meteo.com/v1/forecast"
 _ENSEMBLE_URL = "https://ensemble-api.open-meteo.com/v1/ensemble"
 # Time limits of connecting and of the whole answer (s), and the largest answer (bytes): 64 members
 # of 36 days are 3 MB.
-_PAUSE_S, _WHOLE_S, _MOST_BYTES = 10.0, 60.0, 50_000_000
+_PAUSE_S, _ANSWER_S, _MOST_BYTES = 10.0, 60.0, 50_000_000
 # Most by which the service's clock and ours may differ (s).
 _CLOCKS_S = 600.0
 # Wait after a failure (s): the first, the longest if the service asks for none, and the longest
@@ -68,7 +68,7 @@ _FIRST_WAIT_S, _LAST_WAIT_S, _LONGEST_WAIT_S = 60.0, 3600.0, 86_400.0
 
 # The names of kept forecasts, and how much of them is kept (bytes): half a year of hourly ensembles
 # of 50 members, or 20 years of single forecasts.
-_KEPT, _MOST_KEPT = re.compile(r"\d{14}\.csv"), 2_000_000_000
+_STORED_NAME, _MOST_STORED = re.compile(r"\d{14}\.csv"), 2_000_000_000
 
 
 class ServiceError(Exception):
@@ -134,14 +134,14 @@ class Service:
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
         try:
             began = time.monotonic()
-            tag, answer = asyncio.run(self._ask(now))
+            tag, answer = asyncio.run(self._request(now))
             arrived = now + timedelta(seconds=time.monotonic() - began)
             issue = replace(_issue(answer, self._site, hour), available=arrived)
             self._tag, self._answer = tag, answer
             return issue
         except asyncio.TimeoutError as error:
             raise ServiceError(
-                f"{self._url}: gave no complete answer within {_WHOLE_S:g} s"
+                f"{self._url}: gave no complete answer within {_ANSWER_S:g} s"
             ) from error
         except (ClientError, OSError) as error:
             why = " ".join(str(error).split()) or type(error).__name__
@@ -149,7 +149,7 @@ class Service:
         except ConfigurationError as error:
             raise ServiceError(f"{self._url}: its answer {error.wrong}") from error
 
-    async def _ask(self, now: datetime) -> tuple[str, bytes]:
+    async def _request(self, now: datetime) -> tuple[str, bytes]:
         """Return an answer and its tag; the last answer if the service says it still holds (304).
 
         Raises:
@@ -158,7 +158,7 @@ class Service:
         """
         import aiohttp
 
-        time_limit = aiohttp.ClientTimeout(total=_WHOLE_S, sock_connect=_PAUSE_S)
+        time_limit = aiohttp.ClientTimeout(total=_ANSWER_S, sock_connect=_PAUSE_S)
         headers = {"If-None-Match": self._tag} if self._tag else {}
         async with (
             aiohttp.ClientSession(timeout=time_limit, trust_env=True) as session,
@@ -201,7 +201,7 @@ def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
         quantity: bridged(series, LONGEST_GAP.get(quantity, 0))
         for quantity, series in records.values.items()
     })
-    series, notes = evapotranspiration(records, site)
+    series, _, notes = evapotranspiration(records, site)
     evaporated = fill_long_gaps({EVAPOTRANSPIRATION: series})[EVAPOTRANSPIRATION]
     means = monthly(records, site)
     if means is not None and np.isnan(evaporated).all():
@@ -274,7 +274,7 @@ class Fetcher:
         self._service, self._file, self._archive = service, file, archive
         self._every = every
         self._wait = _FIRST_WAIT_S
-        self._kept: Issue | None = None
+        self._stored: Issue | None = None
         self._ended = threading.Event()
 
     def fetch(self) -> float:
@@ -284,14 +284,14 @@ class Fetcher:
             about = "".join(f"# {line}\n" for line in (ATTRIBUTION, *issue.notes))
             text = f"{about}{write_forecasts([issue])}"
             replace_text(self._file, text)
-            if self._archive is not None and not _says_the_same(self._kept, issue):
+            if self._archive is not None and not _repeats(self._stored, issue):
                 replace_text(self._archive / f"{issue.order[1]:%Y%m%d%H%M%S}.csv", text)
-                self._kept = issue
+                self._stored = issue
                 _remove_oldest(self._archive)
         except Exception as error:  # whatever failed, the next forecast is requested
             self.problem = str(error) or type(error).__name__
-            asked = error.wait if isinstance(error, ServiceError) else None
-            wait = max(self._wait, min(asked or 0.0, _LONGEST_WAIT_S))
+            requested_wait = error.wait if isinstance(error, ServiceError) else None
+            wait = max(self._wait, min(requested_wait or 0.0, _LONGEST_WAIT_S))
             self._wait = min(2 * self._wait, self._every, _LAST_WAIT_S)
             return wait
         self.problem, self.newest, self._wait = "", issue, _FIRST_WAIT_S
@@ -309,22 +309,22 @@ class Fetcher:
         while not self.wait(self.fetch()):
             pass
 
-    def end(self) -> None:
+    def stop(self) -> None:
         """Stop fetching."""
         self._ended.set()
 
 
 def _remove_oldest(archive: Path) -> None:
     """Remove the oldest kept forecasts beyond the limit; other files are nobody's to remove."""
-    kept = sorted(file for file in archive.iterdir() if _KEPT.fullmatch(file.name))
+    stored = sorted(file for file in archive.iterdir() if _STORED_NAME.fullmatch(file.name))
     size = 0
-    for file in reversed(kept):
+    for file in reversed(stored):
         size += file.stat().st_size
-        if size > _MOST_KEPT:
+        if size > _MOST_STORED:
             file.unlink()
 
 
-def _says_the_same(before: Issue | None, issue: Issue) -> bool:
+def _repeats(before: Issue | None, issue: Issue) -> bool:
     """Return whether a forecast only repeats the remaining hours of an earlier one."""
     if before is None:
         return False

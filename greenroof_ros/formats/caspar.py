@@ -134,11 +134,11 @@ def _variable(dataset: Dataset) -> tuple[Variable[Any], str]:
     return variable, matches[0][1]
 
 
-def _check_units(variable: Variable[Any], due: str, why: str) -> None:
+def _check_units(variable: Variable[Any], expected: str, why: str) -> None:
     units = getattr(variable, "units", "")
-    if units != due:
+    if units != expected:
         raise ConfigurationError(
-            f"must be '{due}', {why}", key=f"{variable.name}:units", value=str(units)
+            f"must be '{expected}', {why}", key=f"{variable.name}:units", value=str(units)
         )
 
 
@@ -168,8 +168,8 @@ def _nearest(
         if not coordinates or coordinates[-1].standard_name != name:
             raise ConfigurationError(f"must have a variable of standard_name '{name}'")
     north, east = (coordinate.dimensions for coordinate in coordinates)
-    due = ("time", *(north if north == east else (*north, *east)))
-    if len(due) != 3 or variable.dimensions != due or dataset["time"].dimensions != ("time",):
+    axes = ("time", *(north if north == east else (*north, *east)))
+    if len(axes) != 3 or variable.dimensions != axes or dataset["time"].dimensions != ("time",):
         raise ConfigurationError(
             f"must have the dimensions time and the two of latitude ({', '.join(north)})"
             f" and longitude ({', '.join(east)}), not ({', '.join(variable.dimensions)}) "

@@ -90,7 +90,7 @@ _NO_UNIT = "undefined"
 # From March 1973 on; fewer digits can be a date.
 _UNIX_TIME = re.compile(r"\d{9,10}(\.0*)?", re.ASCII)
 _SAVED_TIMES = ("time", "datetime", "date")
-_WHOSE = "Open-Meteo's hourly files"
+_SOURCE = "Open-Meteo's hourly files"
 VARIABLES = {
     PRECIPITATION: PRECIPITATION, "temperature": "temperature_2m", "dew point": "dew_point_2m",
     "wind speed": "wind_speed_10m", "station pressure": "surface_pressure",
@@ -171,7 +171,7 @@ def _read(
             raise table.refuse(str(error), cell) from None
         if quantity is None:
             continue
-        table.require([cell], _WHOSE)
+        table.require([cell], _SOURCE)
         known = {unit.name: unit for unit in UNITS[quantity]}
         text = text.strip("()") or next(iter(known))
         if text not in (*known, _NO_UNIT) or name in named:
@@ -221,7 +221,7 @@ def _table(
     if "location_id" in place.header:
         raise place.refuse("must be for one place; download places separately", "location_id", 0)
     zone = _check_place(place, site)
-    table.require(["time"], _WHOSE)
+    table.require(["time"], _SOURCE)
     latitude, longitude = (float(place.columns[name][0]) for name in ("latitude", "longitude"))
     return table, partial(_parse, parse_local_time, zone=zone), {file: (latitude, longitude)}
 
@@ -288,8 +288,8 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
         if not isinstance(value, dict):
             raise refuse("must be a mapping, as in hourly answers", key=key)
     if "hourly" not in content:
-        held = ", ".join(key for key in ("current", "minutely_15", "daily") if key in content)
-        raise refuse(f"has no hourly values, only {held or 'others'}; download hourly variables")
+        present = ", ".join(key for key in ("current", "minutely_15", "daily") if key in content)
+        raise refuse(f"has no hourly values, only {present or 'others'}; download hourly variables")
     hourly = {"time": [], **hourly}
     for name, series in hourly.items():
         if not isinstance(series, list) or len(series) != len(hourly["time"]) or not series:
@@ -313,7 +313,7 @@ def _check_place(place: Table, site: Site) -> timezone:
     Raises:
         ConfigurationError: it is not near, or the place or offset is invalid.
     """
-    place.require([_OFFSET, *_PLACE], _WHOSE)
+    place.require([_OFFSET, *_PLACE], _SOURCE)
     offset = place.numbers(_OFFSET, ("s", -43200.0, 50400.0))[0]  # UTC-12 to UTC+14
     if offset % 3600:
         raise place.refuse(
@@ -360,7 +360,7 @@ def read_records(file: Path, site: Site, /) -> Records:
         values.setdefault(_QUANTITIES[variable], series)
     values = with_dew_point(values)
     if PRECIPITATION not in values:
-        table.require([f"{PRECIPITATION} (mm)"], _WHOSE)
+        table.require([f"{PRECIPITATION} (mm)"], _SOURCE)
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One more hour: the hour before the first time has only rain and radiation, the last neither.
     nothing = np.array([math.nan])
@@ -403,7 +403,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
         for part in parts
     ])
     return Archive(
-        files[0], "Open-Meteo, previous runs", _known_of(whole), SERVICE_DELAY_H,
+        files[0], "Open-Meteo, previous runs", _forecasts_of(whole), SERVICE_DELAY_H,
         _daily(whole), _DAY_H, (*notes, *whole.left_out),
     )
 
@@ -501,7 +501,7 @@ def _named_run(file: Path) -> datetime:
     )
 
 
-def _known_of(previous: Records) -> list[Issue]:
+def _forecasts_of(previous: Records) -> list[Issue]:
     """Return what was known at each 00, 06, 12 and 18 UTC about the following hours, as issues.
 
     With the lead l (h) from then to an hour's end, that is the value of the smallest N with
@@ -535,7 +535,7 @@ def _daily(previous: Records) -> list[Issue]:
 
     The hours from 24 (N - 1) to 24 N after it have the values of N, so each value of the file is in
     exactly one issue, in the day that it stands for; missing values are NaN. In contrast,
-    :func:`_known_of` uses a value in up to four issues, or replaces it by another N's.
+    :func:`_forecasts_of` uses a value in up to four issues, or replaces it by another N's.
     """
     issues = []
     for issued, by_days in _windows(previous, _DAY_H):

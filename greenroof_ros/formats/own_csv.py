@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 from zoneinfo import ZoneInfo
+
+import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import read_lines
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.common.times import parse_time, to_minutes
+from greenroof_ros.common.times import duration, parse_time, to_minutes
 from greenroof_ros.formats.records import (
     EVAPOTRANSPIRATION,
     HOUR,
@@ -25,6 +30,7 @@ from greenroof_ros.formats.records import (
     Issue,
     Records,
     Table,
+    Unit,
     by_hour,
     check_alike,
     ensemble,
@@ -34,6 +40,7 @@ from greenroof_ros.formats.records import (
     table_of,
     with_dew_point,
 )
+from greenroof_ros.formats.steps import steps_of_rows
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
 
@@ -45,11 +52,18 @@ _FORECAST = {
 # Of a live site's file only the last bytes are read, enough for 100 members of 36 days.
 _MOST_BYTES, _CHUNK = 16_000_000, 1_000_000
 _COMMENT = re.compile(r"\s*(#|$)")
-# The place of a weather file, in a comment at its head.
-_PLACE = re.compile(r"\b(latitude|longitude)\s*[:=]\s*([-+]?\d+(?:\.\d*)?)", re.IGNORECASE)
+# What comments at the head of a weather file may say: its place, the height of the wind, and the
+# delay of the rain's time.
 _ENDS = {
     "latitude": Range(-90.0, 90.0, "degrees"), "longitude": Range(-180.0, 180.0, "degrees"),
+    "wind_height": Range(0.5, 100.0, "m"), "rain_late": Range(0.0, 1.0, "h"),
 }
+_ABOUT = re.compile(rf"\b({'|'.join(_ENDS)})\s*[:=]\s*([-+]?\d+(?:\.\d*)?)", re.IGNORECASE)
+# Least share of an hour's rows to know its rain; another quantity needs one value.
+_ENOUGH = 0.75
+# Other names of quantities, and units of amounts in a row.
+_SYNONYMS = {"rain": PRECIPITATION}
+_AMOUNT = "mm"
 _MEMBERS = ("(whole)", 0.0, MOST_MEMBERS - 1.0)
 _OPTIONAL = {"available", "member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
 
@@ -66,43 +80,96 @@ def read_records(file: Path, site: Site, /) -> Records:
     """Read a weather file in this project's format; an empty cell is a missing value.
 
     Lines that start with ``#`` are comments. The first other line names the columns with their
-    units: ``time``, ``precipitation [mm/h]``, and others of
-    :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]`` begins
+    units: ``time``, ``precipitation [mm/h]`` or ``rain [mm]``, the amount of each row, and others
+    of :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]`` begins
     with the name of its method. Comments at the head may give the place, as in ``latitude: 43.63,
-    longitude: -79.40``. Each further line is the hour that starts at its ``time`` (ISO 8601
-    with the offset from UTC; without an offset it is a time of the clock in ``time_zone`` of the
-    site). An hour without a line is missing.
+    longitude: -79.40``, and ``wind_height: 2`` (m). Each further line is the hour that starts at
+    its ``time`` (ISO 8601 with the offset from UTC; without an offset it is a time of the clock in
+    ``time_zone`` of the site). An hour without a line is missing.
+
+    Lines less than an hour apart, at a regular step, are averaged by the hours of the clock. Rain
+    of an hour with less than 0.75 of its lines is missing.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
     table = read_table(file, lambda name: name != "time")
     columns, method = _columns(table)
-    first, hours = table.hours(
-        "time", zone=None if site.time_zone is None else ZoneInfo(site.time_zone),
-        hint="; if it is of a clock with daylight saving time, give the site file its time_zone, "
-        "such as America/Toronto",
-    )
-    values = with_dew_point(by_hour({
-        quantity: table.usable(
-            column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0),
+    first, hours, step = _hours(table, site)
+    values = {}
+    for quantity, column in columns.items():
+        unit = Unit(_AMOUNT, step) if column.endswith(f"[{_AMOUNT}]") else None
+        values[quantity] = table.usable(
+            column, QUANTITIES[quantity], unit, NEARLY.get(quantity, 0.0),
             optional=quantity != PRECIPITATION,
         )
-        for quantity, column in columns.items()
-    }, hours))
+    notes = table.notes
+    if step < 1:
+        values = {
+            name: _means(series, hours, _ENOUGH / step if name == PRECIPITATION else 1.0)
+            for name, series in values.items()
+        }
+        hours = np.arange(hours[-1] + 1)
+        notes.append(
+            f"{file.name}: rows are {duration(3600 * step)} apart; each hour has their mean, of "
+            f"rain their mean rate if at least {_ENOUGH:g} of them are there"
+        )
+    about = _about(file)
+    here = {file: (about["latitude"], about["longitude"])} if (
+        {"latitude", "longitude"} <= about.keys()
+    ) else {}
     return Records(
-        (file,), first, values, method, left_out=tuple(table.notes), places=_place(file)
+        (file,), first, with_dew_point(by_hour(values, hours)), method, left_out=tuple(notes),
+        rain_late=round(about.get("rain_late", 0.0)), places=here,
+        wind_height=about.get("wind_height"),
     )
 
 
-def _place(file: Path) -> dict[Path, tuple[float, float]]:
-    """Return the place in the comments at the head of a file; empty if they give none."""
+def _hours(table: Table, site: Site) -> tuple[datetime, NDArray[np.intp], float]:
+    """Return the start of the first hour, the hour of each row, and the rows' step (h)."""
+    times_of = partial(
+        table.times, "time", zone=None if site.time_zone is None else ZoneInfo(site.time_zone),
+        hint="; if it is of a clock, give the site file its time_zone, such as America/Toronto, or "
+        "Etc/GMT+5 for UTC-5 without daylight saving time",
+    )
+    first_two = [*itertools.islice(times_of(), 2)]
+    if timedelta() < first_two[-1] - first_two[0] < HOUR:
+        times = [*times_of()]
+        for row, (earlier, later) in enumerate(itertools.pairwise(times), start=1):
+            if later <= earlier:
+                raise table.refuse("must be later than the time of the row before", "time", row)
+        step = steps_of_rows(table, times)[1] / 3600
+        if step < 1:
+            first = times[0].replace(minute=0, second=0, microsecond=0)
+            return first, np.array([(time - first) // HOUR for time in times]), step
+    return *table.hours("time", **times_of.keywords), 1.0
+
+
+def _means(
+    series: NDArray[np.float64], hours: NDArray[np.intp], fewest: float
+) -> NDArray[np.float64]:
+    """Return the mean of each hour's rows; NaN if there are too few.
+
+    Args:
+        series: values of the rows, NaN if missing.
+        hours: of the rows.
+        fewest: number of values that an hour must have.
+    """
+    count = np.bincount(hours, ~np.isnan(series))
+    total = np.bincount(hours, np.nan_to_num(series))
+    # Tenths of a millimetre do not add up exactly in binary numbers.
+    means = np.round(total / np.maximum(count, 1), 9)
+    return np.where(count >= round(fewest, 6), means, np.nan)
+
+
+def _about(file: Path) -> dict[str, float]:
+    """Return what the comments at the head of a file say about it, by the names of ``_ENDS``."""
     found = {}
     with file.open(encoding="utf-8-sig") as stream:
         for number, line in enumerate(itertools.takewhile(_COMMENT.match, stream), 1):
-            for key, text in _PLACE.findall(line.lower()):
+            for key, text in _ABOUT.findall(line.lower()):
                 found[key] = _ENDS[key].read(float(text), file=file, line=number, key=key)
-    return {file: (found["latitude"], found["longitude"])} if len(found) == 2 else {}
+    return found
 
 
 def _columns(table: Table) -> tuple[dict[str, str], str]:
@@ -111,19 +178,53 @@ def _columns(table: Table) -> tuple[dict[str, str], str]:
     method = ""
     for column, name, unit in table.quantities(_FORECAST[PRECIPITATION]):
         quantity = EVAPOTRANSPIRATION if name.endswith(EVAPOTRANSPIRATION) else name
+        quantity = _SYNONYMS.get(quantity, quantity)
         if quantity not in QUANTITIES:
             known = [f"{key} [{value[0]}]" for key, value in QUANTITIES.items()]
             raise table.refuse(f"is not a known column; {did_you_mean(column, known)}", column)
-        if unit != QUANTITIES[quantity][0]:
-            raise table.refuse(f"the unit of {name} must be [{QUANTITIES[quantity][0]}]", column)
+        units = [QUANTITIES[quantity][0], *([_AMOUNT] if quantity == PRECIPITATION else [])]
+        if unit not in units:
+            raise table.refuse(f"the unit of {name} must be [{'] or ['.join(units)}]", column)
         if quantity in columns:
             raise table.refuse(f"there is a column of {quantity} before this one", column)
         columns[quantity] = column
         if quantity == EVAPOTRANSPIRATION:
             method = name.removesuffix(EVAPOTRANSPIRATION).strip() or "unnamed"
     if PRECIPITATION not in columns:
-        raise table.refuse(f"there must be a column '{_FORECAST[PRECIPITATION]}'")
+        raise table.refuse(
+            f"there must be a column '{_FORECAST[PRECIPITATION]}' or 'rain [{_AMOUNT}]'"
+        )
     return columns, method
+
+
+def write_records(records: Records, about: str) -> str:
+    """Return records as the text of a file, which :func:`read_records` reads bit for bit.
+
+    Args:
+        records: hours of one place; gaps are empty cells.
+        about: the first comment.
+    """
+    head = []
+    places = {*records.places.values()}
+    if len(places) == 1:
+        head += [f"{name}: {degrees:.5f}" for name, degrees in zip(_ENDS, *places, strict=False)]
+    if records.wind_height is not None:
+        head.append(f"wind_height: {records.wind_height:g}")
+    if records.rain_late:
+        head.append(f"rain_late: {records.rain_late}")
+    names = {
+        name: f"{records.method} {name}" if name == EVAPOTRANSPIRATION else name
+        for name in records.values
+    }
+    lines = [
+        f"# {about}", *(f"# {line}" for line in head),
+        ",".join(["time", *(f"{text} [{QUANTITIES[name][0]}]" for name, text in names.items())]),
+    ]
+    columns = (series.tolist() for series in records.values.values())
+    for hour, row in enumerate(zip(*columns, strict=True)):
+        cells = ("" if math.isnan(value) else repr(value) for value in row)
+        lines.append(",".join([(records.first + hour * HOUR).isoformat(), *cells]))
+    return "\n".join([*lines, ""])
 
 
 # --- forecasts --------------------------------------------------------------------------------
@@ -181,8 +282,8 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
                 "of time", "issued", row,
             )
         rows = rows_of.setdefault((issue, available), {}).setdefault(member, [])
-        due = issue + len(rows) * HOUR
-        table.check_due("time", row, time, due, "each forecast, from its issue on,")
+        expected = issue + len(rows) * HOUR
+        table.check_expected("time", row, time, expected, "each forecast, from its issue on,")
         rows.append(row)
     values = {
         quantity: table.usable(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -20,7 +20,9 @@ SUFFIXES = (".csv", ".json", ".nc")
 _HEAD_BYTES = 4096
 
 # The first format that recognises a file by its name and first bytes reads it; the last takes any.
-_WEATHER = (eccc, open_meteo, own_csv)
+_WEATHER = {
+    eccc: "Environment and Climate Change Canada", open_meteo: "Open-Meteo", own_csv: "own CSV",
+}
 _FORECASTS = (caspar, open_meteo, own_csv)
 
 
@@ -32,6 +34,15 @@ def read_records(file: Path, site: Site) -> Records:
     """
     records: Records = _format_of(file, _WEATHER).read_records(file, site)
     return records
+
+
+def format_name(file: Path) -> str:
+    """Return the name of a weather file's format, for people.
+
+    Raises:
+        ConfigurationError: the file cannot be read.
+    """
+    return _WEATHER[_format_of(file, _WEATHER)]
 
 
 def read_archive(source: Path, site: Site, delay: float | None = None) -> Archive:
@@ -101,8 +112,8 @@ def _alike(issues: Sequence[Issue]) -> tuple[list[Issue], list[str]]:
         check_alike(earlier, issue)
         alike.append(issue)
     most = max(len(issue.rain) for issue in alike)
-    kept = [issue for issue in alike if 2 * len(issue.rain) >= most]
-    fewest = min(len(issue.rain) for issue in kept)
+    used = [issue for issue in alike if 2 * len(issue.rain) >= most]
+    fewest = min(len(issue.rain) for issue in used)
     notes += [
         f"{issue.file.name}: the issue of {to_minutes(issue.issued)} is left out: it has "
         f"{len(issue.rain)} members, and others {most}"
@@ -110,11 +121,11 @@ def _alike(issues: Sequence[Issue]) -> tuple[list[Issue], list[str]]:
     ]
     if fewest < most:
         notes.append(f"all issues have {fewest} members, like the one with the fewest")
-    notes[:0] = [note for issue in kept for note in issue.notes]
-    return [replace(issue, rain=issue.rain[:fewest]) for issue in kept], notes
+    notes[:0] = [note for issue in used for note in issue.notes]
+    return [replace(issue, rain=issue.rain[:fewest]) for issue in used], notes
 
 
-def _format_of(file: Path, formats: Sequence[ModuleType]) -> ModuleType:
+def _format_of(file: Path, formats: Iterable[ModuleType]) -> ModuleType:
     """Return the module of a file's format."""
     if file.exists() and not file.is_file():
         raise ConfigurationError("must be a regular file, or a directory of such files", file=file)

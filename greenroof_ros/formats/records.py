@@ -402,31 +402,31 @@ def mended(issue: Issue) -> Issue:
     rain = np.array([bridged(series, 1) for series in issue.rain])
     if issue.hours > 1:  # the first hour has one neighbour
         rain[:, 0] = np.where(np.isnan(rain[:, 0]), rain[:, 1], rain[:, 0])
-    lengths = [_known_hours(series) for series in rain]
-    kept = [number for number, hours in enumerate(lengths) if hours and 2 * hours >= max(lengths)]
-    if not kept:
+    lengths = [_complete_hours(series) for series in rain]
+    used = [number for number, hours in enumerate(lengths) if hours and 2 * hours >= max(lengths)]
+    if not used:
         raise ConfigurationError(
             f"has no precipitation after its run, {to_minutes(issue.issued)}", file=issue.file,
             line=issue.line,
         )
     notes = [
         f"member {number} is left out: it has {hours} hours, and others {max(lengths)}"
-        for number, hours in enumerate(lengths) if number not in kept
+        for number, hours in enumerate(lengths) if number not in used
     ]
-    hours = min(lengths[number] for number in kept)
+    hours = min(lengths[number] for number in used)
     evapotranspiration, temperature = (
         series if series is None else bridged(series, _LONGEST_BRIDGE)
         for series in (issue.evapotranspiration, issue.temperature)
     )
     if evapotranspiration is not None:
-        hours = min(hours, _known_hours(evapotranspiration))
+        hours = min(hours, _complete_hours(evapotranspiration))
         if not hours:
             raise ConfigurationError(
                 f"has no evapotranspiration at {to_minutes(issue.issued)}", file=issue.file,
                 line=issue.line,
             )
     if temperature is not None:
-        known = _known_hours(temperature)
+        known = _complete_hours(temperature)
         if 2 * known < hours:
             notes.append(f"temperature is left out: it has {known} hours, and others {hours}")
             temperature = None
@@ -434,11 +434,11 @@ def mended(issue: Issue) -> Issue:
             hours = min(hours, known)
     if hours < max(lengths):
         notes.append(f"ends after {hours} of {max(lengths)} hours, from which something is missing")
-    count = int(np.isnan(issue.rain[kept, :hours]).sum())
+    count = int(np.isnan(issue.rain[used, :hours]).sum())
     if count:
         notes.append(f"{count} missing hours of precipitation have the mean of their neighbours")
     return replace(
-        issue, rain=rain[kept, :hours],
+        issue, rain=rain[used, :hours],
         notes=(*issue.notes, *(
             f"{issue.file.name}, issue of {to_minutes(issue.issued)}: {note}" for note in notes
         )),
@@ -447,7 +447,7 @@ def mended(issue: Issue) -> Issue:
     )
 
 
-def _known_hours(series: NDArray[np.float64]) -> int:
+def _complete_hours(series: NDArray[np.float64]) -> int:
     """Return the number of values before the first that is missing."""
     return int(np.append(np.isnan(series), True).argmax())
 
@@ -612,11 +612,11 @@ class Table:
             value=self.cell(column, row),
         )
 
-    def require(self, columns: Iterable[str], whose: str) -> None:
+    def require(self, columns: Iterable[str], source: str) -> None:
         """Refuse a header unless it has each of these columns exactly once."""
         for column in columns:
             if column not in self.header:
-                raise self.refuse(f"must have a column '{column}', as {whose} have")
+                raise self.refuse(f"must have a column '{column}', as {source} have")
             if self.header.count(column) > 1:
                 raise self.refuse("is the name of two columns", column)
 
@@ -639,9 +639,9 @@ class Table:
 
     def require_header(self, columns: Sequence[str], why: str) -> None:
         """Refuse a header with other columns, or another order."""
-        for cell, due in itertools.zip_longest(self.header, columns):
-            if cell != due:
-                wrong = "is one column too many" if due is None else f"the column must be '{due}'"
+        for cell, name in itertools.zip_longest(self.header, columns):
+            if cell != name:
+                wrong = "is one column too many" if name is None else f"the column must be '{name}'"
                 raise self.refuse(f"{wrong}{why}", cell or "")
 
     def numbers(
@@ -842,21 +842,21 @@ class Table:
         for row, time in enumerate(times, start=1):
             hour, rest = divmod(time - first, HOUR)
             if rest or hour <= hours[-1]:
-                due = first.astimezone(time.tzinfo) + (hours[-1] + 1) * HOUR
+                expected = first.astimezone(time.tzinfo) + (hours[-1] + 1) * HOUR
                 raise self.refuse(
-                    f"must be {to_minutes(due)}, or whole hours later: each row is an hour; an "
-                    "hour without values is a row with empty cells, or none", column, row,
+                    f"must be {to_minutes(expected)}, or whole hours later: each row is an hour; "
+                    "an hour without values is a row with empty cells, or none", column, row,
                 )
             hours.append(hour)
         return first, np.array(hours, dtype=np.intp)
 
-    def check_due(
-        self, column: str, row: int, time: datetime, due: datetime, series: str = "the records"
+    def check_expected(
+        self, column: str, row: int, time: datetime, expected: datetime, series: str = "the records"
     ) -> None:
         """Refuse a time that is not the next hour."""
-        if time != due:
+        if time != expected:
             raise self.refuse(
-                f"must be {to_minutes(due.astimezone(time.tzinfo))}: {series} must have "
+                f"must be {to_minutes(expected.astimezone(time.tzinfo))}: {series} must have "
                 "consecutive hours, without gap or repetition",
                 column, row,
             )

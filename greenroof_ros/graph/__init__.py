@@ -1,4 +1,4 @@
-"""What a node needs to join a graph: lockstep, live timing, parameters and processes."""
+"""What a node of a graph needs: messages, publishers, parameters, reports, lockstep, executable."""
 
 import sys
 

@@ -19,9 +19,9 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError, with_extra
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.processes import LockedError, take_name
+from greenroof_ros.common.processes import LockedError, acquire_name_lock
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.graph.rclpy_internals import quicken, waiting_in
+from greenroof_ros.graph.rclpy_internals import speed_up, waiting_messages
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 # Variable naming the profiles file; Fast DDS 3 (ROS 2 Kilted) renamed it, and warns of the old one.
@@ -36,7 +36,7 @@ _LISTEN_S = 1.0
 # busy. Fast DDS can lock up and spin while it shuts down at the same time as a peer, in a call or
 # when Python frees its last objects at exit. No Python code runs then, so the kernel must end the
 # process (SIGALRM).
-TAKING_DOWN_S = 6
+SHUTDOWN_S = 6
 # Above it a domain's ports overlap the system's ephemeral ports.
 _LAST_DOMAIN = 101
 
@@ -139,7 +139,7 @@ def only_bringup(namespace: str) -> Iterator[None]:
         OSError: the system refuses the lock.
     """
     try:
-        lock = take_name(f"{os.getuid()}-domain-{_domain()}{namespace}")
+        lock = acquire_name_lock(f"{os.getuid()}-domain-{_domain()}{namespace}")
     except LockedError:
         raise _occupied("a bringup is running", namespace) from None
     with lock:
@@ -149,7 +149,7 @@ def only_bringup(namespace: str) -> Iterator[None]:
 def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[], None]) -> None:
     """Listen for 1 s, and refuse if nodes with these names are already in the namespace.
 
-    The listening node then leaves the graph: this process takes no part in the run.
+    The listening node leaves the graph before the nodes of the run are made.
 
     Args:
         namespace: such as ``/site1``; empty for none.
@@ -196,8 +196,8 @@ def make_executor() -> Any:
     return EventsExecutor()
 
 
-def begin_to_listen(executor: Any, node: Any) -> None:
-    """Add a node to an executor, and deliver the messages that came before it listened.
+def start_receiving(executor: Any, node: Any) -> None:
+    """Add a node to an executor, and deliver the messages that arrived before it listened.
 
     rmw_fastrtps counts the waiting messages and then starts to listen. A message that comes in
     between is not noticed until the next one comes, which in lockstep never happens.
@@ -213,6 +213,6 @@ def begin_to_listen(executor: Any, node: Any) -> None:
     for subscription in node.subscriptions:
         if subscription.raw:
             if not isinstance(executor, Executor):
-                quicken(subscription)
-            for message, _ in waiting_in(subscription):
+                speed_up(subscription)
+            for message, _ in waiting_messages(subscription):
                 subscription.callback(message)

@@ -28,7 +28,7 @@ from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
-from greenroof_ros.graph.spin import end_nodes, ros, spin
+from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.model.site import Site
 
 # How long peers must be missing before this is logged, and how often it is repeated (s).
@@ -194,38 +194,39 @@ def run_nodes(
         finally:
             if nodes and end_nodes(nodes, failure) is not None:
                 code = code or EXIT_FAILED
+            destroy_nodes(nodes)
     return code
 
 
 def spin_alone(nodes: Sequence[SimulationNode], check: Callable[[], None]) -> None:
     """Run a node of a simulated graph until its run is over; see :func:`node_command`."""
     (node,) = nodes
-    spin(nodes, _Alone(node, check).over)
+    spin(nodes, _Alone(node, check).may_end)
 
 
 class _Alone:
-    """Whether a node that runs alone is over; until its run begins, it logs whom it waits for."""
+    """Whether a node that runs alone may end; until its run begins, it logs whom it waits for."""
 
     def __init__(self, node: SimulationNode, check: Callable[[], None]) -> None:
         self._node, self._check = node, check
         self._missing: list[str] = []
         self._log_at = math.inf
 
-    def over(self) -> bool:
+    def may_end(self) -> bool:
         """Return whether the node may end.
 
         Raises:
-            InterruptedRun: a signal came.
+            InterruptedRun: a signal was received.
             LockstepError: the plant has ended before the run.
         """
         self._check()
         if not self._node.acted:
             self._log_missing(time.monotonic())
-        return self._node.over
+        return self._node.may_end
 
     def _log_missing(self, now: float) -> None:
         """Log which nodes are missing: after 2 s, then every 5 s."""
-        missing = sorted(map(self._node.call, self._node.absent()))
+        missing = sorted(map(self._node.name_of, self._node.absent()))
         if missing != self._missing:
             self._missing, self._log_at = missing, now + _PATIENCE_S
         if now > self._log_at:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,13 @@ from rclpy.qos import QoSProfile
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.graph.inputs import Input
-from greenroof_ros.graph.messages import LockstepError, encoder, message_class, qos_profile
+from greenroof_ros.graph.messages import (
+    LockstepError,
+    describe,
+    encoder,
+    message_class,
+    qos_profile,
+)
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.graph.rclpy_internals import NoClockSubscription, raw_publish
 from greenroof_ros.graph.reports import Reports
@@ -172,11 +177,7 @@ class GraphNode(NoClockSubscription, Node):
         if self.failure is not None:
             return
         if not isinstance(error, (LockstepError, ConfigurationError, OSError)):
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            error = LockstepError(
-                f"{self.get_name()}: {type(error).__name__}: {error} ({place.filename}, line "
-                f"{place.lineno})"
-            )
+            error = LockstepError(f"{self.get_name()}: {describe(error)}")
         self.failure = error
         self.on_failure()
 
@@ -191,9 +192,9 @@ class GraphNode(NoClockSubscription, Node):
         return self.reports.state != STARTING
 
     def absent(self) -> dict[str, list[str]]:
-        """Return the inputs without a publisher that can be heard, by missing role."""
+        """Return the inputs without a compatible publisher, by missing role."""
         return self.by_role(
-            [name for name, entry in self.inputs.items() if not entry.publishers.heard]
+            [name for name, entry in self.inputs.items() if not entry.publishers.compatible]
         )
 
     def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
@@ -226,8 +227,8 @@ class GraphNode(NoClockSubscription, Node):
         self.report_state()
         until = time.monotonic() + FLUSH_S
         for publisher in (*self._outputs.values(), self.reports.publisher):
-            left = max(0.0, until - time.monotonic())
-            publisher.wait_for_all_acked(Duration(seconds=left))
+            remaining = max(0.0, until - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=remaining))
 
     def report_state(self, **values: Any) -> dict[str, Any]:
         """Report the node's state with further values, and return all values of the report."""

@@ -1,6 +1,6 @@
 """Lockstep over topics: a node acts once each of its inputs has its message of the tick.
 
-Each topic of a tick has exactly one message per tick, k = 0..N. Only ``/clock`` tells the tick; the
+Each topic of a tick has exactly one message per tick, k = 0..N. Only ``/clock`` has the tick; the
 others need not, since no node publishes tick k + 1 before it has acted on tick k. The rule for
 every node except the recorder, which only counts:
 
@@ -16,8 +16,8 @@ and the plant is at most 32 ticks ahead of the recorder. These end a run:
 - a second publisher, or a second message before the node has acted. Only the pump node tolerates
   these, for the command, and stops the pump; the plant also gets them and ends the run;
 - a second message after the node has acted. It counts for the next tick, and is found when that
-  tick's own message comes; after the last tick, any message is one too many. A message that only
-  the recorder misses shows in its count.
+  tick's own message comes; after the last tick, any message ends the run. A message that only the
+  recorder misses shows in its count.
 
 The plant publishes ``/run`` before the first tick: N, with which every node knows its last tick. No
 timer or sleep delays a tick. Wall clocks only end a run that hangs, and stop the pump node's drive.
@@ -32,7 +32,7 @@ from typing import NamedTuple
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import LockstepError
-from greenroof_ros.graph.publishers import list_nodes
+from greenroof_ros.graph.publishers import DISCOVERY_S, list_nodes
 
 CLOCK, RUN = "/clock", "/run"
 
@@ -94,10 +94,10 @@ class Lockstep:
             second = name not in awaited
             if second and not tolerates_second:
                 kind = LockstepError if self.tick else OccupiedError
+                publishers = list_nodes(entry.publishers.names(DISCOVERY_S))
                 raise kind(
-                    f"{entry.name} came twice in tick {self.tick} "
-                    f"({list_nodes(entry.publishers.names())}); another publisher, or nodes from "
-                    "an earlier run, are in this graph"
+                    f"{entry.name} has a second message in tick {self.tick} ({publishers}); "
+                    "another publisher, or nodes from an earlier run, are in this graph"
                 )
             entry.receive(message)
             awaited.discard(name)
@@ -111,8 +111,8 @@ class Lockstep:
         self.awaited |= self._of_tick
         self.tick += 1
         self._act()
-        if self.is_over:
-            self.awaited.clear()  # any further message is one too many
+        if self.done:
+            self.awaited.clear()  # any further message ends the run
             self._finish()
 
     def join(self, values: array[float]) -> None:
@@ -120,7 +120,7 @@ class Lockstep:
 
         Raises:
             LockstepError: this is another run, so this node's run has ended; the plant is of
-                another version; or a message came after the last tick.
+                another version; or a message arrived after the last tick.
         """
         if len(values) != len(RunIdentity._fields):
             raise LockstepError(
@@ -132,15 +132,17 @@ class Lockstep:
             raise LockstepError(
                 "the plant was started again, or there are two; a run ends with its plant"
             )
-        if before is None and self.is_over:  # /run arrived after the messages of the last tick
-            over = round(self.run.last_tick) + 1
-            early = self._of_tick if self.tick > over else self._of_tick - self.awaited
+        if before is None and self.done:  # /run arrived after the messages of the last tick
+            end = round(self.run.last_tick) + 1
+            early = self._of_tick if self.tick > end else self._of_tick - self.awaited
             if early:
-                raise LockstepError(f"{min(early)} came twice in tick {over} (after the last)")
+                raise LockstepError(
+                    f"{min(early)} has a second message in tick {end} (after the last)"
+                )
             self.awaited.clear()
             self._finish()
 
     @property
-    def is_over(self) -> bool:
+    def done(self) -> bool:
         """Whether the node has acted on the last tick; False in the plant, which counts itself."""
         return self.run is not None and self.tick > self.run.last_tick

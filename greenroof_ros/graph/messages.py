@@ -13,6 +13,7 @@ from __future__ import annotations
 import importlib
 import math
 import struct
+import traceback
 from array import array
 from collections.abc import Callable
 from functools import partial
@@ -26,6 +27,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, Float64MultiArray, String
 
+from greenroof_ros.common.errors import HangError
 from greenroof_ros.common.interface import Qos
 
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
@@ -40,6 +42,14 @@ _NS = 1_000_000_000
 
 class LockstepError(Exception):
     """The graph cannot go on; the message names the topic and the node."""
+
+
+def describe(error: Exception) -> str:
+    """Return an unexpected error as one line: its type, its message and its place in the code."""
+    if isinstance(error, HangError):
+        return str(error)
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
 
 
 class WithFront(NamedTuple):

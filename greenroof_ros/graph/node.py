@@ -39,6 +39,7 @@ class SimulationNode(GraphNode):
 
     Attributes:
         lockstep: makes the node act.
+        result: what it has added to the run's summary; empty before the run is over.
     """
 
     def __init__(self, name: str, role: str) -> None:
@@ -54,9 +55,10 @@ class SimulationNode(GraphNode):
         self._now_ns = 0  # 0: not set yet
         super().__init__(name, role, read_topics(), simulated=True)
         self.lockstep = Lockstep(self.on_inputs, self.finish)
+        self.result: dict[str, Any] = {}
         self._waits_for: list[Publishers] = []
         self._tolerated: set[str] = set()  # topics whose second publisher the node handles
-        self._unheard_since: dict[str, float] = {}
+        self._incompatible_since: dict[str, float] = {}
         self._checked = -math.inf
         if role != PLANT:
             decode = decoder(self.interface[RUN].type)
@@ -147,8 +149,8 @@ class SimulationNode(GraphNode):
 
     def finish(self) -> None:
         """Report from now on that the run is over for this node, with the node's summary."""
-        self._note_warnings(time.monotonic())
-        self._final = self.summary()
+        self._update_warnings(time.monotonic())
+        self.result = self._final = self.summary()
         self.reports.state = FINISHED
         self.report_state()
 
@@ -169,7 +171,7 @@ class SimulationNode(GraphNode):
         self._checked = now
         if not self.finished:
             self._refuse_second()
-            self._note_warnings(now)
+            self._update_warnings(now)
             if not self.ready and not self.absent():
                 self.reports.state = READY
         self.report_state()
@@ -177,19 +179,19 @@ class SimulationNode(GraphNode):
     def _refuse_second(self) -> None:
         for name, entry in self.inputs.items():
             publishers = entry.publishers
-            if name not in self._tolerated and publishers.count > 1 and publishers.heard > 1:
+            if name not in self._tolerated and publishers.count > 1 and publishers.compatible > 1:
                 # Before the run it is a wrong set-up, later a failure.
                 kind = LockstepError if self.acted else OccupiedError
-                raise kind(f"{entry.name} {publishers.second()}")
+                raise kind(f"{entry.name} {publishers.second(DISCOVERY_S)}")
 
-    def _note_warnings(self, now: float) -> None:
-        """Note each publisher that stays unheard for the discovery time, and refused values."""
+    def _update_warnings(self, now: float) -> None:
+        """Warn of refused values, and of publishers incompatible for the discovery time."""
         for publishers in self._waits_for:
-            problem = "" if self.acted else publishers.unheard()
+            problem = "" if self.acted else publishers.incompatible()
             name = publishers.full_name
-            since = self._unheard_since.setdefault(name, now) if problem else math.inf
+            since = self._incompatible_since.setdefault(name, now) if problem else math.inf
             if not problem:
-                self._unheard_since.pop(name, None)
+                self._incompatible_since.pop(name, None)
             elif now - since >= DISCOVERY_S:
                 self._warn(f"{name} {problem}")
         for entry in self.inputs.values():
@@ -207,12 +209,12 @@ class SimulationNode(GraphNode):
     def describe(self, silent: dict[str, list[str]]) -> str:
         """Return a text that names topics, and the nodes that should publish them."""
         return "; ".join(
-            f"{', '.join(self.inputs[name].name for name in names)} from {self.call(role)}"
+            f"{', '.join(self.inputs[name].name for name in names)} from {self.name_of(role)}"
             for role, names in silent.items()
         )
 
-    def call(self, role: str) -> str:
-        """Return how to name the node of a role: by its node name if it publishes an input here."""
+    def name_of(self, role: str) -> str:
+        """Return the name of the node of a role: its node name if it publishes an input here."""
         nodes = [
             node for entry in self.inputs.values() if role in entry.topic.publishers
             for node in entry.publishers.names()
@@ -222,7 +224,7 @@ class SimulationNode(GraphNode):
     # --- ending -----------------------------------------------------------------------------
 
     @property
-    def over(self) -> bool:
+    def may_end(self) -> bool:
         """Whether a node that runs alone may end: the run is over, and all messages have arrived.
 
         The plant leaves first: until then a node may still need this node's messages.
@@ -231,12 +233,12 @@ class SimulationNode(GraphNode):
             LockstepError: the plant has ended before the run.
         """
         if not self.finished:
-            if self.lockstep.run is not None and self._plant_has_gone():
+            if self.lockstep.run is not None and self._plant_ended():
                 raise LockstepError("plant has ended, and the run with it")
             return False
-        return self.all_arrived() and (self.role == PLANT or self._plant_has_gone())
+        return self.all_arrived() and (self.role == PLANT or self._plant_ended())
 
-    def _plant_has_gone(self) -> bool:
+    def _plant_ended(self) -> bool:
         clock = self.inputs.get(CLOCK)
         return clock is not None and clock.publishers.count == 0
 

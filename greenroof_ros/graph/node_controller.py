@@ -76,7 +76,7 @@ class NodeController:
         return rain.value
 
     def publish_outputs(self, *, decided: bool) -> None:
-        """Publish the controller's optional outputs; without a decision, what stands for none."""
+        """Publish the optional outputs; without a decision, each topic's value for that case."""
         for topic, attribute in self._optional:
             value = getattr(self.controller, attribute) if decided else topic.undecided
             self._node.publish(topic.name, value)

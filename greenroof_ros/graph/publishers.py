@@ -1,4 +1,4 @@
-"""The publishers of a topic, as ROS knows them: who they are, and whether they can be heard."""
+"""The publishers of a topic, as ROS knows them: who they are, and whether their QoS fits."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Publishers:
     Attributes:
         topic: the topic in the interface.
         full_name: the topic's full name in ROS, with its namespace.
-        required: the quality of service that a publisher must offer to be heard.
+        required: the quality of service that a publisher must offer to be compatible.
     """
 
     def __init__(self, node: Node, topic: Topic, required: Qos) -> None:
@@ -52,59 +52,66 @@ class Publishers:
         return self._node.count_publishers(self.full_name)
 
     @property
-    def heard(self) -> int:
-        """How many publishers can be heard: their quality of service fits."""
-        return len(self._known()) - len(self._unheard())
+    def compatible(self) -> int:
+        """How many publishers have a compatible quality of service: their messages arrive."""
+        return len(self._endpoints()) - len(self._incompatible())
 
-    def names(self) -> list[str]:
+    def names(self, wait_s: float = 0.0) -> list[str]:
         """Return the names of the publishers' nodes; if all have gone, the last known names.
 
-        A name may be discovered after the first messages: this waits for it, for error messages.
+        Args:
+            wait_s: how long to wait for a name that is not discovered yet: after the first
+                messages, it may take :data:`DISCOVERY_S`.
         """
-        until = time.monotonic() + DISCOVERY_S
-        known = {info.node_name for info in self._known()}
+        until = time.monotonic() + wait_s
+        known = {info.node_name for info in self._endpoints()}
         while _UNKNOWN_NAME in known and time.monotonic() < until:
             time.sleep(0.01)
-            known = {info.node_name for info in self._known()}
-        self._names = sorted(map(call_node, known)) or self._names
+            known = {info.node_name for info in self._endpoints()}
+        self._names = sorted(map(display_name, known)) or self._names
         return self._names
 
-    def second(self) -> str:
-        """Return that there is a second publisher, as a clause; empty if there is none."""
+    def second(self, wait_s: float = 0.0) -> str:
+        """Return that there is a second publisher, as a clause; empty if there is none.
+
+        Args:
+            wait_s: see :meth:`names`.
+        """
         count = self.count
-        if count < 2 or len(self._known()) < 2:
+        if count < 2 or len(self._endpoints()) < 2:
             return ""
+        names = list_nodes(self.names(wait_s))
         return (
-            f"has {count} publishers ({list_nodes(self.names())}), but must have one: end the "
+            f"has {count} publishers ({names}), but must have one: end the "
             "other, or use another ROS_DOMAIN_ID or --namespace"
         )
 
-    def unheard(self) -> str:
-        """Return which publishers cannot be heard, and why, as a clause; empty if all can.
+    def incompatible(self) -> str:
+        """Return which publishers are incompatible, and why, as a clause; empty if none is.
 
         DDS does not connect a publisher to a subscription that requests more than it offers, and
         reports only one of the mismatched policies. The profiles of both are known: list them all.
         """
-        unheard = self._unheard()
-        if not unheard:
+        incompatible = self._incompatible()
+        if not incompatible:
             return ""
-        names = sorted({call_node(info.node_name) for info in unheard})
-        offered = [lacks(info.qos_profile, self.required) for info in unheard]
+        names = sorted({display_name(info.node_name) for info in incompatible})
+        offered = [lacks(info.qos_profile, self.required) for info in incompatible]
         why = dict.fromkeys(word for words in offered for word in words)
         return (
-            f"has a publisher that cannot be heard ({list_nodes(names)}): it {' and '.join(why)}, "
-            f"but must be {requirements(self.required)}; change it, or end it"
+            f"has a publisher with an incompatible QoS ({list_nodes(names)}): it "
+            f"{' and '.join(why)}, but must be {requirements(self.required)}; change it, or end it"
         )
 
-    def _known(self) -> list[Any]:
+    def _endpoints(self) -> list[Any]:
         return list(self._node.get_publishers_info_by_topic(self.topic.graph_name))
 
-    def _unheard(self) -> list[Any]:
-        return [info for info in self._known() if lacks(info.qos_profile, self.required)]
+    def _incompatible(self) -> list[Any]:
+        return [info for info in self._endpoints() if lacks(info.qos_profile, self.required)]
 
 
-def call_node(name: str) -> str:
-    """Return how to name a node in a message.
+def display_name(name: str) -> str:
+    """Return the name of a node for a message.
 
     A node that joined just before another was killed may discover its topics but never its name.
     """

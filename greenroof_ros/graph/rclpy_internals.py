@@ -39,10 +39,10 @@ def raw_publish(publisher: Any) -> Callable[[bytes], None]:
     return publish
 
 
-def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:
-    """Take the waiting messages, each serialised and with its metadata from rclpy.
+def waiting_messages(subscription: Any) -> Iterator[tuple[bytes, Any]]:
+    """Yield the waiting messages, each serialised and with its metadata from rclpy.
 
-    rclpy gives messages only to callbacks. Its fast executor calls none for messages that waited
+    rclpy passes messages only to callbacks. Its fast executor calls none for messages that waited
     before it listened, and passes none the publisher's sequence number.
     """
     with subscription.handle:
@@ -50,7 +50,7 @@ def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:
             yield sample
 
 
-def quicken(subscription: Any) -> None:
+def speed_up(subscription: Any) -> None:
     """Make the fast executor find the kind of a callback sooner: a tenth of a message's time.
 
     For each message it reads two members of an enumeration, which calls Python code. The slow

@@ -85,7 +85,7 @@ class Reports:
         self.numbers: dict[str, Mapping[str, float | None]] = {}
         self.hardware = ""
         self.urgent = False
-        self._own: Diagnosis | None = None  # the node's own
+        self._current: Diagnosis | None = None  # the node's own
         self._node = node
         self._role = role
         self._machine = socket.gethostname()
@@ -139,7 +139,7 @@ class Reports:
             level, code = WARN, "input_publishers"
         elif self.state == STARTING:
             code = "peers_awaited"
-        self._own = diagnosis = _dated(self._own, level, Problem(code, self.state))
+        self._current = diagnosis = _dated(self._current, level, Problem(code, self.state))
         of_code = {key: text for key, text in diagnosis.for_programs().items() if text}
         values = {
             "role": self._role, "process": self._process,

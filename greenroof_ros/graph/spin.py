@@ -16,10 +16,10 @@ from rclpy.task import Future
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.graph.domain import (
-    TAKING_DOWN_S,
-    begin_to_listen,
+    SHUTDOWN_S,
     choose_transport,
     make_executor,
+    start_receiving,
 )
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.node import SimulationNode
@@ -33,6 +33,8 @@ _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 @contextmanager
 def ros(arguments: Sequence[str]) -> Iterator[None]:
     """Initialise ROS for the nodes of this process, and shut it down at the end.
+
+    At its end the process must be done: then the kernel ends it within 6 s.
 
     Args:
         arguments: the command line, with ROS arguments.
@@ -54,15 +56,15 @@ def ros(arguments: Sequence[str]) -> Iterator[None]:
         rclpy.try_shutdown()
 
 
-def spin(nodes: Sequence[SimulationNode], over: Callable[[], bool]) -> None:
-    """Run nodes until they are over.
+def spin(nodes: Sequence[SimulationNode], may_end: Callable[[], bool]) -> None:
+    """Run nodes until they may end.
 
     The loop over messages is in the executor, since one in Python would cost a seventh of a tick.
     In between, 20 times a second, everything is checked that depends on the wall clock.
 
     Args:
         nodes: the nodes.
-        over: called 20 times a second; returns whether to end, and can raise to end with an error.
+        may_end: called 20 times a second; can raise to end with an error.
 
     Raises:
         LockstepError: the graph cannot go on.
@@ -77,24 +79,23 @@ def spin(nodes: Sequence[SimulationNode], over: Callable[[], bool]) -> None:
 
     for node in nodes:
         node.on_failure = stop
-        begin_to_listen(executor, node)
+        start_receiving(executor, node)
     # The timeout alone is not enough: while messages wait, rclpy's fast executor does not return.
     nodes[0].create_timer(_CHECK_S, stop, clock=_STEADY)
-    while not over():
+    while not may_end():
         # With a timeout, since without one rclpy's fast executor fires no timers.
         executor.spin_until_future_complete(pause, timeout_sec=_CHECK_S)
         pause = Future()
         now = time.monotonic()
+        failed = next((node.failure for node in nodes if node.failure is not None), None)
+        if failed is not None:
+            raise failed
         for node in nodes:
-            if node.failure is not None:
-                raise node.failure
             node.check(now)
 
 
 def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
-    """End nodes: let each close what is open, report its end, and leave the graph.
-
-    From here the process must end within 6 s, since a SIGALRM is pending: bringup cancels it.
+    """End nodes: let each close what is open, and report its end.
 
     Args:
         nodes: the nodes.
@@ -111,13 +112,17 @@ def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
             print(f"error: {error}", file=sys.stderr)
     for node in nodes:
         node.end(failure)
+    return failure
+
+
+def destroy_nodes(nodes: Sequence[GraphNode]) -> None:
+    """Let nodes leave the graph, after :func:`end_nodes`; this process must end within 6 s."""
     end_soon()
     for node in nodes:
         node.destroy_node()
-    return failure
 
 
 def end_soon() -> None:
     """Let the kernel end this process if it locks up: everything has been sent and written."""
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.alarm(TAKING_DOWN_S)
+    signal.alarm(SHUTDOWN_S)

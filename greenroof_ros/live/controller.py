@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.conditions import Problem
-from greenroof_ros.common.disk import Kept
+from greenroof_ros.common.disk import NumberFile
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import from_epoch_ns, to_people
@@ -52,7 +52,7 @@ STATE_FILE = Parameter(
     "across restarts; empty: none",
 )
 # How often learned values are saved (s).
-_KEEP_S = 600.0
+_SAVE_S = 600.0
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
@@ -61,7 +61,7 @@ def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     return [site_file(), STATE_FILE, *of_class, *LIVE_PARAMETERS]
 
 
-class ControllerNode(LiveNode):
+class LiveControllerNode(LiveNode):
     """Runs one controller; commands 0 in frost, in quiet hours and on bad inputs.
 
     A forecast that is missing, too old or refused does not stop the pump: on/off, with its
@@ -86,7 +86,7 @@ class ControllerNode(LiveNode):
         self._tick = 0
         self._chosen = NodeController(self, choice, site, lambda: self._tick)
         live = declare(self, LIVE_PARAMETERS)
-        self._shown: dict[str, float | None] = {}
+        self._values: dict[str, float | None] = {}
         self._levels = Levels(site, live, self.subscribe)
         self._cistern, self._roof = self._levels.cistern, self._levels.roof
         self._rain, self._evapotranspiration = (
@@ -102,8 +102,8 @@ class ControllerNode(LiveNode):
         self._missing_since = math.inf  # forecast missing since (steady clock, s)
         self._without_since = ""  # when on/off took over, in words; empty if not
         self._without_pumped = False
-        self._kept = self._learned_before(declare(self, [STATE_FILE])[STATE_FILE.name])
-        self._kept_at = time.monotonic()
+        self._learned_file = self._load_learned(declare(self, [STATE_FILE])[STATE_FILE.name])
+        self._saved_at = time.monotonic()
 
     def on_inputs(self) -> None:
         """Publish the command and the controller's optional outputs."""
@@ -152,7 +152,7 @@ class ControllerNode(LiveNode):
                 now = "commands again" if decides else "is idle"
                 self.reports.diagnose("command", None, f"the controller {now}")
         self._diagnose_forecast()
-        self._keep_learned(_KEEP_S)
+        self._save_learned(_SAVE_S)
         cistern, roof = self._cistern.value, self._roof.value
         if allowed and self._without_since:
             command = self._without_forecast.command(cistern, roof, (), ())
@@ -161,21 +161,21 @@ class ControllerNode(LiveNode):
             command = 0.0
         self.publish("/pump/command", command)
         self._expect(command)
-        self._shown = {
+        self._values = {
             "command": command,
             "cistern_level": cistern if self._cistern.good else None,
             "roof_level": roof if self._roof.good else None,
         }
         return decides
 
-    def _learned_before(self, file: str) -> Kept | None:
-        """Give the controller what it had learned; return the file, or None if none is kept.
+    def _load_learned(self, file: str) -> NumberFile | None:
+        """Load what the controller had learned; return the file, or None if there is none.
 
         If the file cannot be understood, the node warns and the controller begins from the start.
         """
         if not file or learned_by(self._chosen.controller) is None:
             return None
-        memory = Kept(Path(file))
+        memory = NumberFile(Path(file))
         try:
             learned = memory.read()
             if learned:
@@ -184,24 +184,25 @@ class ControllerNode(LiveNode):
             self.get_logger().warning(f"learned values are lost: {file}: {error}")
         return memory
 
-    def _keep_learned(self, every: float) -> None:
+    def _save_learned(self, every: float) -> None:
         """Save what the controller has learned, if the last time was at least ``every`` s ago."""
         now = time.monotonic()
-        if self._kept is None or now - self._kept_at < every:
+        if self._learned_file is None or now - self._saved_at < every:
             return
-        self._kept_at = now
+        self._saved_at = now
         learned = learned_by(self._chosen.controller)
-        if self._kept.problem:
-            warning = f"learned values of {self.get_name()} are not saved: {self._kept.problem}"
+        if self._learned_file.problem:
+            why = self._learned_file.problem
+            warning = f"learned values of {self.get_name()} are not saved: {why}"
             self.get_logger().warning(warning)
         if learned is not None:
-            self._kept.write(learned)
+            self._learned_file.write(learned)
 
     def on_stop(self) -> None:
         """Save what the controller has learned."""
-        if self._kept is not None:
-            self._keep_learned(0.0)
-            self._kept.close()
+        if self._learned_file is not None:
+            self._save_learned(0.0)
+            self._learned_file.close()
 
     def _decide_or_refuse(self, allowed: bool) -> tuple[float, bool]:
         """Return a command, and whether the controller decided; refuse a forecast it cannot use.
@@ -222,12 +223,12 @@ class ControllerNode(LiveNode):
     def _expect(self, command: float) -> None:
         """Set the expected change of the levels in a tick, from the gauge's rain and the flow.
 
-        The flow is the pump's, or follows from the command if none was ever heard. If it is not
+        The flow is the pump's, or follows from the command if none was ever received. If it is not
         good now, it counts as 0: the pump may be at rest, and a still level is then not frozen.
         Snow reaches no tank before it melts, so what falls in frost does not count.
         """
         site, flow = self._site, self._flow.value if self._flow.good else 0.0
-        if not self._flow.heard:
+        if not self._flow.received:
             cistern, roof = self._cistern.value, self._roof.value
             volumes = site.cistern_volume(cistern), site.roof_volume(roof)
             flow = pump_flow(site, *volumes, min(command, 1.0))
@@ -255,7 +256,7 @@ class ControllerNode(LiveNode):
         forecast, nothing is reported then.
         """
         needs = self._chosen.choice.needs_forecast
-        if not needs and not (self._chosen.choice.uses_forecast and self._rain.heard):
+        if not needs and not (self._chosen.choice.uses_forecast and self._rain.received):
             return
         problem = self._bad_forecasts()
         if not problem:
@@ -278,11 +279,11 @@ class ControllerNode(LiveNode):
 
     def progress(self) -> dict[str, Any]:
         """Return the parameter changes, and the values that bringup shows."""
-        return {**self._chosen.changes(), **self._shown}
+        return {**self._chosen.changes(), **self._values}
 
 
 _help = partial(controller_help, purpose=__doc__, common=parameters(None), live=True)
-main = live_command(ControllerNode, _help, "--controller")
+main = live_command(LiveControllerNode, _help, "--controller")
 
 
 if __name__ == "__main__":

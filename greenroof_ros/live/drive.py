@@ -17,7 +17,7 @@ from greenroof_ros.experiment.run_directory import writable
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.graph.states import PUMP
 from greenroof_ros.live.drives.drive_file import find_drive_file
-from greenroof_ros.live.drives.placed import Placed, place_drive
+from greenroof_ros.live.drives.endpoint import Endpoint, read_endpoint
 from greenroof_ros.live.pumping.ledger import state_directory
 from greenroof_ros.live.supervisor import StopDrive
 
@@ -59,13 +59,13 @@ class DriveChoice:
     login: str = ""
     authority: str = ""
 
-    def read(self) -> Placed:
+    def read(self) -> Endpoint:
         """Return the drive's description and its address, both parsed.
 
         Raises:
             ConfigurationError: the file or the address is wrong.
         """
-        return place_drive(self.file, self.at, "--drive-at", self.login, self.authority)
+        return read_endpoint(self.file, self.at, "--drive-at", self.login, self.authority)
 
     def state_file(self, state: Path | None) -> Path:
         """Return the file that keeps this drive's holds and faults, and create its directory.
@@ -84,12 +84,12 @@ class DriveChoice:
             record = state.resolve() / "pump.json"
         else:
             try:
-                place = self.read().place()
+                canonical_name = self.read().canonical_name()
             except OSError as error:
                 raise ConfigurationError(
                     f"the host is not found ({error.strerror})", key="--drive-at", value=self.at
                 ) from error
-            name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{place}")
+            name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{canonical_name}")
             record = state_directory() / f"{name}.json"
         with writable(record.parent, "--state"):
             record.parent.mkdir(parents=True, exist_ok=True)
@@ -124,19 +124,19 @@ class DriveChoice:
         """
         if speed == 1:
             return
-        from greenroof_ros.live.drives.drive import no_real_time
+        from greenroof_ros.live.drives.drive import real_time_error
         from greenroof_ros.live.drives.modbus_line import DriveError
 
-        placed = self.read()
+        endpoint = self.read()
         until = time.monotonic() + _SIMULATOR_S
         why: str | None = None
         while why is None:
             check()
-            drive = placed.connection()
+            drive = endpoint.connection()
             try:
-                if placed.is_here:
+                if endpoint.is_on_this_machine:
                     drive.line.connect()
-                why = drive.why_no_simulator()
+                why = drive.simulator_problem()
             except DriveError as error:
                 if time.monotonic() > until:
                     why = f"nobody answers there ({error})"
@@ -144,7 +144,7 @@ class DriveChoice:
             finally:
                 drive.line.close()
         if why:
-            raise no_real_time(why, "--speed", speed)
+            raise real_time_error(why, "--speed", speed)
 
     def stopper(self) -> StopDrive:
         """Return a function that stops the drive without the pump node.
@@ -158,12 +158,12 @@ class DriveChoice:
         from greenroof_ros.live.drives.exchange import stop_drive
         from greenroof_ros.live.drives.lock import DriveInUseError
 
-        placed = self.read()
-        placed.connection()  # loads its library now: the disk may hang when it is needed
+        endpoint = self.read()
+        endpoint.connection()  # loads its library now: the disk may hang when it is needed
 
         def stop(pump_node: int) -> tuple[bool, str]:
             try:
-                status = stop_drive(placed, driver=pump_node)
+                status = stop_drive(endpoint, driver=pump_node)
             except DriveInUseError as error:
                 return False, (
                     f"another program (process {error.holder}) runs the drive, and may run the "
@@ -172,7 +172,7 @@ class DriveChoice:
             except Exception as error:  # whatever the error, somebody must check the pump
                 return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
             message = f"bringup ordered the drive to stop; it then reported: {status}"
-            return (True, message) if status.stands else (False, f"{message}; {_MAY_RUN}")
+            return (True, message) if status.at_rest else (False, f"{message}; {_MAY_RUN}")
 
         return stop
 
@@ -279,7 +279,7 @@ def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
     return None if drive is None else DriveChoice(find_drive_file(drive).resolve(), at, *files)
 
 
-def own_parameters(
+def node_parameter_files(
     arguments: argparse.Namespace, modules: Mapping[str, str], controller: ControllerChoice
 ) -> list[Path]:
     """Return the file given by ``--node-parameters``, in a list; an empty list if there is none.

@@ -20,9 +20,9 @@ from greenroof_ros.live.pumping.input_rules import (
     AWAITED,
     LevelRule,
     Wetting,
-    cistern_reach,
+    cistern_bounds,
     expected_movement,
-    roof_reach,
+    roof_bounds,
 )
 from greenroof_ros.model.site import Site
 
@@ -84,8 +84,8 @@ class Levels:
         """
         self._site, self._frozen_movement = site, values[_FROZEN_MOVEMENT.name]
         self._rules = [
-            LevelRule(reach, self._frozen_movement, values[_JUMP_TOLERANCE.name])
-            for reach in (cistern_reach(site), roof_reach(site))
+            LevelRule(bounds, self._frozen_movement, values[_JUMP_TOLERANCE.name])
+            for bounds in (cistern_bounds(site), roof_bounds(site))
         ]
         self._wetting = Wetting()
         self.cistern = subscribe("/cistern/level", level=self._rules[0])
@@ -101,7 +101,7 @@ class Levels:
         """Expect the levels to move as pump flow (m3/s) and rain (m/s) move them in a tick."""
         tau = self._site.tau
         movements = expected_movement(
-            self._site, flow, rain, self._wetting.beyond(rain, tau), self.cistern.value,
+            self._site, flow, rain, self._wetting.excess(rain, tau), self.cistern.value,
             self.roof.value, self._frozen_movement,
         )
         for rule, movement in zip(self._rules, movements, strict=True):
@@ -115,7 +115,7 @@ class SampleAndHold:
 
     Attributes:
         inputs: the node's inputs.
-        has_begun: whether a node with a period has acted, or acts; always true without a period.
+        has_acted: whether a node with a period has acted, or acts; always true without a period.
     """
 
     def __init__(self, act: Callable[[], None], reports: Reports) -> None:
@@ -129,19 +129,19 @@ class SampleAndHold:
         self.inputs: list[LiveInput] = []
         self._period = math.inf
         self._due = math.inf
-        self.has_begun = True
-        self._looked = boot_time()
-        self._deaf_until = self._looked
+        self.has_acted = True
+        self._checked_at = boot_time()
+        self._ignoring_until = self._checked_at
 
-    def act_every(self, period: float) -> None:
-        """Let the node act every period (s) from now on; the first time after at most 1 s."""
-        self._period, self.has_begun = period, False
+    def set_period(self, period: float) -> None:
+        """Set the period (s) in which the node acts; the first time after at most 1 s."""
+        self._period, self.has_acted = period, False
         self._due = boot_time() + min(period, _FIRST_S)
 
     def receiver(
         self, entry: LiveInput, callback: Callable[[Any], None] | None
     ) -> Callable[[bytes], None]:
-        """Judge an input from now on; return the receiver of its messages.
+        """Check an input from now on; return the receiver of its messages.
 
         Args:
             entry: the input.
@@ -151,8 +151,8 @@ class SampleAndHold:
 
         def on_message(message: bytes) -> None:
             now = boot_time()
-            self._note_pause(now)
-            if now < self._deaf_until:
+            self._handle_pause(now)
+            if now < self._ignoring_until:
                 return
             entry.receive(message)
             if callback is not None:
@@ -160,13 +160,13 @@ class SampleAndHold:
 
         return on_message
 
-    def judge(self) -> None:
-        """Judge all inputs at the present time."""
+    def check_inputs(self) -> None:
+        """Check all inputs at the present time."""
         for entry in self.inputs:
-            entry.judge()
+            entry.check()
 
     @property
-    def needed(self) -> list[LiveInput]:
+    def required(self) -> list[LiveInput]:
         """The inputs without which the node does not act."""
         return [entry for entry in self.inputs if not entry.optional]
 
@@ -178,33 +178,33 @@ class SampleAndHold:
     def check(self) -> None:
         """Act if the period has passed; periods that were missed in a pause are skipped."""
         now = boot_time()
-        self._note_pause(now)
+        self._handle_pause(now)
         if now < self._due:
             return
         self._due += (math.floor((now - self._due) / self._period) + 1) * self._period
         before = suspended_time()
-        self.judge()
+        self.check_inputs()
         self._diagnose_inputs()
-        self.has_begun = True
+        self.has_acted = True
         self._act()
         # The time that a node takes to decide is no pause: that must not make its inputs too old.
         # A suspend while it decides is a pause.
         slept = suspended_time() - before
-        self._looked = boot_time() - slept
+        self._checked_at = boot_time() - slept
 
-    def _note_pause(self, now: float) -> None:
-        """Forget all inputs if this process was paused."""
-        passed, self._looked = now - self._looked, now
+    def _handle_pause(self, now: float) -> None:
+        """Clear all inputs if this process was paused."""
+        passed, self._checked_at = now - self._checked_at, now
         if passed > PAUSE_S:
-            self._deaf_until = now + PAUSE_S
+            self._ignoring_until = now + PAUSE_S
             for entry in self.inputs:
-                entry.rules.paused(passed)
-                entry.judge()
+                entry.rules.clear(passed)
+                entry.check()
 
     def _diagnose_inputs(self) -> None:
         """Report which of the required inputs are not good, and why."""
-        needed = self.needed
-        if needed:
-            bad = bad_inputs(needed)
+        required = self.required
+        if required:
+            bad = bad_inputs(required)
             level = WARN if bad is not None and bad.code in AWAITED else ERROR
             self._reports.diagnose("inputs", bad, "all inputs are good", level)

@@ -9,7 +9,7 @@ from typing import NoReturn
 
 from rclpy.executors import SingleThreadedExecutor
 
-from greenroof_ros.graph.domain import begin_to_listen
+from greenroof_ros.graph.domain import start_receiving
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.live.node import LiveNode
 
@@ -26,7 +26,7 @@ def spin(nodes: Sequence[LiveNode], check: Callable[[], None]) -> NoReturn:
     """
     executor = SingleThreadedExecutor()
     for node in nodes:
-        begin_to_listen(executor, node)
+        start_receiving(executor, node)
     while True:
         check()
         executor.spin_once(timeout_sec=min(node.wait_s for node in nodes))

@@ -10,7 +10,7 @@ from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_FAILED
 from greenroof_ros.common.processes import Signals
-from greenroof_ros.common.standard_error import say
+from greenroof_ros.common.standard_error import print_line
 from greenroof_ros.experiment.incidents import INCIDENTS, IncidentLog
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.graph.states import PUMP
@@ -67,13 +67,13 @@ class DriveInLoop:
             signals: end the run.
             progress: shows the run.
         """
-        self.log = IncidentLog(progress.say, directory / INCIDENTS)
+        self.log = IncidentLog(progress.print_line, directory / INCIDENTS)
         self._state_file = parameters["state_file"]
         self._signals, self._progress = signals, progress
         (directory / "log").mkdir()
         self._supervisor = Supervisor(
             directory / "log", files, namespace, drive.stopper(),
-            lambda node, problem: say(f"{node}: {problem}"),
+            lambda node, problem: print_line(f"{node}: {problem}"),
         )
 
     @property
@@ -94,7 +94,7 @@ class DriveInLoop:
         with ExitStack() as ends:
             ends.enter_context(self._supervisor)
             self._supervisor.start(NodeStart(PUMP, PUMP_NODE))
-            self._wait()
+            self._wait_for_drive()
             ends.pop_all()
         return self
 
@@ -113,8 +113,8 @@ class DriveInLoop:
             NodeFailed: the pump node ended or hangs.
         """
         supervisor = self._supervisor
-        supervisor.listen(0.0)
-        self.log.look(supervisor.last, tick)
+        supervisor.read_reports(0.0)
+        self.log.update(supervisor.last, tick)
         for report in supervisor.last.values():
             self._progress.warn(report["warnings"])
         self._check_node()
@@ -128,17 +128,17 @@ class DriveInLoop:
         try:
             self._supervisor.check(START_LIMIT_S)
         except NodeFailed as error:
-            self._progress.say(error.last_lines)
+            self._progress.print_line(error.last_lines)
             raise NodeFailed(error.reason, "", error.code) from error
 
-    def _wait(self) -> None:
+    def _wait_for_drive(self) -> None:
         supervisor, progress = self._supervisor, self._progress
-        progress.say(f"holds and faults of the drive are kept in {self._state_file}")
+        progress.print_line(f"holds and faults of the drive are kept in {self._state_file}")
         until = time.monotonic() + _DRIVE_LIMIT_S
         report: dict[str, Any] = {}
         while not report.get("active"):
             self._signals.check()
-            supervisor.listen(0.1)
+            supervisor.read_reports(0.1)
             report = supervisor.last.get(PUMP, {})
             diagnoses = report.get("diagnoses", {})
             trouble = "; ".join(
@@ -155,7 +155,7 @@ class DriveInLoop:
         hold = report.get("hold") or {}
         kept_off = report.get("fault") or report.get("unknown") or hold.get("said")
         if kept_off:
-            progress.say(
+            progress.print_line(
                 f"warning: {self._state_file} keeps the pump off: {kept_off}; a fault is cleared "
                 "by the service /pump/reset, a hold by greenroof release; another drive needs "
                 "--state DIR"

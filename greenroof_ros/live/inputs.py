@@ -50,7 +50,7 @@ class LivePublishers(Publishers):
         self._depth = _RECORDED_DEPTH if recorded else 1
         self._alive = 0  # counted if there is a lease
         self._unfit_since = -math.inf  # when the middleware last reported an incompatible one
-        self._unheard_since = math.inf
+        self._incompatible_since = math.inf
 
     def profile(self) -> QoSProfile:
         """Return the profile of the subscription, which requests no past messages."""
@@ -78,32 +78,33 @@ class LivePublishers(Publishers):
         return self._alive if self._by_lease else super().count
 
     @property
-    def heard(self) -> int:
-        """How many publishers can be heard: their quality of service fits."""
-        return self._alive if self._by_lease else super().heard
+    def compatible(self) -> int:
+        """How many publishers have a compatible quality of service: their messages arrive."""
+        return self._alive if self._by_lease else super().compatible
 
-    def second(self) -> str:
-        """Return that there is a second publisher, or with a lease one that cannot be heard.
+    def second(self, wait_s: float = 0.0) -> str:
+        """Return that there is a second publisher, or with a lease an incompatible one.
 
         If only one of two is known, the middleware miscounted after a lease ran out on a busy
         machine.
         """
         if self._unfit_since > -math.inf:
-            if unheard := self.unheard():
-                return unheard
+            if incompatible := self.incompatible():
+                return incompatible
             if time.monotonic() - self._unfit_since > DISCOVERY_S:
                 self._unfit_since = -math.inf  # it has gone
-        return super().second()
+        return super().second(wait_s)
 
     def warning(self, now: float) -> str:
-        """Return a sentence on publishers that have been unheard for the discovery time, or "".
+        """Return a sentence on publishers that stay incompatible for the discovery time, or "".
 
         Args:
             now: time on the steady clock (s).
         """
-        problem = self.unheard()
-        self._unheard_since = min(self._unheard_since, now) if problem else math.inf
-        return f"{self.full_name} {problem}" if now - self._unheard_since >= DISCOVERY_S else ""
+        problem = self.incompatible()
+        self._incompatible_since = min(self._incompatible_since, now) if problem else math.inf
+        lasts = now - self._incompatible_since >= DISCOVERY_S
+        return f"{self.full_name} {problem}" if lasts else ""
 
 
 class LiveInput(Input):
@@ -112,7 +113,7 @@ class LiveInput(Input):
     Attributes:
         rules: the rules.
         verdict: which rule is broken, if any.
-        heard: whether any message has come.
+        received: whether any message was received.
         optional: whether the node acts without it.
     """
 
@@ -128,9 +129,9 @@ class LiveInput(Input):
         """
         super().__init__(publishers)
         self.rules = rules
-        self.heard = self._unknown = False
+        self.received = self._unknown = False
         self.optional = optional
-        self.judge()
+        self.check()
 
     @property
     def good(self) -> bool:
@@ -143,8 +144,8 @@ class LiveInput(Input):
         return self.verdict.problem(self.name)
 
     def receive(self, message: bytes) -> None:
-        """Keep the value of a message, or 0 if the value must be refused, and judge it."""
-        self.heard, self._unknown = True, False
+        """Receive the value of a message, or 0 if the value must be refused, and check it."""
+        self.received, self._unknown = True, False
         try:
             super().receive(message)
         except (LockstepError, ValueError, struct.error) as error:
@@ -152,12 +153,12 @@ class LiveInput(Input):
             self.refusal = str(error)
         case = "unknown" if self._unknown else "refused"
         refused = Verdict("input_refused", case, {"why": self.refusal})
-        self.rules.came(boot_time(), self.value, refused if self.refusal else None)
-        self.judge()
+        self.rules.receive(boot_time(), self.value, refused if self.refusal else None)
+        self.check()
 
-    def judge(self) -> None:
-        """Judge the newest value at the present time."""
-        self.verdict: Verdict = self.rules.judge(boot_time(), self.publishers.second())
+    def check(self) -> None:
+        """Check the newest value at the present time."""
+        self.verdict: Verdict = self.rules.check(boot_time(), self.publishers.second())
 
     def refuse(self, why: str) -> None:
         """Refuse the newest value, because the node cannot act on it.
@@ -167,7 +168,7 @@ class LiveInput(Input):
         """
         self.refused += 1
         self.rules.refuse(boot_time(), why)
-        self.judge()
+        self.check()
 
     def _refuse(self, value: float, instead: Any) -> None:
         if self.topic.may_be_unknown and math.isnan(value):

@@ -73,14 +73,14 @@ class Lifecycle(LifecycleNodeMixin):
         """Open the services; the node itself must be initialised already."""
         self.refusal = ""
         LifecycleNodeMixin.__init__(self)
-        wrap_change_state(self, self._answered)
+        wrap_change_state(self, self._with_answer)
 
     @property
     def lifecycle_state(self) -> int:
         """The present state: ``UNCONFIGURED``, ``INACTIVE``, ``ACTIVE``, or *finalized*."""
         return lifecycle_state(self)
 
-    def on_asked(self) -> None:
+    def on_transition_request(self) -> None:
         """Called when a transition is requested; for a node to override."""
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -90,11 +90,11 @@ class Lifecycle(LifecycleNodeMixin):
         self.refusal = why
         return TransitionCallbackReturn.SUCCESS
 
-    def _answered(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def _with_answer(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
         """Wrap ``change_state``, so that it answers even if the state lacks the transition."""
 
         def on_request(request: ChangeState.Request, response: ChangeState.Response) -> Any:
-            self.on_asked()
+            self.on_transition_request()
             try:
                 return answer(request, response)
             except RuntimeError as error:  # from rcl: no such transition

@@ -21,7 +21,7 @@ from greenroof_ros.live.drive import (
     chosen_drive,
     refuse,
 )
-from greenroof_ros.live.drives.drive import PlacedDrive
+from greenroof_ros.live.drives.drive import DriveEndpoint
 from greenroof_ros.live.drives.modbus_line import parse_address
 from greenroof_ros.live.drives.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.live.supervisor import NodeStart
@@ -110,7 +110,7 @@ class LiveSite:
         }
         return {name: file for name, file in files.items() if file is not None}
 
-    def fetched(self, state: Path) -> dict[str, str | float]:
+    def forecast_parameters(self, state: Path) -> dict[str, str | float]:
         """Return the weather node's forecast parameters; ``state`` is the site's directory."""
         if self.forecast != OPEN_METEO:
             return {"forecast": str(self.forecast or "")}
@@ -122,14 +122,14 @@ class LiveSite:
             **({} if self.fetch_every is None else {"fetch_every": self.fetch_every}),
         }
 
-    def nodes(self, state: Path, place: Path) -> Iterator[NodeStart]:
+    def nodes(self, state: Path, directory: Path) -> Iterator[NodeStart]:
         """Yield the nodes that bringup starts.
 
         Args:
             state: the directory of the site.
-            place: directory with the copies of :meth:`files`, each in a subdirectory of its name.
+            directory: with the copies of :meth:`files`, each in a subdirectory of its name.
         """
-        copies = {name: place / name / file.name for name, file in self.files().items()}
+        copies = {name: directory / name / file.name for name, file in self.files().items()}
         common = {"site_file": str(copies["site"])}
         if self.sensed is not None:
             yield NodeStart(
@@ -141,7 +141,7 @@ class LiveSite:
                 "weather", "greenroof_ros.live.weather", (),
                 {
                     **common,
-                    **self.fetched(state),
+                    **self.forecast_parameters(state),
                     "horizon": self.parameters.get("horizon", 0.0),
                     "all_members": self.controller.ensemble,
                 },
@@ -271,11 +271,11 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
     Raises:
         ConfigurationError: the line is shared, or the drive's file or address is wrong.
     """
-    placed = drive.read()
-    if not isinstance(placed, PlacedDrive):
+    endpoint = drive.read()
+    if not isinstance(endpoint, DriveEndpoint):
         return
     for section, sensor in sensors.by_section.items():
-        if isinstance(sensor, ModbusSensor) and placed.address.shares_line(
+        if isinstance(sensor, ModbusSensor) and endpoint.address.shares_line(
             parse_address(sensor.address)
         ):
             raise ConfigurationError(

@@ -16,7 +16,7 @@ from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live import pump_behaviour
-from greenroof_ros.live.drives.drive import no_real_time
+from greenroof_ros.live.drives.drive import real_time_error
 from greenroof_ros.live.pump_behaviour import COMMAND_LIMIT, PumpBehaviour, common_parameters
 from greenroof_ros.live.pumping.inputs import IN_LOOP
 from greenroof_ros.model.site import Site
@@ -50,9 +50,9 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
     def on_inputs(self) -> None:
         """Decide on the inputs of a tick, and publish the flow."""
         self._refuse_other_speed()
-        self._commanded = boot_time()
+        self._commanded_at = boot_time()
         self._simulated += self._site.tau
-        self._step(self._commanded)
+        self._step(self._commanded_at)
         self.publish("/pump/flow", self._decision.flow)
 
     def on_timer(self, now: float) -> None:
@@ -86,9 +86,9 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
         """
         run = self.lockstep.run
         if run is not None and run.speed != 1:
-            self._drive.exchange.only_simulator()
+            self._drive.exchange.require_simulator()
             if why := self._drive.snapshot.no_simulator:
-                raise no_real_time(why, "the plant's speed", run.speed)
+                raise real_time_error(why, "the plant's speed", run.speed)
 
 
 main = node_command(LoopPumpNode, partial(

@@ -75,7 +75,7 @@ class LiveNode(SupervisedNode):
             ConfigurationError: the file, or a value in it, is wrong.
         """
         site = super().declare_site()
-        self._engine.act_every(site.tau)
+        self._engine.set_period(site.tau)
         return site
 
     def subscribe(
@@ -115,18 +115,18 @@ class LiveNode(SupervisedNode):
     @property
     def acted(self) -> bool:
         """Whether the node has acted."""
-        return self._engine.has_begun
+        return self._engine.has_acted
 
     @property
     def good(self) -> bool:
         """Whether no required input breaks a rule."""
-        self._engine.judge()
-        return all(entry.good for entry in self._engine.needed)
+        self._engine.check_inputs()
+        return all(entry.good for entry in self._engine.required)
 
     def absent(self) -> dict[str, list[str]]:
-        """Return the required inputs without a publisher that can be heard, by missing role."""
+        """Return the required inputs without a compatible publisher, by missing role."""
         return self.by_role([
-            entry.topic.name for entry in self._engine.needed if not entry.publishers.heard
+            entry.topic.name for entry in self._engine.required if not entry.publishers.compatible
         ])
 
     @property

@@ -69,7 +69,7 @@ class PumpNode(PumpBehaviour, LiveNode):
         PumpBehaviour.__init__(self, site, values, inputs, simulated=False)
 
     def _on_command(self, value: float) -> None:
-        self._commanded = boot_time()
+        self._commanded_at = boot_time()
 
     def on_inputs(self) -> None:
         """Decide, and publish the flow."""
@@ -84,7 +84,7 @@ class PumpNode(PumpBehaviour, LiveNode):
         tau = self._site.tau
         if dt > tau + PAUSE_S:
             # All ticks since the last step were missed, except the present one.
-            self._control.pass_unseen(dt - tau)
+            self._control.count_unseen(dt - tau)
             return tau
         return dt
 

@@ -35,7 +35,7 @@ from greenroof_ros.graph.parameters import site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
-from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, Snapshot
+from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, DriveSnapshot
 from greenroof_ros.live.engine import LIMITS, PAUSE_S
 from greenroof_ros.live.inputs import bad_inputs
 from greenroof_ros.live.lifecycle import (
@@ -65,9 +65,9 @@ COMMAND_LIMIT = LIMITS["/pump/command"]
 # a supervisor takes a longer silence for a failure.
 _WAIT_S = 1.0
 # How long a suspend of the machine is reported (s).
-_SAID_S = 60.0
+_REPORTED_S = 60.0
 # How often the node tries to start by itself, and how often it reports on the drive (s).
-_AGAIN_S, _LOOK_S = 0.5, 0.2
+_AGAIN_S, _REPORT_S = 0.5, 0.2
 
 _OWN = (
     Parameter("drive", "", meaning="make of drive, a file of config/drives, or a file's path"),
@@ -134,12 +134,13 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             ConfigurationError: a parameter, or the drive file, is wrong.
         """
         self._site = site
-        self._drive = PumpDrive(values, self.get_name(), seeks_simulator=simulated)
+        self._drive = PumpDrive(values, self.get_name(), checks_simulator=simulated)
         self._without_timeout: bool = values["activate_without_drive_timeout"]
         self._autostart: bool = values["autostart"]
         self._command_limit: float = values[COMMAND_LIMIT.name]
         settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
-        settings["least_speed"] = max(settings["least_speed"], self._drive.placed.file.least_speed)
+        least_speed = self._drive.endpoint.file.least_speed
+        settings["least_speed"] = max(settings["least_speed"], least_speed)
         self._settings = PumpSettings(**settings)
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
         self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
@@ -148,18 +149,18 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         if self._without_timeout:
             self._drive_stops_after = math.inf
         self._ledger = Ledger(self._state_file, time.time)
-        self._begin()
+        self._start_control()
         self._decision = Decision(
-            None, "off", "not started", {}, 0.0, "", (), stands=False, turns_at=None,
+            None, "off", "not started", {}, 0.0, "", (), at_rest=False, reported_speed=None,
             flow_known=False, blind_for=0.0,
         )
         self._state = ""
         self._reasons: tuple[object, ...] = ()  # as `on_timer` last saw them
         self._watched = time.monotonic()
         self._resetting_until = 0.0
-        self._tried = self._looked_at = -math.inf
-        self._commanded, self._timed_at = -math.inf, boot_time()
-        self._suspended, self._suspend_seen = suspended_time(), -math.inf
+        self._tried_at = self._reported_at = -math.inf
+        self._commanded_at, self._timed_at = -math.inf, boot_time()
+        self._suspended, self._suspended_at = suspended_time(), -math.inf
         self._inputs, self._values = inputs, values
         self.open_outputs("/pump/flow", "/pump/state")
         Lifecycle.__init__(self)
@@ -194,20 +195,20 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
     # --- state kept across restarts ---------------------------------------------------------------
 
-    def _begin(self) -> None:
+    def _start_control(self) -> None:
         """Make the pump control, with the state kept in the ledger."""
         self._control = PumpControl(
             self._site, self._settings, self._ledger, self._drive_stops_after
         )
         record = self._ledger.record
-        held = self._ledger.held
-        if why := record.fault or record.unknown or (held and held.sentence):
+        active_hold = self._ledger.active_hold
+        if why := record.fault or record.unknown or (active_hold and active_hold.sentence):
             self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
-    def _take_state(self) -> None:
+    def _acquire_state(self) -> None:
         """Take over the state file, if another process had it or it could not be made."""
-        if self._ledger.take():
-            self._begin()
+        if self._ledger.acquire():
+            self._start_control()
             self._reasons = ()  # decide again
 
     # --- lifecycle --------------------------------------------------------------------------------
@@ -233,11 +234,11 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         if problem is None and not self._without_timeout:
             problem = self._drive.timeout_problem(self._drive.snapshot)
         if problem is None:
-            self._take_state()
-            problem = Problem.if_any("state_not_kept", self._ledger.why_not_kept())
+            self._acquire_state()
+            problem = Problem.if_any("state_not_kept", self._ledger.flush())
         if problem is not None:
             raise RefusedError(f"not activated: {problem.sentence}")
-        file = self._drive.placed.file
+        file = self._drive.endpoint.file
         unverified = file.unverified_and_vital
         if unverified:
             self.reports.diagnose("drive file", Problem.of(
@@ -252,14 +253,14 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     @transition
     def on_cleanup(self) -> None:
         """Stop the drive, confirm that it is at rest, and disconnect; refused until it is."""
-        self._let_go(_WAIT_S)
+        self._disconnect(_WAIT_S)
 
     @transition
     def on_shutdown(self) -> None:
         """Do the same as *cleanup*, for good."""
-        self._let_go(_WAIT_S)
+        self._disconnect(_WAIT_S)
 
-    def on_asked(self) -> None:
+    def on_transition_request(self) -> None:
         """End the autostart: somebody else now controls the lifecycle."""
         self._autostart = False
 
@@ -270,22 +271,22 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             OSError: that could not be confirmed; the node's exit code also says so.
         """
         try:
-            self._let_go(math.inf)
+            self._disconnect(math.inf)
         finally:
             problem = self._ledger.close()
             if problem:
                 self.get_logger().error(problem)
 
-    def _let_go(self, within: float) -> None:
-        message = self._drive.let_go(within)
+    def _disconnect(self, within: float) -> None:
+        message = self._drive.disconnect(within)
         if message:
             self.get_logger().info(message)
 
-    def _start_by_itself(self, now: float) -> None:
+    def _try_autostart(self, now: float) -> None:
         """Try to become *active*; called repeatedly."""
-        if now - self._tried < _AGAIN_S or self.lifecycle_state == ACTIVE:
+        if now - self._tried_at < _AGAIN_S or self.lifecycle_state == ACTIVE:
             return
-        self._tried = now
+        self._tried_at = now
         self._drive.connect()
         if self._drive.absence(now):
             return
@@ -299,7 +300,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     def _on_stop_request(
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
-        self._take_state()
+        self._acquire_state()
         if request.data:
             self._ledger.hold("the operator")
         else:
@@ -307,33 +308,33 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         self._step(boot_time())
         if request.data:
             self._drive.exchange.stop()
-        response.success, response.message = self._kept(self._state)
+        response.success, response.message = self._service_result(self._state)
         return response
 
     def _on_hold_request(
         self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
     ) -> SetParametersAtomically.Response:
-        self._take_state()
+        self._acquire_state()
         result = response.result
         try:
-            self._ledger.hold(**_hold_of(request))
+            self._ledger.hold(**_parse_hold(request))
         except ValueError as error:
             result.successful, result.reason = False, str(error)
         else:
             self._step(boot_time())
             self._drive.exchange.stop()
-            result.successful, result.reason = self._kept(self._state)
+            result.successful, result.reason = self._service_result(self._state)
         self.get_logger().info(f"hold requested: {result.reason}")
         return response
 
     def _on_reset_request(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        self._take_state()
+        self._acquire_state()
         cleared = self._control.reset()
         self._drive.exchange.reset()
         self._resetting_until = boot_time() + RESET_S
-        response.success, response.message = self._kept(
+        response.success, response.message = self._service_result(
             f"cleared: {cleared}" if cleared else "there was no fault"
         )
         self.get_logger().info(f"reset: {response.message}")
@@ -342,13 +343,13 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     def _on_clear_request(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        self._take_state()
-        if refusal := self._control.no_clear:
+        self._acquire_state()
+        if refusal := self._control.clear_refusal:
             response.success, response.message = False, refusal
             return response
         self._control.clear()
         self._step(boot_time())
-        response.success, response.message = self._kept(self._state)
+        response.success, response.message = self._service_result(self._state)
         self.get_logger().info(f"fault cleared: {response.message}")
         return response
 
@@ -360,16 +361,16 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         if fields.keys() != {"volume", "asked_at"}:
             refusal = "a dose needs volume (m3) and asked_at (s since 1970), and nothing else"
         else:
-            refusal = self._control.ask_dose(fields["asked_at"], fields["volume"])
+            refusal = self._control.request_dose(fields["asked_at"], fields["volume"])
         self._step(boot_time())
         response.result.successful = not refusal
         response.result.reason = refusal or self._state
         self.get_logger().info(f"dose requested: {response.result.reason}")
         return response
 
-    def _kept(self, message: str) -> tuple[bool, str]:
+    def _service_result(self, message: str) -> tuple[bool, str]:
         """Return a service's success, only if the state is saved for a restart, and its message."""
-        problem = self._ledger.why_not_kept()
+        problem = self._ledger.flush()
         return not problem, f"{message}; but {problem}" if problem else message
 
     # --- by the clock -----------------------------------------------------------------------------
@@ -377,34 +378,35 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     def on_timer(self, now: float) -> None:
         """Decide again if the reasons against running change, even if no commands arrive."""
         now = boot_time()
-        self._look_for_suspend(now)
+        self._check_suspend(now)
         status = self._drive.status(now)
         reasons = (
             [*self._reasons_against(now)], _fault(status),
-            status is not None and status.stands,
+            status is not None and status.at_rest,
             # Decide again every second, since a drive that is not heard comes to rest at some time.
-            status is None and not self._decision.stands and now // 1,
+            status is None and not self._decision.at_rest and now // 1,
         )
         if reasons != self._reasons:
             self._reasons = reasons
             self._step(now)
         self._timed_at = boot_time()
-        self._drive.exchange.demand(self._decision.speed)  # again and again: it expires in a second
+        # Again and again: a request expires in a second.
+        self._drive.exchange.request_speed(self._decision.speed)
         if self._autostart:
-            self._start_by_itself(now)
-        if now - self._looked_at > _LOOK_S:
-            self._looked_at = now
-            self._take_state()
+            self._try_autostart(now)
+        if now - self._reported_at > _REPORT_S:
+            self._reported_at = now
+            self._acquire_state()
             self._diagnose(now)
 
-    def _look_for_suspend(self, now: float) -> None:
+    def _check_suspend(self, now: float) -> None:
         """Report, for a minute, that the machine was suspended while the pump was on."""
         before, self._suspended = self._suspended, suspended_time()
         seconds = self._suspended - before
-        if seconds > PAUSE_S and not self._decision.stands:
-            self._suspend_seen = now
+        if seconds > PAUSE_S and not self._decision.at_rest:
+            self._suspended_at = now
             self.reports.diagnose("suspend", Problem.of("suspended", suspended_s=seconds))
-        elif now - self._suspend_seen > _SAID_S:
+        elif now - self._suspended_at > _REPORTED_S:
             self.reports.diagnose("suspend", None, "the machine stays awake while the pump is on")
 
     # --- the pump ---------------------------------------------------------------------------------
@@ -440,7 +442,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         yield from filter(None, (
             second_publisher(self._inputs["command"], "two_controllers"),
             # Another pump node may have the same drive: then neither runs it.
-            self.second_pump(), self._silence(),
+            self.second_pump(), self._missing_command(),
         ))
 
     def _not_active(self, case: str, refusal: str) -> Problem:
@@ -448,12 +450,12 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             return Problem.of("not_active", "refused", refusal=refusal)
         return Problem.of("not_active", case)
 
-    def _silence(self) -> Problem | None:
+    def _missing_command(self) -> Problem | None:
         """Return that commands are missing, or that this node was paused; None if neither."""
         now = boot_time()
-        if self._commanded < 0:
+        if self._commanded_at < 0:
             return Problem.of("no_command", "none")
-        if now - self._commanded > self._command_limit:
+        if now - self._commanded_at > self._command_limit:
             return Problem.of("no_command", "silent", limit=self._command_limit)
         if now - self._timed_at > PAUSE_S:
             return Problem.of("no_command", "paused", time=now - self._timed_at)
@@ -470,7 +472,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         Args:
             now: steady clock (s).
         """
-        self._look_for_suspend(now)
+        self._check_suspend(now)
         status = self._drive.status(now)
         observation = Observation(
             **{row.name: self._value(row.name) for row in INPUTS if row.rule is None},
@@ -489,14 +491,14 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         drive_dt, self._watched = awake - self._watched, awake
         decided, decision = self._decision, self._control.step(dt, observation, drive_dt)
         self._decision = decision
-        self._drive.exchange.demand(decision.speed)
+        self._drive.exchange.request_speed(decision.speed)
         state = f"{decision.state}: {decision.why}"
         before, self._state = self._state, state
         if state != before:
             self.publish("/pump/state", state)
             # Not at every change of the words: they have numbers.
-            logged = (decided.state, decided.stands, *decided.interlocks)
-            if (decision.state, decision.stands, *decision.interlocks) != logged:
+            logged = (decided.state, decided.at_rest, *decided.interlocks)
+            if (decision.state, decision.at_rest, *decision.interlocks) != logged:
                 self.get_logger().info(state)
 
     # --- reports ----------------------------------------------------------------------------------
@@ -504,24 +506,24 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     def progress(self) -> dict[str, Any]:
         """Return the values that bringup shows and waits for."""
         record, decision, dose = self._ledger.record, self._decision, self._control.dose
-        held = self._ledger.held
+        active_hold = self._ledger.active_hold
         return {
             "pump": self._state, "pump_state": decision.state,
-            "stands": decision.stands,
-            "speed": decision.turns_at,
+            "stands": decision.at_rest,
+            "speed": decision.reported_speed,
             "flow": decision.flow if decision.flow_known else None,
             "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
             "fault": record.fault,
-            "no_clear": self._control.no_clear,
+            "no_clear": self._control.clear_refusal,
             "unknown": record.unknown,
             "hold": {
                 "owner": record.hold_owner, "reason": record.hold_reason,
-                "until": record.hold_until, "said": held.sentence,
-            } if held else None,
+                "until": record.hold_until, "said": active_hold.sentence,
+            } if active_hold else None,
             "greatest_dose": self._site.greatest_dose,
             "least_dose": self._control.least_dose,
-            "no_dose": self._control.no_dose,
-            "dose": None if dose is None else {**asdict(dose), "said": dose.said},
+            "no_dose": self._control.dose_refusal,
+            "dose": None if dose is None else {**asdict(dose), "said": dose.sentence},
         }
 
     def _diagnose(self, now: float) -> None:
@@ -542,11 +544,11 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         diagnose("flow", self.second_pump(), f"source: {decision.source}")
         self._diagnose_command()
         self._diagnose_inputs()
-        sees = self._inputs["cistern_level"].good and self._inputs["roof_level"].good
+        levels_known = self._inputs["cistern_level"].good and self._inputs["roof_level"].good
         known_for = f"both levels have not yet been known for {self._settings.averaging_time:g} s"
         diagnose(
             "delivery",
-            Problem.of("delivery_blind") if decision.blind_for and not sees else None,
+            Problem.of("delivery_blind") if decision.blind_for and not levels_known else None,
             known_for if decision.blind_for else "what is pumped is compared with both levels",
             WARN,
         )
@@ -581,7 +583,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         flow = decision.flow if decision.flow_known else None
         known = {name: entry.value if entry.good else None for name, entry in self._inputs.items()}
         return {
-            "pump": {"asked_speed": decision.speed, "speed": decision.turns_at},
+            "pump": {"asked_speed": decision.speed, "speed": decision.reported_speed},
             "flow": {"flow": flow},
             "command": {"command": known["command"]},
             "levels": {name: known[name] for name in ("cistern_level", "roof_level")},
@@ -606,10 +608,10 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             return
         self.reports.numbers["dose"] = {"volume": dose.volume, "delivered": dose.delivered}
         early = dose.ended_early if dose.over not in ("", DONE) else None
-        self.reports.diagnose("dose", early, dose.said, WARN, dose.cause, log=False)
+        self.reports.diagnose("dose", early, dose.sentence, WARN, dose.cause, log=False)
 
     def _diagnose_command(self) -> None:
-        command, silence = self._inputs["command"], self._silence()
+        command, silence = self._inputs["command"], self._missing_command()
         problem = command.problem or second_publisher(command, "two_controllers")
         if silence and self.acted and problem is None:
             self.reports.diagnose("command", silence, level=STALE)
@@ -644,9 +646,9 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         self.reports.diagnose("drive", problem, f"connected to {snapshot.identity}", level)
         self._diagnose_timeout(snapshot)
 
-    def _diagnose_timeout(self, snapshot: Snapshot) -> None:
+    def _diagnose_timeout(self, snapshot: DriveSnapshot) -> None:
         """Report whether the drive's own communication timeout stops the pump."""
-        guard = self._drive.placed.guard
+        guard = self._drive.endpoint.guard
         well = f"without this machine the drive stops after {snapshot.timeout_s or 0:g} s"
         if guard is not None and guard.traps:
             well += f"; beware: {guard.traps}"
@@ -661,15 +663,15 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 def second_publisher(entry: Input, code: str) -> Problem | None:
     """Return that an input has a second publisher, under this code; None if it has none.
 
-    If one of them cannot be heard, it is named: it may be trying to stop the pump.
+    If one of them is incompatible, it is named: it may be trying to stop the pump.
     """
     second = entry.publishers.second()
     if not second:
         return None
-    return Problem.of(code, topic=entry.name, problem=entry.publishers.unheard() or second)
+    return Problem.of(code, topic=entry.name, problem=entry.publishers.incompatible() or second)
 
 
-def _hold_of(request: SetParametersAtomically.Request) -> dict[str, Any]:
+def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:
     """Return owner, reason and end of a requested hold.
 
     Raises:

@@ -9,8 +9,8 @@ from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import find_drive_file
-from greenroof_ros.live.drives.exchange import DriveExchange, Snapshot
-from greenroof_ros.live.drives.placed import place_drive
+from greenroof_ros.live.drives.endpoint import read_endpoint
+from greenroof_ros.live.drives.exchange import DriveExchange, DriveSnapshot
 from greenroof_ros.live.lifecycle import RefusedError
 
 # The drive's thread stops the drive after this time without a call (s): this node hangs.
@@ -24,19 +24,19 @@ class PumpDrive:
     """The drive that the parameters choose, and the reasons against using it.
 
     Attributes:
-        placed: its drive file and its address.
+        endpoint: its drive file and its address.
         exchange: the communication with it.
     """
 
     def __init__(
-        self, values: Mapping[str, Any], node_name: str, *, seeks_simulator: bool
+        self, values: Mapping[str, Any], node_name: str, *, checks_simulator: bool
     ) -> None:
         """Read the drive file.
 
         Args:
             values: values of the pump node's parameters.
             node_name: the node's name, for messages.
-            seeks_simulator: whether to find out if it is the drive simulator.
+            checks_simulator: whether to find out if it is the drive simulator.
 
         Raises:
             ConfigurationError: a parameter or the file is wrong.
@@ -47,38 +47,38 @@ class PumpDrive:
                 "must be given: the make of the drive, as a file of config/drives without .yaml, "
                 "or the path of your own file", key=key.format("drive"),
             )
-        self.placed = place_drive(
+        self.endpoint = read_endpoint(
             find_drive_file(values["drive"]), values["address"], key.format("address"),
             values["broker_login"], values["broker_authority"],
         )
         self._period = values["exchange_period"]
         self._limit = values["drive_timeout_limit"]
         self._stops_locally = values["local_settings_stop_the_pump"]
-        self._seeks_simulator = seeks_simulator
+        self._checks_simulator = checks_simulator
         self._renew()
 
     def _renew(self) -> None:
         """Make a new exchange, not yet started."""
         self.exchange = DriveExchange(
-            self.placed, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit,
-            seeks_simulator=self._seeks_simulator,
+            self.endpoint, self._period, _DEAD_MAN_S, timeout_limit_s=self._limit,
+            checks_simulator=self._checks_simulator,
         )
-        self._begun = self._leaving = False
+        self._started = self._closing = False
 
     @property
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> DriveSnapshot:
         """What is known of the drive."""
         return self.exchange.snapshot
 
     def connect(self) -> None:
         """Start the exchange, which keeps the drive stopped; a closing one must end first."""
-        if self._leaving and self.exchange.close(0.0):
+        if self._closing and self.exchange.close(0.0):
             self._renew()
-        if not self._begun:
+        if not self._started:
             self.exchange.start()
-            self._begun = True
+            self._started = True
 
-    def let_go(self, within: float) -> str:
+    def disconnect(self, within: float) -> str:
         """Stop the drive and disconnect; return its last status, empty if there was no exchange.
 
         Args:
@@ -86,12 +86,12 @@ class PumpDrive:
 
         Raises:
             RefusedError: it takes longer; stopping continues.
-            OSError: the drive was not heard at the end, or is not at rest.
+            OSError: the drive did not answer at the end, or is not at rest.
         """
-        if not self._begun:
+        if not self._started:
             return ""
-        self._leaving = not self.exchange.close(within)
-        if self._leaving:
+        self._closing = not self.exchange.close(within)
+        if self._closing:
             raise RefusedError("the drive is still slowing down, or does not answer; ask again")
         snapshot = self.snapshot
         status = snapshot.status
@@ -99,8 +99,9 @@ class PumpDrive:
         problem = f"the drive is not at rest at the end: {status}"
         if status is None or snapshot.connected:
             # If still connected, the thread has not read that the drive is at rest.
-            problem = f"the drive was not heard at the end ({snapshot.problem or 'no last answer'})"
-        elif status.stands:
+            why = snapshot.problem or "no last answer"
+            problem = f"the drive did not answer at the end ({why})"
+        elif status.at_rest:
             return f"released the drive: {status}"
         timeout = "off" if snapshot.timeout_known else "not known"
         ending = f"only its own panel can stop it now: its communication timeout is {timeout}"
@@ -114,8 +115,8 @@ class PumpDrive:
         return snapshot.status if now - snapshot.read_at < _DRIVE_AGE_S else None
 
     def absence(self, now: float) -> Problem | None:
-        """Return why the drive is not heard; None if it is."""
-        if self._leaving:
+        """Return why the drive does not answer; None if it does."""
+        if self._closing:
             return Problem.of("drive_lost", "released")
         if self.status(now) is not None:
             return None
@@ -123,9 +124,9 @@ class PumpDrive:
             return Problem.of("drive_lost", "problem", problem=problem)
         return Problem.of("drive_lost", "silent", time=_DRIVE_AGE_S)
 
-    def timeout_problem(self, snapshot: Snapshot) -> Problem | None:
+    def timeout_problem(self, snapshot: DriveSnapshot) -> Problem | None:
         """Return what is wrong with the drive's own communication timeout; None if nothing is."""
-        guard, seconds = self.placed.guard, snapshot.timeout_s
+        guard, seconds = self.endpoint.guard, snapshot.timeout_s
         values: dict[str, float | str] = {}
         if not snapshot.timeout_known:
             case, values["note"] = "unread", snapshot.timeout_note

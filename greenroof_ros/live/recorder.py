@@ -27,7 +27,7 @@ from greenroof_ros.recording.bag_writer import LiveBag
 
 _MB = 1e6
 # How often the node checks whether a flush is due, and how long its end waits for the disk (s).
-_LOOK_S, _WRITTEN_S = 1.0, 4.0
+_UPDATE_S, _WRITTEN_S = 1.0, 4.0
 
 
 def parameters(site: Site | None = None) -> list[Parameter]:
@@ -45,7 +45,7 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     ]
 
 
-class RecorderNode(LiveNode):
+class LiveRecorderNode(LiveNode):
     """Records the topics of a live graph, and /diagnostics, under their full names.
 
     The disk thread writes. This node's own thread receives and reports, and waits for no disk.
@@ -71,11 +71,11 @@ class RecorderNode(LiveNode):
             total_bytes=int(total * _MB),
         )
         self._unwritten = 0  # messages that found no room in memory
-        self._looked_at = time.monotonic()
+        self._updated_at = time.monotonic()
         for name, topic in topics.items():
-            self.record(topic.name, partial(self._take, name))
+            self.record(topic.name, partial(self._queue, name))
 
-    def _take(self, name: str, message: bytes) -> None:
+    def _queue(self, name: str, message: bytes) -> None:
         """Queue a message for writing, with its time of arrival."""
         write = partial(self._bag.write, name, time.time_ns(), message, time.monotonic())
         if not DISK.do(write, len(message)):
@@ -83,9 +83,9 @@ class RecorderNode(LiveNode):
 
     def on_timer(self, now: float) -> None:
         """Flush if it is due, and report the state of the recording."""
-        if now - self._looked_at > _LOOK_S:
-            self._looked_at = now
-            DISK.do(partial(self._bag.look, now))
+        if now - self._updated_at > _UPDATE_S:
+            self._updated_at = now
+            DISK.do(partial(self._bag.flush_if_due, now))
         directory, why, problem = str(self._bag.directory), self._bag.problem, None
         if DISK.late:
             problem = Problem.of("not_recorded", "late", directory=directory)
@@ -109,7 +109,7 @@ class RecorderNode(LiveNode):
             self.get_logger().error(problem or self._bag.problem)
 
 
-main = live_command(RecorderNode, partial(
+main = live_command(LiveRecorderNode, partial(
     node_help, "live.recorder", "recorder", __doc__, parameters,
     "--ros-args -p directory:=/var/lib/greenroof/bag -p total_limit:=2000.0", live=True,
 ))

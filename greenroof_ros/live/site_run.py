@@ -16,17 +16,17 @@ from typing import Any, NoReturn
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.common.conditions import Problem, read_conditions
-from greenroof_ros.common.disk import DISK, Newest
+from greenroof_ros.common.disk import DISK, LatestWriter
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.processes import (
     InterruptedRun,
     LockedError,
     Signals,
+    acquire_file_lock,
     notify,
     scratch_directory,
-    take_lock,
 )
-from greenroof_ros.common.standard_error import say
+from greenroof_ros.common.standard_error import print_line
 from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import (
@@ -41,7 +41,7 @@ from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.states import PUMP
-from greenroof_ros.live.drive import EXTERNAL, own_parameters
+from greenroof_ros.live.drive import EXTERNAL, node_parameter_files
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.model.site import edited
@@ -73,18 +73,18 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     state: Path = arguments.state or Path("live")
     nodes = list(site.nodes(state, state / "configuration"))
     modules = {name: node.module for node in nodes for name in node.nodes}
-    own_files = own_parameters(arguments, modules, site.controller)
+    user_files = node_parameter_files(arguments, modules, site.controller)
     with (
         only_bringup(arguments.namespace),
         _state_directory(state) as state,
         scratch_directory(_IN_MEMORY) as memory,
     ):
-        record, start = _Record(site, state), _Start(arguments.namespace)
-        start.look({}, "the nodes are starting")
+        record, start = _SiteRecord(site, state), _StartReport(arguments.namespace)
+        start.update({}, "the nodes are starting")
         names = modules.keys() | {"plant", *controller_names()}
         refuse_other_nodes(arguments.namespace, names, signals.check)
         supervisor = LiveSupervisor(
-            state / "log", _configuration(site, own_files, state, memory),
+            state / "log", _configuration(site, user_files, state, memory),
             arguments.namespace,
             site.drive.stopper() if site.drive is not None else None,
             record.log.fail, silence_s=arguments.peer_limit, restarts=arguments.restarts,
@@ -94,14 +94,15 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
             with supervisor:
                 for node in nodes:
                     supervisor.add(node)
-                _keep_up(site, supervisor, record, start, signals)
+                _supervise(site, supervisor, record, start, signals)
         except Exception as error:  # whatever the error, the summary must not say "running"
             signals.ignore()
-            return _end(record, supervisor, error)
+            return _report_end(record, supervisor, error)
 
 
-def _keep_up(
-    site: LiveSite, supervisor: LiveSupervisor, record: _Record, start: _Start, signals: Signals
+def _supervise(
+    site: LiveSite, supervisor: LiveSupervisor, record: _SiteRecord, start: _StartReport,
+    signals: Signals,
 ) -> NoReturn:
     """Watch the nodes until an error ends the site.
 
@@ -113,15 +114,15 @@ def _keep_up(
     notified = -_NOTIFY_S
     try:
         while True:
-            supervisor.listen()
-            signals.check()  # before look(): a node stopped by a service manager has not failed
-            supervisor.look()
+            supervisor.read_reports()
+            signals.check()  # before update(): a node stopped by a service manager has not failed
+            supervisor.update()
             unready = supervisor.unready
-            record.look(supervisor, starting=start.late)
-            start.look(supervisor.last, unready)
+            record.update(supervisor, starting=start.late)
+            start.update(supervisor.last, unready)
             if not ready and not unready:
                 ready = True
-                say("all nodes are here")
+                print_line("all nodes are here")
                 notify("READY=1")
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
@@ -131,16 +132,16 @@ def _keep_up(
     finally:
         notify("STOPPING=1")
         if site.drive is not None:
-            say("waiting for the pump to come to rest")
+            print_line("waiting for the pump to come to rest")
 
 
-def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
+def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exception) -> int:
     """Record and print why the site ended; return the exit code."""
     if isinstance(error, InterruptedRun) and not supervisor.may_run:
         record.write(summary.DONE, str(error))
         record.wait()
-        say(f"{error}: the pump and the nodes are stopped")
-        say(with_incidents("done", record.log.count) + record.log.numbers)
+        print_line(f"{error}: the pump and the nodes are stopped")
+        print_line(with_incidents("done", record.log.count) + record.log.numbers)
         return EXIT_DONE
     reason, last_lines, code = str(error), "", EXIT_FAILED
     if isinstance(error, NodeFailed):
@@ -152,11 +153,11 @@ def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
     record.write(summary.FAILED, reason)
     record.wait()
     notify(f"STATUS={reason}")
-    say("\n".join(filter(None, (f"error: {reason}", last_lines))))
+    print_line("\n".join(filter(None, (f"error: {reason}", last_lines))))
     return EXIT_FAILED if supervisor.may_run else code
 
 
-class _Start:
+class _StartReport:
     """During the start, lists what keeps the site from pumping, each with what to do about it.
 
     It lists what would become an incident if it lasted, except warnings; a mere consequence only
@@ -167,11 +168,11 @@ class _Start:
     def __init__(self, namespace: str) -> None:
         """Begin the start of a graph; its namespace is such as ``/site1``, or empty for none."""
         self._namespace = namespace
-        self._over = False
+        self._finished = False
         self._late_until = time.monotonic() + _LATE_S
         # What is missing, by node, part and code: as last printed; as last seen, and since when.
-        self._said: list[tuple[str, ...]] | None = None
-        self._seen: tuple[list[tuple[str, ...]], float] = ([], -math.inf)
+        self._printed: list[tuple[str, ...]] | None = None
+        self._last_missing: tuple[list[tuple[str, ...]], float] = ([], -math.inf)
 
     @property
     def late(self) -> bool:
@@ -181,14 +182,14 @@ class _Start:
         """
         return time.monotonic() < self._late_until
 
-    def look(self, reports: Mapping[str, Mapping[str, Any]], unready: str) -> None:
+    def update(self, reports: Mapping[str, Mapping[str, Any]], unready: str) -> None:
         """Print what is missing if that has changed, and the end of the start.
 
         Args:
             reports: the last report of each node.
             unready: which nodes are not ready, and why; empty if all are.
         """
-        if self._over:
+        if self._finished:
             return
         lost_parts = [
             part for part in parts_in(reports) if part.is_lost and part.diagnosis["level"] != "WARN"
@@ -206,17 +207,18 @@ class _Start:
         stopped = any(part.rule.stops_pump for part in lost_parts)
         if why and not stopped:
             missing[why,] = f"  {why}"
-        self._over = not (stopped or why or None in _levels(reports).values())
+        self._finished = not (stopped or why or None in _levels(reports).values())
         codes, now = list(missing), time.monotonic()
-        if codes != self._seen[0]:
-            self._seen = codes, now
-        title = "missing:" if self._said is None else "still missing:"
-        stands = self._said is None or self._over or now - self._seen[1] > _LISTED_S
-        if missing and codes != self._said and stands:
-            self._said = codes
-            say("\n".join([title, *missing.values()]))
-        if self._over:
-            say(f"running: {levels}")
+        if codes != self._last_missing[0]:
+            self._last_missing = codes, now
+        title = "missing:" if self._printed is None else "still missing:"
+        settled = now - self._last_missing[1] > _LISTED_S
+        due = self._printed is None or self._finished or settled
+        if missing and codes != self._printed and due:
+            self._printed = codes
+            print_line("\n".join([title, *missing.values()]))
+        if self._finished:
+            print_line(f"running: {levels}")
 
     def _advice(self, node: str, code: str) -> str:
         """Return what to do about a code; a node of another version may send an unknown one."""
@@ -224,7 +226,7 @@ class _Start:
         return condition.advise(f"{self._namespace}/{node}") if condition else "Read its message."
 
 
-class _Record:
+class _SiteRecord:
     """The record of a site since its start: ``summary.json``, incidents and warnings.
 
     The disk thread writes the files, so a full or hung disk stops nothing else.
@@ -235,22 +237,22 @@ class _Record:
 
     def __init__(self, site: LiveSite, state: Path) -> None:
         """Read how the site last ended, and print it unless it had been asked to stop."""
-        self.log = IncidentLog(say, state / INCIDENTS)
+        self.log = IncidentLog(print_line, state / INCIDENTS)
         try:
-            self.log.go_on()
+            self.log.resume()
         except (OSError, ValueError) as error:
-            say(f"warning: {error}; the incidents of earlier starts are not shown")
+            print_line(f"warning: {error}; the incidents of earlier starts are not shown")
         self._state = state
         self._written = 0
         self._warnings: set[str] = set()
-        self._summary = Newest(
+        self._summary = LatestWriter(
             partial(summary.write, directory=state),
             lambda error: (
                 f"{getattr(error, 'filename', None) or state}: "
                 f"{getattr(error, 'strerror', None) or error}"
             ),
         )
-        self._began = wall_time()
+        self._started_at = wall_time()
         self._last_time = before = _last_time(state)
         self._setting = {
             "controller": site.controller.name,
@@ -266,9 +268,9 @@ class _Record:
             end = f"bringup ended at {before['ended']}: {before['reason']}"
             if before["status"] == summary.RUNNING:
                 end = "bringup was killed, or the power failed"
-            say(f"the last time, since {before['began']}, {end}")
+            print_line(f"the last time, since {before['began']}, {end}")
 
-    def look(self, supervisor: LiveSupervisor, *, starting: bool) -> None:
+    def update(self, supervisor: LiveSupervisor, *, starting: bool) -> None:
         """Find what was lost or has come back since the last call; print and record it."""
         for node in supervisor.ready:
             self.log.end(node, PROCESS)
@@ -278,7 +280,7 @@ class _Record:
             "message": hangs.sentence,
         }
         report = {"diagnoses": {"disk": disk}}
-        self.log.look({**supervisor.last, "bringup": report}, starting=starting)
+        self.log.update({**supervisor.last, "bringup": report}, starting=starting)
         if self.log.changes != self._written:
             self.write(summary.RUNNING)
         self._warn({
@@ -295,16 +297,16 @@ class _Record:
                 "start, and are lost"
             )
         for text in sorted((of_nodes | warnings) - self._warnings):
-            say(f"warning: {text}")
+            print_line(f"warning: {text}")
         self._warnings = of_nodes | warnings
 
     def write(self, status: str, reason: str | None = None) -> None:
         """Write the summary with a status of :mod:`greenroof_ros.experiment.summary`."""
         self._written = self.log.changes
-        self._summary.give({
+        self._summary.write({
             "status": status,
             "reason": reason,
-            "began": self._began,
+            "began": self._started_at,
             "ended": None if status == summary.RUNNING else wall_time(),
             "last_time": self._last_time,
             "incident_count": self.log.count,
@@ -370,7 +372,7 @@ def _state_directory(path: Path) -> Iterator[Path]:
     try:
         with writable(path, "--state"):
             (path / "log").mkdir(parents=True, exist_ok=True)
-            lock = take_lock(path / "bringup.lock")
+            lock = acquire_file_lock(path / "bringup.lock")
     except LockedError:
         raise OccupiedError(
             "belongs to a running bringup; end it, or use another directory",
@@ -381,7 +383,7 @@ def _state_directory(path: Path) -> Iterator[Path]:
 
 
 def _configuration(
-    site: LiveSite, own_files: Sequence[Path], state: Path, memory: Path
+    site: LiveSite, user_files: Sequence[Path], state: Path, memory: Path
 ) -> list[Path]:
     """Save the configuration of this start; on a full disk, in memory and with a warning.
 
@@ -389,7 +391,7 @@ def _configuration(
 
     Args:
         site: the site as the command line describes it.
-        own_files: the user's parameter files.
+        user_files: the user's parameter files.
         state: the directory of the site.
         memory: a directory in memory that exists while the site runs.
 
@@ -402,18 +404,18 @@ def _configuration(
     place, part = state / "configuration", state / "configuration.part"
     shutil.rmtree(part, ignore_errors=True)
     try:
-        files = _write_configuration(site, own_files, state, part, place)
+        files = _write_configuration(site, user_files, state, part, place)
         shutil.rmtree(place, ignore_errors=True)
         part.rename(place)
     except OSError as error:
         shutil.rmtree(part, ignore_errors=True)
-        say(f"warning: {place}: {error.strerror}; the new configuration is in memory only")
-        return _write_configuration(site, own_files, state, memory, memory)
+        print_line(f"warning: {place}: {error.strerror}; the new configuration is in memory only")
+        return _write_configuration(site, user_files, state, memory, memory)
     return files
 
 
 def _write_configuration(
-    site: LiveSite, own_files: Sequence[Path], state: Path, directory: Path, place: Path
+    site: LiveSite, user_files: Sequence[Path], state: Path, directory: Path, place: Path
 ) -> list[Path]:
     """Copy the files that the site is started with, and write the parameters of its nodes.
 
@@ -422,7 +424,7 @@ def _write_configuration(
 
     Args:
         site: the site as the command line describes it.
-        own_files: the user's parameter files.
+        user_files: the user's parameter files.
         state: the directory of the site.
         directory: where to write; created if missing.
         place: the path that ``directory`` will have when the nodes read it.
@@ -434,7 +436,7 @@ def _write_configuration(
         OSError: it cannot be written.
     """
     directory.mkdir(exist_ok=True)
-    for name, file in [*site.files().items(), *(("nodes", file) for file in own_files)]:
+    for name, file in [*site.files().items(), *(("nodes", file) for file in user_files)]:
         (directory / name).mkdir()
         if name == "site":
             (directory / name / file.name).write_text(edited(file, {}), encoding="utf-8")
@@ -442,4 +444,4 @@ def _write_configuration(
             shutil.copyfile(file, directory / name / file.name)
     nodes = [node for node in site.nodes(state, place) if node.parameters]
     write_parameters(directory, {node.name: node.parameters for node in nodes})
-    return [place / "parameters.yaml", *(place / "nodes" / file.name for file in own_files)]
+    return [place / "parameters.yaml", *(place / "nodes" / file.name for file in user_files)]

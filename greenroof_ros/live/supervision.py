@@ -79,11 +79,11 @@ class SupervisorSocket:
 
     def __init__(self) -> None:
         """Use the socket that the environment names, if there is one."""
-        self._given = SOCKET in os.environ
-        self._socket = int(os.environ[SOCKET]) if self._given else -1
+        self._enabled = SOCKET in os.environ
+        self._socket = int(os.environ[SOCKET]) if self._enabled else -1
         self._unsent = b""  # the rest of a report
         self._next: dict[str, bytes] = {}  # the newest after it, by node
-        if self._given:
+        if self._enabled:
             os.set_blocking(self._socket, False)
 
     def report(self, report: Mapping[str, Any]) -> None:
@@ -93,7 +93,7 @@ class SupervisorSocket:
         node replaces it.
         A report that is larger than the socket's buffer is sent in pieces, and always whole.
         """
-        if self._given:
+        if self._enabled:
             self._next[report.get("node", "")] = f"{json.dumps(report)}\n".encode()
             self._send()
 

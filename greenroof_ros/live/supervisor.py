@@ -28,7 +28,7 @@ from greenroof_ros.common.command_line import (
     EXIT_USAGE,
 )
 from greenroof_ros.common.disk import DISK
-from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.common.processes import child_environment
 from greenroof_ros.graph.domain import LEASE
 from greenroof_ros.graph.states import PUMP, READY, RECORDER
 from greenroof_ros.live.drives.sensor_file import QUANTITIES, TANKS
@@ -122,8 +122,9 @@ class NodeProcess:
     Attributes:
         process: the operating-system process.
         socket: the supervisor's end of the socket to it.
-        heard: when it last reported or was started, or this process resumed (steady clock, s).
-        spoke: whether it has reported.
+        last_report_at: when it last reported or was started, or this process resumed (steady
+            clock, s).
+        has_reported: whether it has reported.
         reports: the last report of each of its nodes that has reported, by name.
         last_lines: the last lines that it printed.
     """
@@ -134,19 +135,19 @@ class NodeProcess:
     ) -> None:
         self._name = name
         self.process, self.socket = process, to_it
-        self.heard = time.monotonic()
-        self.spoke = False
+        self.last_report_at = time.monotonic()
+        self.has_reported = False
         self.reports: dict[str, dict[str, Any]] = {}
         self.last_lines: deque[str] = deque(maxlen=_LAST_LINES)
         self._log = log
-        self._cut = b""
+        self._partial_line = b""
 
-    def hear(self, data: bytes) -> None:
-        """Take data from the socket."""
-        self.spoke = True
-        self.heard = time.monotonic()
-        *lines, cut = (self._cut + data).split(b"\n")
-        self._cut = cut[-_LONGEST_REPORT:]
+    def receive(self, data: bytes) -> None:
+        """Receive data from the socket."""
+        self.has_reported = True
+        self.last_report_at = time.monotonic()
+        *lines, cut = (self._partial_line + data).split(b"\n")
+        self._partial_line = cut[-_LONGEST_REPORT:]
         for report in filter(None, map(read_report, lines)):
             self.reports[report.get("node", self._name)] = report
 
@@ -211,8 +212,8 @@ class Supervisor:
             self._ros_arguments += ["--params-file", str(file)]
         if namespace:
             self._ros_arguments += ["-r", f"__ns:={namespace}"]
-        self._ears = selectors.DefaultSelector()
-        self._looked = time.monotonic()
+        self._selector = selectors.DefaultSelector()
+        self._read_at = time.monotonic()
 
     def __enter__(self) -> Supervisor:
         """Return the supervisor; nothing is started."""
@@ -223,19 +224,19 @@ class Supervisor:
         for node in self.nodes.values():
             node.process.send_signal(signal.SIGCONT)  # a stopped process would not get SIGTERM
         names = self.nodes.keys()
-        self._end(names & {PUMP})
+        self._stop_nodes(names & {PUMP})
         if self._stop_drive is not None and PUMP in names:
-            self._see_drive_off(self._stop_drive)
-        self._end(names - {PUMP, RECORDER})
-        self._end(names & {RECORDER})
+            self._confirm_drive_stopped(self._stop_drive)
+        self._stop_nodes(names - {PUMP, RECORDER})
+        self._stop_nodes(names & {RECORDER})
 
-    def _see_drive_off(self, stop_drive: StopDrive) -> None:
+    def _confirm_drive_stopped(self, stop_drive: StopDrive) -> None:
         """Stop the drive; report it if the pump node did not end well or the pump may still run."""
         process = self.nodes[PUMP].process
-        stands, message = stop_drive(process.pid)
-        self.may_run = "" if stands else message
+        at_rest, message = stop_drive(process.pid)
+        self.may_run = "" if at_rest else message
         if self.may_run or process.returncode != EXIT_DONE:
-            self._on_failure(PUMP, f"{self.ended(PUMP)}; {message}")
+            self._on_failure(PUMP, f"{self.exit_status(PUMP)}; {message}")
 
     # --- starting -------------------------------------------------------------------------------
 
@@ -258,7 +259,7 @@ class Supervisor:
                 stdout=printing.fileno(),
                 stderr=subprocess.STDOUT,
                 env={
-                    **asked_to_end_with_this(), **self._environment, SOCKET: str(theirs.fileno()),
+                    **child_environment(), **self._environment, SOCKET: str(theirs.fileno()),
                 },
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,
@@ -267,10 +268,10 @@ class Supervisor:
         for end in (theirs, printing):
             end.close()
         self.nodes[name] = running = NodeProcess(name, process, ours, self._logs[name])
-        self._ears.register(ours, selectors.EVENT_READ, running.hear)
-        self._ears.register(printed, selectors.EVENT_READ, running.log)
+        self._selector.register(ours, selectors.EVENT_READ, running.receive)
+        self._selector.register(printed, selectors.EVENT_READ, running.log)
 
-    # --- hearing --------------------------------------------------------------------------------
+    # --- reading --------------------------------------------------------------------------------
 
     @property
     def last(self) -> dict[str, dict[str, Any]]:
@@ -279,32 +280,32 @@ class Supervisor:
             name: report for node in self.nodes.values() for name, report in node.reports.items()
         }
 
-    def listen(self, seconds: float = 0.1) -> None:
+    def read_reports(self, seconds: float = 0.1) -> None:
         """Read the nodes' reports and output; wait at most this long (s)."""
         self._read(seconds)  # may find nothing if this process was paused in it
         now = time.monotonic()
-        if now - self._looked > _PAUSE_S:
+        if now - self._read_at > _PAUSE_S:
             for node in self.nodes.values():
-                node.heard = now
-        self._looked = now
+                node.last_report_at = now
+        self._read_at = now
 
     def _read(self, seconds: float) -> None:
         """Wait for data from the nodes, at most this long (s), and read all that is there."""
-        for key, _ in self._ears.select(seconds):
+        for key, _ in self._selector.select(seconds):
             data = os.read(key.fd, _MOST_READ)
             if data:
                 key.data(data)
             else:
-                self._ears.unregister(key.fileobj)
+                self._selector.unregister(key.fileobj)
                 cast(socket.socket, key.fileobj).close()
 
-    def quoted(self, node: str) -> str:
+    def last_lines_of(self, node: str) -> str:
         """Read the nodes' remaining output, and return the last lines of one."""
         self._read(0.0)
-        quoted = [f"  {line}" for line in self.nodes[node].last_lines] or ["  (none)"]
-        return "\n".join([f"last lines of {node}:", *quoted])
+        last_lines_of = [f"  {line}" for line in self.nodes[node].last_lines] or ["  (none)"]
+        return "\n".join([f"last lines of {node}:", *last_lines_of])
 
-    def ended(self, node: str) -> str:
+    def exit_status(self, node: str) -> str:
         """Return how a node ended, and the reason if it gave one; empty while it runs."""
         code = self.nodes[node].process.poll()
         if code is None:
@@ -326,12 +327,15 @@ class Supervisor:
             NodeFailed: a node has ended, or nodes have been silent for longer.
         """
         for name, node in self.nodes.items():
-            ended = self.ended(name)
-            if ended:
-                raise NodeFailed(f"node {name} {ended}", self.quoted(name), node.process.returncode)
+            exit_status = self.exit_status(name)
+            if exit_status:
+                raise NodeFailed(
+                    f"node {name} {exit_status}", self.last_lines_of(name), node.process.returncode
+                )
         now = time.monotonic()
         silent = {
-            name: now - node.heard for name, node in self.nodes.items() if now - node.heard > limit
+            name: age for name, node in self.nodes.items()
+            if (age := now - node.last_report_at) > limit
         }
         # A stopped node silences those that wait for it: name all of them, and mark the stopped.
         if max(silent.values(), default=0.0) > limit + _SAME_SILENCE_S:
@@ -341,18 +345,18 @@ class Supervisor:
                     f"has not answered for {limit:g} s"
                     for name in silent
                 ),
-                "\n".join(map(self.quoted, silent)), EXIT_FAILED,
+                "\n".join(map(self.last_lines_of, silent)), EXIT_FAILED,
             )
 
     # --- ending ---------------------------------------------------------------------------------
 
-    def _end(self, nodes: Collection[str]) -> None:
-        """Ask these nodes to end by SIGTERM, and kill them if they take too long.
+    def _stop_nodes(self, nodes: Collection[str]) -> None:
+        """Stop these nodes by SIGTERM, and kill them if they take too long.
 
         Not by SIGINT: processes in a shell's background ignore it, and so would a node that is just
         starting.
         """
-        began = time.monotonic()
+        started_at = time.monotonic()
         limits = {
             node: PUMP_ENDING_S if node == PUMP else ENDING_S
             for node in nodes if self.nodes[node].process.poll() is None
@@ -361,7 +365,7 @@ class Supervisor:
             self.nodes[node].process.send_signal(signal.SIGTERM)
         while limits:
             self._read(0.02)
-            passed = time.monotonic() - began
+            passed = time.monotonic() - started_at
             for node, limit in list(limits.items()):
                 process = self.nodes[node].process
                 if process.poll() is not None or passed > limit + KILLING_S:
@@ -384,7 +388,7 @@ def _log_file(path: Path) -> RotatingFileHandler:
 
 
 @dataclass
-class _Kept:
+class _NodeRecord:
     """A node of a live site: how to start it, and the history of its starts."""
 
     start: NodeStart
@@ -429,7 +433,7 @@ class LiveSupervisor(Supervisor):
         """
         super().__init__(logs, parameters, namespace, stop_drive, on_failure)
         self._environment[LEASE] = _LIVE_LEASE_S
-        self._kept: dict[str, _Kept] = {}
+        self._records: dict[str, _NodeRecord] = {}
         self._silence_s = silence_s
         self._restarts = restarts
         self._stopper = ThreadPoolExecutor(1)
@@ -444,12 +448,12 @@ class LiveSupervisor(Supervisor):
 
     def add(self, node: NodeStart) -> None:
         """Start a node now, and again whenever it has failed; see :meth:`start`."""
-        self._kept[node.name] = _Kept(node)
+        self._records[node.name] = _NodeRecord(node)
         self._start(node.name, time.monotonic())
 
     def _start(self, name: str, now: float) -> None:
         """Start a node; if the system is out of processes or files, try again every 10 s."""
-        record = self._kept[name]
+        record = self._records[name]
         record.started, record.starts_again = now, None
         try:
             self.start(record.start)
@@ -462,7 +466,7 @@ class LiveSupervisor(Supervisor):
                 again = f"tried again every {_LONGEST_WAIT_S:g} s{_unrecorded(name)}"
                 self._on_failure(name, f"cannot be started: {why}; {again}")
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Restart failed nodes; called repeatedly.
 
         Raises:
@@ -470,12 +474,12 @@ class LiveSupervisor(Supervisor):
                 because of wrong parameters or another graph.
         """
         now = time.monotonic()
-        for name, record in self._kept.items():
+        for name, record in self._records.items():
             if record.starts_again is None:
                 record.was_ready |= self._is_ready(name)
-                failure = self.ended(name) or self._killed(name, now)
+                failure = self.exit_status(name) or self._kill_if_silent(name, now)
                 if failure:
-                    self._failed(name, failure, now)
+                    self._handle_failure(name, failure, now)
             elif now >= record.starts_again and not (name == PUMP and self._stopping is not None):
                 self._start(name, now)
         if self._stopping is not None and self._stopping.done():
@@ -483,40 +487,40 @@ class LiveSupervisor(Supervisor):
             self._on_failure(PUMP, f"did not stop the drive; {message}")
             self._stopping = None
 
-    def _killed(self, name: str, now: float) -> str:
+    def _kill_if_silent(self, name: str, now: float) -> str:
         """Kill a node that hangs, and return why; empty if it does not."""
         node = self.nodes[name]
-        limit = self._silence_s if node.spoke else max(self._silence_s, START_LIMIT_S)
-        if name == PUMP and node.spoke and not self._says_it_stands():
+        limit = self._silence_s if node.has_reported else max(self._silence_s, START_LIMIT_S)
+        if name == PUMP and node.has_reported and not self._pump_at_rest():
             limit = SILENT_S
-        if now - node.heard <= limit:
+        if now - node.last_report_at <= limit:
             return ""
         stopped = " (stopped)" if node.is_stopped else ""
         node.kill()
         return f"had not answered for {limit:g} s{stopped}: killed"
 
-    def _says_it_stands(self) -> bool:
+    def _pump_at_rest(self) -> bool:
         """Whether the pump node last reported the pump at rest: read, or concluded by timeout."""
         return self.last.get(PUMP, {}).get("stands") is True
 
-    def _failed(self, name: str, failure: str, now: float) -> None:
+    def _handle_failure(self, name: str, failure: str, now: float) -> None:
         """Report that a node failed and schedule its restart; for the pump node, stop the drive.
 
         Raises:
             NodeFailed: it is not restarted, and the site must end.
         """
-        record, code = self._kept[name], self.nodes[name].process.returncode
+        record, code = self._records[name], self.nodes[name].process.returncode
         while record.restarts and now - record.restarts[0] > _WINDOW_S:
             record.restarts.popleft()
         too_often = len(record.restarts) >= self._restarts
         if name not in _NOT_REQUIRED:
             if not record.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
-                raise NodeFailed(f"node {name} {failure}", self.quoted(name), code)
+                raise NodeFailed(f"node {name} {failure}", self.last_lines_of(name), code)
             if too_often:
                 raise NodeFailed(
                     f"node {name} {failure}; it was restarted {len(record.restarts)} times in the "
                     f"last {_WINDOW_S / 60:g} minutes, and is given up",
-                    self.quoted(name), EXIT_FAILED,
+                    self.last_lines_of(name), EXIT_FAILED,
                 )
         wait = _WINDOW_S if too_often else min(2.0 ** len(record.restarts), _LONGEST_WAIT_S)
         record.restarts.append(now)
@@ -529,27 +533,28 @@ class LiveSupervisor(Supervisor):
     def ready(self) -> set[str]:
         """The names of the processes that run, all of whose nodes have reported *ready*."""
         return {
-            name for name, record in self._kept.items()
+            name for name, record in self._records.items()
             if record.starts_again is None and self._is_ready(name)
         }
 
     def _is_ready(self, name: str) -> bool:
         reports = self.nodes[name].reports
         return all(
-            reports.get(node, {}).get("state") == READY for node in self._kept[name].start.nodes
+            reports.get(node, {}).get("state") == READY for node in self._records[name].start.nodes
         )
 
     @property
     def unready(self) -> str:
         """Which of the nodes that the pump needs are not ready, and why; empty if all are."""
         return ", ".join(
-            f"{node} {why}" for name, record in self._kept.items() for node in record.start.nodes
+            f"{node} {why}" for name, record in self._records.items() for node in record.start.nodes
             if node not in _NOT_REQUIRED and (why := self._why_unready(name, node))
         )
 
     def _why_unready(self, name: str, node: str) -> str:
         """Return why a node of a process is not ready; empty if it is."""
-        if self._kept[name].starts_again is not None or self.nodes[name].process.poll() is not None:
+        record = self._records[name]
+        if record.starts_again is not None or self.nodes[name].process.poll() is not None:
             return "is missing"
         report = self.nodes[name].reports.get(node, {})
         if report.get("state") == READY:

@@ -94,7 +94,7 @@ def parameters(site: Site) -> list[Parameter]:
     ]
 
 
-class WeatherNode(LiveNode):
+class LiveWeatherNode(LiveNode):
     """Publishes weather and forecasts from gauges and a file."""
 
     def __init__(self) -> None:
@@ -122,7 +122,7 @@ class WeatherNode(LiveNode):
                 ForecastFile(file), site, values["horizon"], values["issue_limit"],
                 values["all_members"],
             )
-            self._reader.do(self._forecast.file.look)
+            self._reader.do(self._forecast.file.update)
             self._reader.wait(_FIRST_READ_S)
             self._fetcher = self._fetch(values, file) if values["fetch"] else None
         self._gauges: set[str] = set()  # that have been good
@@ -153,7 +153,7 @@ class WeatherNode(LiveNode):
         )
         thermometer = self._thermometer
         why = "no reading of a thermometer"
-        if thermometer.heard and thermometer.problem is not None:
+        if thermometer.received and thermometer.problem is not None:
             why = thermometer.problem.sentence
         self.publish(_FROST, self._frost(temperature, f"{why}{instead}"))
         evapotranspiration: float | None
@@ -197,7 +197,7 @@ class WeatherNode(LiveNode):
     def on_stop(self) -> None:
         """End the fetching."""
         if self._fetcher is not None:
-            self._fetcher.end()
+            self._fetcher.stop()
 
     def _outlook(
         self, forecast: LiveForecast, now: datetime, rain: float | None
@@ -209,7 +209,7 @@ class WeatherNode(LiveNode):
             now: the time.
             rain: from the gauge (m/s); None if unknown.
         """
-        self._reader.do(forecast.file.look)
+        self._reader.do(forecast.file.update)
         if forecast.file.count != self._files_read:
             self._files_read = forecast.file.count
             self.get_logger().info("the file of forecasts was read")
@@ -248,23 +248,23 @@ class WeatherNode(LiveNode):
             return float(temperature <= 0)
         level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
         problem = Problem.of("temperature_unknown", case, why=why)
-        self.reports.diagnose("frost", replace(problem, code=self._no_temperature()), level=level)
+        self.reports.diagnose("frost", replace(problem, code=self._temperature_code()), level=level)
         return self._unknown_frost
 
-    def _no_temperature(self) -> str:
+    def _temperature_code(self) -> str:
         """Return the code for an unknown temperature, by what the site has."""
         thermometer = self._thermometer
-        if thermometer.heard and thermometer.verdict.code == "input_recovering":
+        if thermometer.received and thermometer.verdict.code == "input_recovering":
             return "input_recovering"
-        if thermometer.heard or thermometer.publishers.count:
+        if thermometer.received or thermometer.publishers.count:
             return "thermometer_lost"
         return "temperature_unknown" if self._fetcher is None else "temperature_not_fetched"
 
     def _diagnose_gauge(self, part: str, gauge: LiveInput, instead: str) -> None:
-        """Report the state of a gauge, if it was ever heard; a site may do without."""
+        """Report the state of a gauge, if one was ever received; a site may do without."""
         if gauge.good:
             self._gauges.add(part)
-        if not gauge.heard:
+        if not gauge.received:
             return
         bad, well, problem = None, f"{gauge.name} is good", gauge.problem
         if part not in self._gauges and not gauge.publishers.count:
@@ -278,7 +278,7 @@ class WeatherNode(LiveNode):
         self.reports.diagnose(part, bad, well, WARN, gauge.verdict.code)
 
 
-main = live_command(WeatherNode, partial(
+main = live_command(LiveWeatherNode, partial(
     node_help, "live.weather", "weather", __doc__, parameters,
     "--ros-args -p forecast:=forecast.csv", live=True,
 ))

@@ -18,9 +18,9 @@ INITIAL_STATES = {
     "high-high": (1.3, 1.3),
 }
 
-SITES_OWN = "site"
+SITE_STATE = "site"
 """Name of the state that a site file defines by ``initial_cistern`` and ``initial_roof``."""
-OWN_KEYS = ("initial_cistern", "initial_roof")
+SITE_STATE_KEYS = ("initial_cistern", "initial_roof")
 """Keys of that state's volumes in the site file."""
 
 
@@ -30,7 +30,7 @@ def initial_state(site: Site, name: str) -> tuple[float, float]:
     return site.a1 * site.z_o * cistern, site.a2 * site.z_veg * roof
 
 
-def own_state(site: Site) -> tuple[float, float] | None:
+def site_state(site: Site) -> tuple[float, float] | None:
     """Return the volumes x1 and x2 (m3) that the site file gives; None if it gives none."""
     if site.initial_cistern is None or site.initial_roof is None:
         return None
@@ -43,8 +43,8 @@ def default_state(site: Site) -> tuple[str, tuple[float, float]]:
     It is the site file's own, or else low-low. The drainage layer of a measured roof always begins
     with the site file's ``initial_layer``: the states do not include it.
     """
-    state = own_state(site)
-    return ("low-low", initial_state(site, "low-low")) if state is None else (SITES_OWN, state)
+    state = site_state(site)
+    return ("low-low", initial_state(site, "low-low")) if state is None else (SITE_STATE, state)
 
 
 @functools.cache  # so that a study warns once, not in each of its runs

@@ -160,8 +160,8 @@ def _retained(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) 
         From 0 to 1; None if there was no such rain.
     """
     rain, pumped, drained = by_hour
-    came, watered = _rolling(rain, _DRAINS_H), _rolling(pumped, _DRAINS_H)
-    of_rain = np.divide(came, came + watered, out=np.zeros_like(came), where=came > 0)
+    rained, watered = _rolling(rain, _DRAINS_H), _rolling(pumped, _DRAINS_H)
+    of_rain = np.divide(rained, rained + watered, out=np.zeros_like(rained), where=rained > 0)
     storm = _rolling(rain, hours) / site.a2 * 1000 > above + _ROUNDING_MM
     within = _rolling(storm[::-1].astype(float), hours)[::-1] > 0
     fallen = _sum(0.0, rain[within])

@@ -89,7 +89,7 @@ def command_to(
         rain: in the tick (m/s).
         potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water.
     """
-    share = soil.kept_share(x2)
+    share = soil.retained_share(x2)
     stays = share * maximum_pump_flow(site, x1)
     if stays <= 0:
         return 0.0
@@ -134,7 +134,7 @@ class Plant:
         self._a1, self._a2, self._tau = site.a1, site.a2, site.tau
         self._lowest_outlet, self._catchment = site.lowest_outlet, site.effective_catchment
         self._soil = soil_of(site)
-        self._keeps_all_below = self._soil.keeps_all_below
+        self._retains_all_below = self._soil.retains_all_below
         self._has_layer = site.drainage_storage is not None
         self._has_mains = site.mains_level is not None
         self.x1 = x1
@@ -179,7 +179,7 @@ class Plant:
         available = x2 / self._tau + precipitation * self._a2 + pump
         # Otherwise the soil loses what is demanded: in most ticks of the paper's site, which saves
         # a call that would make them a tenth longer.
-        if x2 >= self._keeps_all_below or evapotranspiration > available:
+        if x2 >= self._retains_all_below or evapotranspiration > available:
             arriving = precipitation * self._a2 + pump
             drainage, evapotranspiration, dry = self._soil.tick(
                 x2, self.layer, available, arriving, evapotranspiration

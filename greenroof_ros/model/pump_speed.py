@@ -14,7 +14,7 @@ import math
 
 from greenroof_ros.model.site import Site
 
-STANDS = 0.02
+STANDSTILL = 0.02
 """a pump is at rest up to this share of its rated speed, either way: noise of a drive's reading"""
 
 

@@ -79,8 +79,8 @@ class RoofSensor:
     """
 
     def __init__(self, sensor_pump_errors: SensorPumpErrors) -> None:
-        """Take the sensor's noise and offset."""
-        self._given = sensor_pump_errors
+        """Set the sensor's noise and offset."""
+        self._model = sensor_pump_errors
         self._exact = sensor_pump_errors.exact_sensor
         self._block = -1
         self._errors = [sensor_pump_errors.roof_offset] * _BLOCK
@@ -90,9 +90,9 @@ class RoofSensor:
         if self._exact:
             return level
         block, index = divmod(tick, _BLOCK)
-        if block != self._block and self._given.roof_noise:
-            drawn = np.random.default_rng([self._given.noise_seed, block]).standard_normal(_BLOCK)
-            self._errors = (self._given.roof_offset + self._given.roof_noise * drawn).tolist()
+        if block != self._block and self._model.roof_noise:
+            drawn = np.random.default_rng([self._model.noise_seed, block]).standard_normal(_BLOCK)
+            self._errors = (self._model.roof_offset + self._model.roof_noise * drawn).tolist()
             self._block = block
         return max(0.0, level + self._errors[index])
 
@@ -112,7 +112,7 @@ class Pump:
     """
 
     def __init__(self, sensor_pump_errors: SensorPumpErrors, tau: float) -> None:
-        """Take the minimum times, and the duration of a tick (s); they last whole ticks."""
+        """Set the minimum times, and the duration of a tick (s); they last whole ticks."""
         self._least_on = math.ceil(sensor_pump_errors.minimum_on / tau - _ROUNDING)
         self._least_off = math.ceil(sensor_pump_errors.minimum_off / tau - _ROUNDING)
         self._on = False

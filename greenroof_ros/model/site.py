@@ -202,7 +202,8 @@ class Site:
     )
     monthly_evapotranspiration: tuple[float, ...] | None = entry(
         "means of the reference evapotranspiration, January to December, in brackets; used by a "
-        "live site without a forecast", 0.0, 20.0, unit="mm/day", default=None,
+        "live site without a forecast, and for weather without temperature", 0.0, 20.0,
+        unit="mm/day", default=None,
     )
     quiet_hours: tuple[str, ...] | None = entry(
         "times of day in which the pump stays off, by the clock in time_zone, such as "
@@ -385,7 +386,7 @@ def edited(path: Path, values: Mapping[str, float]) -> str:
     changed = {key: repr(value) for key, value in new.items() if value != current.get(key)}
     if not changed and _EXTENDS not in read_yaml(path):
         return read_text(path)
-    return _with(_whole(path), changed)
+    return _with(_full_text(path), changed)
 
 
 def _with(text: str, values: Mapping[str, str]) -> str:
@@ -398,7 +399,7 @@ def _with(text: str, values: Mapping[str, str]) -> str:
     return stream.getvalue()
 
 
-def _whole(path: Path) -> str:
+def _full_text(path: Path) -> str:
     """Return a site file's text, followed by what comes from the file that it extends."""
     text, mapping = _with(read_text(path), {}), read_yaml(path)
     base = mapping.get(_EXTENDS)
@@ -410,7 +411,7 @@ def _whole(path: Path) -> str:
 
     own_lines = [line for line in text.splitlines() if key(line) != _EXTENDS]
     further, copying = [f"# From {base}"], True
-    for line in _whole(_base(path, base)).splitlines():
+    for line in _full_text(_base(path, base)).splitlines():
         if not line.startswith((" ", "\t", "-", "#")):  # otherwise it continues the key above
             copying = key(line) not in mapping
         further += [line] * copying

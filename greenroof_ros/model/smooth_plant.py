@@ -32,7 +32,7 @@ def f(
         soil: including q_drain, Eq. (9).
     """
     f1 = w_r * site.effective_catchment + mains_flow(site, x1) - out - pumped
-    return f1, (w_r * site.a2 + pumped) * soil.kept - w_e * soil.stress - soil.drained
+    return f1, (w_r * site.a2 + pumped) * soil.retained - w_e * soil.stress - soil.drained
 
 
 def psi(y: float, epsilon: float) -> tuple[float, float]:
@@ -123,13 +123,19 @@ def linearise(
     pumped, pumped_1, pumped_2, pumped_u = q_pump(site, x1, x2, u)
     f1, f2 = f(site, x1, w_r, w_e, out, pumped, soil)
     into_roof = w_r * site.a2 + pumped
-    f2_2 = pumped_2 * soil.kept + into_roof * soil.kept_2 - w_e * soil.stress_2 - soil.drained_2
+    f2_2 = (
+        pumped_2 * soil.retained + into_roof * soil.retained_2
+        - w_e * soil.stress_2 - soil.drained_2
+    )
     return Linearisation(
         A=(
             (1 + tau * (-out_1 - pumped_1), tau * -pumped_2),
-            (tau * pumped_1 * soil.kept, 1 + tau * f2_2),
+            (tau * pumped_1 * soil.retained, 1 + tau * f2_2),
         ),
-        B=(tau * -pumped_u, tau * pumped_u * soil.kept),
-        C=((tau * site.effective_catchment, 0.0), (tau * site.a2 * soil.kept, -tau * soil.stress)),
+        B=(tau * -pumped_u, tau * pumped_u * soil.retained),
+        C=(
+            (tau * site.effective_catchment, 0.0),
+            (tau * site.a2 * soil.retained, -tau * soil.stress),
+        ),
         b=(tau * f1, tau * f2),
     )

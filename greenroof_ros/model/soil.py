@@ -33,9 +33,9 @@ _LEAST_LASTING = 1e-3
 class SoilSlopes(NamedTuple):
     """What the soil does with water at a volume x2, and the derivatives by x2 (1/m3 of each)."""
 
-    kept: float
+    retained: float
     """share of the arriving water that stays (1)"""
-    kept_2: float
+    retained_2: float
     stress: float
     """share of the potential evapotranspiration that it yields (1)"""
     stress_2: float
@@ -44,7 +44,7 @@ class SoilSlopes(NamedTuple):
     drained_2: float
 
 
-class Followed(NamedTuple):
+class RoofSeries(NamedTuple):
     """What left a roof, and what its drainage layer held, for each sample."""
 
     evaporated: Values
@@ -53,7 +53,7 @@ class Followed(NamedTuple):
     """off the roof (m3/s), shape (n,)"""
     layer: Values
     """at the beginning of each sample (m3), shape (n,)"""
-    left: float
+    remaining: float
     """in the layer at the end (m3)"""
 
 
@@ -63,7 +63,7 @@ class PaperSoil:
     Attributes:
         measured: whether it is the soil of a measured roof.
         above_target: how far rain can raise it above its target (m3).
-        keeps_all_below: volume below which all arriving water stays, and evaporation is only
+        retains_all_below: volume below which all arriving water stays, and evaporation is only
             limited by the water that is there (m3); 0 if there is no such volume.
         excess: what water above its capacity does, in words.
         stress_volume: volume below which :meth:`water_stress` is less than 1 (m3).
@@ -74,7 +74,7 @@ class PaperSoil:
     stress_volume = 0.0
 
     def __init__(self, site: Site) -> None:
-        self._site, self.keeps_all_below = site, site.z_cap
+        self._site, self.retains_all_below = site, site.z_cap
         self.above_target = site.a2 * _ABOVE_M
 
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
@@ -85,9 +85,9 @@ class PaperSoil:
             arriving: rain and pumped water (m3/s).
             seconds: duration of the tick (s).
         """
-        return self._darcy(x2) if x2 >= self.keeps_all_below else 0.0
+        return self._darcy(x2) if x2 >= self.retains_all_below else 0.0
 
-    def kept_share(self, x2: float) -> float:
+    def retained_share(self, x2: float) -> float:
         """Return the share of the arriving water that stays (1) in a soil holding x2 (m3)."""
         return 1.0
 
@@ -112,7 +112,7 @@ class PaperSoil:
         Returns:
             Drainage and evapotranspiration (m3/s), and whether there was less than was demanded.
         """
-        drainage = self._darcy(x2) if x2 >= self.keeps_all_below else 0.0
+        drainage = self._darcy(x2) if x2 >= self.retains_all_below else 0.0
         demand = potential + drainage
         if demand > most:
             share = most / demand
@@ -153,7 +153,7 @@ class PaperSoil:
         site = self._site
         remaining = x2 + (arriving - potential)
         drained = site.K / site.z_soil * (remaining + site.a2 * site.z_soil) * seconds
-        remaining = np.minimum(remaining, np.maximum(remaining - drained, self.keeps_all_below))
+        remaining = np.minimum(remaining, np.maximum(remaining - drained, self.retains_all_below))
         return np.maximum(remaining, 0.0)
 
     def water_to_fill(self, x2: Any) -> Any:
@@ -195,7 +195,7 @@ class PaperSoil:
     def follow(
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values | None, durations: Values,
-    ) -> Followed:
+    ) -> RoofSeries:
         """Compute the unmeasured quantities of a roof with known volumes.
 
         Args:
@@ -209,11 +209,11 @@ class PaperSoil:
             durations: of the samples (s), shape (n,).
         """
         if drainage is None:
-            drainage = np.where(x2 >= self.keeps_all_below, self._darcy(x2), 0.0)
+            drainage = np.where(x2 >= self.retains_all_below, self._darcy(x2), 0.0)
         # As in Plant.flows: at most the available water evaporates.
         available = x2 / durations + rain * self._site.a2 + pump - drainage
         evaporated = np.fmin(potential, np.maximum(available, 0.0))
-        return Followed(evaporated, drainage, np.full_like(x2, layer), layer)
+        return RoofSeries(evaporated, drainage, np.full_like(x2, layer), layer)
 
     def _darcy(self, x2: Any) -> Any:
         """Return the drainage (m3/s) of a soil that holds x2 (m3), at least its capacity."""
@@ -232,7 +232,7 @@ class MeasuredSoil:
 
     measured = True
     excess = "drain at once"
-    keeps_all_below = 0.0
+    retains_all_below = 0.0
 
     def __init__(self, site: Site) -> None:
         self._site, self._a2, self._tau, self._capacity = site, site.a2, site.tau, site.z_cap
@@ -275,13 +275,13 @@ class MeasuredSoil:
         """
         if x2 >= self._capacity:
             return arriving + (x2 - self._capacity) / seconds
-        came, most, filled = arriving * seconds, self._available, self.filled_share(x2)
-        first = min(came, max(0.0, self._wilting - x2))
-        g = math.tanh((came - first) / most)
+        arrived, most, filled = arriving * seconds, self._available, self.filled_share(x2)
+        first = min(arrived, max(0.0, self._wilting - x2))
+        g = math.tanh((arrived - first) / most)
         retained = first + most * g * (1 - filled * filled) / (1 + filled * g)
         return max(0.0, arriving - retained / seconds)
 
-    def kept_share(self, x2: float) -> float:
+    def retained_share(self, x2: float) -> float:
         """Return 1 - S^2; the rest bypasses the soil to the drainage layer."""
         filled = self.filled_share(x2)
         return 1 - filled * filled
@@ -419,20 +419,20 @@ class MeasuredSoil:
     def follow(
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values | None, durations: Values,
-    ) -> Followed:
+    ) -> RoofSeries:
         """Compute what the substrate lost, and the drainage even if ``drainage`` is given."""
         samples = np.nan_to_num(x2), rain * self._a2 + pump, potential, durations
         evaporated, drained, layers = array("d"), array("d"), array("d")
-        for volume, comes, demand, seconds in zip(
+        for volume, arriving, demand, seconds in zip(
             *(array("d", column) for column in samples), strict=True
         ):
-            percolated = self.drained(volume, comes, seconds)
-            available = volume / seconds + comes - percolated
+            percolated = self.drained(volume, arriving, seconds)
+            available = volume / seconds + arriving - percolated
             evaporated.append(max(0.0, min(demand * self.water_stress(volume), available)))
             drained.append(self.layer_outflow(layer, percolated, seconds))
             layers.append(layer)
             layer = max(0.0, layer + seconds * (percolated - drained[-1]))
-        return Followed(
+        return RoofSeries(
             np.frombuffer(evaporated), np.frombuffer(drained), np.frombuffer(layers), layer
         )
 
@@ -445,7 +445,7 @@ def soil_of(site: Site) -> Soil:
     return PaperSoil(site) if site.field_capacity is None else MeasuredSoil(site)
 
 
-def left_after_tick(soil: Soil, tau: float, x2: float, arriving: float, potential: float) -> float:
+def roof_after_tick(soil: Soil, tau: float, x2: float, arriving: float, potential: float) -> float:
     """Return what a roof of x2 (m3) holds at the end of a tick, below 0 if it would dry out.
 
     Args:

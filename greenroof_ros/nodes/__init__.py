@@ -1,1 +1,1 @@
-"""The nodes, one file and one process each."""
+"""The nodes of a simulation: plant, weather, controller and recorder, a class and a file each."""

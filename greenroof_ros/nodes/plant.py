@@ -245,9 +245,7 @@ class PlantNode(SimulationNode):
             return
         if self._paused and not self._behind():
             return  # the tick waits for its time
-        # Nodes that have not answered yet may still be joining: seconds on a busy machine.
-        answered = self._tick and (self._written or not self._paused)
-        limit = self._limit if answered else max(self._limit, self._start_limit)
+        limit = self.limit()
         if now - self._waiting_since > limit:
             missing = "/recorder/written from recorder"
             if not self._paused:
@@ -256,6 +254,12 @@ class PlantNode(SimulationNode):
                 causes = root_causes(awaited, self.interface.values())
                 missing = self.describe({role: awaited[role] for role in awaited if role in causes})
             raise LockstepError(f"tick {self._tick}: no message within {limit:g} s on {missing}")
+
+    def limit(self) -> float:
+        """Return the longest wait for another node at present (s of wall time)."""
+        # Nodes that have not answered yet may still be joining: seconds on a busy machine.
+        answered = self._tick and (self._written or not self._paused)
+        return self._limit if answered else max(self._limit, self._start_limit)
 
     def progress(self) -> dict[str, Any]:
         """Return the tick, the levels (m) and the command."""

@@ -72,9 +72,9 @@ class RecorderNode(SimulationNode):
         self._queues: dict[str, deque[bytes]] = {topic.name: deque() for topic in topics}
         self._every_queue = self._queues.values()
         for name in self._queues:
-            self.record(name, partial(self._take, name))
+            self.record(name, partial(self._receive, name))
 
-    def _take(self, name: str, message: bytes) -> None:
+    def _receive(self, name: str, message: bytes) -> None:
         """Queue a message of a topic, and write each tick that is now complete.
 
         Raises:
@@ -133,14 +133,14 @@ class RecorderNode(SimulationNode):
             return
         self._end_if_complete()  # /run may have come after the last tick
         ticks = round(run.last_tick) + 1
-        came = {name: self._bag.written + len(queue) for name, queue in self._queues.items()}
-        if self.finished or max(came.values()) < ticks:
+        counts = {name: self._bag.written + len(queue) for name, queue in self._queues.items()}
+        if self.finished or max(counts.values()) < ticks:
             return
         if self._ending_since is None:
             self._ending_since = now
         elif now - self._ending_since > self._limit:
             wrong = ", ".join(
-                f"{name}: {count}" for name, count in came.items() if count != ticks
+                f"{name}: {count}" for name, count in counts.items() if count != ticks
             )
             raise LockstepError(
                 f"expected {ticks} messages of each topic; some were lost or arrived twice: "

@@ -48,8 +48,9 @@ def parameters(site: Site) -> list[Parameter]:
         Parameter("start", DEFAULT_START, meaning="time of tick 0, ISO 8601"),
         Parameter("run_length", site.N, "ticks", 1, 2**40, "N"),
         Parameter(
-            "evapotranspiration", "", meaning="fao56, or the name of the file's own column; "
-            "empty: the file's own if it has one",
+            "evapotranspiration", "", meaning="fao56; hargreaves; monthly; or the name of the "
+            "file's own column; empty: the file's own, otherwise the first of these that the file "
+            "allows",
         ),
         Parameter(
             "gaps", REFUSE, meaning="refuse a run with a missing hour, or fill it: rain with "

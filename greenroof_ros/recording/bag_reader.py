@@ -70,7 +70,7 @@ def count_ticks(bag: Path) -> int | None:
     return min(int(topic["message_count"]) for topic in about["topics_with_message_count"])
 
 
-class Recorded(NamedTuple):
+class RecordedTrajectory(NamedTuple):
     """The trajectory of a run, and notes on how it was reconstructed."""
 
     trajectory: Trajectory
@@ -87,7 +87,7 @@ class _Series(NamedTuple):
 def load_bag(
     bag: Path, site: Site, zone: tzinfo, *, own: bool, external_pump: bool = False,
     repair: str = "",
-) -> Recorded:
+) -> RecordedTrajectory:
     """Read a trajectory from a bag.
 
     A sample is any time at which a message of a used topic was logged; each topic has its last
@@ -114,7 +114,7 @@ def load_bag(
     series = {}
     for topic, of_topic in recorded.items():
         if own:
-            of_topic, note = _as_the_plant_took_it(interface[topic], of_topic, external_pump)
+            of_topic, note = _as_used_by_plant(interface[topic], of_topic, external_pump)
         else:
             of_topic, note = _without_outliers(bag, interface[topic], highest.get(topic), of_topic)
         notes += note
@@ -145,7 +145,7 @@ def load_bag(
         notes.append(_gap_note(samples, gaps, zone))
     time = (samples - samples[0]) / 1e9
     start = from_epoch_ns(int(samples[0])).astimezone(zone)
-    return Recorded(Trajectory(start=start, time=time, **columns), tuple(notes))
+    return RecordedTrajectory(Trajectory(start=start, time=time, **columns), tuple(notes))
 
 
 def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
@@ -316,7 +316,7 @@ def _highest_of_site(site: Site) -> dict[str, tuple[float, str]]:
     }
 
 
-def _as_the_plant_took_it(
+def _as_used_by_plant(
     topic: Topic, series: _Series, external_pump: bool
 ) -> tuple[_Series, list[str]]:
     """Return the values of a topic as the plant of the run used them: refused values acted as 0.

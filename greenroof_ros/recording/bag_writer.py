@@ -125,7 +125,7 @@ class LiveBag:
             self.lost += 1
             self._fail(error, now)
 
-    def look(self, now: float) -> None:
+    def flush_if_due(self, now: float) -> None:
         """Flush if it is due; must be called often.
 
         Args:
@@ -136,7 +136,7 @@ class LiveBag:
         self._flushed = now
         try:
             self._file.flush(to_disk=True)
-            self._keep_safe(self._file)
+            self._count_flushed(self._file)
             self._remove_oldest()
         except OSError as error:
             self._fail(error, now)
@@ -159,12 +159,12 @@ class LiveBag:
     def _close(self, file: BagFile) -> None:
         file.close()
         self._file = None
-        self._keep_safe(file)
+        self._count_flushed(file)
         self._files[file.path] = read_index(file.path)
         self._remove_oldest()
         write_metadata(self.directory, self._files.values())
 
-    def _keep_safe(self, file: BagFile) -> None:
+    def _count_flushed(self, file: BagFile) -> None:
         """Count the flushed messages as recorded, and clear the problem."""
         self.recorded = self._before + file.safe
         self.problem = ""

@@ -122,7 +122,7 @@ class FileBytes:
         return b"".join(parts)
 
 
-class Part(NamedTuple):
+class WholePart(NamedTuple):
     """The records of a whole chunk, or one record outside of chunks."""
 
     records: list[McapRecord]
@@ -135,7 +135,7 @@ class Damage(NamedTuple):
     size: int
 
 
-def parts(data: FileBytes) -> Iterator[Part | Damage]:
+def parts(data: FileBytes) -> Iterator[WholePart | Damage]:
     """Yield what is whole in a file, and what lies between, in the file's order."""
     at = MAGIC_SIZE
     while at < len(data) and data.read_some(at, at + MAGIC_SIZE + 1) != MCAP0_MAGIC:
@@ -162,7 +162,7 @@ def _next_part(data: FileBytes, at: int) -> int:
     return len(data)
 
 
-def _part_at(data: FileBytes, at: int) -> tuple[Part, int] | None:
+def _part_at(data: FileBytes, at: int) -> tuple[WholePart, int] | None:
     """Return what begins here, and where it ends; None if nothing whole does."""
     if at + _HEAD.size > len(data):
         return None
@@ -184,10 +184,10 @@ def _part_at(data: FileBytes, at: int) -> tuple[Part, int] | None:
             record = _READ[opcode](stream)
     except DAMAGED:
         return None
-    return (Part([record], in_chunk=False), end) if stream.count == length else None
+    return (WholePart([record], in_chunk=False), end) if stream.count == length else None
 
 
-def _chunk_at(data: FileBytes, at: int) -> tuple[Part, int] | None:
+def _chunk_at(data: FileBytes, at: int) -> tuple[WholePart, int] | None:
     """Return a whole chunk; its own length of its data counts, not its record's."""
     first, last, size, checksum, letters = _CHUNK.unpack(data.read(at, at + _CHUNK.size))
     at += _CHUNK.size
@@ -199,7 +199,7 @@ def _chunk_at(data: FileBytes, at: int) -> tuple[Part, int] | None:
     if end > len(data):
         return None
     chunk = Chunk(compression.decode(), data.read(start, end), last, first, checksum, size)
-    return Part(breakup_chunk(chunk, validate_crc=True), in_chunk=True), end
+    return WholePart(breakup_chunk(chunk, validate_crc=True), in_chunk=True), end
 
 
 def _can_begin(data: FileBytes, at: int) -> bool:
@@ -334,7 +334,7 @@ def _summary(data: FileBytes) -> list[McapRecord]:
     return records
 
 
-def whole_messages(
+def read_whole_messages(
     data: FileBytes, contents: Contents
 ) -> Iterator[tuple[Channel, Message] | Damage]:
     """Yield the messages of a file whose channels are known, and the damage between them."""

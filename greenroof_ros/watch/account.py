@@ -202,7 +202,7 @@ class Account:
         if not self._topics:
             return None
         newest = max(pending.last for pending in self._topics.values())
-        # A topic that was never heard counts as silent since the first value of any topic.
+        # A topic that was never received counts as silent since the first value of any topic.
         oldest = min(pending.first for pending in self._topics.values())
         if self._ended:
             return newest
@@ -211,10 +211,10 @@ class Account:
         for topic in wanted:
             pending = self._topics.get(topic)
             last = -math.inf if pending is None else pending.last
-            heard_after = self._adds - (0 if pending is None else pending.adds)
+            received_after = self._adds - (0 if pending is None else pending.adds)
             # Batches come topic by topic: a topic that is behind will catch up. But a topic that is
-            # silent for HOLDS_NS, while others are heard, is not waited for.
-            silent = newest - max(last, oldest) > HOLDS_NS and heard_after > 2 * len(TOPICS)
+            # silent for HOLDS_NS, while others are received, is not waited for.
+            silent = newest - max(last, oldest) > HOLDS_NS and received_after > 2 * len(TOPICS)
             if not silent:
                 if pending is None:
                     return None
@@ -289,7 +289,7 @@ class Account:
         followed = self._soil.follow(
             self._layer, roof, rain, flow, np.nan_to_num(known[_EVAPORATED]), drainage, duration
         )
-        self._layer = followed.left
+        self._layer = followed.remaining
         samples = Samples(
             duration=duration,
             cistern=np.nan_to_num(cistern),

@@ -1,6 +1,6 @@
 """Alarms and events of a graph: what is wrong, since when, what to do, and what follows from what.
 
-An alarm is a status that is not OK, a node that failed, or a node that is not heard. It is
+An alarm is a status that is not OK, a node that failed, or a node that is silent. It is
 identified by the name of its status and its code, and a drive's or latched fault also by that
 fault: other words under the same code are the same alarm, since numbers in them change. Its meaning
 and the advice come from the table of conditions, by its code; sentences are not parsed.
@@ -24,7 +24,7 @@ from greenroof_ros.experiment.incidents import INCIDENTS, PROCESS, Incident, rea
 from greenroof_ros.experiment.summary import SUMMARY
 from greenroof_ros.graph.states import PUMP
 from greenroof_ros.watch.registry import ERROR, STALE, WARN, Registry, Trouble
-from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.wire import WireStatus
 from greenroof_ros.watch.words import plain, sentence
 
 # An alarm that comes back within this time (s) is the same one to an operator.
@@ -41,13 +41,13 @@ FOREIGN = "Reported by another device or program, not by the green roof: see its
 _RESET = "the page of the site says how"
 _PUMP_INPUTS = {interlock.input for interlock in read_interlocks().values()} - {""}
 # For other parts: the parts of the same node that say more.
-_SAYS_MORE = {
+_DETAILED_BY = {
     "delivery": ("levels",), "frost": ("forecast",),
     "refused": ("command", "levels", "frost", "inputs"),
 }
 # The roles from which each part of a node gets data; the part reports if no good data come.
 _SENSORS = ("cistern_sensor", "roof_sensor", "plant")
-_TAKES_IN = {
+_SOURCES = {
     "levels": _SENSORS, "command": ("controller",), "frost": ("weather",),
     "forecast": ("weather",), "rain gauge": ("rain_gauge",), "thermometer": ("thermometer",),
     "inputs": (*_SENSORS, "weather", "controller"), "refused": (),
@@ -76,18 +76,18 @@ class Alarm:
         trouble: what is wrong, as last reported.
         since: when it began (the graph's time, s since 1970).
         at_least: whether it may have begun earlier.
-        over: when it ended; None if it has not.
+        ended_at: when it ended; None if it has not.
         wall: when it began (steady clock, s).
-        over_wall: when it ended (steady clock, s).
+        ended_wall: when it ended (steady clock, s).
         acknowledged: the trouble as somebody acknowledged it; None if nobody has.
     """
 
     trouble: Trouble
     since: float
     at_least: bool = False
-    over: float | None = None
+    ended_at: float | None = None
     wall: float = 0.0
-    over_wall: float = 0.0
+    ended_wall: float = 0.0
     acknowledged: Trouble | None = None
 
     @property
@@ -97,9 +97,9 @@ class Alarm:
 
     @property
     def is_acknowledged(self) -> bool:
-        """Whether somebody has seen it: as bad as it is now, and about the same nodes or topics."""
-        seen, now = self.acknowledged, self.trouble
-        return seen is not None and (seen.level, seen.names) == (now.level, now.names)
+        """Whether it is acknowledged: as bad as it is now, and about the same nodes or topics."""
+        before, now = self.acknowledged, self.trouble
+        return before is not None and (before.level, before.names) == (now.level, now.names)
 
     def row(
         self, name: str, follows: str | None = None, *, recorded: bool = False
@@ -120,7 +120,7 @@ class Alarm:
             "id": name, "level": _LEVELS[trouble.level], "what": trouble.what,
             "code": trouble.code, "do": do, "plain": known, "since": self.since,
             "since_at_least": self.at_least, "acknowledged": self.is_acknowledged,
-            "over": self.over, "follows": follows, "recorded": recorded,
+            "over": self.ended_at, "follows": follows, "recorded": recorded,
         }
 
 
@@ -130,7 +130,7 @@ class Alarms:
     Times called ``wall`` are of the steady clock (s); ``now`` is the graph's time (s since 1970).
 
     Attributes:
-        registry: what each node says.
+        registry: what each node reports.
         shown: whether that is shown; otherwise it makes no alarms and no events.
         starting: whether the site starts.
         missing: what it then still waits for, each by the name of its status.
@@ -142,24 +142,24 @@ class Alarms:
         Args:
             namespace: of the graph; nodes in other namespaces count as other devices.
         """
-        self.registry = Registry(namespace, self._note)
+        self.registry = Registry(namespace, self._on_event)
         self.shown = True
         self._now = 0.0
-        self.start_over()
+        self.reset()
 
-    def start_over(self) -> None:
-        """Forget all alarms and events, but not the nodes."""
+    def reset(self) -> None:
+        """Reset all alarms and events, but not the nodes."""
         self._alarms: dict[str, Alarm] = {}
         self.starting, self.missing = False, dict[str, Trouble]()
         self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
 
-    def hear(self, wall: float, now: float, statuses: Sequence[Status], **more: Any) -> None:
-        """Take the statuses of one or more messages; ``more`` goes to the registry."""
+    def receive(self, wall: float, now: float, statuses: Sequence[WireStatus], **more: Any) -> None:
+        """Receive the statuses of one or more messages; ``more`` goes to the registry."""
         self._now = now
-        self.registry.hear(wall, statuses, **more)
-        self.look(wall, now)
+        self.registry.receive(wall, statuses, **more)
+        self.update(wall, now)
 
-    def look(self, wall: float, now: float) -> None:
+    def update(self, wall: float, now: float) -> None:
         """Update the alarms: called with each message, and about twice a second."""
         troubles = self.registry.troubles(wall) if self.shown else {}
         self.starting = self.shown and self.registry.starting(wall)
@@ -171,22 +171,22 @@ class Alarms:
         troubles = {name: what for name, what in troubles.items() if name not in self.missing}
         for name, trouble in troubles.items():
             alarm = self._alarms.get(name)
-            if alarm is None or (alarm.over is not None and wall - alarm.over_wall > _AGAIN_S):
+            if alarm is None or (alarm.ended_at is not None and wall - alarm.ended_wall > _AGAIN_S):
                 self._alarms[name] = Alarm(trouble, now, trouble.at_least, wall=wall)
                 continue
             before = alarm.trouble
             if (before.code, before.gist) != (trouble.code, trouble.gist):
-                self._note(f"{name}: {trouble.what}; before: {before.what}")
+                self._on_event(f"{name}: {trouble.what}; before: {before.what}")
                 self._alarms[name] = Alarm(trouble, now, trouble.at_least, wall=wall)
             else:
-                alarm.trouble, alarm.over = trouble, None
+                alarm.trouble, alarm.ended_at = trouble, None
         for name, alarm in self._alarms.items():
-            if name not in troubles and alarm.over is None:
-                alarm.over, alarm.over_wall = now, wall
+            if name not in troubles and alarm.ended_at is None:
+                alarm.ended_at, alarm.ended_wall = now, wall
         for name in self._past()[_OVER:]:
             del self._alarms[name]
 
-    # --- telling --------------------------------------------------------------------------------
+    # --- reports --------------------------------------------------------------------------------
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the alarms: causes, what follows from them, other devices, and last what is over.
@@ -211,12 +211,12 @@ class Alarms:
 
     def _present(self) -> dict[str, Alarm]:
         """Return the present alarms, by name."""
-        return {name: alarm for name, alarm in self._alarms.items() if alarm.over is None}
+        return {name: alarm for name, alarm in self._alarms.items() if alarm.ended_at is None}
 
     def _past(self) -> list[str]:
         """Return the names of the alarms that are over, the newest first."""
-        over = [name for name, alarm in self._alarms.items() if alarm.over is not None]
-        return sorted(over, key=lambda name: -self._alarms[name].over_wall)
+        ended = [name for name, alarm in self._alarms.items() if alarm.ended_at is not None]
+        return sorted(ended, key=lambda name: -self._alarms[name].ended_wall)
 
     def _causes(self) -> dict[str, str]:
         """Return the cause of each present alarm that follows from another one, by name."""
@@ -228,16 +228,16 @@ class Alarms:
         """Return the events, the newest first."""
         return [{"at": at, "what": what} for at, what in reversed(self._events)]
 
-    def _note(self, text: str) -> None:
+    def _on_event(self, text: str) -> None:
         if self.shown:
             self.add_event(self._now, text)
 
     def add_event(self, now: float, text: str) -> None:
-        """Note an event."""
+        """Add an event."""
         self._events.append((now, plain(text)))
 
     def acknowledge(self, alarm_id: str) -> bool:
-        """Note that somebody saw an alarm, until it changes; False if there is no such alarm."""
+        """Acknowledge an alarm, until it changes; False if there is no such alarm."""
         alarm = self._alarms.get(alarm_id)
         if alarm is not None:
             alarm.acknowledged = alarm.trouble
@@ -303,16 +303,16 @@ def _candidates(
     """Yield the alarms that may cause this one, the likeliest first."""
     node, part, code = name.partition(": ")[0], trouble.part, trouble.code
     state, condition = (trouble.role, part) == (PUMP, PUMP), read_conditions().get(code)
-    if condition is not None and condition.needs_a_hand and part == PUMP:
+    if condition is not None and condition.needs_operator and part == PUMP:
         return
     if part and node in troubles:  # the node as a whole, such as a silent node
         yield node
     if not part:
         yield from _other_nodes(node, trouble, troubles)
-    if condition is not None and condition.no_data and (part in _TAKES_IN or trouble.names):
+    if condition is not None and condition.no_data and (part in _SOURCES or trouble.names):
         yield from _publishers(trouble, troubles)
     interlock = read_interlocks().get(code)
-    more = (interlock.parts if interlock else ()) if state else _SAYS_MORE.get(part, ())
+    more = (interlock.parts if interlock else ()) if state else _DETAILED_BY.get(part, ())
     yield from (name for name in (f"{node}: {part}" for part in more) if name in troubles)
     if part == "inputs":
         # A part of the pump node that stops the pump because of that input says more.
@@ -333,7 +333,7 @@ def _other_nodes(node: str, trouble: Trouble, troubles: Mapping[str, Trouble]) -
 
 def _publishers(trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[str]:
     """Yield the alarms of the nodes that publish the input that is missing."""
-    interface, roles = read_topics(), {*_TAKES_IN.get(trouble.part, ())}
+    interface, roles = read_topics(), {*_SOURCES.get(trouble.part, ())}
     for name in interface.keys() & set(trouble.names):
         roles.update(interface[name].publishers, interface[name].live_publishers)
     roles.discard(trouble.role)
@@ -346,7 +346,7 @@ def _publishers(trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[s
                 yield name
 
 
-def read_beside(bag: Path) -> tuple[str, list[Alarm], str]:
+def read_run_files(bag: Path) -> tuple[str, list[Alarm], str]:
     """Return a recorded run's controller, its incidents in the order of begin, and what is wrong.
 
     Incidents are in a file of their own, or in the summary if that file could not be written.
@@ -384,5 +384,5 @@ def _alarm_of(incident: Incident, start: float, tau: float) -> Alarm:
             "" if whole else incident.part,
         ),
         at(incident.began_tick, incident.began),
-        over=at(incident.ended_tick, ended) if ended else None,
+        ended_at=at(incident.ended_tick, ended) if ended else None,
     )

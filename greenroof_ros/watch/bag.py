@@ -32,7 +32,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from numpy.typing import NDArray
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.processes import asked_to_end_with_this, end_with_parent
+from greenroof_ros.common.processes import child_environment, end_with_parent
 from greenroof_ros.recording.bag_writer import DAMAGED, bag_files
 from greenroof_ros.watch.history import Stamps, Values
 
@@ -45,7 +45,7 @@ _LONGEST = 1 << 28
 # Progress is reported if this much or more is left to read (bytes).
 _MUCH = 1 << 23
 # How often a bag that was read to its end is checked again (s).
-_LOOK_S = 0.5
+_POLL_S = 0.5
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
@@ -94,16 +94,16 @@ class _File:
     size: int = 0
     offset: int = 0  # the end of its last whole record
     channels: dict[int, str] = field(default_factory=dict)  # topics on the wire
-    over: bool = False  # read to its end, or nothing more can be read
+    finished: bool = False  # read to its end, or nothing more can be read
     problem: str = ""
 
-    def note(self, damage: Exception) -> None:
-        """Note that a part of the file is damaged."""
+    def report_damage(self, damage: Exception) -> None:
+        """Report that a part of the file is damaged."""
         why = str(damage) or type(damage).__name__
         self.problem = f"Part of the recording {self.path} is damaged and left out ({why})."
 
 
-class Recorded:
+class GrowingBag:
     """A bag that is being read."""
 
     def __init__(self, bag: Path, namespace: str | None = None) -> None:
@@ -111,7 +111,7 @@ class Recorded:
 
         Args:
             bag: a directory with ``.mcap`` files, which need not exist yet.
-            namespace: of its topics, such as ``/site1``; None: take it from the first roof level.
+            namespace: of its topics, such as ``/site1``; None: as of the first roof level.
         """
         self._bag = bag
         self._namespace = namespace
@@ -119,21 +119,21 @@ class Recorded:
             name: topic.type for name, topic in read_topics().items() if topic.type in _TYPES
         }
         self._files: dict[Path, _File] = {}
-        self._begun = self._replaced = False
+        self._started = self._replaced = False
         self._newest_ns = 0
 
     def read(self) -> Batch:
         """Read on, some megabytes at most."""
         batch = Batch()
         try:
-            batch.problem = self._look()
+            batch.problem = self._find_files()
             self._read_files(batch)
         except OSError as error:
             batch.problem = f"The recording {self._bag} cannot be read: {error.strerror or error}."
         damages = [file.problem for file in self._files.values() if file.problem]
         batch.problem = batch.problem or " ".join(damages[-1:])
         sizes = sum(file.size for file in self._files.values())
-        read = sum(file.size if file.over else file.offset for file in self._files.values())
+        read = sum(file.size if file.finished else file.offset for file in self._files.values())
         if batch.more and sizes - read >= _MUCH:
             batch.progress = f"The recording is being read: {100 * read // sizes} %."
         newest = (int(times.max()) for _, times, _ in batch.numbers)
@@ -141,14 +141,14 @@ class Recorded:
         batch.replaced = self._replaced
         return batch
 
-    def _look(self) -> str:
+    def _find_files(self) -> str:
         """Find the files and their present sizes; return what is wrong with the bag."""
         paths = bag_files(self._bag)
         if not paths:
             return f"There is no recording at {self._bag}."
-        if not self._begun:
+        if not self._started:
             paths = _recent(paths)
-            self._begun = True
+            self._started = True
         for path in self._files.keys() - set(paths):
             del self._files[path]  # a full bag loses its oldest files
         first = next(iter(self._files), paths[0])
@@ -164,19 +164,19 @@ class Recorded:
 
     def _read_files(self, batch: Batch) -> None:
         """Read on in the first file that is not read to its end."""
-        files = [file for file in self._files.values() if not file.over]
+        files = [file for file in self._files.values() if not file.finished]
         for file in files:
             try:
                 batch.more = self._read_on(file, batch)
             except FileNotFoundError:
-                file.over = True
+                file.finished = True
             except DAMAGED as error:
-                file.over = True
-                file.note(error)
+                file.finished = True
+                file.report_damage(error)
             if batch.more:
                 return
             if file is not files[-1]:
-                file.over = True  # its writer was killed: there is a later file
+                file.finished = True  # its writer was killed: there is a later file
 
     def _read_on(self, file: _File, batch: Batch) -> bool:
         """Read the next whole records of a file; False if there is none."""
@@ -197,21 +197,21 @@ class Recorded:
             data += stream.read(max(0, needed - len(data)))
         numbers: list[NDArray[np.void]] = []
         try:
-            end = self._take(file, data, start, batch, numbers)
+            end = self._read_records(file, data, start, batch, numbers)
         finally:
             if numbers:
                 self._group(file, np.concatenate(numbers), batch)
         file.offset += end
         return True
 
-    def _take(
+    def _read_records(
         self, file: _File, data: bytes, at: int, batch: Batch, numbers: list[NDArray[np.void]]
     ) -> int:
-        """Take the whole records in some bytes of a file; return where the last one ends."""
+        """Read the whole records in some bytes of a file; return where the last one ends."""
         small: list[int] = []
         head, size, last = _HEAD.unpack_from, _HEAD.size, len(data) - _HEAD.size
         try:
-            while at <= last and not file.over:
+            while at <= last and not file.finished:
                 opcode, length = head(data, at)
                 begin, end = at + size, at + size + length
                 if end > len(data):
@@ -220,19 +220,20 @@ class Recorded:
                     small.append(at)
                 elif opcode == Opcode.MESSAGE:
                     channel, _, time_ns, _ = _MESSAGE.unpack_from(data, begin)
-                    self._keep(file, channel, time_ns, data[begin + _MESSAGE.size : end], batch)
+                    message = data[begin + _MESSAGE.size : end]
+                    self._add_message(file, channel, time_ns, message, batch)
                 elif opcode == Opcode.CHUNK:
                     try:
-                        self._take_chunk(file, data[begin:end], batch, numbers)
+                        self._read_chunk(file, data[begin:end], batch, numbers)
                     except DAMAGED as error:
-                        file.note(error)
+                        file.report_damage(error)
                 elif opcode == Opcode.CHANNEL:
                     named = Channel.read(ReadDataStream(BytesIO(data[begin:end])))
                     file.channels[named.id] = named.topic
                     if self._namespace is None and named.topic.endswith("/roof/level"):
                         self._namespace = named.topic.removesuffix("/roof/level")
                 elif opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                    file.over = True
+                    file.finished = True
                 elif not 0 < opcode < 0x80:
                     raise ValueError(f"there is no record type {opcode:#x}")
                 at = end
@@ -242,17 +243,17 @@ class Recorded:
                 numbers.append(np.frombuffer(data, np.uint8)[places].view(_NUMBER)[:, 0])
         return at
 
-    def _take_chunk(
+    def _read_chunk(
         self, file: _File, content: bytes, batch: Batch, numbers: list[NDArray[np.void]]
     ) -> None:
         chunk = Chunk.read(ReadDataStream(BytesIO(content)))
         if chunk.uncompressed_size > _LONGEST:
             raise ValueError(f"a chunk claims to have {chunk.uncompressed_size} bytes")
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-        if self._take(file, stream.read(length), 0, batch, numbers) < length:
+        if self._read_records(file, stream.read(length), 0, batch, numbers) < length:
             raise ValueError("a chunk ends in the middle of a record")
 
-    def _name(self, file: _File, channel: int) -> str:
+    def _topic_of(self, file: _File, channel: int) -> str:
         """Return the interface's name of a channel's topic; empty for a topic of another graph."""
         name, namespace = file.channels.get(channel, ""), self._namespace or ""
         return name.removeprefix(namespace) if name.startswith(f"{namespace}/") else ""
@@ -265,19 +266,19 @@ class Recorded:
         times = records["time"].astype(np.int64)
         for channel in np.unique(records["channel"]).tolist():
             mine = records["channel"] == channel
-            name = self._name(file, channel)
+            name = self._topic_of(file, channel)
             if self._types.get(name) == _FLOAT:
                 batch.numbers.append((name, times[mine], values[mine]))
             else:  # a short text, such as "off"
                 for record in records[mine]:
                     message = record["header"].tobytes() + record["value"].tobytes()
-                    self._keep(file, channel, int(record["time"]), message, batch)
+                    self._add_message(file, channel, int(record["time"]), message, batch)
 
-    def _keep(
+    def _add_message(
         self, file: _File, channel: int, time_ns: int, message: bytes, batch: Batch
     ) -> None:
-        """Keep a message that is not a number, if its topic is shown at all."""
-        name = self._name(file, channel)
+        """Add a message that is not a number, if its topic is shown at all."""
+        name = self._topic_of(file, channel)
         if self._types.get(name, _FLOAT) != _FLOAT:
             newest_alone = name.startswith("/forecast/")
             batch.messages[name, 0 if newest_alone else time_ns] = time_ns, message
@@ -292,39 +293,39 @@ def _recent(paths: list[Path]) -> list[Path]:
 # --- a process that reads -------------------------------------------------------------------------
 
 
-class FollowedBag:
+class BagProcess:
     """A bag that is read by a process of its own.
 
     Attributes:
         bag: its directory.
         read: the last batch, without its numbers and messages.
-        grew: when a batch last had a newer time (steady clock, s).
+        grew_at: when a batch last had a newer time (steady clock, s).
     """
 
     def __init__(
-        self, bag: Path, namespace: str | None, on_batch: Callable[[FollowedBag, Batch], None]
+        self, bag: Path, namespace: str | None, on_batch: Callable[[BagProcess, Batch], None]
     ) -> None:
         """Start to read.
 
         Args:
             bag: its directory.
-            namespace: of its topics; None: take it from the first roof level.
+            namespace: of its topics; None: as of the first roof level.
             on_batch: called in a thread of its own with each batch.
         """
         self.bag = bag
-        self.read, self.grew = Batch(more=True), time.monotonic()
+        self.read, self.grew_at = Batch(more=True), time.monotonic()
         self._on_batch = on_batch
         self._closed = False
         arguments = [str(bag)] if namespace is None else [str(bag), namespace]
         self._process = subprocess.Popen(
             [sys.executable, "-c", f"from {__name__} import main; main()", *arguments],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            env=asked_to_end_with_this(),
+            env=child_environment(),
         )
         threading.Thread(target=self._receive, name="bag", daemon=True).start()
 
     def close(self) -> None:
-        """End the process; a batch that has already come may still be handed on."""
+        """End the process; a batch already received may still be passed on."""
         self._closed = True
         self._process.kill()
 
@@ -342,7 +343,7 @@ class FollowedBag:
                     ))
                     break
                 if batch.newest_ns > self.read.newest_ns:
-                    self.grew = time.monotonic()
+                    self.grew_at = time.monotonic()
                 self.read = replace(batch, numbers=[], messages={})
         self._process.kill()
         self._process.wait()
@@ -354,11 +355,11 @@ def main() -> None:
     with suppress(AttributeError, OSError):  # not Linux, or a container that forbids it
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     bag, *namespace = sys.argv[1:]
-    recorded = Recorded(Path(bag), *namespace)
+    recorded = GrowingBag(Path(bag), *namespace)
     with suppress(BrokenPipeError, KeyboardInterrupt):
         while True:
             batch = recorded.read()
             pickle.dump(batch, sys.stdout.buffer)
             sys.stdout.buffer.flush()
             if not batch.more:
-                time.sleep(_LOOK_S)
+                time.sleep(_POLL_S)

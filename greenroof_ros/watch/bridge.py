@@ -13,10 +13,10 @@ from typing import Any
 
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.common.processes import Signals
-from greenroof_ros.common.standard_error import say
-from greenroof_ros.graph.looker import StopFailedError
+from greenroof_ros.common.standard_error import print_line
 from greenroof_ros.watch.document import document
 from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.home_assistant import (
     NUMBERS,
     OFF,
@@ -28,12 +28,12 @@ from greenroof_ros.watch.home_assistant import (
     discovery,
 )
 from greenroof_ros.watch.parts import Parts
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import UNKNOWN, display_of
 
 # How often the state is checked, and how often it is sent even if unchanged (s): three times before
 # it expires in Home Assistant.
-_LOOK_S, _AT_LEAST_S = 1.0, 10.0
+_POLL_S, _AT_LEAST_S = 1.0, 10.0
 # Home Assistant accepts 255 characters as a state, and records 16 kB of attributes.
 _MOST_TEXT, _MOST_ALARMS = 255, 10
 # How long the last message may take (s).
@@ -53,7 +53,7 @@ class Bridge:
     sender asked to retain it, and a person's stop must count. No stop is queued for this client.
     """
 
-    def __init__(self, store: Store, feed: Feed, broker: Broker, prefix: str) -> None:
+    def __init__(self, store: GraphStore, feed: Feed, broker: Broker, prefix: str) -> None:
         """Start without a connection.
 
         Args:
@@ -94,7 +94,7 @@ class Bridge:
         try:
             while True:
                 signals.check()
-                if self._stop.wait(_LOOK_S):
+                if self._stop.wait(_POLL_S):
                     self._stop.clear()
                     self._stop_until = time.monotonic() + _STOP_S
                 if time.monotonic() < self._stop_until:
@@ -110,14 +110,14 @@ class Bridge:
 
     def _stop_pump(self) -> None:
         try:
-            say(f"stop, over MQTT: {self._feed.ask('stop', owner='MQTT')}")
+            print_line(f"stop, over MQTT: {self._feed.request_action('stop', owner='MQTT')}")
             self._stop_until = -math.inf
-        except StopFailedError as failure:
-            say(f"stop, over MQTT: {failure}")
+        except PumpRequestError as failure:
+            print_line(f"stop, over MQTT: {failure}")
             if failure.answered:
                 self._stop_until = -math.inf
         except Exception as error:  # it is tried again: a stop ends with no error of another kind
-            say(f"stop, over MQTT: {type(error).__name__}: {error}; trying again")
+            print_line(f"stop, over MQTT: {type(error).__name__}: {error}; trying again")
 
     def _publish_state(self) -> None:
         parts = Parts()
@@ -143,12 +143,12 @@ class Bridge:
 
     def _on_connect(self) -> None:
         self._why = ""
-        say(f"connected to {self._broker}; topics: {self._base}/")
+        print_line(f"connected to {self._broker}; topics: {self._base}/")
         for topic in (f"{self._base}/stop", self._status):
             self._client.subscribe(topic)
-        self._introduce()
+        self._publish_all()
 
-    def _introduce(self) -> None:
+    def _publish_all(self) -> None:
         """Publish everything: the broker is there again, or Home Assistant has started."""
         for topic, text in self._discovery.items():
             self._client.publish(topic, text, retain=True)
@@ -167,22 +167,24 @@ class Bridge:
 
     def _on_disconnect(self, why: str) -> None:
         if why != self._why and not self._ending:
-            say(f"not connected to {self._broker}: {why}; trying again")
+            print_line(f"not connected to {self._broker}: {why}; trying again")
         self._why = why
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         if topic == self._status:
             if payload == ONLINE.encode():
-                self._introduce()
+                self._publish_all()
         elif payload != STOP.encode():
-            say(f"{topic}: ignored, since it is not {STOP}")
+            print_line(f"{topic}: ignored, since it is not {STOP}")
         elif retained:
-            say(f"{topic}: ignored, since it is retained; a stop must not be: clear the topic")
+            print_line(
+                f"{topic}: ignored, since it is retained; a stop must not be: clear the topic"
+            )
         else:
             self._stop.set()
 
 
-def state_of(store: Store, shown: Mapping[str, Any]) -> dict[str, Any]:
+def state_of(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of the state, in the page's units; None means *unknown*.
 
     Args:
@@ -200,9 +202,9 @@ def state_of(store: Store, shown: Mapping[str, Any]) -> dict[str, Any]:
     numbers = {
         "roof_level": tiles["roof"]["number"], "cistern_level": tiles["cistern"]["number"],
         "rain": tiles["rain"]["number"], "flow": pump["number"],
-        "command": store.known("/pump/command"),
+        "command": store.present_value("/pump/command"),
     }
-    frost, serious = store.known("/weather/frost"), tiles["summary"]["level"] == "error"
+    frost, serious = store.present_value("/weather/frost"), tiles["summary"]["level"] == "error"
     present = [row for row in shown["alarms"] if row["over"] is None]
     return {
         "mode": store.mode,

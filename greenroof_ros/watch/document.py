@@ -25,7 +25,7 @@ from greenroof_ros.watch.history import Gaps, stretch_of
 from greenroof_ros.watch.outlook import AHEAD_S
 from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.stopping import bare_stop, stop_of
-from greenroof_ros.watch.store import INTERVALS, Store
+from greenroof_ros.watch.store import INTERVALS, GraphStore
 from greenroof_ros.watch.tiles import Tile, band_of
 
 LINES = {
@@ -50,7 +50,7 @@ _HEADINGS = {
 }
 
 
-def document(store: Store, wall: float) -> dict[str, Any]:
+def document(store: GraphStore, wall: float) -> dict[str, Any]:
     """Return everything that page and status show, below 100 kB, as plain texts.
 
     Each part is made on its own: one that cannot be made is replaced, and a note says so.
@@ -63,13 +63,13 @@ def document(store: Store, wall: float) -> dict[str, Any]:
         return _document(store, wall)
 
 
-def _document(store: Store, wall: float) -> dict[str, Any]:
+def _document(store: GraphStore, wall: float) -> dict[str, Any]:
     parts, alarms = Parts(), store.alarms
-    parts.make("What is overdue", lambda: store.look(wall), None)
+    parts.make("What is overdue", lambda: store.update(wall), None)
     stop = parts.make("What may be done to the pump", lambda: stop_of(store), bare_stop())
     known, incidents = parts.make(
         "Incidents",
-        lambda: (store.graph.anybody or not store.ended, _incidents(store)), (False, []),
+        lambda: (store.graph.has_received or not store.ended, _incidents(store)), (False, []),
     )
     rows = parts.make("Alarms", lambda: _alarm_rows(store, incidents), [])
     listed, present = _within(rows, _MOST_ALARMS), [row for row in rows if row["over"] is None]
@@ -130,7 +130,7 @@ def _document(store: Store, wall: float) -> dict[str, Any]:
     return result | {"notes": [*parts.notes, *notes]}
 
 
-def _incidents(store: Store) -> list[dict[str, Any]]:
+def _incidents(store: GraphStore) -> list[dict[str, Any]]:
     """Return the recorded incidents as rows of alarms."""
     return [
         incident.row(": ".join(filter(None, (trouble.role, trouble.part))), recorded=True)
@@ -138,7 +138,7 @@ def _incidents(store: Store) -> list[dict[str, Any]]:
     ]
 
 
-def _alarm_rows(store: Store, incidents: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _alarm_rows(store: GraphStore, incidents: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return incidents and alarms, those that are over last, with their times in words."""
     rows = sorted([*incidents, *store.alarms.rows()], key=lambda row: row["over"] is not None)
     for row in rows:
@@ -151,7 +151,7 @@ def _alarm_rows(store: Store, incidents: list[dict[str, Any]]) -> list[dict[str,
     return rows
 
 
-def _events(store: Store) -> list[dict[str, Any]]:
+def _events(store: GraphStore) -> list[dict[str, Any]]:
     """Return the events, the newest first, as many as there is room for."""
     dated = [(store.dated(event["at"]), event["what"]) for event in store.alarms.events()]
     return _within([
@@ -159,7 +159,7 @@ def _events(store: Store) -> list[dict[str, Any]]:
     ], _MOST_EVENTS)
 
 
-def _heading(store: Store) -> str:
+def _heading(store: GraphStore) -> str:
     heading, factor = _HEADINGS[store.mode], store.factor
     if factor is None or store.mode not in ("simulated", "loop"):
         return heading
@@ -167,7 +167,7 @@ def _heading(store: Store) -> str:
     return f"{heading}, " + ("at real time" if times == "1" else f"{times} times real time")
 
 
-def _notes(store: Store, known: bool, incidents: bool, hidden: int) -> list[str]:
+def _notes(store: GraphStore, known: bool, incidents: bool, hidden: int) -> list[str]:
     notes = [*store.notes]
     if missing := store.alarms.missing:
         listed = [f"{name}: {trouble.what}." for name, trouble in missing.items()]
@@ -204,7 +204,7 @@ def _word(alarms: int, warnings: int, following: int, over: int, known: bool) ->
     return f"{', '.join(counts) or none}{more}."
 
 
-def _starts(store: Store) -> str:
+def _starts(store: GraphStore) -> str:
     return " The site is starting." if store.alarms.missing else ""
 
 
@@ -220,21 +220,21 @@ def _level(shown: dict[str, Tile], *, over: bool, known: bool) -> str:
     return "warn" if attention else "ok" if known else "stale"
 
 
-def _sentence(store: Store, shown: dict[str, Tile], waits: str) -> str:
+def _sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     """Return how roof and pump are, and what is expected."""
     if store.mode == "none":
         return "no run or site is found."
     roof, verb = shown["roof"], "was" if store.ended else "is"
     if roof["state"] in ("unknown", "alarm"):
-        said = f"The roof's level is not known now ({roof['sentence']})" if roof["stale"] else (
-            f"The roof's level is {roof['value']}"
-        )
+        level_clause = f"The roof's level is {roof['value']}"
+        if roof["stale"]:
+            level_clause = f"The roof's level is not known now ({roof['sentence']})"
     else:
         judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")
-        said = f"The roof {verb} {judged}{roof['sentence']}"
+        level_clause = f"The roof {verb} {judged}{roof['sentence']}"
     clause = f"the pump is {waits}" if waits else _pump_clause(shown["pump"], verb)
     over = "The run has ended." if store.ended else ""
-    return " ".join(filter(None, (over, f"{said}; {clause}.", tiles.too_wet(store))))
+    return " ".join(filter(None, (over, f"{level_clause}; {clause}.", tiles.too_wet(store))))
 
 
 def _pump_clause(pump: Tile, verb: str) -> str:
@@ -253,7 +253,7 @@ def _pump_clause(pump: Tile, verb: str) -> str:
     return f"the pump {verb} off" + (f", since {why}" if why else "")
 
 
-def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
+def _advice(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     """Return what to do if there is no alarm; if something is not as wanted, what happens next."""
     if store.alarms.missing:
         return "Nothing to do: the site is starting. What is still missing is listed below."
@@ -289,7 +289,7 @@ def _advice(store: Store, shown: dict[str, Tile], waits: str) -> str:
 # --- the water account ----------------------------------------------------------------------------
 
 
-def _account(store: Store) -> dict[str, Any]:
+def _account(store: GraphStore) -> dict[str, Any]:
     account = store.account
     totals = account.totals()
     # Without rain, or such storms, there is no share of it that was kept.
@@ -330,7 +330,7 @@ def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
 # --- the charts -----------------------------------------------------------------------------------
 
 
-def series(store: Store, hours: float) -> dict[str, Any]:
+def series(store: GraphStore, hours: float) -> dict[str, Any]:
     """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
 
     A row covers a ``stretch`` (s), which is a share of the time with values: a run that has just
@@ -353,7 +353,7 @@ def series(store: Store, hours: float) -> dict[str, Any]:
                 name: store.newest[topic].past for name, topic in LINES.items()
                 if topic in store.newest
             }
-            oldest = [past.begin for past in pasts.values() if past.begin is not None]
+            oldest = [past.first_ns for past in pasts.values() if past.first_ns is not None]
             first = max(last - round(hours * 3.6e12), min(oldest, default=last))
             stretch = stretch_of(first, last, _POINTS)
             for name, past in pasts.items():
@@ -363,7 +363,8 @@ def series(store: Store, hours: float) -> dict[str, Any]:
         lost = Gaps()
         for incident in store.incidents():
             if incident.trouble.hides_pump:
-                lost.add(incident.since, math.inf if incident.over is None else incident.over)
+                ended_at = incident.ended_at
+                lost.add(incident.since, math.inf if ended_at is None else ended_at)
         lines["flow"] = lost.cut_out(store.unknown_flow.cut_out(lines["flow"]))
         forecast, plan = store.forecast, store.plan
         return {

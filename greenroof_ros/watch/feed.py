@@ -1,11 +1,11 @@
 """Feeds the store: from the graph that runs and from the bag that it writes.
 
-A watcher must not slow down the graph: see :mod:`greenroof_ros.graph.looker`. But each of its
-subscriptions costs the publisher time in every tick, so it hears the numbers of a run only up to a
-certain speed. Above that it hears only /diagnostics.
+A watcher must not slow down the graph: see :mod:`greenroof_ros.watch.graph_client`. But each of its
+subscriptions costs the publisher time in every tick, so it receives the numbers of a run only up to
+a certain speed. Above that it receives only /diagnostics.
 
-Heard messages are the present. The past comes from a bag that grows, if there is one: in order and
-with nothing missing. If there is none, heard messages become the past.
+Live messages are the present. The past comes from a bag that grows, if there is one: in order and
+with nothing missing. If there is none, live messages become the past.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ import numpy as np
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.summary import site_file_of
-from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
 from greenroof_ros.graph.states import RECORDER
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.alarms import read_beside
-from greenroof_ros.watch.bag import Batch, FollowedBag
-from greenroof_ros.watch.store import PLAN, Store, papers_site
+from greenroof_ros.watch.alarms import read_run_files
+from greenroof_ros.watch.bag import BagProcess, Batch
+from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
+from greenroof_ros.watch.store import PLAN, GraphStore, papers_site
 
-# The fastest run, in times real time, whose numbers are heard: 60 and some jitter.
+# The fastest run, in times real time, whose numbers are received: 60 and some jitter.
 FASTEST = 66.0
-# How often the watcher takes new messages, and how often it updates the state of the graph (s).
-_LOOK_S, _SAY_S = 0.05, 0.25
-# How long heard values wait for a bag that does not grow (the recorder of a live site writes every
-# 10 s), and for the recorder to say where its bag is (s).
+# How often the watcher receives new messages, and how often it updates the state of the graph (s).
+_POLL_S, _REPORT_S = 0.05, 0.25
+# How long received values wait for a bag that does not grow (the recorder of a live site writes
+# every 10 s), and for the recorder to report where its bag is (s).
 _WAIT_S, _FOUND_S = 30.0, 3.0
 # The most messages that wait.
 _MOST_WAITING = 200_000
@@ -49,7 +49,7 @@ _OWN_PAUSE_S = 0.5
 _SHOWN_S, _REST_S = 60.0, 1.0
 _STOP_S = 3.0
 # A message further than this from the clock (ticks) is of a publisher that was restarted: the plant
-# is at most 32 ticks ahead of the recorder, and messages heard together are closer.
+# is at most 32 ticks ahead of the recorder, and messages received together are closer.
 _FAR = 64
 
 _CLOCK = "/clock"
@@ -62,7 +62,7 @@ class Ticks:
     the plant's next clock may arrive before the messages of the tick before it.
 
     Attributes:
-        newest_ns: the newest time of the clock (ns since 1970); 0 before it was heard.
+        newest_ns: the newest time of the clock (ns since 1970); 0 before the first.
     """
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ class Ticks:
         self._period = 0  # ns
 
     def clock(self, number: int | None, time_ns: int) -> None:
-        """Take a clock message."""
+        """Receive a clock message."""
         number = self._clock + 1 if number is None else number
         if self._clock and number > self._clock:
             self._period = (time_ns - self.newest_ns) // (number - self._clock)
@@ -85,16 +85,16 @@ class Ticks:
             number: of the message; None if it does not count ticks: it gets the newest time.
         """
         if not self._period:
-            return None  # fewer than two clocks were heard
+            return None  # fewer than two clocks were received
         ahead = 0 if number is None else number - self._clock
         return None if abs(ahead) > _FAR else self.newest_ns + ahead * self._period
 
 
 class Feed:
-    """Feeds a :class:`~greenroof_ros.watch.store.Store` while its context is entered."""
+    """Feeds a :class:`~greenroof_ros.watch.store.GraphStore` while its context is entered."""
 
     def __init__(
-        self, store: Store, *, bag: Path | None = None, site_file: Path | None = None,
+        self, store: GraphStore, *, bag: Path | None = None, site_file: Path | None = None,
         recording: bool = True,
     ) -> None:
         """Start with nothing.
@@ -117,28 +117,28 @@ class Feed:
         self._topics = read_topics()
         self._run = 0
         self._lock = threading.Lock()  # of _recorded
-        self._recorded: FollowedBag | None = None
-        self._begin_hearing()
-        self._listens_since = 0.0
+        self._recorded: BagProcess | None = None
+        self._clear_received()
+        self._subscribed_since = 0.0
         self._live: bool | None = None  # whether the graph shown, now or last, is live
         self._site: tuple[Path, int] | None = None  # file, and when it was written (ns)
         self._awake = time.monotonic()
-        self._said_at = 0.0
+        self._reported_at = 0.0
         self._problem, self._problem_until = "", 0.0
-        self._asked: list[tuple[str, dict[str, Any], Future[str]]] = []
-        self._asking = threading.Lock()  # of that list
+        self._requests: list[tuple[str, dict[str, Any], Future[str]]] = []
+        self._request_lock = threading.Lock()  # of that list
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
-        self._looker: Looker | None = None
+        self._client: GraphClient | None = None
         self._no_ros = ""
         self._no_incidents = ""
-        self._judge_by(site_file or self._site_of_graph())
+        self._set_site(site_file or self._site_of_graph())
 
-    def _begin_hearing(self) -> None:
-        """Forget heard messages that are not part of the past yet."""
+    def _clear_received(self) -> None:
+        """Clear received messages that are not part of the past yet."""
         self._ticks = Ticks()
         # Numbers and plans in the order of arrival, each with its time (ns since 1970) and topic.
-        self._heard: deque[tuple[int, str, float | bytes]] = deque()
+        self._received: deque[tuple[int, str, float | bytes]] = deque()
         self._waits_since = time.monotonic()
 
     def __enter__(self) -> Feed:
@@ -148,7 +148,7 @@ class Feed:
             ConfigurationError: ROS 2 is not installed, and no bag was given.
         """
         try:
-            self._looker = Looker(self._store.namespace, self._on_message)
+            self._client = GraphClient(self._store.namespace, self._on_message)
         except ConfigurationError as error:
             if self._bag is None:
                 raise
@@ -162,66 +162,66 @@ class Feed:
     ) -> None:
         """Leave the graph."""
         self._closing.set()
-        if self._looker is not None:
-            self._looker.wake()
+        if self._client is not None:
+            self._client.wake()
         self._thread.join(2.0)
 
-    def ask(self, action: str, **request: Any) -> str:
-        """Hold the pump off, release it, clear its fault or give a dose; callable from any thread.
+    def request_action(self, action: str, **request: Any) -> str:
+        """Request a hold, a release, a cleared fault or a dose; callable from any thread.
 
         Args:
             action: ``stop``, ``release``, ``clear`` or ``dose``.
-            request: for a stop or a dose, as the methods hold_pump and give_dose of
-                :class:`greenroof_ros.graph.looker.Looker` take it.
+            request: for a stop or a dose, as the methods hold_pump and request_dose of
+                :class:`greenroof_ros.watch.graph_client.GraphClient` take it.
 
         Returns:
             The pump node's answer.
 
         Raises:
-            StopFailedError: the pump node did not confirm it.
+            PumpRequestError: the pump node did not confirm it.
         """
-        asked: Future[str] = Future()
-        with self._asking:
+        future: Future[str] = Future()
+        with self._request_lock:
             if action == "stop":
                 self._drop_before_stop()
-            self._asked.append((action, request, asked))
-        if self._looker is not None:
-            self._looker.wake()
+            self._requests.append((action, request, future))
+        if self._client is not None:
+            self._client.wake()
         try:
-            return asked.result(2 * _STOP_S + 2.0)
+            return future.result(2 * _STOP_S + 2.0)
         except FutureTimeoutError:
             what = "the pump node was not asked, and nothing was done"
-            if not asked.cancel():
+            if not future.cancel():
                 what = "it is not known whether the pump node did that"
-            raise StopFailedError(f"The watcher is busy: {what}.") from None
+            raise PumpRequestError(f"The watcher is busy: {what}.") from None
 
     def _drop_before_stop(self) -> None:
         """Cancel requests from before a stop: they must not be carried out after it."""
-        for action, _, before in self._asked:
+        for action, _, before in self._requests:
             if action != "stop" and before.set_running_or_notify_cancel():
-                before.set_exception(StopFailedError(
+                before.set_exception(PumpRequestError(
                     "Nothing was done: somebody is asking to stop the pump."
                 ))
-        self._asked = [request for request in self._asked if request[0] == "stop"]
+        self._requests = [request for request in self._requests if request[0] == "stop"]
 
     # --- the graph ------------------------------------------------------------------------------
 
     def _watch_graph(self) -> None:
         while not self._closing.is_set():
-            self._look()
+            self._run_cycle()
         self._follow(None)
-        if self._looker is not None:
-            self._looker.close()
+        if self._client is not None:
+            self._client.close()
 
-    def _look(self) -> None:
-        """Take new messages and show them; if a step fails, the others are done all the same."""
+    def _run_cycle(self) -> None:
+        """Receive new messages and show them; if a step fails, the others are done all the same."""
         failed = [act for act in (
-            self._hear, self._see_graph, self._answer, self._hand_on, self._say,
+            self._receive, self._update_graph, self._answer, self._move_to_past, self._report,
         ) if self._fails(act)]
         # An error may come again at once; but a request such as a stop must not wait for that.
         until = time.monotonic() + (_REST_S if failed else 0.0)
-        while time.monotonic() < until and not self._asked and not self._closing.is_set():
-            self._closing.wait(_LOOK_S)
+        while time.monotonic() < until and not self._requests and not self._closing.is_set():
+            self._closing.wait(_POLL_S)
 
     def _fails(self, act: Callable[[], None]) -> bool:
         """Do a step; if it fails, show the error and return True."""
@@ -235,15 +235,15 @@ class Feed:
             return True
         return False
 
-    def _hear(self) -> None:
-        if self._looker is None:
-            self._closing.wait(_SAY_S)
+    def _receive(self) -> None:
+        if self._client is None:
+            self._closing.wait(_REPORT_S)
         else:
-            self._looker.look(_LOOK_S)
-        self._forgive_own_pause()
+            self._client.receive(_POLL_S)
+        self._excuse_own_pause()
 
-    def _see_graph(self) -> None:
-        """Find out which graph is there, and subscribe to it and follow its bag as needed."""
+    def _update_graph(self) -> None:
+        """Update which graph is there, and subscribe to it and follow its bag as needed."""
         now = time.monotonic()
         mode = self._graph.mode(now)
         if self._bag is not None and (mode == "none" or not self._shows_graph()):
@@ -264,13 +264,13 @@ class Feed:
                 self._store.mode = mode
             if mode == "ended" and self._recorded is not None:
                 # The bag may have been followed before the controller's name was written.
-                self._read_beside(self._recorded.bag)
-            self._say_now()  # before new values: an account has other rules on a live site
-        self._judge_by(self._site_file or self._site_of_graph())
+                self._read_run_files(self._recorded.bag)
+            self._report_now()  # before new values: an account has other rules on a live site
+        self._set_site(self._site_file or self._site_of_graph())
         bag = self._bag or (self._graph.bag() if self._follows else None)
         if bag is not None and (self._recorded is None or self._recorded.bag != bag):
             self._follow(bag)
-        if self._looker is not None:
+        if self._client is not None:
             self._choose_topics(now)
 
     def _shows_graph(self) -> bool:
@@ -281,9 +281,9 @@ class Feed:
 
     def _forget(self) -> None:
         """Forget everything that is shown; a recording is read again."""
-        self._begin_hearing()
+        self._clear_received()
         self._follow(None)
-        self._store.start_over()
+        self._store.reset()
 
     def _follow(self, bag: Path | None) -> None:
         """Follow another bag, or none."""
@@ -293,23 +293,24 @@ class Feed:
         if before is not None:
             before.close()
         if bag is not None:
-            self._read_beside(bag)
+            self._read_run_files(bag)
             namespace = self._store.namespace if self._bag is None else None
             with self._lock:
-                self._recorded = FollowedBag(bag, namespace, self._on_batch)
+                self._recorded = BagProcess(bag, namespace, self._on_batch)
 
-    def _read_beside(self, bag: Path) -> None:
+    def _read_run_files(self, bag: Path) -> None:
         """Read the controller's name and the incidents of a recorded run."""
         store = self._store
-        store.recorded_controller, store.recorded_incidents, self._no_incidents = read_beside(bag)
+        controller, incidents, self._no_incidents = read_run_files(bag)
+        store.recorded_controller, store.recorded_incidents = controller, incidents
 
-    def _on_batch(self, recorded: FollowedBag, batch: Batch) -> None:
-        """Take a batch; numbers last, since they move *now* on, and plans must be there by then."""
+    def _on_batch(self, recorded: BagProcess, batch: Batch) -> None:
+        """Receive a batch; numbers last, since they move *now* on, and plans must be there then."""
         with self._lock:
             if recorded is not self._recorded:
                 return
             for (topic, _), (time_ns, message) in batch.messages.items():
-                self._store.take(topic, time_ns, message, past=True)
+                self._store.receive(topic, time_ns, message, past=True)
             for topic, times, values in batch.numbers:
                 self._store.add(topic, times, values)
 
@@ -321,8 +322,8 @@ class Feed:
             return site if site.is_file() else None
         return None
 
-    def _judge_by(self, path: Path | None) -> None:
-        """Judge levels by a site file, or by the paper's if there is none."""
+    def _set_site(self, path: Path | None) -> None:
+        """Set the site by which levels are judged from a file, or to the paper's."""
         file = path or papers_site()
         try:
             as_is = file, file.stat().st_mtime_ns
@@ -346,8 +347,8 @@ class Feed:
 
     def _choose_topics(self, now: float) -> None:
         """Subscribe to as much as the graph can bear."""
-        assert self._looker is not None
-        listens, live = self._listens_since > 0, self._store.mode == "live"
+        assert self._client is not None
+        listens, live = self._subscribed_since > 0, self._store.mode == "live"
         wanted = live
         if self._running:
             factor = self._factor
@@ -355,14 +356,14 @@ class Feed:
             wanted = listens if not factor else factor <= FASTEST
         if wanted == listens:
             return
-        self._looker.listen([
+        self._client.subscribe([
             name for name, topic in self._topics.items()
             if (topic.live and name != DIAGNOSTICS) or (topic.per_tick and not live)
         ] if wanted else ())
-        self._listens_since = now if wanted else 0.0
+        self._subscribed_since = now if wanted else 0.0
         if not wanted:
-            self._hand_on()
-            self._begin_hearing()
+            self._move_to_past()
+            self._clear_received()
 
     @property
     def _factor(self) -> float | None:
@@ -377,21 +378,23 @@ class Feed:
     # --- incoming messages ----------------------------------------------------------------------
 
     def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
-        """Take a message that came; if it cannot be taken, the others are taken all the same."""
-        self._fails(lambda: self._take(name, message, number, arrived_ns))
+        """Receive a message; if that fails, the others are received all the same."""
+        self._fails(lambda: self._receive_message(name, message, number, arrived_ns))
 
-    def _forgive_own_pause(self) -> None:
-        """Make sure that no node counts as silent because this process stood still."""
+    def _excuse_own_pause(self) -> None:
+        """Excuse the silence of the nodes while this process stood still."""
         before, self._awake = self._awake, time.monotonic()
         if self._awake - before > _OWN_PAUSE_S:
             with self._store.lock:
-                self._graph.forgive(self._awake - before)
+                self._graph.excuse_silence(self._awake - before)
 
-    def _take(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
-        self._forgive_own_pause()
+    def _receive_message(
+        self, name: str, message: bytes, number: int | None, arrived_ns: int
+    ) -> None:
+        self._excuse_own_pause()
         if name == DIAGNOSTICS:
-            if (said := wire.statuses(message)) is not None:
-                stamp_ns, statuses = said
+            if (received := wire.statuses(message)) is not None:
+                stamp_ns, statuses = received
                 now = time.monotonic()
                 self._store.add_statuses(now, statuses, stamp_ns, arrived_ns / 1e9)
             return
@@ -410,43 +413,43 @@ class Feed:
         if not stamp:
             return
         if not self._store.is_number(name):
-            self._store.take(name, stamp, message, past=False)
+            self._store.receive(name, stamp, message, past=False)
             if name == PLAN:
-                self._heard.append((stamp, name, message))
+                self._received.append((stamp, name, message))
         elif (value := wire.number(message)) is not None:
             self._store.add_present(name, stamp, value)
-            self._heard.append((stamp, name, value))
+            self._received.append((stamp, name, value))
 
-    def _hand_on(self) -> None:
-        """Make heard messages part of the past, if no bag brings the past."""
+    def _move_to_past(self) -> None:
+        """Move received messages to the past, if no bag brings the past."""
         now = time.monotonic()
         if self._shows_samples(now) and self._graph.samples is not None:
             time_ns, values = self._graph.samples
             for topic, value in values.items():
                 self._store.add(topic, np.array([time_ns]), np.array([value]))
         recorded = self._recorded
-        if len(self._heard) > _MOST_WAITING or not self._past_is_read(now):
+        if len(self._received) > _MOST_WAITING or not self._past_is_read(now):
             numbers: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
-            for time_ns, topic, said in self._heard:
-                if isinstance(said, bytes):
-                    self._store.take(topic, time_ns, said, past=True)
+            for time_ns, topic, received in self._received:
+                if isinstance(received, bytes):
+                    self._store.receive(topic, time_ns, received, past=True)
                 else:
-                    numbers[topic].append((time_ns, said))
-            self._heard.clear()
+                    numbers[topic].append((time_ns, received))
+            self._received.clear()
             for topic, pairs in numbers.items():
-                times, said_then = zip(*pairs, strict=True)
-                self._store.add(topic, np.array(times, np.int64), np.array(said_then))
+                times, series = zip(*pairs, strict=True)
+                self._store.add(topic, np.array(times, np.int64), np.array(series))
         elif recorded is not None:
-            while self._heard and self._heard[0][0] <= recorded.read.newest_ns:
-                self._heard.popleft()
+            while self._received and self._received[0][0] <= recorded.read.newest_ns:
+                self._received.popleft()
 
     def _past_is_read(self, now: float) -> bool:
         """Return whether a bag brings the past, or may soon."""
         recorded = self._recorded
         if recorded is None:
-            return now - max(self._listens_since, self._waits_since) < _FOUND_S
+            return now - max(self._subscribed_since, self._waits_since) < _FOUND_S
         read = recorded.read
-        return not read.problem and (read.more or now - recorded.grew < _WAIT_S)
+        return not read.problem and (read.more or now - recorded.grew_at < _WAIT_S)
 
     def _shows_samples(self, now: float) -> bool:
         """Return whether the run is too fast to be heard in full, and no recording is here.
@@ -454,21 +457,21 @@ class Feed:
         If none is to be read, also while the run's speed is not known yet.
         """
         if not self._follows:
-            return self._running and not self._listens_since
+            return self._running and not self._subscribed_since
         recorded = self._recorded is not None and not self._recorded.read.problem
-        too_fast = not self._listens_since and (self._factor or 0.0) > FASTEST
+        too_fast = not self._subscribed_since and (self._factor or 0.0) > FASTEST
         waited = now - self._waits_since > _FOUND_S
         return self._running and too_fast and waited and not recorded
 
     # --- state of the graph ---------------------------------------------------------------------
 
-    def _say(self) -> None:
-        if time.monotonic() - self._said_at >= _SAY_S:
-            self._say_now()
+    def _report(self) -> None:
+        if time.monotonic() - self._reported_at >= _REPORT_S:
+            self._report_now()
 
-    def _say_now(self) -> None:
+    def _report_now(self) -> None:
         now, mode, recorded = time.monotonic(), self._store.mode, self._recorded
-        self._said_at = now
+        self._reported_at = now
         notes = [self._problem] if now < self._problem_until else []
         if self._no_ros:
             notes.append(f"Only the recording is shown: {self._no_ros}.")
@@ -488,38 +491,38 @@ class Feed:
             mode=mode, factor=self._factor if self._running else None,
             note=" ".join(filter(None, notes)), graph_shown=shown,
         )
-        self._store.look(now, time.time())
+        self._store.update(now, time.time())
 
     # --- stopping -------------------------------------------------------------------------------
 
-    def _prepare_stop(self) -> None:
+    def _connect_pump(self) -> None:
         """Look for the services of the pump node, so that a call finds them at once.
 
         Raises:
-            StopFailedError: two nodes claim to be the pump node.
+            PumpRequestError: two nodes claim to be the pump node.
         """
-        assert self._looker is not None
+        assert self._client is not None
         now, graph = time.monotonic(), self._store.graph
         node, two = graph.pump(now), graph.two_pumps(now)
-        self._looker.prepare_stop(None if two or node is None else node.name)
+        self._client.connect_pump(None if two or node is None else node.name)
         if two:
-            raise StopFailedError(two)
+            raise PumpRequestError(two)
 
     def _answer(self) -> None:
-        if (looker := self._looker) is None:
+        if (client := self._client) is None:
             return
         acts: dict[str, Callable[..., str]] = {
-            "stop": looker.hold_pump, "release": looker.release_pump, "clear": looker.clear_fault,
-            "dose": looker.give_dose,
+            "stop": client.hold_pump, "release": client.release_pump, "clear": client.clear_fault,
+            "dose": client.request_dose,
         }
-        while self._asked:
-            with self._asking:
-                action, request, asked = self._asked.pop(0)
-            if asked.set_running_or_notify_cancel():
+        while self._requests:
+            with self._request_lock:
+                action, request, future = self._requests.pop(0)
+            if future.set_running_or_notify_cancel():
                 try:
-                    self._prepare_stop()
-                    asked.set_result(acts[action](**request, timeout_s=_STOP_S))
+                    self._connect_pump()
+                    future.set_result(acts[action](**request, timeout_s=_STOP_S))
                 except Exception as error:  # it is raised in the thread that asked
-                    asked.set_exception(error)
-        with suppress(StopFailedError):
-            self._prepare_stop()
+                    future.set_exception(error)
+        with suppress(PumpRequestError):
+            self._connect_pump()

@@ -14,7 +14,7 @@ Values = NDArray[np.float64]
 
 # Length of a stretch (ns), short enough for 400 points in 12 h; how many are kept: a week.
 STRETCH_NS = 20_000_000_000
-KEPT = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
+MOST_STRETCHES = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
 # The most gaps that are kept, and the most values that are ahead of the past.
 _MOST_UNKNOWN = _MOST_AHEAD = 1000
 
@@ -32,12 +32,12 @@ class History:
         self._ahead: deque[tuple[int, float]] = deque(maxlen=_MOST_AHEAD)
 
     @property
-    def begin(self) -> int | None:
+    def first_ns(self) -> int | None:
         """Time of the first value (ns); None without values."""
         return None if self._first is None else self._first[0]
 
     def add(self, times: Stamps, values: Values) -> None:
-        """Take finite values in the order of time, none older than those already there.
+        """Add finite values in the order of time, none older than those already there.
 
         Args:
             times: since 1970 (ns), shape (n,).
@@ -58,11 +58,11 @@ class History:
             self._times[-1], self._rows[-1] = spans[0], rows[0]
             spans, rows = spans[1:], rows[1:]
         if len(spans):
-            self._times = np.concatenate((self._times, spans))[-KEPT:]
-            self._rows = np.concatenate((self._rows, rows))[-KEPT:]
+            self._times = np.concatenate((self._times, spans))[-MOST_STRETCHES:]
+            self._rows = np.concatenate((self._rows, rows))[-MOST_STRETCHES:]
 
-    def hear(self, time_ns: int, value: float | None) -> None:
-        """Take a value that is ahead of the others, until they have come up to it.
+    def add_ahead(self, time_ns: int, value: float | None) -> None:
+        """Add a value that is ahead of the others, until they have come up to it.
 
         Args:
             time_ns: later than all times before.
@@ -119,33 +119,33 @@ class Gaps:
     """When a value was not known, although its topic went on with another value in its place.
 
     Attributes:
-        lasts: whether the value is not known now.
+        is_unknown: whether the value is not known now.
     """
 
     def __init__(self) -> None:
         """Start without gaps."""
-        self.lasts = False
+        self.is_unknown = False
         self._known_at = math.inf  # when it was known last (s)
         self._times: list[tuple[float, float]] = []
 
-    def say(self, now: float, *, known: bool) -> None:
-        """Note whether the value is known now.
+    def update(self, now: float, *, known: bool) -> None:
+        """Update whether the value is known now.
 
         Args:
             now: s.
-            known: whether it is. A gap begins when the value was last noted as known.
+            known: whether it is. A gap begins when the value was last known.
         """
         if known:
             self._known_at = now
-        if known == self.lasts:
-            self.lasts = not known
+        if known == self.is_unknown:
+            self.is_unknown = not known
             if known:
                 self._times[-1] = self._times[-1][0], now
             else:
                 self.add(min(now, self._known_at), math.inf)
 
     def add(self, begin: float, end: float) -> None:
-        """Note that the value was not known from one time to another (s)."""
+        """Add that the value was not known from one time to another (s)."""
         self._times = [*self._times[1 - _MOST_UNKNOWN:], (begin, end)]
 
     def at(self, times: Values) -> NDArray[np.bool_]:
@@ -160,11 +160,13 @@ class Gaps:
         if not rows or not self._times:
             return rows
         unknown = self.at(np.array([row[0] for row in rows]))
-        kept: list[list[Any]] = [row for row, cut in zip(rows, unknown, strict=True) if not cut]
+        known_rows: list[list[Any]] = [
+            row for row, cut in zip(rows, unknown, strict=True) if not cut
+        ]
         # A gap that began by the system's clock, before the run's was known, is left out.
         times = ((begin, end) for begin, end in self._times if begin < end and end > rows[0][0])
-        kept += [[begin, None, None, None] for begin, _ in times]
-        return sorted(kept, key=lambda row: float(row[0]))
+        known_rows += [[begin, None, None, None] for begin, _ in times]
+        return sorted(known_rows, key=lambda row: float(row[0]))
 
 
 def _single(time_ns: int, value: float) -> list[float]:
@@ -175,14 +177,14 @@ def _single(time_ns: int, value: float) -> list[float]:
 def _condensed(times: Stamps, rows: Values, stretch_ns: int) -> tuple[Stamps, Values]:
     """Return times and rows of longer stretches; of equal changes, the first counts."""
     begins = np.flatnonzero(np.diff(times[:, 1] // stretch_ns, prepend=-1))
-    lasts = np.append(begins[1:], len(times)) - 1
+    is_unknown = np.append(begins[1:], len(times)) - 1
     low, high = np.minimum.reduceat(rows[:, 0], begins), np.maximum.reduceat(rows[:, 1], begins)
     greatest = np.maximum.reduceat(rows[:, 3], begins)
-    is_greatest = rows[:, 3] == np.repeat(greatest, lasts - begins + 1)
+    is_greatest = rows[:, 3] == np.repeat(greatest, is_unknown - begins + 1)
     changes = np.flatnonzero(is_greatest)
     changes = changes[np.searchsorted(changes, begins)]
-    spans = np.column_stack((times[changes, 0], times[lasts, 1]))
-    return spans, np.column_stack((low, high, rows[lasts, 2], greatest))
+    spans = np.column_stack((times[changes, 0], times[is_unknown, 1]))
+    return spans, np.column_stack((low, high, rows[is_unknown, 2], greatest))
 
 
 def stretch_of(first: int, last: int, points: int) -> int:

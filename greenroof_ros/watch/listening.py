@@ -26,7 +26,7 @@ _TOKEN = re.compile(r"[A-Za-z0-9_-]{32,}")
 
 
 @dataclass(frozen=True)
-class Place:
+class Listener:
     """A socket that listens, and how it is reached.
 
     Attributes:
@@ -65,7 +65,7 @@ def is_loopback(host: str) -> bool:
     return all(ipaddress.ip_address(text.split("%")[0]).is_loopback for _, text in _addresses(host))
 
 
-def listen(host: str, port: int | None) -> Place:
+def listen(host: str, port: int | None) -> Listener:
     """Listen on an address of this machine, and on no other.
 
     Args:
@@ -96,7 +96,7 @@ def listen(host: str, port: int | None) -> Place:
     shown = _own_address(address) if anywhere else host
     url = f"http://{f'[{shown}]' if ':' in shown else shown}:{listening.getsockname()[1]}/"
     names = None if anywhere else frozenset({host.lower(), address, LOOPBACK, "::1", "localhost"})
-    return Place(listening, url, names)
+    return Listener(listening, url, names)
 
 
 def new_token() -> str:

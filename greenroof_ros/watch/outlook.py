@@ -20,7 +20,7 @@ ALIKE_M = 0.0005
 _PUMPS = 1e-7
 
 
-class Amount(NamedTuple):
+class RainAmount(NamedTuple):
     """Forecast rain (m): the mean of the members, and their range."""
 
     mean: float
@@ -33,7 +33,7 @@ class Amount(NamedTuple):
     members: int
 
 
-class Pumped(NamedTuple):
+class PlannedPumping(NamedTuple):
     """Planned pumping."""
 
     volume: float
@@ -79,7 +79,7 @@ class Forecast(_Steps):
     rain: Values
     issued: float | None
 
-    def amount(self, now: float) -> Amount | None:
+    def amount(self, now: float) -> RainAmount | None:
         """Return the rain from now to 12 h ahead; None if the forecast has ended."""
         until, lengths = now + AHEAD_S, self.lengths(now)
         reach = min(float(self.ends[-1]), until) - now
@@ -90,7 +90,7 @@ class Forecast(_Steps):
         last = int(np.searchsorted(fallen, 0.9 * fallen[-1]))
         fallen_at = min(float(self.ends[last]), until)
         low, high = (float(end[0]) for end in _ranges(amounts[:, None]))
-        return Amount(float(amounts.mean()), low, high, reach, fallen_at, len(amounts))
+        return RainAmount(float(amounts.mean()), low, high, reach, fallen_at, len(amounts))
 
     def rows(self) -> list[list[float]]:
         """Return begin and end (s since 1970), mean, low and high (m/s) of each step."""
@@ -132,14 +132,14 @@ class Plan(_Steps):
         highest = ahead[(self.fill_to[ahead] > self.fill_to[ahead].max() - ALIKE_M).argmax()]
         return max(now, float(self.begins[highest])), float(self.fill_to[highest])
 
-    def pumped(self, now: float) -> Pumped | None:
+    def pumped(self, now: float) -> PlannedPumping | None:
         """Return the pumping planned from now to 12 h ahead; None if there is none."""
         lengths = self.lengths(now)
         pumps = np.flatnonzero((self.flow > _PUMPS) & (lengths > 0))
         if not len(pumps):
             return None
         begin = max(now, float(self.begins[pumps[0]]))
-        return Pumped(float(self.flow @ lengths), begin, float(self.level[pumps].max()))
+        return PlannedPumping(float(self.flow @ lengths), begin, float(self.level[pumps].max()))
 
     def above(self, level: float, now: float, present: float) -> tuple[float, float] | None:
         """Return when the roof rises above a level (s since 1970), and how high it rises.

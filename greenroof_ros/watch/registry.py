@@ -24,7 +24,7 @@ from greenroof_ros.common.conditions import (
     read_interlocks,
 )
 from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, RECORDER, STARTING, STATES
-from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.wire import WireStatus
 from greenroof_ros.watch.words import plain, sentence
 
 OK, WARN, ERROR, STALE = range(4)
@@ -61,12 +61,12 @@ class Trouble:
     Attributes:
         level: WARN, ERROR or STALE.
         what: a sentence.
-        code: from the table of conditions, or for something seen from here, such as ``not_heard``.
+        code: from the table of conditions, or for something observed here, such as ``not_heard``.
         role: role of the node in the interface; empty for another device.
         part: part of the node; empty for the node itself.
         names: topics that it is about, or nodes that are waited for, if known.
         gist: a drive's fault or a latched fault; with another gist it is another alarm.
-        at_least: whether it may have begun before anybody listened here.
+        at_least: whether it may have begun before this process received.
         was_good: for a part: whether it was good before.
     """
 
@@ -93,14 +93,14 @@ class Trouble:
 
 
 @dataclass
-class _Part:
-    """A part of a node, or another device, as last heard."""
+class _PartStatus:
+    """A part of a node, or another device, as last received."""
 
     level: int
     message: str
     code: str
-    heard: float  # wall time (s)
-    first: bool  # whether the device, or the node of the part, was heard only once by then
+    received_at: float  # wall time (s)
+    first: bool  # whether the device, or the node of the part, was received only once by then
     good: bool = False  # whether it was ever OK
     topics: tuple[str, ...] = ()  # that it is about
     gist: str = ""  # of a drive's fault or warning: with another one it is another alarm
@@ -108,7 +108,7 @@ class _Part:
 
 @dataclass
 class Node:
-    """A process of this package, as last heard; times are of the steady clock (s).
+    """A process of this package, as last received; times are of the steady clock (s).
 
     Attributes:
         name: fully qualified.
@@ -116,10 +116,10 @@ class Node:
         process: the operating-system process: its machine and number.
         state: one of :mod:`greenroof_ros.live.supervision`.
         values: what else it reports; a number that is not finite is None.
-        began: when it was first heard.
-        heard: when it was last heard.
+        began: when it was first received.
+        received_at: when it was last received.
         since: when it entered its state.
-        first: whether it was heard only once so far.
+        first: whether it was received only once so far.
         refused_at: when its count of refused values last grew.
         refused: the topics of those values.
     """
@@ -130,22 +130,22 @@ class Node:
     state: str
     values: dict[str, Any]
     began: float
-    heard: float
+    received_at: float
     since: float
     first: bool = True
-    parts: dict[str, _Part] = field(default_factory=dict)
+    parts: dict[str, _PartStatus] = field(default_factory=dict)
     refused_at: float = -math.inf
     refused: tuple[str, ...] = ()
 
     @property
-    def over(self) -> bool:
+    def has_ended(self) -> bool:
         """Whether it has reported its end."""
         return self.state in _LAST_WORDS
 
     @property
     def hold(self) -> str:
         """Who holds the pump, until when and why; empty if nobody does."""
-        return _hold_in(self.values)
+        return _hold_text(self.values)
 
     @property
     def lockstep(self) -> bool:
@@ -158,13 +158,13 @@ class Node:
         values = self.values
         return values.get("stands") is not True and "speed" in values and values["speed"] is None
 
-    def is_heard(self, wall: float) -> bool:
-        """Return whether it is heard now."""
-        return not self.over and wall - self.heard <= SILENT_S
+    def is_online(self, wall: float) -> bool:
+        """Return whether its reports arrive now."""
+        return not self.has_ended and wall - self.received_at <= SILENT_S
 
-    def is_here(self, wall: float) -> bool:
-        """Return whether it is heard, or was less than 10 s ago."""
-        return not self.over and wall - self.heard < _GONE_S
+    def is_present(self, wall: float) -> bool:
+        """Return whether a report has arrived within 10 s."""
+        return not self.has_ended and wall - self.received_at < _GONE_S
 
     def code_of(self, part: str) -> str:
         """Return the code that a part reports; empty for none."""
@@ -177,7 +177,7 @@ class Node:
 
 
 class Registry:
-    """What is heard of one namespace on /diagnostics.
+    """What is received of one namespace on /diagnostics.
 
     Attributes:
         runs: how often another run began, because the plant was started again.
@@ -195,17 +195,17 @@ class Registry:
         self.runs = 0
         self.samples: tuple[int, dict[str, float]] | None = None
         self._namespace = "/" + namespace.strip("/")
-        self._say = on_event or (lambda _: None)
+        self._on_event = on_event or (lambda _: None)
         self._nodes: dict[tuple[str, str], Node] = {}  # by name and process
-        self._latest: dict[str, Node] = {}  # by name: the process heard last
-        self._holders: dict[str, Node] = {}  # by role: the node that has it
-        self._foreign: dict[str, _Part] = {}
+        self._latest: dict[str, Node] = {}  # by name: the process received last
+        self._by_role: dict[str, Node] = {}  # by role: the node that has it
+        self._foreign: dict[str, _PartStatus] = {}
         self._ticks: deque[tuple[float, int]] = deque()
         self._start_ns = 0
 
-    # --- hearing --------------------------------------------------------------------------------
+    # --- receiving ------------------------------------------------------------------------------
 
-    def is_own(self, status: Status) -> bool:
+    def is_own(self, status: WireStatus) -> bool:
         """Return whether a status has the name of a node in this namespace, or of its part."""
         name = status.name.partition(": ")[0]
         return (
@@ -213,37 +213,37 @@ class Registry:
             and (name.rpartition("/")[0] or "/") == self._namespace
         )
 
-    def hear(
-        self, wall: float, statuses: Sequence[Status], *, stamp_ns: int = 0,
+    def receive(
+        self, wall: float, statuses: Sequence[WireStatus], *, stamp_ns: int = 0,
         arrived: float | None = None, tau: float = 1.0,
     ) -> None:
-        """Take the statuses of one or more messages; whatever they hold, nothing is raised.
+        """Receive the statuses of one or more messages; whatever they hold, nothing is raised.
 
         Args:
             wall: now (steady clock, s).
             statuses: the statuses.
             stamp_ns: time stamp of the message, in a simulation the tick's time (ns since 1970).
-            arrived: when the message came (s); None if unknown: ``wall`` is used.
+            arrived: when the message arrived (s); None if unknown: ``wall`` is used.
             tau: duration of a tick (s).
         """
         if len(self._foreign) >= _FOREIGN:
             self._foreign = {
                 name: part for name, part in self._foreign.items()
-                if wall - part.heard <= _FOREIGN_SILENT_S
+                if wall - part.received_at <= _FOREIGN_SILENT_S
             }
         # A node before its parts.
         for status in sorted(statuses, key=lambda status: ": " in status.name):
             name = plain(status.name, _NAME)
             values = self._values_of(name, status)
             if values is None:
-                self._hear_other(wall, name, status)
-            elif (node := self._hear_node(wall, name, status.message, values)) is not None and (
-                self._holders.get(_PLANT) is node
+                self._receive_other(wall, name, status)
+            elif (node := self._receive_node(wall, name, status.message, values)) is not None and (
+                self._by_role.get(_PLANT) is node
             ):
-                self._hear_plant(node, stamp_ns, wall if arrived is None else arrived, tau)
+                self._receive_plant(node, stamp_ns, wall if arrived is None else arrived, tau)
 
-    def _hear_other(self, wall: float, name: str, status: Status) -> None:
-        """Take a status of a part of a node, or of another device."""
+    def _receive_other(self, wall: float, name: str, status: WireStatus) -> None:
+        """Receive a status of a part of a node, or of another device."""
         node_name, _, part = name.partition(": ")
         node = self._latest.get(node_name) if part else None
         known, key, most = (
@@ -254,7 +254,7 @@ class Registry:
             good = status.level == OK or (key in known and known[key].good)
             topics = plain(status.values.get("topics", status.values.get("topic", "")))
             # An unknown level is an error.
-            known[key] = _Part(
+            known[key] = _PartStatus(
                 status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
                 sentence(status.message) or "says nothing",
                 plain(status.values.get("code", ""), _NAME), wall, first, good,
@@ -262,7 +262,7 @@ class Registry:
                 plain(status.values.get("fault", status.values.get("warning", ""))),
             )
 
-    def _values_of(self, name: str, status: Status) -> dict[str, Any] | None:
+    def _values_of(self, name: str, status: WireStatus) -> dict[str, Any] | None:
         """Return the values that a node of this graph reports; None for any other status."""
         if ": " in name or status.message not in STATES or not self.is_own(status):
             return None
@@ -273,7 +273,7 @@ class Registry:
         named = isinstance(values.get("role"), str) and isinstance(values.get("process"), str)
         return values if named else None
 
-    def _hear_node(
+    def _receive_node(
         self, wall: float, name: str, state: str, values: dict[str, Any]
     ) -> Node | None:
         role, process = (plain(values[key], _NAME) for key in ("role", "process"))
@@ -284,7 +284,7 @@ class Registry:
             node = Node(name, role, process, state, values, wall, wall, wall)
             if name in self._latest:
                 node.first = False
-                self._say(f"{name} was started again")
+                self._on_event(f"{name} was started again")
             self._nodes[name, process] = node
             for part in [other for other in self._foreign if other.startswith(f"{name}: ")]:
                 del self._foreign[part]
@@ -294,74 +294,76 @@ class Registry:
                 node.since = wall
                 # With a run that is over, its nodes finish and then end; that is one event.
                 if state == ENDED and node.state != FINISHED:
-                    self._say(f"{name} ended")
-            node.role, node.state, node.heard = role, state, wall
+                    self._on_event(f"{name} ended")
+            node.role, node.state, node.received_at = role, state, wall
             self._compare(wall, node, before)
         self._latest[name] = node
-        self._hold(wall, node)
+        self._assign_role(wall, node)
         return node
 
     def _make_room(self, wall: float) -> bool:
         """Forget the longest silent node if there are too many; return whether there is room."""
         if len(self._nodes) < _NODES:
             return True
-        silent = min(self._nodes.values(), key=lambda node: node.heard)
-        if wall - silent.heard <= SILENT_S:
+        silent = min(self._nodes.values(), key=lambda node: node.received_at)
+        if wall - silent.received_at <= SILENT_S:
             return False
-        self._forget(silent)
+        self._remove(silent)
         return True
 
-    def _forget(self, node: Node) -> None:
+    def _remove(self, node: Node) -> None:
         del self._nodes[node.name, node.process]
-        for table, key in ((self._latest, node.name), (self._holders, node.role)):
+        for table, key in ((self._latest, node.name), (self._by_role, node.role)):
             if table.get(key) is node:
                 del table[key]
 
-    def _hold(self, wall: float, node: Node) -> None:
-        """Give a node its role, unless another node that is heard, or a newer process, has it."""
-        before = self._holders.get(node.role)
+    def _assign_role(self, wall: float, node: Node) -> None:
+        """Assign a node its role, unless another online node, or a newer process, has it."""
+        before = self._by_role.get(node.role)
         if before is not None:
             again = before.name == node.name
-            if before is node or (before.began > node.began if again else before.is_heard(wall)):
+            if before is node or (before.began > node.began if again else before.is_online(wall)):
                 return
-        self._holders[node.role] = node
+        self._by_role[node.role] = node
         if node.role == _PLANT and before is not None:
             self.runs += 1
             self._start_ns, self.samples = 0, None
             self._ticks.clear()
             # Reports of silent nodes are about the run before.
             for other in list(self._nodes.values()):
-                if not other.is_heard(wall):
-                    self._forget(other)
+                if not other.is_online(wall):
+                    self._remove(other)
 
     def _compare(self, wall: float, node: Node, before: dict[str, Any]) -> None:
-        """Report changes in a node's values as events; note newly refused values as trouble."""
+        """Report changes in a node's values as events; record newly refused values as trouble."""
         values, name = node.values, node.name
         changes, left_out = _new_changes(before, values)
         if left_out:
-            self._say(f"{name}: {left_out} changes of parameters before the next are not listed")
+            self._on_event(
+                f"{name}: {left_out} changes of parameters before the next are not listed"
+            )
         for change in changes:
             if isinstance(change, dict):
                 what, old, new = (change.get(key) for key in ("parameter", "before", "value"))
-                self._say(f"{name}: {what} was changed from {old} to {new}")
+                self._on_event(f"{name}: {what} was changed from {old} to {new}")
         known, warnings = before.get("warnings"), values.get("warnings")
         if isinstance(known, list) and isinstance(warnings, list):
             for warning in warnings[:_NEWEST]:
                 if warning not in known:
-                    self._say(f"{name} warns: {sentence(str(warning))}")
+                    self._on_event(f"{name} warns: {sentence(str(warning))}")
         counts = _counts(before)
         grown = [topic for topic, n in _counts(values).items() if n > counts.get(topic, 0)]
         if grown:
             node.refused_at, node.refused = wall, tuple(grown[:10])
         hold, fault = node.hold, node.text("fault")
-        if _hold_in(before) != hold:
-            self._say(f"the pump is held: {hold}" if hold else "the hold has ended")
+        if _hold_text(before) != hold:
+            self._on_event(f"the pump is held: {hold}" if hold else "the hold has ended")
         if before.get("fault", "") != values.get("fault", ""):
-            self._say(
+            self._on_event(
                 f"the pump is off until it is reset: {fault}" if fault else "the fault was reset"
             )
 
-    def _hear_plant(self, node: Node, stamp_ns: int, arrived: float, tau: float) -> None:
+    def _receive_plant(self, node: Node, stamp_ns: int, arrived: float, tau: float) -> None:
         tick = node.values.get("tick")
         if type(tick) is not int or not 0 < tick <= _LAST_TICK:
             return  # before the first tick the stamp is not the run's
@@ -377,28 +379,28 @@ class Registry:
         time_ns = self._start_ns + round(tick * tau * 1e9)
         self.samples = (time_ns, values) if time_ns < _LAST_NS else None
 
-    def forgive(self, seconds: float) -> None:
-        """Do not count a time in which nothing could be heard (s) as silence of anybody."""
+    def excuse_silence(self, seconds: float) -> None:
+        """Excuse the silence of all in a time in which nothing could be received (s)."""
         for node in self._nodes.values():
-            node.heard += seconds
+            node.received_at += seconds
         for parts in (self._foreign, *(node.parts for node in self._nodes.values())):
             for part in parts.values():
-                part.heard += seconds
+                part.received_at += seconds
 
     # --- kind of graph --------------------------------------------------------------------------
 
     @property
-    def anybody(self) -> bool:
-        """Whether anything was heard of any node or device."""
+    def has_received(self) -> bool:
+        """Whether anything was received from any node or device."""
         return bool(self._nodes or self._foreign)
 
     def node(self, role: str) -> Node | None:
-        """Return the node of a role; None if none was heard."""
-        return self._holders.get(role)
+        """Return the node of a role; None if none was received."""
+        return self._by_role.get(role)
 
     def starting(self, wall: float) -> bool:
-        """Return whether the site starts: every node that is heard began less than 60 s ago."""
-        up = [node.values.get("up_s") for node in self._latest.values() if node.is_heard(wall)]
+        """Return whether the site starts: every node that is online began less than 60 s ago."""
+        up = [node.values.get("up_s") for node in self._latest.values() if node.is_online(wall)]
         return bool(up) and all(
             isinstance(seconds, (int, float)) and seconds < _START_S for seconds in up
         )
@@ -412,10 +414,10 @@ class Registry:
 
     def mode(self, wall: float) -> str:
         """Return the kind of graph: ``none``, ``simulated``, ``loop``, ``live`` or ``ended``."""
-        plant, pump = self._holders.get(_PLANT), self.pump(wall) is not None
-        nodes = self._holders.values()
-        here = [node for node in nodes if node.is_here(wall)]
-        if plant is not None and plant.is_here(wall):
+        plant, pump = self._by_role.get(_PLANT), self.pump(wall) is not None
+        nodes = self._by_role.values()
+        here = [node for node in nodes if node.is_present(wall)]
+        if plant is not None and plant.is_present(wall):
             return "loop" if pump else "simulated"
         if any(not node.lockstep for node in here):
             return "live"
@@ -424,18 +426,18 @@ class Registry:
         if here and plant is None:
             return "none"  # they wait for their plant
         # A node that fell silent without reporting its end may still run, and so may a pump.
-        if any(not node.lockstep and not node.over for node in nodes):
+        if any(not node.lockstep and not node.has_ended for node in nodes):
             return "live" if plant is None else "loop"
         return "ended" if nodes else "none"
 
     def pump(self, wall: float) -> Node | None:
         """Return the pump node that is there; None if there is none."""
-        node = self._holders.get(PUMP)
-        return node if node is not None and node.is_here(wall) else None
+        node = self._by_role.get(PUMP)
+        return node if node is not None and node.is_present(wall) else None
 
     def two_pumps(self, wall: float) -> str:
         """Return a warning if two present nodes claim to be the pump node; otherwise empty."""
-        node = self._holders.get(PUMP)
+        node = self._by_role.get(PUMP)
         rival = None if node is None else self._rival(node, wall, "role")
         if node is None or rival is None:
             return ""
@@ -446,16 +448,16 @@ class Registry:
         )
 
     def _rival(self, node: Node, wall: float, same: str) -> Node | None:
-        """Return another process of the same name, or role, that is heard alternately with a node.
+        """Return another process of the same name, or role, that reports alternately with a node.
 
         None if there is none. A process that replaced another one is no rival: the earlier process
-        was not heard after the later one began.
+        did not report after the later one began.
         """
         for rival in self._nodes.values():
             alike = rival is not node and getattr(rival, same) == getattr(node, same)
-            if alike and rival.is_heard(wall) and node.is_heard(wall):
+            if alike and rival.is_online(wall) and node.is_online(wall):
                 older, newer = sorted((rival, node), key=lambda process: process.began)
-                if older.heard > newer.began:
+                if older.received_at > newer.began:
                     return rival
         return None
 
@@ -468,7 +470,7 @@ class Registry:
         return self._path(_PLANT, "site") or self._path("controller", "site")
 
     def _path(self, role: str, key: str) -> Path | None:
-        node = self._holders.get(role)
+        node = self._by_role.get(role)
         if node is None or node.process.rpartition(" ")[0] != socket.gethostname():
             return None
         text = node.values.get(key)
@@ -486,10 +488,10 @@ class Registry:
         """Return all that is wrong now, each by the name of its status."""
         troubles: dict[str, Trouble] = {}
         for name, part in self._foreign.items():
-            silent = wall - part.heard > _FOREIGN_SILENT_S
-            # A device that was heard only once may never have meant to report regularly.
+            silent = wall - part.received_at > _FOREIGN_SILENT_S
+            # A device that reported only once may never have meant to report regularly.
             if silent and not part.first and not self._has_ended(name, part):
-                silence = _seen(STALE, "", "not_heard", time=_FOREIGN_SILENT_S)
+                silence = _observed(STALE, "", "not_heard", time=_FOREIGN_SILENT_S)
                 troubles[name] = replace(silence, code="")
             elif part.level != OK and not silent:
                 troubles[name] = Trouble(part.level, part.message, at_least=part.first)
@@ -497,61 +499,63 @@ class Registry:
             troubles.update(self._troubles_of(node, wall))
         return troubles
 
-    def _has_ended(self, name: str, part: _Part) -> bool:
+    def _has_ended(self, name: str, part: _PartStatus) -> bool:
         """Return whether a node outside this graph, or a node with this part, reported its end."""
         node = self._foreign.get(name.partition(": ")[0])
-        return node is not None and node.message in _LAST_WORDS and part.heard <= node.heard
+        if node is None or node.message not in _LAST_WORDS:
+            return False
+        return part.received_at <= node.received_at
 
     def _troubles_of(self, node: Node, wall: float) -> Iterator[tuple[str, Trouble]]:
         name, role = node.name, node.role
-        if node.over:
+        if node.has_ended:
             if failure := node.text("failure"):
                 yield name, replace(
-                    _seen(ERROR, role, "node_failed", failure=failure), at_least=node.first
+                    _observed(ERROR, role, "node_failed", failure=failure), at_least=node.first
                 )
             return
-        silent = wall - node.heard > SILENT_S
-        not_heard = _seen(STALE, role, "not_heard", time=SILENT_S)
+        silent = wall - node.received_at > SILENT_S
+        not_heard = _observed(STALE, role, "not_heard", time=SILENT_S)
         twin = self._rival(node, wall, "name")
         waiting = node.values.get("waiting")
         if silent:
             yield name, not_heard
         elif twin is not None:
             older, newer = sorted((node, twin), key=lambda process: process.began)
-            yield name, _seen(
+            yield name, _observed(
                 ERROR, role, "two_processes", older=older.process, newer=newer.process
             )
         elif node.state == STARTING and wall - node.since > _WAITS_S and isinstance(waiting, list):
             who = tuple(map(str, waiting[:10]))
             yield name, replace(
-                _seen(WARN, role, "waits", peers=plain(", ".join(who))), names=who
+                _observed(WARN, role, "waits", peers=plain(", ".join(who))), names=who
             )
         if wall - node.refused_at <= SILENT_S:
-            refused = _seen(WARN, role, "values_refused", topics=plain(", ".join(node.refused)))
+            refused = _observed(WARN, role, "values_refused", topics=plain(", ".join(node.refused)))
             yield f"{name}: refused", replace(refused, part="refused", names=node.refused)
-        for part, said in node.parts.items():
+        for part, reported in node.parts.items():
             # The last troubles of a silent node stay.
-            if not silent and wall - said.heard > SILENT_S:
+            if not silent and wall - reported.received_at > SILENT_S:
                 yield f"{name}: {part}", replace(not_heard, part=part)
-            elif said.level != OK:
-                yield f"{name}: {part}", _trouble_of_part(node, part, said)
+            elif reported.level != OK:
+                yield f"{name}: {part}", _trouble_of_part(node, part, reported)
 
 
-def _hold_in(values: Mapping[str, Any]) -> str:
+def _hold_text(values: Mapping[str, Any]) -> str:
     """Return the hold of the pump in a node's values, in words; empty if there is none."""
     hold = values.get("hold")
-    said = hold.get("said") if isinstance(hold, dict) else None
-    return said if isinstance(said, str) else ""
+    text = hold.get("said") if isinstance(hold, dict) else None
+    return text if isinstance(text, str) else ""
 
 
-def _seen(level: int, role: str, code: str, **values: Value) -> Trouble:
-    """Return a trouble that is seen from here."""
+def _observed(level: int, role: str, code: str, **values: Value) -> Trouble:
+    """Return a trouble that is observed here."""
     return Trouble(level, Problem.of(code, **values).sentence, code, role)
 
 
-def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
+def _trouble_of_part(node: Node, part: str, reported: _PartStatus) -> Trouble:
     """Return the trouble that a part of a node reports."""
-    level, code, gist = said.level, said.code, ""
+    level, code, gist = reported.level, reported.code, ""
     if (node.role, part) == (PUMP, PUMP):
         gist = node.text("fault")
         interlock = read_interlocks().get(code)
@@ -562,9 +566,10 @@ def _trouble_of_part(node: Node, part: str, said: _Part) -> Trouble:
         elif node.hold and node.values.get("stands") is False and not latched:
             code = "stop_not_followed"
     elif code in ("drive_fault", "drive_warning"):
-        gist = said.gist
+        gist = reported.gist
     return Trouble(
-        level, said.message, code, node.role, part, said.topics, gist, said.first, said.good
+        level, reported.message, code, node.role, part, reported.topics, gist, reported.first,
+        reported.good,
     )
 
 
@@ -593,9 +598,9 @@ def _new_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[
 
     The node keeps only the newest, and counts all.
     """
-    kept = values.get("parameter_changes")
+    listed = values.get("parameter_changes")
     first, last = (known.get("parameter_change_count") for known in (before, values))
-    if not (isinstance(kept, list) and isinstance(first, int) and isinstance(last, int)):
+    if not (isinstance(listed, list) and isinstance(first, int) and isinstance(last, int)):
         return [], 0
-    new = kept[-min(last - first, _NEWEST):] if last > first else []
+    new = listed[-min(last - first, _NEWEST):] if last > first else []
     return new, max(0, last - first) - len(new)

@@ -29,13 +29,13 @@ from aiohttp import web
 
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.graph.looker import StopFailedError
 from greenroof_ros.watch import words
 from greenroof_ros.watch.document import HOURS, document, series
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.listening import Place, listen
+from greenroof_ros.watch.graph_client import PumpRequestError
+from greenroof_ros.watch.listening import Listener, listen
 from greenroof_ros.watch.parts import Parts
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 
 _PAGE = Path(__file__).resolve().parent / "page"
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
@@ -58,7 +58,7 @@ _FIRST_S, _NEXT_S = 10.0, 60.0
 # How long a stream's reader may take nothing before it is disconnected (s).
 _UNREAD_S = 30.0
 # How often that is checked (s).
-_TAKEN_S = 0.05
+_DRAIN_S = 0.05
 _BODY_S = 5.0
 _MOST_BODY = 10_000
 _HOURS = "12"
@@ -74,7 +74,7 @@ _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 # --- what is pushed: made once for all readers, and never queued for a slow one ------------------
 
 
-class Message:
+class ServerEvent:
     """One server-sent event, plain and compressed.
 
     Each is compressed once for all readers. Any compressed events can follow a :data:`GZIP_HEAD` in
@@ -83,8 +83,8 @@ class Message:
     Attributes:
         plain: not compressed.
         compressed: raw deflate.
-        made: when it was made (steady clock, s).
-        looked: when it was last made again, and was found unchanged.
+        made_at: when it was made (steady clock, s).
+        checked_at: when it was last made again, and was found unchanged.
     """
 
     def __init__(self, name: str, content: dict[str, Any]) -> None:
@@ -93,32 +93,32 @@ class Message:
         self.plain = f"event: {name}\ndata: {text}\n\n".encode()
         press = zlib.compressobj(wbits=-zlib.MAX_WBITS)
         self.compressed = press.compress(self.plain) + press.flush(zlib.Z_FULL_FLUSH)
-        self.made = self.looked = time.monotonic()
+        self.made_at = self.checked_at = time.monotonic()
 
 
-class News:
+class EventStream:
     """The document and the series, made again while somebody reads them.
 
-    A reader gets the newest message when it has taken the one before. Messages in between are
+    A reader gets the newest event when it has read the one before. Events in between are
     dropped: a thousand slow readers need no more memory than one.
 
     Attributes:
         readers: how many read.
     """
 
-    def __init__(self, store: Store) -> None:
-        """Start without messages.
+    def __init__(self, store: GraphStore) -> None:
+        """Start without events.
 
         Args:
             store: state of the graph, to show.
         """
         self.readers = 0
         self._store = store
-        self._newest: dict[str | float, Message] = {}  # by name; series by their hours
+        self._newest: dict[str | float, ServerEvent] = {}  # by name; series by their hours
         self._making = asyncio.Lock()
 
-    async def messages(self, hours: float) -> AsyncGenerator[Message, None]:
-        """Yield messages as they come, only the newest.
+    async def events(self, hours: float) -> AsyncGenerator[ServerEvent, None]:
+        """Yield events as they come, only the newest.
 
         Charts that cannot be made are left out, with a reason. If there is no document at all, the
         error is printed and every stream ends: a page then says that it is not connected, rather
@@ -128,49 +128,51 @@ class News:
             hours: of the past in the series; 0 for the summary alone, for a page that nobody sees.
         """
         wanted: tuple[str | float, ...] = ("state", hours) if hours else ("summary",)
-        sent: dict[str | float, Message] = {}
+        sent: dict[str | float, ServerEvent] = {}
         self.readers += 1
         try:
             while True:
                 for key in wanted:
-                    message = await self._made(key)
-                    if message is None:
+                    event = await self._newest_event(key)
+                    if event is None:
                         return
-                    if sent.get(key) is not message:
-                        sent[key] = message
-                        yield message
+                    if sent.get(key) is not event:
+                        sent[key] = event
+                        yield event
                 await asyncio.sleep(_STATE_S)
         finally:
             self.readers -= 1
 
-    async def _made(self, key: str | float) -> Message | None:
-        """Return the newest message, which is made once for all readers; None if it cannot be."""
+    async def _newest_event(self, key: str | float) -> ServerEvent | None:
+        """Return the newest event, which is made once for all readers; None if it cannot be."""
         async with self._making:
-            now, lasts = time.monotonic(), _STATE_S if isinstance(key, str) else _SERIES_S
-            self._newest = {  # messages for readers who have gone are dropped
-                name: message for name, message in self._newest.items()
-                if now - message.looked < _AT_LEAST_S
+            now, lifetime = time.monotonic(), _STATE_S if isinstance(key, str) else _SERIES_S
+            self._newest = {  # events for readers who have gone are dropped
+                name: event for name, event in self._newest.items()
+                if now - event.checked_at < _AT_LEAST_S
             }
             old = self._newest.get(key)
-            if old is not None and now - old.looked < lasts:
+            if old is not None and now - old.checked_at < lifetime:
                 return old
             try:
-                new = await asyncio.to_thread(self._make, key)
+                new = await asyncio.to_thread(self._build_event, key)
             except Exception:
                 traceback.print_exc()
                 return None
-            if old is not None and old.plain == new.plain and new.made - old.made < _AT_LEAST_S:
-                old.looked, new = new.made, old  # nothing has changed
+            if old is not None and old.plain == new.plain and (
+                new.made_at - old.made_at < _AT_LEAST_S
+            ):
+                old.checked_at, new = new.made_at, old  # nothing has changed
             self._newest[key] = new
             return new
 
-    def _make(self, key: str | float) -> Message:
+    def _build_event(self, key: str | float) -> ServerEvent:
         if not isinstance(key, str):
             parts = Parts()
-            made = parts.make("Series", lambda: series(self._store, key), {})
-            return Message("series", made or {"problem": parts.failed["Series"]})
+            content = parts.make("Series", lambda: series(self._store, key), {})
+            return ServerEvent("series", content or {"problem": parts.failed["Series"]})
         shown = document(self._store, time.monotonic())
-        return Message(key, shown if key == "state" else shown["tiles"]["summary"])
+        return ServerEvent(key, shown if key == "state" else shown["tiles"]["summary"])
 
 
 # --- connections ---------------------------------------------------------------------------------
@@ -233,25 +235,25 @@ class _Connections:
             handler.transport.abort()
 
 
-class _Site:
+class _PageApplication:
     """Answers requests."""
 
     def __init__(
-        self, store: Store, feed: Feed, names: frozenset[str] | None, token: str | None
+        self, store: GraphStore, feed: Feed, names: frozenset[str] | None, token: str | None
     ) -> None:
         self._store, self._feed = store, feed
         self._names, self._token = names, token
         self._acting: dict[str, asyncio.Task[tuple[bool, str]]] = {}
         self._newest: asyncio.Task[tuple[bool, str]] | None = None
         self.connections: _Connections | None = None
-        self.news = News(store)
+        self.event_stream = EventStream(store)
         self.app = web.Application(
-            middlewares=[self._refusals, self._this_host_alone], client_max_size=_MOST_BODY
+            middlewares=[self._refusals, self._check_origin], client_max_size=_MOST_BODY
         )
         for file in _PAGE.iterdir():
             if file.suffix in _TYPES:
                 path = "/" if file.name == "index.html" else f"/{file.name}"
-                self.app.router.add_get(path, _sends(file), allow_head=False)
+                self.app.router.add_get(path, _file_handler(file), allow_head=False)
         self.app.router.add_get("/events", self._events, allow_head=False)
         for action in ("stop", "release", "clear", "dose"):
             self.app.router.add_post(f"/{action}", self._act)
@@ -266,12 +268,12 @@ class _Site:
         try:
             return await self.connections.answer(request, handler(request))
         except web.HTTPException as error:
-            answer = _said(False, error.reason, error.status)
+            answer = _json_response(False, error.reason, error.status)
             answer.force_close()
             return answer
 
     @web.middleware
-    async def _this_host_alone(
+    async def _check_origin(
         self, request: web.Request, handler: _Handler
     ) -> web.StreamResponse:
         """Refuse a request that names another host than this one, or that another page makes.
@@ -297,9 +299,9 @@ class _Site:
     # --- answers --------------------------------------------------------------------------------
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
-        """Push messages to one browser until it disconnects, or does not read."""
+        """Push events to one browser until it disconnects, or does not read."""
         hours = _hours(request.query.get("hours", _HOURS))
-        if self.news.readers >= _MOST_STREAMS:
+        if self.event_stream.readers >= _MOST_STREAMS:
             raise web.HTTPServiceUnavailable(reason="too many pages are open; close one")
         compressed = "gzip" in request.headers.get("Accept-Encoding", "")
         answer = web.StreamResponse(headers={
@@ -308,19 +310,19 @@ class _Site:
             "X-Accel-Buffering": "no",  # nginx: pass on at once
             **({"Content-Encoding": "gzip"} if compressed else {}),
         })
-        transport, messages = request.transport, self.news.messages(hours)
+        transport, events = request.transport, self.event_stream.events(hours)
         try:
             await answer.prepare(request)
             if compressed:
                 await answer.write(GZIP_HEAD)
-            async for message in messages:
-                data = message.compressed if compressed else message.plain
-                await asyncio.wait_for(_sent(answer, data, transport), _UNREAD_S)
+            async for event in events:
+                data = event.compressed if compressed else event.plain
+                await asyncio.wait_for(_send(answer, data, transport), _UNREAD_S)
         except (ConnectionError, asyncio.TimeoutError):
             if transport is not None:
                 transport.abort()
         finally:
-            await messages.aclose()
+            await events.aclose()
         return answer
 
     async def _acknowledge(self, request: web.Request) -> web.Response:
@@ -328,7 +330,7 @@ class _Site:
         if not isinstance(identity, str):
             raise web.HTTPBadRequest(reason="id must be text")
         known = await asyncio.to_thread(self._store.acknowledge, identity)
-        return _said(known, "" if known else "This alarm is no longer listed.")
+        return _json_response(known, "" if known else "This alarm is no longer listed.")
 
     async def _act(self, request: web.Request) -> web.Response:
         """Act on the pump; the same request, made again meanwhile, gets the same answer.
@@ -342,25 +344,27 @@ class _Site:
             )
         if action == "dose":
             given = {
-                "volume": _number(body, "volume", "m3"), "asked_at": _number(body, "asked_at", "s"),
+                "volume": _number(body, "volume", "m3"),
+                "requested_at": _number(body, "asked_at", "s"),
             }
         task = self._acting.get(action)
         # A request joins the one under way only if no other action was requested since.
         if task is None or task.done() or (task is not self._newest and not given):
-            task = asyncio.create_task(self._ask(action, given, request.remote or ""))
+            task = asyncio.create_task(self._request_action(action, given, request.remote or ""))
             self._acting[action] = self._newest = task
         elif given:
-            return _said(False, "Another dose was asked for a moment ago.")
-        return _said(*await asyncio.shield(task))
+            return _json_response(False, "Another dose was asked for a moment ago.")
+        return _json_response(*await asyncio.shield(task))
 
-    async def _ask(
+    async def _request_action(
         self, action: str, given: dict[str, float], asker: str
     ) -> tuple[bool, str]:
-        """Ask the pump node, and return how that went; whoever asked may be gone by then."""
+        """Request an action of the pump node, and return the result; the sender may be gone."""
         try:
             request = {"owner": "the page"} if action == "stop" else given
-            ok, sentence = True, await asyncio.to_thread(self._feed.ask, action, **request)
-        except StopFailedError as failure:
+            answer = await asyncio.to_thread(self._feed.request_action, action, **request)
+            ok, sentence = True, answer
+        except PumpRequestError as failure:
             ok, sentence = False, str(failure)
         except Exception as error:
             traceback.print_exc()
@@ -375,7 +379,7 @@ class _Site:
         return ok, sentence
 
 
-def _sends(file: Path) -> _Handler:
+def _file_handler(file: Path) -> _Handler:
     """Return a handler that sends a file of the page, as it is when the server starts."""
     content, kind = file.read_bytes(), _TYPES[file.suffix]
 
@@ -385,7 +389,7 @@ def _sends(file: Path) -> _Handler:
     return send
 
 
-def _said(ok: bool, sentence: str, status: int = 200) -> web.Response:
+def _json_response(ok: bool, sentence: str, status: int = 200) -> web.Response:
     return web.json_response(
         {"ok": ok, "sentence": sentence}, status=status, headers=_HEADERS
     )
@@ -410,13 +414,13 @@ def _of_another_page(request: web.Request) -> bool:
     return origin is not None and origin.partition("://")[2] != request.headers.get("Host")
 
 
-async def _sent(
+async def _send(
     answer: web.StreamResponse, data: bytes, transport: asyncio.Transport | None
 ) -> None:
     """Send data, and wait until all of it is on its way: data that waits here becomes old."""
     await answer.write(data)
     while transport is not None and transport.get_write_buffer_size():
-        await asyncio.sleep(_TAKEN_S)
+        await asyncio.sleep(_DRAIN_S)
 
 
 def _number(body: Mapping[str, object], name: str, unit: str) -> float:
@@ -453,10 +457,10 @@ async def _body(request: web.Request) -> dict[str, Any]:
 
 @asynccontextmanager
 async def serving(
-    store: Store, feed: Feed, place: Place, token: str | None
+    store: GraphStore, feed: Feed, listener: Listener, token: str | None
 ) -> AsyncIterator[None]:
-    """Serve the page at a place, in the running event loop."""
-    site, loop = _Site(store, feed, place.names, token), asyncio.get_running_loop()
+    """Serve the page on a listener, in the running event loop."""
+    site, loop = _PageApplication(store, feed, listener.names, token), asyncio.get_running_loop()
     # A request that cannot be read is answered, but not reported on the terminal.
     quiet = logging.getLogger(__name__)
     quiet.addHandler(logging.NullHandler())
@@ -468,7 +472,7 @@ async def serving(
     await runner.setup()
     assert runner.server is not None
     site.connections = connections = _Connections(runner.server)
-    server = await loop.create_server(connections.accept, sock=place.socket)
+    server = await loop.create_server(connections.accept, sock=listener.socket)
     dropping = loop.create_task(connections.drop_idle())
     try:
         yield
@@ -480,7 +484,7 @@ async def serving(
 
 
 def serve(
-    store: Store,
+    store: GraphStore,
     feed: Feed,
     *,
     host: str,
@@ -504,9 +508,9 @@ def serve(
         ConfigurationError: the address or the port cannot be used.
     """
     async def run() -> None:
-        place = listen(host, port)
-        async with serving(store, feed, place, token):
-            on_ready(place.url + (f"#token={token}" if token else ""))
+        listener = listen(host, port)
+        async with serving(store, feed, listener, token):
+            on_ready(listener.url + (f"#token={token}" if token else ""))
             while True:
                 signals.check()
                 await asyncio.sleep(0.1)

@@ -12,7 +12,7 @@ from typing import Any
 from greenroof_ros.common.conditions import command_for
 from greenroof_ros.watch import words
 from greenroof_ros.watch.registry import Node
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import sentence
 
 LOCK_OUT = (
@@ -24,7 +24,7 @@ _THEN = (
 )
 
 
-def stop_of(store: Store) -> dict[str, Any]:
+def stop_of(store: GraphStore) -> dict[str, Any]:
     """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
 
     It is stopped if somebody holds it and it stands; the hold alone only says that it should stand.
@@ -35,40 +35,40 @@ def stop_of(store: Store) -> dict[str, Any]:
     two = store.graph.two_pumps(store.wall)
     node = None if two else store.graph.pump(store.wall)
     values = {} if node is None else node.values
-    hold, gone = "" if node is None else node.hold, store.gone(node)
-    stands = not gone and values.get("stands") is True
-    stopped, warning = bool(hold) and stands, two
-    if hold and not stands and not gone:
+    hold, is_silent = "" if node is None else node.hold, store.is_lost(node)
+    at_rest = not is_silent and values.get("stands") is True
+    stopped, warning = bool(hold) and at_rest, two
+    if hold and not at_rest and not is_silent:
         warning = (
             "Stop was accepted, but the pump still turns, or it is not known whether it is at "
             "rest. Stop it at its drive's panel if it is not at rest within seconds."
         )
-    state = "" if node is None else (store.pump_says or "").partition(": ")[0]
-    off = state in ("off", "held", "fault") and stands
+    state = "" if node is None else (store.pump_report or "").partition(": ")[0]
+    off = state in ("off", "held", "fault") and at_rest
     return {
         "possible": node is not None, "stopped": stopped, "node": node and node.name,
         "label": "The pump is held off" if stopped
         else "Keep the pump off" if off else "Stop the pump",
         "sentence": two or "There is no pump node that could be stopped from here."
-        if node is None else ("It was held off when last heard. " if hold and gone else "")
+        if node is None else ("It was held off when last heard. " if hold and is_silent else "")
         + ("The pump is held" if stopped else "Holds the pump")
         + " off until somebody releases it. " + LOCK_OUT,
         "warning": warning,
         "call": "" if node is None or stopped else command_for(node.name, "hold"),
         "release": "" if node is None or not hold else command_for(node.name, "release"),
-        "hold": None if node is None or gone else hold and f"{hold[0].upper()}{hold[1:]}.",
+        "hold": None if node is None or is_silent else hold and f"{hold[0].upper()}{hold[1:]}.",
         "clear_call": f"ros2 service call {node.name}/reset std_srvs/srv/Trigger"
         if node is not None and node.text("fault") else "",
-        **_allowed(None if gone or not store.allow_release else node, stands, store.site.a2),
+        **_allowed(None if is_silent or not store.allow_release else node, at_rest, store.site.a2),
     }
 
 
-def _allowed(node: Node | None, stands: bool, area: float = 0.0) -> dict[str, Any]:
+def _allowed(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, Any]:
     """Return what may be done here besides a stop, and what happens then.
 
     Args:
-        node: the pump node, if it is heard and releasing is allowed; otherwise None.
-        stands: whether the pump stands.
+        node: the pump node, if it is online and releasing is allowed; otherwise None.
+        at_rest: whether the pump is at rest.
         area: of the roof (m2).
     """
     greatest = None if node is None else node.values.get("greatest_dose")
@@ -81,9 +81,9 @@ def _allowed(node: Node | None, stands: bool, area: float = 0.0) -> dict[str, An
     dose = {} if node is None else node.values.get("dose") or {}
     least = 0.0 if node is None else float(node.values.get("least_dose") or 0.0)
     return {
-        "release_here": bool(hold) and stands,
+        "release_here": bool(hold) and at_rest,
         "release_then": _then(fault, unknown) + LOCK_OUT,
-        "clear_here": bool(fault) and not refusal and stands,
+        "clear_here": bool(fault) and not refusal and at_rest,
         "clear_then": f"The fault is cleared: {fault}. " + _then(hold, unknown) + LOCK_OUT,
         "no_clear": refusal if fault else "",
         "greatest_dose": greatest if doses else None,
@@ -118,5 +118,5 @@ def bare_stop() -> dict[str, Any]:
         "possible": True, "stopped": False, "node": None, "label": "Stop the pump",
         "sentence": "Holds the pump off until somebody releases it. " + LOCK_OUT,
         "warning": "", "call": "", "release": "", "hold": None, "clear_call": "",
-        **_allowed(None, stands=False),
+        **_allowed(None, at_rest=False),
     }

@@ -30,7 +30,7 @@ from greenroof_ros.watch.alarms import Alarm, Alarms
 from greenroof_ros.watch.history import Gaps, History, Stamps, Values
 from greenroof_ros.watch.outlook import Forecast, Plan
 from greenroof_ros.watch.registry import Node, Registry
-from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.wire import WireStatus
 
 _Outlook = TypeVar("_Outlook", Forecast, Plan)
 
@@ -63,8 +63,8 @@ def papers_site() -> Path:
     return shared_directory() / "config" / "site.yaml"
 
 
-class Newest:
-    """The newest value of a topic, and how often values come, judged at each look.
+class TopicValue:
+    """The newest value of a topic, and how often values come, judged at each update.
 
     Attributes:
         time_ns: its time (ns since 1970).
@@ -80,31 +80,31 @@ class Newest:
         self.value: float | None = None
         self.past = History()
         self.stale = False
-        self._came = False
-        self._heard: float | None = None  # wall time (s)
+        self._received = False
+        self._received_at: float | None = None  # wall time (s)
         self._intervals: deque[float] = deque(maxlen=9)
 
-    def take(self, time_ns: int, value: float) -> None:
-        """Take a value, NaN if it is not plausible, unless there is a newer one."""
-        self._came = True
+    def receive(self, time_ns: int, value: float) -> None:
+        """Receive a value, NaN if it is not plausible, unless there is a newer one."""
+        self._received = True
         if time_ns >= self.time_ns:
             self.time_ns, self.value = time_ns, None if math.isnan(value) else value
 
-    def look(self, wall: float, *, ended: bool) -> None:
-        """Note whether a value came since the last look, or is overdue: never in an ended run."""
-        if self._came or self._heard is None:
-            if self._heard is not None:
-                self._intervals.append(min(wall - self._heard, _LONGEST_S))
-            self._came, self._heard = False, wall
+    def update(self, wall: float, *, ended: bool) -> None:
+        """Update whether the next value is overdue: never in an ended run."""
+        if self._received or self._received_at is None:
+            if self._received_at is not None:
+                self._intervals.append(min(wall - self._received_at, _LONGEST_S))
+            self._received, self._received_at = False, wall
         usual = float(np.median(self._intervals)) if self._intervals else 0.0
-        self.stale = not ended and wall - self._heard > max(_STALE_S, INTERVALS * usual)
+        self.stale = not ended and wall - self._received_at > max(_STALE_S, INTERVALS * usual)
 
     def silent_s(self, wall: float) -> float:
         """Return how long ago a value came (s of wall time); 0 if none ever did."""
-        return 0.0 if self._heard is None else max(0.0, wall - self._heard)
+        return 0.0 if self._received_at is None else max(0.0, wall - self._received_at)
 
 
-class Store:
+class GraphStore:
     """The state of one graph; any thread may call any method, and read under ``lock``.
 
     Times of the graph are its own: simulated, or the system's. ``wall`` is the steady clock's time
@@ -114,10 +114,10 @@ class Store:
         lock: to be held while several attributes are read.
         namespace: of the graph; empty if it has none.
         site: the site by which levels are judged: the paper's, until another one is known.
-        wall: when the store was last looked at (steady clock, s).
+        wall: when the store was last updated (steady clock, s).
         notes: notes to the operator about the site file, and about the graph that is watched.
-        mode: ``none`` if nothing was heard yet, ``simulated``, ``loop`` for a simulation with the
-            drive of a real pump, ``live``, or ``ended`` for a run that is over.
+        mode: ``none`` if nothing was received yet, ``simulated``, ``loop`` for a simulation with
+            the drive of a real pump, ``live``, or ``ended`` for a run that is over.
         factor: simulated time per wall time; None if there is none.
         allow_release: whether the pump may be released from here.
         alarms: alarms of the nodes, and the registry of their reports.
@@ -147,37 +147,37 @@ class Store:
         self.alarms = Alarms(namespace)
         self._interface = read_topics()
         self.wall = 0.0
-        self._began = time.time()  # s since 1970
-        self._system: float | None = None  # the system's time at the last look (s since 1970)
+        self._started_at = time.time()  # s since 1970
+        self._system: float | None = None  # the system's time at the last update (s since 1970)
         # The graph's time as its nodes last reported it (s since 1970); kept when a new run begins.
         self._stamp: float | None = None
-        self.start_over()
+        self.reset()
 
-    def start_over(self) -> None:
-        """Forget everything except the nodes and how they are watched: another run began."""
+    def reset(self) -> None:
+        """Reset everything except the nodes and how they are watched: another run began."""
         with self.lock:
-            self.alarms.start_over()
-            self._heard_since: float | None = None  # when nodes were first heard (s since 1970)
+            self.alarms.reset()
+            self._received_since: float | None = None  # when nodes first reported (s since 1970)
             self._forget_values()
 
     def _forget_values(self) -> None:
-        self.newest: dict[str, Newest] = {}
+        self.newest: dict[str, TopicValue] = {}
         self.expected = History()
         self._expected_at = -math.inf  # when an expected level was last kept (s since 1970)
-        self._begin_account()
+        self._start_account()
         self._forecast: Forecast | None = None
-        self._announced: tuple[float, float] | None = None  # when (s), and rain (m)
+        self._reported_forecast: tuple[float, float] | None = None  # when (s), and rain (m)
         # The present plan, and the newest of the past, or None for no plan; each with when that was
         # reported (s since 1970).
         self._plan: tuple[float, Plan | None] = -math.inf, None
         self._past_plan: tuple[float, Plan | None] = -math.inf, None
         self.pump_state: tuple[int, str] | None = None
         self._controller: tuple[str, str] | None = None  # name and process
-        self._controller_at = -math.inf  # when it was last heard (s since 1970)
+        self._controller_at = -math.inf  # when it last reported (s since 1970)
         self.unknown_flow = Gaps()
-        self._clock_began: float | None = None  # of a simulation, if known (s since 1970)
+        self._clock_started_at: float | None = None  # of a simulation, if known (s since 1970)
 
-    def _begin_account(self) -> None:
+    def _start_account(self) -> None:
         self.account = Account(self.site)
         self.account.live = self.mode == "live"
 
@@ -190,7 +190,7 @@ class Store:
 
     @property
     def pump(self) -> Node | None:
-        """The pump node, as last heard; None if there was none."""
+        """The pump node, as last received; None if there was none."""
         return self.graph.node(PUMP)
 
     def set_site(self, site: Site, note: str = "") -> None:
@@ -203,7 +203,7 @@ class Store:
         with self.lock:
             before, self.site = self.site, site
             if site != before:
-                self._begin_account()
+                self._start_account()
             self.notes[0] = words.plain(note)
 
     def set_present(
@@ -223,8 +223,8 @@ class Store:
             self.notes[1] = words.plain(note)
             self.account.live = mode == "live"
 
-    def look(self, wall: float, system: float | None = None) -> None:
-        """Note what came and what is overdue; called often, even if no document is shown.
+    def update(self, wall: float, system: float | None = None) -> None:
+        """Update what is overdue; called often, even if no document is shown.
 
         If the clock of a live site is set back, charts and account start again: new values would be
         older than those already there.
@@ -245,9 +245,9 @@ class Store:
                 )
             self.wall = wall
             for newest in self.newest.values():
-                newest.look(wall, ended=self.ended)
-            self._note_clock()
-            self.alarms.look(wall, self._now_or(time.time()))
+                newest.update(wall, ended=self.ended)
+            self._update_clock()
+            self.alarms.update(wall, self._now_or(time.time()))
             if self.ended and self.silent_s > _QUIET_S:
                 self.account.end()
 
@@ -261,12 +261,12 @@ class Store:
         """Whether the run is over: nothing more will come."""
         return self.mode == "ended"
 
-    def gone(self, node: Node | None) -> bool:
-        """Return whether a node was there and is not heard now; False if the run is over."""
-        return node is not None and not self.ended and not node.is_heard(self.wall)
+    def is_lost(self, node: Node | None) -> bool:
+        """Return whether a node was there and is silent now; False if the run is over."""
+        return node is not None and not self.ended and not node.is_online(self.wall)
 
     @property
-    def pump_says(self) -> str | None:
+    def pump_report(self) -> str | None:
         """The pump's state and why, from its node or else from the recording; None if unknown."""
         if self.pump is not None and (text := self.pump.text("pump")):
             return text
@@ -275,7 +275,7 @@ class Store:
     # --- values ---------------------------------------------------------------------------------
 
     def add(self, topic: str, times_ns: Stamps, values: Values) -> None:
-        """Take values of a topic of single numbers, now and for the past.
+        """Add values of a topic of single numbers, now and for the past.
 
         Values that are not newer than the past are left out. Values out of the topic's range are
         shown as not plausible, and are not counted.
@@ -290,7 +290,7 @@ class Store:
         # A copy: the argument may be a view of a longer batch.
         times = np.array(times_ns, dtype=np.int64)
         with self.lock:
-            newest = self.newest.get(topic) or Newest()
+            newest = self.newest.get(topic) or TopicValue()
             possible = np.where(times < _LATEST_NS, times, 0)
             before = np.append(newest.past_ns, possible[:-1])
             newer = (possible > np.maximum.accumulate(before)) & (possible <= self._latest_ns())
@@ -298,7 +298,7 @@ class Store:
             if not len(times):
                 return
             self.newest[topic] = newest
-            newest.take(int(times[-1]), float(numbers[-1]))
+            newest.receive(int(times[-1]), float(numbers[-1]))
             newest.past_ns = int(times[-1])
             if topic == FLOW:
                 numbers[self.unknown_flow.at(times / 1e9)] = np.nan
@@ -308,7 +308,7 @@ class Store:
                 self.account.add(topic, times, numbers)
 
     def add_present(self, topic: str, time_ns: int, value: float) -> None:
-        """Take a present value; the past comes another way.
+        """Add a present value; the past comes another way.
 
         Args:
             topic: its name in the interface, without a namespace.
@@ -318,11 +318,11 @@ class Store:
         if not self.is_number(topic):
             return
         with self.lock:
-            newest = self.newest.get(topic) or Newest()
+            newest = self.newest.get(topic) or TopicValue()
             if newest.time_ns < time_ns <= self._latest_ns():
                 self.newest[topic] = newest
-                newest.take(time_ns, float(self._plausible(topic, np.array(value))))
-                newest.past.hear(time_ns, newest.value)
+                newest.receive(time_ns, float(self._plausible(topic, np.array(value))))
+                newest.past.add_ahead(time_ns, newest.value)
 
     def is_number(self, topic: str) -> bool:
         """Return whether the interface has this topic, and it is of single numbers."""
@@ -334,7 +334,7 @@ class Store:
         low, high = max(entry.low, -_LARGEST), min(entry.high, _LARGEST)
         return np.where((values >= low) & (values <= high), values + 0.0, np.nan)
 
-    def known(self, topic: str) -> float | None:
+    def present_value(self, topic: str) -> float | None:
         """Return the present value of a topic; None if there is none, or it is stale."""
         newest = self.newest.get(topic)
         return None if newest is None or newest.stale else newest.value
@@ -345,8 +345,8 @@ class Store:
             return (self._system + _SET_BACK_S) * 1e9
         return _LATEST_NS
 
-    def take(self, topic: str, time_ns: int, message: bytes, *, past: bool) -> None:
-        """Take a message of a topic that is not of single numbers, as heard or recorded.
+    def receive(self, topic: str, time_ns: int, message: bytes, *, past: bool) -> None:
+        """Receive a message of a topic that is not of single numbers, live or recorded.
 
         Args:
             topic: its name in the interface, without a namespace.
@@ -365,7 +365,7 @@ class Store:
             self.add_forecast(time_ns, *rows)
 
     def add_pump_state(self, time_ns: int, text: str) -> None:
-        """Take the pump's state, such as ``off: nothing is commanded``."""
+        """Add the pump's state, such as ``off: nothing is commanded``."""
         with self.lock:
             if self.pump_state is None or time_ns > self.pump_state[0]:
                 self.pump_state = (time_ns, words.sentence(text))
@@ -373,7 +373,7 @@ class Store:
     # --- forecast and plan ----------------------------------------------------------------------
 
     def add_forecast(self, time_ns: int, values: Values, front: Values) -> None:
-        """Take a forecast of rain; after one that is not valid, no forecast is known.
+        """Add a forecast of rain; after one that is not valid, no forecast is known.
 
         Args:
             time_ns: when its first step begins, since 1970.
@@ -398,20 +398,20 @@ class Store:
             elif self._forecast is None or at > self._forecast.at:
                 issued = float(front[0]) if 0 < front[0] <= at else None
                 self._forecast = Forecast(at, at + ends, rain, issued)
-                self._announce(at)
+                self._report_forecast(at)
 
-    def _announce(self, now: float) -> None:
-        """Note an event if the expected rain has changed enough."""
+    def _report_forecast(self, now: float) -> None:
+        """Report an event if the expected rain has changed enough."""
         assert self._forecast is not None
         amount = self._forecast.amount(now)
         if amount is None or amount.reach_s < _NEW_FORECAST_S:
             return
-        if self._announced is None:
-            self._announced = (now, amount.mean)
+        if self._reported_forecast is None:
+            self._reported_forecast = (now, amount.mean)
             return
-        at, before = self._announced
+        at, before = self._reported_forecast
         if abs(amount.mean - before) >= _NEW_FORECAST_M and now - at >= _NEW_FORECAST_S:
-            self._announced = (now, amount.mean)
+            self._reported_forecast = (now, amount.mean)
             reach = words.horizon(amount.reach_s)
             self.alarms.add_event(
                 now, f"New forecast: {words.rain(amount.mean)} of rain in the next {reach}; "
@@ -419,7 +419,7 @@ class Store:
             )
 
     def add_plan(self, time_ns: int, rows: Values, *, past: bool = True) -> None:
-        """Take a plan of the controller.
+        """Add a plan of the controller.
 
         Args:
             time_ns: when it was planned, since 1970; if there is a newer plan, this is left out.
@@ -440,10 +440,10 @@ class Store:
                 if not past and at > self._plan[0]:
                     self._plan = at, _plan_of(at, rows)
             if past and at >= self._expected_at + _EXPECTED_EVERY_S:
-                self._keep_expected(at)
+                self._add_expected(at)
 
-    def _keep_expected(self, at: float) -> None:
-        """Keep the level that the plan at a time expects an hour later."""
+    def _add_expected(self, at: float) -> None:
+        """Add the level that the plan at a time expects an hour later."""
         plan, later = self._past_plan[1], at + _LEAD_S
         if plan is not None and later <= plan.ends[-1]:
             level = np.interp([later], plan.ends, plan.level)
@@ -454,14 +454,14 @@ class Store:
     def plan(self) -> Plan | None:
         """The newest plan; None if it is not known, or there is none."""
         at, plan = self._plan
-        return plan if at > self._past_plan[0] else self._of_now(self._past_plan[1])
+        return plan if at > self._past_plan[0] else self._if_current(self._past_plan[1])
 
     @property
     def forecast(self) -> Forecast | None:
         """The newest forecast of rain; None if it is not known."""
-        return self._of_now(self._forecast)
+        return self._if_current(self._forecast)
 
-    def _of_now(self, newest: _Outlook | None) -> _Outlook | None:
+    def _if_current(self, newest: _Outlook | None) -> _Outlook | None:
         """Return a forecast or plan; None if a newer one may not have been read yet."""
         now_ns = max((value.time_ns for value in self.newest.values()), default=0)
         past_ns = self._past_ns()
@@ -472,36 +472,36 @@ class Store:
     # --- reports of the nodes -------------------------------------------------------------------
 
     def add_statuses(
-        self, wall: float, statuses: Sequence[Status], stamp_ns: int = 0,
+        self, wall: float, statuses: Sequence[WireStatus], stamp_ns: int = 0,
         arrived: float | None = None,
     ) -> None:
-        """Take the statuses of a message on /diagnostics.
+        """Add the statuses of a message on /diagnostics.
 
         Args:
             wall: now.
             statuses: of one message.
             stamp_ns: time stamp of the message (ns since 1970), in a simulation by its clock.
-            arrived: when it came (s since 1970); None if unknown.
+            arrived: when it arrived (s since 1970); None if unknown.
         """
         with self.lock:
             own = any(map(self.alarms.registry.is_own, statuses))
             if self.alarms.shown and own and 0 < stamp_ns < _LATEST_NS:
                 self._stamp = stamp_ns / 1e9
             now = self._now_or(time.time())
-            if self._heard_since is None:
-                self._heard_since = time.time()
-            self._note_clock()
-            self.alarms.hear(
+            if self._received_since is None:
+                self._received_since = time.time()
+            self._update_clock()
+            self.alarms.receive(
                 wall, now, statuses, stamp_ns=stamp_ns, arrived=arrived, tau=self.site.tau
             )
-            self._note_controller(now)
+            self._update_controller(now)
             pump = self.pump
             if pump is not None and "flow" in pump.values:
                 # While the flow is not known, its topic says 0.
                 known = pump.values["flow"] is not None
-                self.unknown_flow.say(self._stamp or now, known=known)
+                self.unknown_flow.update(self._stamp or now, known=known)
 
-    def _note_controller(self, now: float) -> None:
+    def _update_controller(self, now: float) -> None:
         """Drop the plan of a controller that another controller or process has replaced."""
         node = self.graph.node("controller")
         if node is None:
@@ -516,7 +516,7 @@ class Store:
         self._controller, self._controller_at = controller, now
 
     def add_event(self, system: float, text: str) -> None:
-        """Note an event that happens now.
+        """Add an event that happens now.
 
         Args:
             system: the system's time, for a graph that has reported none yet (s since 1970).
@@ -526,26 +526,26 @@ class Store:
             self.alarms.add_event(self._now_or(system), text)
 
     def acknowledge(self, alarm_id: str) -> bool:
-        """Note that somebody saw an alarm; return False if there is no such alarm."""
+        """Acknowledge an alarm; return False if there is no such alarm."""
         with self.lock:
             return self.alarms.acknowledge(alarm_id)
 
     def incidents(self) -> list[Alarm]:
         """Return the recorded incidents that have begun; none if nodes report how they are.
 
-        On a live site: those that were over before nodes were heard here.
+        On a live site: those that were over before nodes were received here.
         """
-        if self.mode == "live" and self._heard_since is not None:
+        if self.mode == "live" and self._received_since is not None:
             return [
                 incident for incident in self.recorded_incidents
-                if incident.over is not None and incident.over < self._heard_since
+                if incident.ended_at is not None and incident.ended_at < self._received_since
             ]
         now = self.now
-        if self.graph.anybody or not self.ended or now is None:
+        if self.graph.has_received or not self.ended or now is None:
             return []
         return [
-            incident if incident.over is None or incident.over <= now
-            else replace(incident, over=None)  # not over at the time that is shown
+            incident if incident.ended_at is None or incident.ended_at <= now
+            else replace(incident, ended_at=None)  # not over at the time that is shown
             for incident in self.recorded_incidents if incident.since <= now
         ]
 
@@ -553,7 +553,8 @@ class Store:
     def lost_pump(self) -> bool:
         """Whether, by a recording, it is unknown what the pump does now."""
         return any(
-            incident.over is None and incident.trouble.hides_pump for incident in self.incidents()
+            incident.ended_at is None and incident.trouble.hides_pump
+            for incident in self.incidents()
         )
 
     # --- time -----------------------------------------------------------------------------------
@@ -591,21 +592,21 @@ class Store:
 
     def _is_of_system(self, at: float) -> bool:
         """Return whether a time (s since 1970) is by the system's clock since the watcher began."""
-        return self._began - _SET_BACK_S <= at <= time.time() + _SET_BACK_S
+        return self._started_at - _SET_BACK_S <= at <= time.time() + _SET_BACK_S
 
-    def _note_clock(self) -> None:
-        """Note when the clock of a simulation began, if that is known."""
-        times = (self._clock_began, self.now, self._stamp)
+    def _update_clock(self) -> None:
+        """Update when the clock of a simulation began, if that is known."""
+        times = (self._clock_started_at, self.now, self._stamp)
         known = [at for at in times if at is not None and not self._is_of_system(at)]
         if known and self.mode in ("simulated", "loop"):
-            self._clock_began = min(known)
+            self._clock_started_at = min(known)
 
     def dated(self, at: float) -> float:
         """Return the time to show for an alarm or event (s since 1970).
 
         If it was noted before the clock of a simulation was known, it is when that clock began.
         """
-        began = self._clock_began
+        began = self._clock_started_at
         return at if began is None or not self._is_of_system(at) else began
 
     def _now_or(self, system: float) -> float:

@@ -17,8 +17,8 @@ from greenroof_ros.model.metrics import NEAR_TARGET
 from greenroof_ros.model.plant import pumps_run
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
-from greenroof_ros.watch.outlook import ALIKE_M, Amount, Plan
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.outlook import ALIKE_M, Plan, RainAmount
+from greenroof_ros.watch.store import GraphStore
 
 PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unknown")
 
@@ -38,7 +38,8 @@ Tile = dict[str, Any]
 
 
 def _tile(
-    store: Store, label: str, topic: str, judged: Callable[[float], tuple[str, str]], **more: Any
+    store: GraphStore, label: str, topic: str, judged: Callable[[float], tuple[str, str]],
+    **more: Any,
 ) -> Tile:
     """Return the tile of a topic; ``judged`` gives state and sentence for its value.
 
@@ -76,7 +77,7 @@ def band_of(site: Site) -> list[float]:
     return [site.z_veg * (1 - NEAR_TARGET), site.z_veg * (1 + NEAR_TARGET)]
 
 
-def roof(store: Store) -> Tile:
+def roof(store: GraphStore) -> Tile:
     """Return the tile of the roof's level."""
     site, newest = store.site, store.newest.get(_ROOF)
     # The paper's soil is ten times as deep as the target level. Only if the level is above twice
@@ -106,7 +107,7 @@ def _versus_target(difference: float) -> str:
     return f"{text} {'below' if difference < 0 else 'above'} its target"
 
 
-def cistern(store: Store) -> Tile:
+def cistern(store: GraphStore) -> Tile:
     """Return the tile of the cistern's level."""
     site, newest = store.site, store.newest.get(_CISTERN)
     marks = [
@@ -134,7 +135,7 @@ def cistern(store: Store) -> Tile:
     )
 
 
-def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
+def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """Return the tile of the pump: its state, and below it the flow, the command, and why.
 
     ``alarm`` is whether the pump may turn and nobody knows it; ``idle`` whether it is off only
@@ -144,22 +145,22 @@ def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
         store: state of the graph.
         wrong: the present alarms.
     """
-    node, said = store.pump, store.pump_says
+    node, text = store.pump, store.pump_report
     values = {} if node is None else node.values
-    gone, lost = store.gone(node), store.lost_pump
+    is_silent, lost = store.is_lost(node), store.lost_pump
     may_turn = lost or (
-        node is not None and (node.may_turn or (gone and values.get("stands") is False))
+        node is not None and (node.may_turn or (is_silent and values.get("stands") is False))
     )
-    heard = values.get("speed", 0.0) is not None  # also if its node never reports a speed
-    flow_known = not (lost or store.unknown_flow.lasts)
-    pumped = store.newest.get(_FLOW) if flow_known and (heard or may_turn) else None
+    speed_known = values.get("speed", 0.0) is not None  # also if its node never reports a speed
+    flow_known = not (lost or store.unknown_flow.is_unknown)
+    pumped = store.newest.get(_FLOW) if flow_known and (speed_known or may_turn) else None
     command = store.newest.get(_COMMAND)
-    state, why = _state(store, said)
+    state, why = _state(store, text)
     parts = []
     if may_turn:
         parts.append("it is not known whether it is at rest")
-        state, why = "unknown", why if said is not None else ""
-    elif not heard:
+        state, why = "unknown", why if text is not None else ""
+    elif not speed_known:
         parts.append("its drive is not heard: at rest when last heard, or stopped by its timeout")
     if pumped is not None:
         parts.append(words.NOT_PLAUSIBLE if pumped.value is None else flow(pumped.value))
@@ -170,7 +171,7 @@ def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     newest = pumped if pumped is not None else command
     old = newest is not None and newest.stale
     # The node reports its state by another way than the flow.
-    stale = not may_turn and (gone or (old and said is None))
+    stale = not may_turn and (is_silent or (old and text is None))
     if old and not stale:
         place = -1 if pumped is None or command is None else -2
         parts[place] = f"last known {parts[place]}"
@@ -179,19 +180,20 @@ def pump(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     if stale and state != words.UNKNOWN:
         parts.insert(0, f"{state} when last heard")
     name = "" if node is None else node.name
-    kept_off = store.known(_FROST) or any(row["id"] == f"{name}: {PUMP}" for row in wrong)
+    kept_off = store.present_value(_FROST) or any(row["id"] == f"{name}: {PUMP}" for row in wrong)
     quiet = state == "held" and node is not None and node.code_of(PUMP) == "quiet_hours"
     state = "unknown" if stale else "off" if quiet else state  # as intended
     return {
         "label": "Pump", "value": state,
         "number": None if pumped is None or pumped.stale else pumped.value,
         "state": state, "alarm": may_turn,
-        "idle": state == "off" and not kept_off and not quiet and store.known(_COMMAND) == 0,
+        "idle": state == "off" and not kept_off and not quiet
+        and store.present_value(_COMMAND) == 0,
         "sentence": "; ".join(parts), "why": why, "stale": stale,
     }
 
 
-def _is(store: Store) -> str:
+def _is(store: GraphStore) -> str:
     """Return ``was`` after the end of a run, otherwise ``is``."""
     return "was" if store.ended else "is"
 
@@ -204,11 +206,11 @@ def _commanded(share: float | None, verb: str) -> str:
     return f"commanded {words.command(share)} of its maximum flow"
 
 
-def _state(store: Store, said: str | None) -> tuple[str, str]:
+def _state(store: GraphStore, text: str | None) -> tuple[str, str]:
     """Return the pump's state and the reason; in a plain simulation, by the plant's rules."""
-    if said is not None:
-        state, _, why = said.partition(": ")
-        return (state, why) if state in PUMP_STATES else ("unknown", said)
+    if text is not None:
+        state, _, why = text.partition(": ")
+        return (state, why) if state in PUMP_STATES else ("unknown", text)
     pumped, command = store.newest.get(_FLOW), store.newest.get(_COMMAND)
     share, site = None if command is None else command.value, store.site
     why = _why_off(store, share)
@@ -222,11 +224,11 @@ def _state(store: Store, said: str | None) -> tuple[str, str]:
     return ("running", "") if pumps_run(site, pumped.value) else ("off", why or rests)
 
 
-def _why_off(store: Store, share: float | None) -> str:
+def _why_off(store: GraphStore, share: float | None) -> str:
     """Return why a simulated pump stands; empty if nothing known explains it."""
-    site, level, stored = store.site, store.known(_ROOF), store.known(_CISTERN)
+    site, level, stored = store.site, store.present_value(_ROOF), store.present_value(_CISTERN)
     verb = _is(store)
-    if store.known(_FROST):
+    if store.present_value(_FROST):
         return f"there {verb} frost"
     if _quiet(store):
         return f"it {verb} in quiet hours"
@@ -239,20 +241,20 @@ def _why_off(store: Store, share: float | None) -> str:
     return f"no command {verb} known" if share is None else ""
 
 
-def _quiet(store: Store) -> bool:
+def _quiet(store: GraphStore) -> bool:
     """Return whether the present time is in the site's quiet hours."""
     hours, now = store.site.quiet, store.now
     return hours is not None and now is not None and hours.quiet_at(int(now * 1e9))
 
 
-def rain(store: Store) -> Tile:
+def rain(store: GraphStore) -> Tile:
     """Return the tile of the rain: the present rain, and the rain to come."""
     topic = _GAUGE if store.newest.get(_RAIN) is None else _RAIN
     tile = _tile(store, "Rain", topic, lambda _: ("good", ""))
     return tile if tile["stale"] else {**tile, "sentence": _to_come(store)}
 
 
-def _to_come(store: Store) -> str:
+def _to_come(store: GraphStore) -> str:
     forecast, now = store.forecast, store.now
     if forecast is None or now is None:
         return "no forecast is known"
@@ -268,7 +270,7 @@ def _to_come(store: Store) -> str:
     return sentence if age <= _RENEWED_S else f"{sentence}, by the forecast of {made}"
 
 
-def _amount(amount: Amount, *, ended: bool) -> str:
+def _amount(amount: RainAmount, *, ended: bool) -> str:
     reach = words.horizon(amount.reach_s)
     if amount.reach_s < SOON_S:
         return f"no forecast for the next hours: it reaches only {reach} ahead"
@@ -276,7 +278,7 @@ def _amount(amount: Amount, *, ended: bool) -> str:
     return sentence + _range(amount)
 
 
-def _range(amount: Amount) -> str:
+def _range(amount: RainAmount) -> str:
     """Write the range of an ensemble's rain after its mean, `` (19 to 46)``; otherwise empty."""
     if amount.members == 1:
         return ""
@@ -284,7 +286,7 @@ def _range(amount: Amount) -> str:
     return f" ({low} to {high})"
 
 
-def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
+def controller(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """Return the tile of the controller.
 
     Args:
@@ -301,7 +303,7 @@ def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
         and row["id"].partition(": ")[0] == node.name
     ), "")
     command, plan, now = store.newest.get(_COMMAND), store.plan, store.now
-    known = name is not None and store.known(_COMMAND) is not None
+    known = name is not None and store.present_value(_COMMAND) is not None
     if alarm:
         sentence = alarm
     elif plan is not None and now is not None:
@@ -325,7 +327,7 @@ def controller(store: Store, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     }
 
 
-def _forecast_known(store: Store) -> bool:
+def _forecast_known(store: GraphStore) -> bool:
     """Return whether there is a forecast for the present, and not an old one."""
     forecast, now = store.forecast, store.now
     return (
@@ -334,30 +336,30 @@ def _forecast_known(store: Store) -> bool:
     )
 
 
-def _aim(store: Store, plan: Plan | None, now: float | None) -> str:
+def _aim(store: GraphStore, plan: Plan | None, now: float | None) -> str:
     """Return to which level a controller fills the roof, now and later; empty if it does not.
 
     A level that the roof has already is no aim.
     """
-    level = store.known("/controller/fill_to")
-    said = "" if level is None else f"fills to {words.value_of('/controller/fill_to', level)} now"
+    level = store.present_value("/controller/fill_to")
+    text = "" if level is None else f"fills to {words.value_of('/controller/fill_to', level)} now"
     if plan is None or now is None:
-        return said
+        return text
     begin, later = plan.without_rain(now)
     if begin <= now or later <= (level or 0.0) + ALIKE_M:
-        return said
-    present = store.known(_ROOF)
-    if not said and present is not None and later <= present:
+        return text
+    present = store.present_value(_ROOF)
+    if not text and present is not None and later <= present:
         return f"does not fill the roof before {store.hour(begin)}"
     then = f"to {words.value_of('/controller/fill_to', later)} after {store.hour(begin)}"
     if not _forecast_known(store):
-        return f"{said}, and {then}" if said else f"fills {then}"
-    return f"{said}, and {then} if no rain has come" if said else f"fills {then} if no rain comes"
+        return f"{text}, and {then}" if text else f"fills {then}"
+    return f"{text}, and {then} if no rain has come" if text else f"fills {then} if no rain comes"
 
 
-def why_not_yet(store: Store) -> str:
+def why_not_yet(store: GraphStore) -> str:
     """Return why a controller lets a roof stay too dry for now; empty if that is not known."""
-    forecast, now, level, plan = store.forecast, store.now, store.known(_ROOF), store.plan
+    forecast, now, level, plan = store.forecast, store.now, store.present_value(_ROOF), store.plan
     if (
         forecast is None or now is None or level is None or plan is None or store.ended
         or not _forecast_known(store) or level >= band_of(store.site)[0]
@@ -382,7 +384,7 @@ def why_not_yet(store: Store) -> str:
     return "it waits, since the roof then stays nearest to its target over the hours it looks ahead"
 
 
-def _planned(store: Store, plan: Plan, now: float) -> str:
+def _planned(store: GraphStore, plan: Plan, now: float) -> str:
     ended, right = store.ended, " if the forecast is right" if _forecast_known(store) else ""
     if now >= plan.ends[-1]:
         return "its plan was over" if ended else "its plan is over"
@@ -397,7 +399,7 @@ def _planned(store: Store, plan: Plan, now: float) -> str:
     )
 
 
-def waiting(store: Store, idle: bool) -> str:
+def waiting(store: GraphStore, idle: bool) -> str:
     """Return for which rain the controller waits; empty if it does not wait.
 
     It waits if the roof is too dry, only the controller keeps the pump off, and at least the
@@ -408,7 +410,7 @@ def waiting(store: Store, idle: bool) -> str:
         idle: whether only the controller keeps the pump off.
     """
     site, now, forecast = store.site, store.now, store.forecast
-    level = store.known(_ROOF)
+    level = store.present_value(_ROOF)
     if (
         now is None or forecast is None or level is None or store.ended
         or not idle or _quiet(store) or level >= band_of(site)[0] or now - forecast.at > OLD_S
@@ -424,9 +426,9 @@ def waiting(store: Store, idle: bool) -> str:
     return f"waiting for rain: {words.rain(amount.mean)}{_range(amount)} by {by}"
 
 
-def too_wet(store: Store) -> str:
+def too_wet(store: GraphStore) -> str:
     """Return how much too wet the controller expects the roof to be; empty if it does not."""
-    site, plan, now, level = store.site, store.plan, store.now, store.known(_ROOF)
+    site, plan, now, level = store.site, store.plan, store.now, store.present_value(_ROOF)
     if plan is None or now is None or level is None or store.ended:
         return ""
     high = band_of(site)[1]

@@ -25,7 +25,7 @@ _NUMBERS = 1_000_000
 
 
 @dataclass(frozen=True)
-class Status:
+class WireStatus:
     """One status of /diagnostics.
 
     Attributes:
@@ -51,7 +51,7 @@ class _Cursor:
         self._message = message
         self._at = _HEADER
 
-    def take(self, size: int, align: int = 1) -> bytes:
+    def read(self, size: int, align: int = 1) -> bytes:
         start = self._at + (_HEADER - self._at) % align
         self._at = start + size
         if self._at > len(self._message):
@@ -59,17 +59,17 @@ class _Cursor:
         return self._message[start : self._at]
 
     def whole(self, kind: str = "I") -> int:
-        return int(struct.unpack(self._order + kind, self.take(4, 4))[0])
+        return int(struct.unpack(self._order + kind, self.read(4, 4))[0])
 
     def text(self) -> str:
         length = self.whole()
-        kept = min(max(length - 1, 0), _TEXT)  # a NUL ends it
-        return self.take(length)[:kept].decode("utf-8", errors="replace")
+        used = min(max(length - 1, 0), _TEXT)  # a NUL ends it
+        return self.read(length)[:used].decode("utf-8", errors="replace")
 
     def numbers(self, count: int) -> NDArray[np.float64]:
         if count > _NUMBERS:
             raise ValueError
-        content = self.take(8 * count, 8 if count else 1)
+        content = self.read(8 * count, 8 if count else 1)
         return np.frombuffer(content, f"{self._order}f8").astype(np.float64)
 
 
@@ -124,7 +124,7 @@ def rows(cursor: _Cursor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 @_whole_or_none
-def statuses(cursor: _Cursor) -> tuple[int, list[Status]]:
+def statuses(cursor: _Cursor) -> tuple[int, list[WireStatus]]:
     """Read the time (ns) and the statuses of a ``diagnostic_msgs/msg/DiagnosticArray``.
 
     Texts and lists that are longer than the limits above are cut: no honest sender has such.
@@ -133,7 +133,7 @@ def statuses(cursor: _Cursor) -> tuple[int, list[Status]]:
     cursor.text()
     statuses = []
     for _ in range(min(cursor.whole(), _STATUSES)):
-        level = cursor.take(1)[0]
+        level = cursor.read(1)[0]
         name, message = cursor.text(), cursor.text()
         cursor.text()  # the device that it is about
         values = {}
@@ -142,7 +142,7 @@ def statuses(cursor: _Cursor) -> tuple[int, list[Status]]:
             if place < _VALUES:
                 values[key] = value
         # An unknown level counts as ERROR, the worst level that somebody can do something about.
-        statuses.append(Status(name, level if level <= 3 else 2, message, values))
+        statuses.append(WireStatus(name, level if level <= 3 else 2, message, values))
     return stamp, statuses
 
 

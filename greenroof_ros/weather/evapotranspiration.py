@@ -1,4 +1,4 @@
-"""Evapotranspiration by FAO-56: hourly by Penman-Monteith (``fao56``), daily by Hargreaves.
+"""Evapotranspiration by FAO-56: hourly by Penman-Monteith (``fao56``), or daily by Hargreaves.
 
 Allen, Pereira, Raes and Smith, *Crop evapotranspiration*, FAO Irrigation and Drainage Paper 56,
 Rome 1998. Equation numbers are from this paper; the package ``eto`` implements the equations.
@@ -8,8 +8,10 @@ Hargreaves' equation needs only a day's least and greatest temperature.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
+from typing import NamedTuple
 
 import numpy as np
 from eto import ETo
@@ -23,13 +25,16 @@ from greenroof_ros.formats.records import (
     HOUR,
     QUANTITIES,
     RADIATION,
+    TEMPERATURE,
     Records,
     gaps,
     name_hours,
 )
 from greenroof_ros.model.site import Site
 
-FAO56 = "fao56"
+FAO56, HARGREAVES, MONTHLY = "fao56", "hargreaves", "monthly"
+COMPUTED = (FAO56, HARGREAVES, MONTHLY)
+"""Methods for records without a column of evapotranspiration, the most accurate first."""
 _PLACE = ("latitude", "longitude", "elevation", "utc_offset")
 _MJ_PER_M2_AND_HOUR = 3600e-6  # per W/m2
 _LATITUDES = Range(-66.0, 66.0, "degrees")  # between the polar circles
@@ -117,12 +122,7 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
             f"has no column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION][0]}]', and no "
             f"{', '.join(lacking)}, from which {FAO56} is computed", file=records.source,
         )
-    lacking = [name for name in _PLACE if getattr(site, name) is None]
-    if lacking:
-        raise ConfigurationError(
-            f"{FAO56} needs {', '.join(lacking)} in the site file (see config/site.yaml)"
-        )
-    check_latitude(site)
+    _check_place(site, FAO56, _PLACE)
     if records.wind_height is not None:
         site = replace(site, wind_height=records.wind_height)
     values = {name: records.values[name] for name in FOR_EVAPOTRANSPIRATION}
@@ -149,6 +149,16 @@ def _stretches(
         stretch = {name: series[low:high] for name, series in values.items()}
         result[low:high] = hourly(site, records.first + low * HOUR, stretch)
     return result
+
+
+def _check_place(site: Site, method: str, needed: Sequence[str]) -> None:
+    """Refuse a site that lacks a part of its place on earth, or is beyond a polar circle."""
+    lacking = [name for name in needed if getattr(site, name) is None]
+    if lacking:
+        raise ConfigurationError(
+            f"{method} needs {', '.join(lacking)} in the site file (see config/site.yaml)"
+        )
+    check_latitude(site)
 
 
 def check_latitude(site: Site) -> None:
@@ -193,10 +203,10 @@ def _daily_extremes(
 
 
 def why_missing(records: Records, hours: NDArray[np.int64]) -> str:
-    """Return why :func:`fao56` has no value in some hours.
+    """Return why there is no computed value in some hours.
 
     Args:
-        records: those given to :func:`fao56`.
+        records: those given to :func:`fao56` or :func:`from_temperatures`.
         hours: indices of hours of the run in which the result is NaN.
     """
     reasons = []
@@ -217,6 +227,8 @@ Days = NDArray[np.datetime64]
 _MM_PER_MJ = 0.408  # per m2, FAO-56 Eq. 20
 _DAY_S = 86400
 _PART_S = 300
+# Least share of a day with temperatures to know its extremes, and how far away they may be (d).
+_ENOUGH, _LONGEST_GAP, _FOR_EVER = 0.75, 3, 10**6
 
 
 def day_of_year(days: Days) -> NDArray[np.int64]:
@@ -278,7 +290,7 @@ def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: fl
     return np.asarray(np.maximum(0.0, height))
 
 
-def over_the_day(
+def spread_over_day(
     daily: Values, latitude: float, seconds: NDArray[np.int64], day: NDArray[np.int64],
     step_s: float, east_of_meridian: float,
 ) -> Values:
@@ -308,3 +320,95 @@ def over_the_day(
     whole = sun_height(latitude, (first[:, None] + of_a_day).ravel(), east_of_meridian)
     totals = whole.reshape(len(daily), -1).sum(axis=1) * _PART_S
     return np.asarray(daily[day] * shares * step_s / totals[day])
+
+
+def extremes_of_days(day: NDArray[np.intp], least: Values, greatest: Values, most: float) -> Values:
+    """Return each day's least and greatest temperature (degC), shape (2, days).
+
+    A day that has less than 0.75 of the greatest number of values has none (NaN).
+
+    Args:
+        day: index of the day of each value.
+        least: temperatures with each day's least among them; NaN if missing.
+        greatest: temperatures with each day's greatest among them, likewise.
+        most: number of values that a complete day has.
+    """
+    extremes = np.full((2, day.max() + 1), np.nan)
+    for of_days, extreme, values in zip(
+        extremes, (np.fmin, np.fmax), (least, greatest), strict=True
+    ):
+        extreme.at(of_days, day, values)
+        of_days[np.bincount(day, ~np.isnan(values)) < _ENOUGH * most] = np.nan
+    return extremes
+
+
+class DailyTemperatures(NamedTuple):
+    """The extremes of temperature of days, from which the evapotranspiration of steps follows."""
+
+    dates: Days
+    """of the days, in order"""
+    extremes: Values
+    """least and greatest temperature (degC), shape (2, days); NaN if unknown"""
+
+    def far(self, days: Days) -> NDArray[np.bool_]:
+        """Return whether days are more than three days from each day with both extremes."""
+        known = self.dates[~np.isnan(self.extremes).any(axis=0)].astype(np.int64)
+        apart = np.abs(days.astype(np.int64)[:, None] - known)
+        return np.asarray(np.min(apart, axis=1, initial=_FOR_EVER) > _LONGEST_GAP)
+
+    def evapotranspiration(
+        self, site: Site, seconds: NDArray[np.int64], step_s: float, offset_s: float
+    ) -> Values:
+        """Return the reference evapotranspiration of steps by Hargreaves (mm), shape (steps,).
+
+        A step has its share of the evapotranspiration of the day in which it begins. The extremes
+        of a day that has none are interpolated.
+
+        Args:
+            site: its place.
+            seconds: start of each step, on a clock of local standard time.
+            step_s: duration of a step (s).
+            offset_s: offset of this clock from UTC (s).
+        """
+        assert site.latitude is not None
+        assert site.longitude is not None
+        days, day_of_step = np.unique(seconds // _DAY_S, return_inverse=True)
+        at = self.dates.astype(np.int64)
+        least, greatest = (
+            np.interp(days, at[~np.isnan(values)], values[~np.isnan(values)])
+            for values in self.extremes
+        )
+        daily = hargreaves(site.latitude, days.astype("datetime64[D]"), least, greatest)
+        east = site.longitude - offset_s / 240
+        return spread_over_day(daily, site.latitude, seconds, day_of_step, step_s, east)
+
+
+def from_temperatures(records: Records, site: Site) -> Values:
+    """Evapotranspiration of the vegetation (mm/day) in each hour by Hargreaves, shape (hours,).
+
+    It is the site's crop coefficient times the reference evapotranspiration, from each day's least
+    and greatest temperature by local standard time. NaN in a day that is more than three days from
+    a day with at least 18 hours of temperature.
+
+    Raises:
+        ConfigurationError: the file has no temperature, the site file lacks its place on earth, or
+            the site is beyond a polar circle.
+    """
+    if TEMPERATURE not in records.values:
+        raise ConfigurationError(
+            f"has no {TEMPERATURE}, from which {HARGREAVES} is computed", file=records.source
+        )
+    _check_place(site, HARGREAVES, ("latitude", "longitude", "utc_offset"))
+    assert site.utc_offset is not None
+    offset_s = site.utc_offset * 3600
+    seconds = round(records.first.timestamp() + offset_s) + 3600 * np.arange(records.hours)
+    dates, day = np.unique((seconds // _DAY_S).astype("datetime64[D]"), return_inverse=True)
+    hourly_values = records.values[TEMPERATURE]
+    temperatures = DailyTemperatures(
+        dates, extremes_of_days(day, hourly_values, hourly_values, 24)
+    )
+    far = temperatures.far(dates)
+    if far.all():
+        return np.full(records.hours, np.nan)
+    depths = temperatures.evapotranspiration(site, seconds, 3600, offset_s)
+    return np.where(far[day], np.nan, depths * 24 * site.crop_coefficient)

@@ -20,12 +20,22 @@ from greenroof_ros.formats.records import (
     PRECIPITATION,
     QUANTITIES,
     RADIATION,
+    TEMPERATURE,
     Records,
     bridged,
     join,
 )
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.evapotranspiration import FAO56, check_latitude, fao56, monthly
+from greenroof_ros.weather.evapotranspiration import (
+    COMPUTED,
+    FAO56,
+    HARGREAVES,
+    MONTHLY,
+    check_latitude,
+    fao56,
+    from_temperatures,
+    monthly,
+)
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
 
 Array = NDArray[np.float64]
@@ -39,6 +49,10 @@ LONGEST_GAP = {
     "station pressure": 24,
 }
 
+_NO_TEMPERATURE = (
+    "there is no temperature, so frost is unknown and none is assumed: in frost nothing is pumped"
+)
+
 # Offsets from a missing hour to the hours of the same time of day whose mean replaces it.
 _SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])
 
@@ -48,11 +62,20 @@ def default_weather() -> Path:
     return shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
 
 
+def read_measured(files: Sequence[Path], site: Site) -> Records:
+    """Read weather files, which may have different formats, and join them; gaps stay.
+
+    Raises:
+        ConfigurationError: a file is broken, or two contradict each other.
+    """
+    return without_empty(_whole_hours(join([read_records(file, site) for file in files])))
+
+
 def read_weather(
     files: Sequence[Path], site: Site, method: str | None = None, gaps: str = REFUSE, *,
     rain_only: bool = False,
 ) -> Weather:
-    """Read weather files, which may have different formats, and join them.
+    """Read weather files as :func:`read_measured` does, and give them evapotranspiration.
 
     Gaps of at most :data:`LONGEST_GAP` hours, within a file or between two, are filled and noted in
     the records. :class:`greenroof_ros.weather.series.WeatherSeries` refuses a run that needs an
@@ -61,8 +84,9 @@ def read_weather(
     Args:
         files: one or more.
         site: its place on earth, for computing evapotranspiration or for a format that needs it.
-        method: of the evapotranspiration: ``fao56``, or the method of the files' own column. By
-            default the files' column if there is one, otherwise ``fao56``.
+        method: of the evapotranspiration: one of :data:`.evapotranspiration.COMPUTED`, or the
+            method of the files' own column. By default the files' column if there is one, otherwise
+            the most accurate one that the files allow.
         gaps: what to do about longer gaps, one of :data:`greenroof_ros.weather.series.GAPS`.
         rain_only: leave evapotranspiration unknown (NaN), because a rain gauge does not measure it.
 
@@ -70,7 +94,14 @@ def read_weather(
         ConfigurationError: a file is broken, two contradict each other, or they cannot give the
             method.
     """
-    measured = without_empty(_whole_hours(join([read_records(file, site) for file in files])))
+    return complete(read_measured(files, site), site, method, gaps, rain_only=rain_only)
+
+
+def complete(
+    measured: Records, site: Site, method: str | None = None, gaps: str = REFUSE, *,
+    rain_only: bool = False,
+) -> Weather:
+    """Fill gaps of records and give them evapotranspiration, as :func:`read_weather` does."""
     values = {
         quantity: bridged(series, LONGEST_GAP.get(quantity, 0))
         for quantity, series in measured.values.items()
@@ -82,18 +113,20 @@ def read_weather(
         for quantity, series in values.items()
     })
     left_out = records.left_out
+    if not (rain_only or TEMPERATURE in values):
+        left_out = (*left_out, _NO_TEMPERATURE)
     if rain_only:
         values[EVAPOTRANSPIRATION], method = np.full(records.hours, np.nan), ""
     elif EVAPOTRANSPIRATION in values and method in (None, records.method):
         method = records.method
-    elif method in (None, FAO56):
-        values[EVAPOTRANSPIRATION], notes = evapotranspiration(records, site)
-        method, left_out = FAO56, (*records.left_out, *notes)
+    elif method is None or method in COMPUTED:
+        values[EVAPOTRANSPIRATION], method, notes = evapotranspiration(records, site, method)
+        left_out = (*left_out, *notes)
     else:
         own = f", or {records.method} from its own column" if records.method else ""
         raise ConfigurationError(
-            f"must be {FAO56}{own}: {records.source} has no other evapotranspiration",
-            key="evapotranspiration", value=method,
+            f"must be {', '.join(COMPUTED)}{own}: {records.source} has no other "
+            "evapotranspiration", key="evapotranspiration", value=method,
         )
     return Weather(**{**vars(records), "method": method, "left_out": left_out}, gaps=gaps)
 
@@ -120,39 +153,56 @@ def without_empty(records: Records) -> Records:
     )
 
 
-def evapotranspiration(records: Records, site: Site) -> tuple[Array, list[str]]:
-    """Return evapotranspiration in each hour (mm/day), NaN if missing, and what it is from.
+def evapotranspiration(
+    records: Records, site: Site, method: str | None = None
+) -> tuple[Array, str, list[str]]:
+    """Return evapotranspiration in each hour (mm/day), NaN if missing; its method; and notes.
 
-    It is computed by :func:`.evapotranspiration.fao56`. Where the files have no value of a quantity
-    that this needs, or a site is beyond a polar circle, the site's monthly means are used.
+    Args:
+        records: without quantities that have no value.
+        site: gives its place and its monthly means.
+        method: one of :data:`.evapotranspiration.COMPUTED`. By default ``fao56``; ``hargreaves``
+            where the records have temperature but not all that ``fao56`` needs; and ``monthly``
+            without temperature, without a day of it, or beyond a polar circle.
 
     Raises:
-        ConfigurationError: the site lacks its place or monthly means.
+        ConfigurationError: the records or the site lack what the method needs.
     """
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
     means = monthly(records, site)
-    if lacking and means is None:
-        raise ConfigurationError(
-            f"has no value of {', '.join(lacking)}, from which {FAO56} is computed, and no column "
-            f"'{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION][0]}]'; give the site file "
-            "monthly_evapotranspiration, and its means are used", file=records.source,
-        )
-    if means is not None:
-        try:
-            if not lacking:
+    chosen = method
+    if chosen is None:
+        chosen = HARGREAVES if lacking else FAO56
+        if TEMPERATURE in lacking:
+            chosen, lacking = MONTHLY, [TEMPERATURE]
+        elif means is not None:
+            try:
                 check_latitude(site)
-        except ConfigurationError:
-            lacking = ["sunrise each day"]
-        if lacking:
-            return means, [
-                "evapotranspiration is the site's monthly means, for want of "
-                + " and ".join(lacking)
-            ]
+            except ConfigurationError:
+                chosen, lacking = MONTHLY, ["sunrise each day"]
+    if chosen == HARGREAVES:
+        series = from_temperatures(records, site)
+        if method is None and means is not None and np.isnan(series).all():
+            chosen, lacking = MONTHLY, ["a day with 18 hours of temperature"]
+    for_want = f", for want of {', '.join(lacking)}" if lacking else ""
+    if chosen == HARGREAVES:
+        return series, chosen, [
+            "evapotranspiration is computed from each day's least and greatest temperature "
+            f"(hargreaves, FAO-56 Eq. 52){for_want}"
+        ]
+    if chosen == MONTHLY:
+        if means is None:
+            raise ConfigurationError(
+                f"has no {TEMPERATURE}, from which evapotranspiration is computed, and no column "
+                f"'{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION][0]}]'; give the site file "
+                "monthly_evapotranspiration, and its means are used", file=records.source,
+            )
+        return means, chosen, [f"evapotranspiration is the site's monthly means{for_want}"]
     series = fao56(records, site)
     computed = np.isnan(records.values.get(RADIATION, series)) & ~np.isnan(series)
     if not computed.any():
-        return series, []
-    return series, [
+        return series, chosen, []
+    return series, chosen, [
         f"solar radiation is missing in {np.count_nonzero(computed)} hours, for which it is "
         "computed from the day's temperatures (FAO-56 Eq. 50)"
     ]

@@ -26,7 +26,7 @@ from greenroof_ros.formats.records import (
     name_hours,
 )
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.evapotranspiration import FAO56, day_of_year, why_missing
+from greenroof_ros.weather.evapotranspiration import COMPUTED, day_of_year, why_missing
 
 _HOUR_NS = 3_600_000_000_000
 # At or below this temperature there is frost, and nothing is pumped (degC).
@@ -197,7 +197,7 @@ class WeatherSeries:
         past = offset_ns + (ticks - 1) * tick_ns >= (last + 1) * _HOUR_NS
         self.repeats_from = weather.end if past else None
         first = clock.hour(0)
-        _check_known(weather, np.arange(first, clock.hour(ticks - 1) + 1))
+        _check_hours(weather, np.arange(first, clock.hour(ticks - 1) + 1))
         frost = np.zeros(last + 1) if weather.frost is None else weather.frost.astype(float)
         self.precipitation = PerTick(weather.precipitation / 1000 / 3600, clock, range(ticks))
         self.evapotranspiration = PerTick(
@@ -233,7 +233,7 @@ class WeatherSeries:
         )
 
 
-def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:
+def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
     """Refuse a run that needs a missing hour that was not filled."""
     way_out = "choose another window, or fill in values from another station"
     if weather.gaps == REFUSE:
@@ -241,7 +241,7 @@ def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:
             "; or fill the gaps (--gaps fill; in a grid, gaps: fill): missing rain counts as none, "
             "other values are the mean at that time of day over the three days before and after"
         )
-    own = () if weather.method == FAO56 else (EVAPOTRANSPIRATION,)
+    own = () if weather.method in COMPUTED else (EVAPOTRANSPIRATION,)
     for quantity in (PRECIPITATION, TEMPERATURE, *own):
         if quantity in weather.values:
             _refuse_missing(weather, quantity, hours, f"; {way_out}")
@@ -249,8 +249,8 @@ def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:
     if unknown.size:
         named = ", ".join(name_hours(weather.first, unknown))
         raise ConfigurationError(
-            f"there is no {FAO56} evapotranspiration for {named}: {why_missing(weather, unknown)}; "
-            f"{way_out}", file=weather.source,
+            f"there is no {weather.method} evapotranspiration for {named}: "
+            f"{why_missing(weather, unknown)}; {way_out}", file=weather.source,
         )
 
 

@@ -19,13 +19,13 @@ from places import CHECKOUT
 
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.processes import Signals, take_lock
+from greenroof_ros.common.processes import Signals, acquire_file_lock
 from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run_directory import write_parameters
 from greenroof_ros.live import in_the_loop, site_run
-from greenroof_ros.live.drive import DriveChoice, chosen_drive, own_parameters
+from greenroof_ros.live.drive import DriveChoice, chosen_drive, node_parameter_files
 from greenroof_ros.live.drives.drive_file import find_drive_file
 from greenroof_ros.live.drives.lock import DriveLock
 from greenroof_ros.live.live_site import LiveSite
@@ -80,7 +80,7 @@ def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: P
     options = ("--drive", "abb_acs880", "--state", "state", "--hours", "0.01", "--speed")
     with closing(Wire(drive)) as wire:
         done = bringup(tmp_path, *options, "60", "--drive-at", wire.gateway)
-        assert not drive.written and len(wire.seen) == 1
+        assert not drive.written and len(wire.requests) == 1
     assert done.returncode == 2
     assert done.stderr.startswith(
         "error: --speed = '60': is allowed only with the drive simulator, at loopback or on a "
@@ -159,7 +159,7 @@ NODES = {
 def parameters(file: Path) -> list[Path]:
     """Return the parameter files that bringup with a drive makes from one."""
     arguments = make_parser().parse_args(["--namespace", "site1", "--node-parameters", str(file)])
-    return own_parameters(arguments, NODES, find_controller("onoff"))
+    return node_parameter_files(arguments, NODES, find_controller("onoff"))
 
 
 _ONLY_BRINGUP = "must not be given to the node pump"
@@ -242,7 +242,7 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
     with closing(Wire(acs880())) as wire:
         choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
         driver, stop = DriveLock(choice.read()), choice.stopper()
-        driver.take()
+        driver.acquire()
         assert stop(1) == (
             False,
             f"another program (process {os.getpid()}) runs the drive, and may run the pump: "
@@ -258,7 +258,7 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
 def test_a_directory_in_use(tmp_path: Path) -> None:
     """Two bringups must not write into one directory; with another domain they would not notice."""
     (tmp_path / "live").mkdir()
-    with take_lock(tmp_path / "live" / "bringup.lock"):
+    with acquire_file_lock(tmp_path / "live" / "bringup.lock"):
         done = run_command("bringup.live", *NOBODY, cwd=tmp_path, env=environment(0))
     assert done.returncode == 3
     assert done.stderr == (
@@ -297,7 +297,7 @@ def test_a_mistake_is_said_with_its_traceback(capfd: pytest.CaptureFixture[str])
     supervisor: Any = SimpleNamespace(may_run="")
     with pytest.raises(ValueError, match="a mistake") as caught:
         raise ValueError("a mistake")
-    assert site_run._end(record, supervisor, caught.value) == 1
+    assert site_run._report_end(record, supervisor, caught.value) == 1
     assert LINES.wait(60)
     assert written == [("failed", "ValueError: a mistake")]
     first, second, *_, last = capfd.readouterr().err.splitlines()

@@ -14,7 +14,7 @@ import pytest
 from places import CHECKOUT
 from refusals import refusal
 
-from greenroof_ros.common.disk import DiskThread, Kept
+from greenroof_ros.common.disk import DiskThread, NumberFile
 
 TOO_LONG_S = 60
 
@@ -54,13 +54,13 @@ def test_the_newest_waits_once_and_a_mistake_in_one_job_ends_no_other(
 def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path, content: str) -> None:
     file = tmp_path / "numbers.json"
     file.write_text(content)
-    refusal(Kept(file).read, match=r"numbers\.json")
+    refusal(NumberFile(file).read, match=r"numbers\.json")
 
 
 def test_a_disk_that_hangs_holds_nobody_up(tmp_path: Path) -> None:
     """With a pipe that nobody reads, the end waits two seconds; the newest is written later."""
     os.mkfifo(tmp_path / ".numbers.json.part")
-    numbers = Kept(tmp_path / "numbers.json")
+    numbers = NumberFile(tmp_path / "numbers.json")
     began = time.monotonic()
     numbers.write({"a": 1.0})
     numbers.write({"a": 2.0})
@@ -80,8 +80,8 @@ def test_a_process_ends_while_the_disk_hangs(tmp_path: Path) -> None:
     """The end waits for two seconds at most, plus what a busy machine takes."""
     os.mkfifo(tmp_path / ".numbers.json.part")
     program = (
-        "import sys; from pathlib import Path; from greenroof_ros.common.disk import Kept; "
-        "kept = Kept(Path(sys.argv[1])); kept.write({'a': 1.0}); kept.close()"
+        "import sys; from pathlib import Path; from greenroof_ros.common.disk import NumberFile; "
+        "kept = NumberFile(Path(sys.argv[1])); kept.write({'a': 1.0}); kept.close()"
     )
     command = [sys.executable, "-c", program, str(tmp_path / "numbers.json")]
     assert subprocess.run(command, cwd=CHECKOUT, timeout=20).returncode == 0
@@ -101,7 +101,7 @@ def test_the_file_is_on_the_disk_before_it_takes_the_place_of_the_old_one(
         contents.append((part.read_text(), file.read_text()))
 
     monkeypatch.setattr(os, "fsync", fsync)
-    numbers = Kept(file)
+    numbers = NumberFile(file)
     numbers.write({"a": 2.0})
     numbers.close()
     assert contents == [('{\n "a": 2.0\n}', '{"a": 1.0}')]
@@ -111,7 +111,7 @@ def test_the_file_is_on_the_disk_before_it_takes_the_place_of_the_old_one(
 def test_what_went_wrong_is_said(tmp_path: Path) -> None:
     """For as long as it lasts; the next write is tried again, and the next process reads it."""
     (tmp_path / "state").write_text("a file where a directory is due")
-    numbers = Kept(tmp_path / "state" / "numbers.json")
+    numbers = NumberFile(tmp_path / "state" / "numbers.json")
     numbers.write({"a": 1.0})
     numbers.close()
     assert "File exists" in numbers.problem or "Not a directory" in numbers.problem
@@ -120,4 +120,4 @@ def test_what_went_wrong_is_said(tmp_path: Path) -> None:
     numbers.write({"a": 1.5, "b": -0.1})
     numbers.close()
     assert numbers.problem == ""
-    assert Kept(tmp_path / "state" / "numbers.json").read() == {"a": 1.5, "b": -0.1}
+    assert NumberFile(tmp_path / "state" / "numbers.json").read() == {"a": 1.5, "b": -0.1}

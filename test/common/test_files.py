@@ -82,8 +82,8 @@ def test_values_as_rcl_reads_them(tmp_path: Path, domain: int) -> None:
 def test_values_that_rcl_refuses(value: str, tmp_path: Path, domain: int) -> None:
     """No node starts with such a file, and none of our commands reads it."""
     file = written(tmp_path, "1.0", value)
-    said = refusal(read_ros_parameters, file)
-    assert said.startswith(f"{file}, line 4: ") and "must have a value, or a list of" in said
+    reason = refusal(read_ros_parameters, file)
+    assert reason.startswith(f"{file}, line 4: ") and "must have a value, or a list of" in reason
     with (
         pytest.raises(Exception, match=r"No value|same type|cannot be key|NOT_SET"),
         node_with(file, domain),
@@ -138,8 +138,8 @@ def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
     file = tmp_path / "a.yaml"
     file.write_text(text, encoding="utf-8", errors="surrogateescape")
     for read in (read_yaml, read_ros_parameters):
-        said = refusal(read, file)
-        assert said.startswith(str(file)) and words in said
+        reason = refusal(read, file)
+        assert reason.startswith(str(file)) and words in reason
 
 
 def test_what_is_no_text(tmp_path: Path) -> None:
@@ -159,5 +159,5 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
         (tmp_path / "no" / "a.csv", "must be in a directory that exists"),
         (existing, "exists; name another file"),
     ):
-        said = refusal(refuse_unwritable, file, (".html", ".csv"), "--output")
-        assert said.startswith(f"--output = '{file}': {reason}")
+        message = refusal(refuse_unwritable, file, (".html", ".csv"), "--output")
+        assert message.startswith(f"--output = '{file}': {reason}")

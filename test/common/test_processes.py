@@ -15,10 +15,10 @@ from places import CHECKOUT
 
 from greenroof_ros.common.processes import (
     LockedError,
-    asked_to_end_with_this,
+    acquire_name_lock,
+    child_environment,
     notify,
     scratch_directory,
-    take_name,
 )
 
 TOO_LONG_S = 60
@@ -36,11 +36,11 @@ main()
 # Starts it, optionally late so that its parent can die before, and ends after a minute.
 _PARENT = """
 import subprocess, sys, time
-from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.common.processes import child_environment
 late = "import time; time.sleep(float(sys.argv[1]));" if len(sys.argv) > 1 else ""
 subprocess.Popen(
     [sys.executable, "-c", "import sys;" + late + sys.stdin.read(), *sys.argv[1:]],
-    env=asked_to_end_with_this(), stdin=subprocess.DEVNULL,
+    env=child_environment(), stdin=subprocess.DEVNULL,
 )
 time.sleep(60)
 """
@@ -83,7 +83,7 @@ def test_who_is_not_asked_lives_on() -> None:
     """And a child does not pass the request on to its own children."""
     code = _CHILD.replace("time.sleep(600)", "return int('GREENROOF_ROS_PARENT' in os.environ)")
     for environment, expected in (
-        (dict(os.environ), 0), (asked_to_end_with_this(), 0),
+        (dict(os.environ), 0), (child_environment(), 0),
         ({**os.environ, "GREENROOF_ROS_PARENT": "1"}, -signal.SIGTERM),
     ):
         done = subprocess.run(
@@ -97,8 +97,8 @@ def test_who_is_not_asked_lives_on() -> None:
 
 _HOLDER = """
 import sys, time
-from greenroof_ros.common.processes import take_name
-lock = take_name(sys.argv[1])
+from greenroof_ros.common.processes import acquire_name_lock
+lock = acquire_name_lock(sys.argv[1])
 print("locked", flush=True)
 time.sleep(600)
 """
@@ -116,13 +116,13 @@ def test_a_lock_is_its_process_alone_until_that_ends(length: int, tmp_path: Path
         holder.send_signal(signal.SIGSTOP)
         for _ in range(2):
             with pytest.raises(LockedError) as caught:
-                take_name(name)
+                acquire_name_lock(name)
             assert caught.value.holder == holder.pid
-        take_name(name + "y").close()
+        acquire_name_lock(name + "y").close()
     finally:
         holder.kill()
         holder.communicate()
-    take_name(name).close()
+    acquire_name_lock(name).close()
 
 
 def test_another_users_lock_is_a_lock(tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_another_users_lock_is_a_lock(tmp_path: Path) -> None:
     try:
         assert holder.stdout is not None and holder.stdout.readline() == b"locked\n"
         with pytest.raises(LockedError) as caught:
-            take_name(name)
+            acquire_name_lock(name)
         assert caught.value.holder == holder.pid
     finally:
         holder.kill()

@@ -24,10 +24,10 @@ def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
     with full_pipe() as (reading, writing):
         lines = Lines(writing)
         began = time.monotonic()
-        lines.say("first\n  more of it, in °C")
+        lines.print_line("first\n  more of it, in °C")
         time.sleep(0.2)  # it is being written
         for number in range(1090):
-            lines.say(f"line {number}")
+            lines.print_line(f"line {number}")
         assert not lines.wait(0.0)
         assert time.monotonic() - began < 2.0
         printed = b""
@@ -45,10 +45,10 @@ def test_nobody_is_there_to_read() -> None:
     reading, writing = os.pipe()
     os.close(reading)
     lines = Lines(writing)
-    lines.say("into the void")
+    lines.print_line("into the void")
     assert lines.wait(TOO_LONG_S)
     os.close(writing)
-    lines.say("and into nothing")
+    lines.print_line("and into nothing")
     assert lines.wait(TOO_LONG_S)
 
 
@@ -56,8 +56,8 @@ def test_nobody_is_there_to_read() -> None:
 def test_the_end_of_a_process(full: bool) -> None:
     """It writes what waits, and gives up after two seconds."""
     program = (
-        "from greenroof_ros.common.standard_error import say\n"
-        "for number in range(3): say(f'line {number}')"
+        "from greenroof_ros.common.standard_error import print_line\n"
+        "for number in range(3): print_line(f'line {number}')"
     )
     with full_pipe() as (reading, writing):
         if not full:
@@ -71,7 +71,7 @@ def test_the_end_of_a_process(full: bool) -> None:
 def test_the_disk_goes_on_where_standard_error_takes_nothing() -> None:
     with full_pipe() as (reading, writing):
         lines = Lines(writing)
-        DISK.do(lambda: lines.say("warning: the disk is full"))
+        DISK.do(lambda: lines.print_line("warning: the disk is full"))
         assert DISK.wait(TOO_LONG_S)
         _empty(reading)
         assert lines.wait(TOO_LONG_S)
@@ -86,7 +86,7 @@ def test_a_line_every_ten_seconds(
     lines = ProgressLines()
     for second in range(36):
         now = 1000.0 + second
-        lines.tell(f"{second} s")
+        lines.update(f"{second} s")
     assert capsys.readouterr().err == "10 s\n20 s\n30 s\n"
 
 

@@ -77,9 +77,9 @@ BROKEN = [
 @pytest.mark.parametrize("name", [*BUILT_IN, EXAMPLE])
 def test_controllers_that_keep_to_it(name: str) -> None:
     """All checks pass."""
-    findings = check_controller(find_controller(name), PAPER_SITE)
-    assert len(findings) >= 10
-    assert [finding for finding in findings if finding.problem] == []
+    results = check_controller(find_controller(name), PAPER_SITE)
+    assert len(results) >= 10
+    assert [result for result in results if result.problem] == []
 
 
 @pytest.mark.parametrize(("change", "rule", "problem"), BROKEN)
@@ -92,8 +92,8 @@ def test_broken_controllers(
     (tmp_path / "broken.py").write_text(TEXT.replace(*change))
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "broken", raising=False)
-    findings = check_controller(find_controller("broken:Proportional"), PAPER_SITE)
-    assert problem in {finding.check: finding.problem for finding in findings}[rule]
+    results = check_controller(find_controller("broken:Proportional"), PAPER_SITE)
+    assert problem in {result.check: result.problem for result in results}[rule]
 
 
 def test_the_command(tmp_path: Path) -> None:
@@ -130,9 +130,9 @@ def test_an_error_has_its_file_and_line_and_is_not_repeated(
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "raising", raising=False)
     problems = [
-        finding.problem for finding in check_controller(
+        result.problem for result in check_controller(
             find_controller("raising:Proportional"), PAPER_SITE
-        ) if finding.problem
+        ) if result.problem
     ]
     assert problems[0].endswith(f"({file}, line {line}, {where})"), problems[0]
     assert sum(str(file) in problem for problem in problems) == 1

@@ -85,10 +85,10 @@ def exhaustive(tiny: Tiny, groups: Sequence[Sequence[int]]) -> float:
 
     def worst_mean(costs: list[float]) -> float:
         counted = len(costs) * (1 - tiny.risk)
-        total, left = 0.0, counted
+        total, remaining = 0.0, counted
         for cost in sorted(costs, reverse=True):
-            total += min(left, 1.0) * cost
-            left -= min(left, 1.0)
+            total += min(remaining, 1.0) * cost
+            remaining -= min(remaining, 1.0)
         return total / counted
 
     @cache
@@ -108,13 +108,13 @@ def exhaustive(tiny: Tiny, groups: Sequence[Sequence[int]]) -> float:
 
     def cost(hour: int, member: int, roof: int, water: int, level: int | None) -> float:
         if level is None:
-            here_cost, after, left = ended(hour, member, roof, water)
+            here_cost, after, remaining = ended(hour, member, roof, water)
         else:
             filled = level - roof
-            here_cost, after, left = holding(hour, member, level, water - filled)
+            here_cost, after, remaining = holding(hour, member, level, water - filled)
             if filled:
                 here_cost += filled * filled / (2 * tiny.pumps[hour])
-        return here_cost + value(hour + 1, member, after, left)
+        return here_cost + value(hour + 1, member, after, remaining)
 
     @cache
     def value(hour: int, member: int, roof: int, water: int) -> float:
@@ -144,7 +144,7 @@ def tiny_problems(
     )
 
 
-def apart(tiny: Tiny, groups: Sequence[Sequence[int]] = ((0,),) * 5) -> float:
+def cost_difference(tiny: Tiny, groups: Sequence[Sequence[int]] = ((0,),) * 5) -> float:
     """Return the difference of the recursion's cost from the least of all plans (units)."""
     cost = tiny.solved(np.array(groups).T).cost
     return abs(cost - exhaustive(tiny, groups)) / UNIT
@@ -154,7 +154,7 @@ def apart(tiny: Tiny, groups: Sequence[Sequence[int]] = ((0,),) * 5) -> float:
 @given(tiny_problems(pumps=(0, 2, 4, 10, 20, 1000)))
 def test_one_forecast(tiny: Tiny) -> None:
     """Strong pumps, pumps that hardly keep up with evaporation, and hours in which none may run."""
-    assert apart(tiny) < 0.5
+    assert cost_difference(tiny) < 0.5
 
 
 @settings(max_examples=20)
@@ -163,7 +163,7 @@ def test_an_ensemble_that_parts(tiny: Tiny, risk: float) -> None:
     """One level for all, then one for each half, by the mean over all or over the worst."""
     tiny = replace(tiny, risk=risk)
     groups = [[0, 0, 0, 0]] * 2 + [[0, 0, 2, 2]] * 2 + [[0, 1, 2, 3]]
-    assert apart(tiny, groups) < 0.2
+    assert cost_difference(tiny, groups) < 0.2
 
 
 @settings(max_examples=20)
@@ -174,7 +174,7 @@ def test_a_cistern_that_runs_empty(tiny: Tiny, water: int) -> None:
     The nodes of water are 9 units apart, so half of that may be lost, and what a single forecast
     loses with water to spare.
     """
-    assert apart(replace(tiny, water=water)) < 4.5 + 0.1
+    assert cost_difference(replace(tiny, water=water)) < 4.5 + 0.1
 
 
 # --- members that can be distinguished -----------------------------------------------------------

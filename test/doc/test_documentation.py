@@ -99,7 +99,7 @@ def test_commands_can_be_given(page: Path) -> None:
             own = ("greenroof_ros.nodes.", "greenroof_ros.live.")
             assert module.startswith(own), "a command is greenroof's"
             section = "".join(
-                nodes.split(f"### {title}\n")[1].split("### ")[0]
+                nodes.partition(f"### {title}\n")[2].partition("### ")[0]
                 for title in ("several nodes", module.rpartition(".")[2])
             )
             assert ros == "--ros-args"

@@ -11,7 +11,7 @@ from places import CHECKOUT
 from results.__main__ import TABLES
 from results.reduction import read, runs, seasons, seeds, write
 
-from greenroof_ros.analysis.study.case_run import lay_out, run_case
+from greenroof_ros.analysis.study.case_run import run_case, write_inputs
 from greenroof_ros.analysis.study.grid import contents, read_grid
 
 sys.path.append(str(CHECKOUT / "doc"))
@@ -65,7 +65,7 @@ def test_file_has_what_a_run_gives(controller: str, tmp_path: Path) -> None:
         row for row in read(DOC / "results" / "windows.csv") if row["controller"] == controller
     ]
     assert len(cases) == len(kept) == 3
-    lay_out(contents(cases), tmp_path)
+    write_inputs(contents(cases), tmp_path)
     for case, row in list(zip(cases, kept, strict=True))[1:]:
         assert (case.start, case.evapotranspiration) == (row["start"], row["evapotranspiration"])
         results = run_case(tmp_path, case, None).results

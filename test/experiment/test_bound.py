@@ -38,17 +38,17 @@ Hours = Sequence[tuple[float, float, bool]]
 DRY_HOUR = [(0.0, 0.0, False)]
 
 
-class Given:
+class Commands:
     """A controller with given commands, which repeat."""
 
     def __init__(self, commands: Sequence[float]) -> None:
         self._commands = commands
-        self._asked = -1
+        self._count = -1
 
     def command(self, *_: object) -> float:
         """Return the next command."""
-        self._asked += 1
-        return self._commands[self._asked % len(self._commands)]
+        self._count += 1
+        return self._commands[self._count % len(self._commands)]
 
     def skip(self) -> None:
         """Keep the next command for the next call."""
@@ -95,9 +95,9 @@ def test_no_run_is_below(
     for cost in (
         fine.plan_m3,
         coarse.plan_m3,
-        metrics_of(run, Given([max_command * share for share in shares]))["total_deviation_m3"],
-        metrics_of(run, Given([max_command]))["total_deviation_m3"],
-        metrics_of(run, Given([0.0]))["total_deviation_m3"],
+        metrics_of(run, Commands([max_command * share for share in shares]))["total_deviation_m3"],
+        metrics_of(run, Commands([max_command]))["total_deviation_m3"],
+        metrics_of(run, Commands([0.0]))["total_deviation_m3"],
     ):
         assert fine.bound_m3 <= cost + slack
 
@@ -121,7 +121,7 @@ def test_in_frost_the_bound_is_the_run(
     run = run_of_hours(frozen, cistern * site.a1, roof * site.z_cap, site)
     bound = clairvoyant_bound(run, block=1)
     metrics = Metrics()
-    roofs = [tick.x2 for tick in closed_loop(run, Given([1.0]), metrics)]
+    roofs = [tick.x2 for tick in closed_loop(run, Commands([1.0]), metrics)]
     if site.field_capacity is None:
         assume(min(abs(x2 / site.z_cap - 1) for x2 in roofs) > 1e-8)
     only = metrics["total_deviation_m3"]

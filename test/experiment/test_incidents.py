@@ -51,11 +51,11 @@ def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(incidents, "wall_time", lambda: now.isoformat())
     messages: list[str] = []
     log = IncidentLog(messages.append, tmp_path / INCIDENTS)
-    log.look(report_of("pump", drive="OK"), 1)
+    log.update(report_of("pump", drive="OK"), 1)
     assert log.count == 0
     assert read_incidents(tmp_path) == []
-    log.look(report_of("pump", drive="ERROR"), 5)
-    log.look(report_of("pump", drive="ERROR"), 6)
+    log.update(report_of("pump", drive="ERROR"), 5)
+    log.update(report_of("pump", drive="ERROR"), 6)
     assert DISK.wait(60)
     (lasting,) = read_incidents(tmp_path)
     assert (lasting.number, lasting.node, lasting.part, lasting.cause, lasting.code) == (
@@ -65,8 +65,8 @@ def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         5, None, None, None
     )
     now += timedelta(seconds=0.2)
-    log.look(report_of("pump", drive="OK"), 9)
-    log.look(report_of("pump", drive="ERROR"), 11)
+    log.update(report_of("pump", drive="OK"), 9)
+    log.update(report_of("pump", drive="ERROR"), 11)
     assert DISK.wait(60)
     ended, again = read_incidents(tmp_path)
     assert (ended.number, ended.began, ended.ended_tick) == (1, lasting.began, 9)
@@ -90,7 +90,7 @@ def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_what_counts_at_once(part: str, level: str, counts: bool) -> None:
     """A pump that is held, frost and limits are not losses; a sensor may miss one reading."""
     log = IncidentLog(lambda _: None)
-    log.look(report_of("node", **{part: level}))
+    log.update(report_of("node", **{part: level}))
     assert log.count == counts
 
 
@@ -104,7 +104,7 @@ def test_a_sensor_is_lost_after_three_seconds(monkeypatch: pytest.MonkeyPatch) -
         (106.9, "ERROR", 0), (107.0, "ERROR", 1), (120.0, "ERROR", 1),
     ):
         now = at
-        log.look(report_of("roof_sensor", sensor=level))
+        log.update(report_of("roof_sensor", sensor=level))
         assert log.count == count, at
 
 
@@ -131,23 +131,23 @@ def test_what_follows_from_a_loss_is_none_of_its_own(
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     log = IncidentLog(lambda _: None)
     for _ in range(40):
-        log.look({**consequence, **loss})
+        log.update({**consequence, **loss})
     assert [incident.node for incident in log.incidents] == list(loss)
-    looks = 0
+    reads = 0
     while log.count == 1:
-        log.look({**end, **consequence})
-        looks += 1
-    assert looks > 25
+        log.update({**end, **consequence})
+        reads += 1
+    assert reads > 25
     assert [incident.node for incident in log.incidents] == [*loss, *consequence]
 
 
 def test_what_has_not_come_yet_is_not_lost() -> None:
     log = IncidentLog(lambda _: None)
     for level in ("WARN", "ERROR"):
-        log.look(report_of("pump", drive=level), starting=True)
+        log.update(report_of("pump", drive=level), starting=True)
     assert log.count == 0
-    log.look(report_of("pump", drive="OK"), starting=True)
-    log.look(report_of("pump", drive="ERROR"), starting=True)
+    log.update(report_of("pump", drive="OK"), starting=True)
+    log.update(report_of("pump", drive="ERROR"), starting=True)
     assert log.count == 1
 
 
@@ -156,7 +156,7 @@ def test_a_disk_that_is_full_stops_nobody(tmp_path: Path) -> None:
     messages: list[str] = []
     (tmp_path / INCIDENTS).mkdir()
     log = IncidentLog(messages.append, tmp_path / INCIDENTS)
-    log.look(report_of("pump", drive="ERROR"), 5)
+    log.update(report_of("pump", drive="ERROR"), 5)
     assert log.count == 1
     assert DISK.wait(60)
     assert any("Is a directory" in line for line in messages)
@@ -181,9 +181,9 @@ def test_what_never_came_is_missing_since_the_start(monkeypatch: pytest.MonkeyPa
     messages: list[str] = []
     log = IncidentLog(messages.append)
     now += timedelta(seconds=60)
-    log.look(report_of("pump", drive="ERROR"))
+    log.update(report_of("pump", drive="ERROR"))
     now += timedelta(seconds=10)
-    log.look(report_of("pump", drive="OK"))
+    log.update(report_of("pump", drive="OK"))
     assert messages == [
         "incident 1: pump: since the start: drive ERROR",
         "incident 1 is over, after 70.0 s: pump: drive",
@@ -194,14 +194,14 @@ def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
     """Numbers continue; older incidents have ended by then at the latest; a cut line is dropped."""
     first = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
     for level in ("OK", "ERROR", "OK", "ERROR"):
-        first.look(report_of("pump", drive=level))
+        first.update(report_of("pump", drive=level))
     assert DISK.wait(60)
     with (tmp_path / INCIDENTS).open("a") as stream:
         stream.write('{"number": 3, "no')
     second = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
-    second.go_on()
-    second.look(report_of("pump", drive="OK"))
-    second.look(report_of("pump", drive="ERROR"))
+    second.resume()
+    second.update(report_of("pump", drive="OK"))
+    second.update(report_of("pump", drive="ERROR"))
     assert DISK.wait(60)
     incidents = read_incidents(tmp_path)
     assert [incident.number for incident in incidents] == [1, 2, 3]
@@ -217,7 +217,7 @@ def test_the_numbers_of_a_start_go_on_from_the_file(tmp_path: Path) -> None:
     assert first.numbers == ""
     DISK.wait(5)
     again = IncidentLog(printed.append, tmp_path / INCIDENTS)
-    again.go_on()
+    again.resume()
     for _ in range(2):
         again.fail("pump", "ended")
     assert printed[-1].startswith("incident 3")
@@ -230,10 +230,10 @@ def test_a_flapping_sensor_fills_no_disk(tmp_path: Path, monkeypatch: pytest.Mon
     """Two files keep the newest; numbers go on, and what lasts is kept whenever it began."""
     monkeypatch.setattr(incidents, "_FULL", 20_000)
     log = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
-    log.look(report_of("roof_sensor", drive="ERROR"))  # it lasts for all this time
+    log.update(report_of("roof_sensor", drive="ERROR"))  # it lasts for all this time
     for number in range(500):
         for level in ("ERROR", "OK"):
-            log.look(report_of("pump", drive=level))
+            log.update(report_of("pump", drive=level))
         if number % 50 == 0:
             assert DISK.wait(60)
     assert DISK.wait(60)
@@ -245,8 +245,8 @@ def test_a_flapping_sensor_fills_no_disk(tmp_path: Path, monkeypatch: pytest.Mon
     assert [known.number for known in newest] == list(range(502 - len(newest), 502))
     assert len(newest) > 50 and all(known.ended for known in newest)
     second = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
-    second.go_on()
-    second.look(report_of("pump", drive="ERROR"))
+    second.resume()
+    second.update(report_of("pump", drive="ERROR"))
     assert DISK.wait(60)
     lasting, *_, last = read_incidents(tmp_path)
     assert (lasting.number, lasting.ended is None, last.number) == (1, False, 502)
@@ -257,14 +257,14 @@ def test_a_killed_change_of_files_loses_no_number(tmp_path: Path, cut: str) -> N
     """Between the renaming and the first line, or in that line."""
     first = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
     for level in ("ERROR", "OK", "ERROR"):
-        first.look(report_of("pump", drive=level))
+        first.update(report_of("pump", drive=level))
     assert DISK.wait(60)
     (tmp_path / INCIDENTS).rename(tmp_path / f"{INCIDENTS}.1")
     if cut:
         (tmp_path / INCIDENTS).write_text(cut)
     second = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
-    second.go_on()
-    second.look(report_of("pump", drive="ERROR"))
+    second.resume()
+    second.update(report_of("pump", drive="ERROR"))
     assert DISK.wait(60)
     assert [(known.number, bool(known.ended)) for known in read_incidents(tmp_path)] == [
         (1, True), (2, True), (3, False)
@@ -282,7 +282,7 @@ def test_a_file_of_any_size_is_read_in_bounded_memory(tmp_path: Path) -> None:
     log = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
     known = read_incidents(tmp_path)
     assert known[-1].number == 400_000
-    log.go_on()
+    log.resume()
     assert DISK.wait(600)
     assert tracemalloc.get_traced_memory()[1] < 60_000_000
     tracemalloc.stop()

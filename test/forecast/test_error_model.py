@@ -235,15 +235,15 @@ def test_the_same_in_any_order(rain: dict[int, Array]) -> None:
     skill = replace(REAL, errors=replace(FAIR.errors, wetness=0.2))
     long, short = ErrorModel(weather, 9, skill, 4), ErrorModel(weather, 9, skill)
     asked = (661, 2233, 1909, 1843)  # it rains, and each is a time of issue
-    backwards = {hour: short.known(hour, 13) for hour in asked[::-1]}
+    backwards = {hour: short.forecast(hour, 13) for hour in asked[::-1]}
     for hour in asked:
-        members, evapotranspiration = long.known(hour, 241)
+        members, evapotranspiration = long.forecast(hour, 241)
         near = backwards[hour]
         assert members[:1, :13].tobytes() == near[0].tobytes()
         assert evapotranspiration[:13].tobytes() == near[1].tobytes()
         assert members[:, 0] == pytest.approx(rain[2020][hour], rel=1e-9)
         assert len({member.tobytes() for member in members}) == 4
-    another = ErrorModel(weather, 8, skill).known(661, 13)[1]
+    another = ErrorModel(weather, 8, skill).forecast(661, 13)[1]
     assert not np.isclose(another, backwards[661][1])[1:].any()
 
 
@@ -254,7 +254,7 @@ def test_evapotranspiration(rain: dict[int, Array]) -> None:
     """
     large = replace(REAL, errors=replace(REAL.errors, evapotranspiration=1.0))
     factors = np.array([
-        ErrorModel(season_weather(2016, rain[2016][:700]), seed, large).known(301, 241)[1] / 2
+        ErrorModel(season_weather(2016, rain[2016][:700]), seed, large).forecast(301, 241)[1] / 2
         for seed in range(150)
     ])
     assert (factors[:, 0] == 1).all()
@@ -268,7 +268,7 @@ def test_believable(rain: dict[int, Array]) -> None:
     """At most 500 mm/h and 50 mm/day, which are within the topics' ranges."""
     weather = season_weather(2016, np.full(300, 400.0))
     weather.values["evapotranspiration"] = np.full(300, 49.0)
-    known = [ErrorModel(weather, seed, REAL).known(61, 200) for seed in range(20)]
+    known = [ErrorModel(weather, seed, REAL).forecast(61, 200) for seed in range(20)]
     assert [max(float(series.max()) for series in both) for both in zip(*known, strict=True)] == [
         500.0, 50.0
     ]

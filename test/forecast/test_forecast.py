@@ -156,7 +156,7 @@ def test_issued_every_six_hours() -> None:
     model = ErrorModel(weather_of([1.0] * 60, first=first), 1, read_skill("real"))
     changed = []
     for hour in range(1, 25):
-        before, now = model.known(hour - 1, 30)[1][1:], model.known(hour, 29)[1]
+        before, now = model.forecast(hour - 1, 30)[1][1:], model.forecast(hour, 29)[1]
         if not np.allclose(before, now, rtol=1e-12, atol=0):
             assert not np.isclose(before, now)[1:].any()  # none of it was known before
             changed.append(hour)
@@ -176,8 +176,8 @@ def test_errors_are_known_as_late_as_a_services() -> None:
     for late, delayed in ((6, model(None)), (3, model(2.25))):
         for hour in (11, 12, 17):
             # Known late since the issue's hour; its leads go on.
-            known = at_once.known(hour - late, 24 + late)
-            for before, now in zip(known, delayed.known(hour, 24), strict=True):
+            known = at_once.forecast(hour - late, 24 + late)
+            for before, now in zip(known, delayed.forecast(hour, 24), strict=True):
                 assert before[..., late:].tobytes() == now.tobytes()
             assert delayed.issued(hour) == MIDNIGHT.replace(hour=(hour - late) // 6 * 6)
 
@@ -190,7 +190,7 @@ def test_persistence_by_hand() -> None:
     before on the records' first day.
     """
     weather = weather_of(np.arange(100) / 7, np.arange(100) / 10)
-    rain, evapotranspiration = PersistenceModel(weather).known(32, 30)
+    rain, evapotranspiration = PersistenceModel(weather).forecast(32, 30)
     assert rain.tolist() == [[30 / 7] * 30]
     assert PersistenceModel(weather).issued(32) == MIDNIGHT + 30 * HOUR
     expected = [*range(8, 31), *range(7, 14)]
@@ -198,12 +198,12 @@ def test_persistence_by_hand() -> None:
     gap = np.arange(40) / 10
     gap[[7, 8]] = np.nan
     model = PersistenceModel(weather_of(np.arange(40), gap))
-    assert model.known(6, 3)[1].tolist() == [0.6] * 3
-    assert model.known(30, 4)[1].tolist() == [3.0, 3.0, 3.0, 0.9]
+    assert model.forecast(6, 3)[1].tolist() == [0.6] * 3
+    assert model.forecast(30, 4)[1].tolist() == [3.0, 3.0, 3.0, 0.9]
     # For an issue from before the records, their first hour persists.
     model = PersistenceModel(weather_of([3, 4, 5], [1, 2, 3], MIDNIGHT.replace(hour=4)))
     assert model.issued(1) == MIDNIGHT
-    rain, evapotranspiration = model.known(1, 4)
+    rain, evapotranspiration = model.forecast(1, 4)
     assert (rain.tolist(), evapotranspiration.tolist()) == ([[3.0] * 4], [1.0] * 4)
 
 
@@ -255,9 +255,9 @@ def test_read_back(tmp_path: Path) -> None:
     weather, own = weather_of([0.1] * 40), read_archive(file, PAPER_SITE)
     model, ensemble = FileModel(own, weather, False), FileModel(own, weather, True)
     assert (model.members, ensemble.members) == (1, 2)
-    assert ensemble.known(2, 2)[0].tolist() == [[0.5, 2.5], [1.5, 3.5]]
+    assert ensemble.forecast(2, 2)[0].tolist() == [[0.5, 2.5], [1.5, 3.5]]
     # An issue of less than a day ends with its last hour's evapotranspiration.
-    rain, evapotranspiration = model.known(2, 4)
+    rain, evapotranspiration = model.forecast(2, 4)
     assert rain.tolist() == [[0.5, 2.5, 0.0, 0.0]]
     assert evapotranspiration.tolist() == [1.0, 2.0, 2.0, 2.0]
     start, steps = MIDNIGHT.replace(hour=2), 5 * 3600
@@ -285,11 +285,11 @@ def test_archives_by_definition(delay: float, late: int, evaporates: bool) -> No
     for hour in range(6, 40):
         newest = [n for n, begin in enumerate(begins) if begin + delay + late <= hour][-1]
         age = hour - begins[newest]
-        got_rain, got_evapotranspiration = model.known(hour, 55)
+        rain_then, got_evapotranspiration = model.forecast(hour, 55)
         assert model.issued(hour) == MIDNIGHT + begins[newest] * HOUR
         for lead in range(age, age + 55):
             fell = rain[newest, :, lead - late] if lead - late < 30 else np.zeros(2)
-            assert got_rain[:, lead - age].tolist() == fell.tolist()
+            assert rain_then[:, lead - age].tolist() == fell.tolist()
             expected = weather.evapotranspiration[min(hour + lead - age, 47)]
             if evaporates:
                 expected = dried[newest, lead if lead < 30 else 6 + (lead - 6) % 24]
@@ -312,14 +312,14 @@ def test_hours_of_records_and_issues(tmp_path: Path) -> None:
 
     write_runs(tmp_path / "runs")
     # 06:00 UTC
-    assert model("2021-07-07T11:30+05:30", 0.0).known(0, 2)[0][0].tolist() == [2.0, 2.01]
+    assert model("2021-07-07T11:30+05:30", 0.0).forecast(0, 2)[0][0].tolist() == [2.0, 2.01]
     # 05:30 UTC, in the middle of the hours 5 and 6 of the run of 00 UTC.
-    between = model("2021-07-07T11:00+05:30", 0.0).known(0, 2)[0][0]
+    between = model("2021-07-07T11:00+05:30", 0.0).forecast(0, 2)[0][0]
     assert between.tolist() == pytest.approx([1.055, 1.065])
     late = model("2021-07-06T00:00+00:00", 6.0)
     needed = "available from 2021-07-07T00:00.00:00 on, but the run needs one at 2021-07-06T23:00"
-    refusal(late.known, 23, 1, match=needed)
-    assert late.known(24, 1)[0].shape == (1, 1)
+    refusal(late.forecast, 23, 1, match=needed)
+    assert late.forecast(24, 1)[0].shape == (1, 1)
 
 
 def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
@@ -349,7 +349,7 @@ def test_choices(tmp_path: Path) -> None:
     for text in ("a.csv", "a.JSON", "b/a.nc", "later/", str(tmp_path)):
         choice = choose(text)
         assert (choice.model, choice.file, choice.options()) == ("file", Path(text), {})
-        assert choice.takes == ("delay",)
+        assert choice.option_names == ("delay",)
     assert replace(choice, delay=3.0).options() == {"delay": 3.0}
     assert choose("ensemble").options() == {"skill": "real", "seed": 0, "members": 10}
     assert str(choose("a/b.csv")) == "a/b.csv"

@@ -40,7 +40,7 @@ def file(tmp_path: Path) -> Path:
 def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecast:
     """Return the forecasts of a file that has been read."""
     forecasts = LiveForecast(ForecastFile(path), PAPER_SITE, horizon, limit, all_members=False)
-    forecasts.file.look()
+    forecasts.file.update()
     return forecasts
 
 
@@ -139,7 +139,7 @@ def test_all_members_of_a_short_ensemble_are_dry_after_its_end(file: Path) -> No
     issue = Issue(SIX, file, None, np.array([[1.0] * 2, [3.0] * 2]), np.ones(2), np.ones(2))
     file.write_text(write_forecasts([issue]))
     forecasts = LiveForecast(ForecastFile(file), PAPER_SITE, 24.0, 7200.0, all_members=True)
-    forecasts.file.look()
+    forecasts.file.update()
     rain = np.asarray(forecasts.at(SIX).rain)
     depths = 1000 * (rain * np.diff(look_ahead_ends(PAPER_SITE, 24.0))).sum(axis=1)
     assert depths == pytest.approx([2.0, 6.0])
@@ -153,22 +153,22 @@ def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
     """
     forecasts, later = ForecastFile(file), SIX + timedelta(hours=1)
     write(file, SIX, [0.0] * 4)
-    assert forecasts.look() and not forecasts.look()
+    assert forecasts.update() and not forecasts.update()
     stamp = file.stat().st_mtime_ns
     write(file, later, [0.0] * 4)
     os.utime(file, ns=(stamp, stamp))
-    assert forecasts.look() and not forecasts.look()
+    assert forecasts.update() and not forecasts.update()
     file.write_text(file.read_text() + "# a comment\n")
-    assert forecasts.look() and not forecasts.look()
+    assert forecasts.update() and not forecasts.update()
     write(file, SIX, [-1.0, -1.0])
-    assert not forecasts.look()
+    assert not forecasts.update()
     assert f"{file}, line 2" in forecasts.problem and "'-1.0'" in forecasts.problem
     file.unlink()
-    assert not forecasts.look()
+    assert not forecasts.update()
     assert f"{file}: cannot be read: No such file" in forecasts.problem
     assert forecasts.issues[0].issued == later
     write(file, SIX, [0.0])
-    assert forecasts.look()
+    assert forecasts.update()
     assert (forecasts.problem, forecasts.issues[0].issued) == ("", SIX)
 
 
@@ -195,7 +195,7 @@ def test_a_large_archive_costs_no_more_than_its_newest_issue(file: Path) -> None
     forecasts = ForecastFile(file)
     tracemalloc.start()
     began = time.thread_time()
-    assert forecasts.look(), forecasts.problem
+    assert forecasts.update(), forecasts.problem
     took, (_, most) = time.thread_time() - began, tracemalloc.get_traced_memory()
     tracemalloc.stop()
     (issue,) = forecasts.issues
@@ -203,7 +203,7 @@ def test_a_large_archive_costs_no_more_than_its_newest_issue(file: Path) -> None
     assert most < 150e6 and took < 10
     with file.open("a") as stream:
         stream.write(f"{now.isoformat()},{now.isoformat()},0,wet,2.0,12.0\n")
-    assert not forecasts.look()
+    assert not forecasts.update()
     assert f"{file}, line {2 + 300 * 3600 + 1}" in forecasts.problem, forecasts.problem
 
 
@@ -213,7 +213,7 @@ def test_later_issues_are_kept_and_earlier_ones_are_not_read(file: Path) -> None
     archive(file, 5, now - timedelta(hours=2), "3 1")
     file.write_text(file.read_text().replace("0.5", "wet", 1))
     forecasts = ForecastFile(file)
-    assert forecasts.look(), forecasts.problem
+    assert forecasts.update(), forecasts.problem
     assert [issue.issued for issue in forecasts.issues] == [
         now + timedelta(hours=hour) for hour in range(3)
     ]
@@ -227,19 +227,19 @@ def test_a_file_without_a_whole_issue_in_its_last_16_mb(file: Path, text: str) -
     else:
         archive(file, 1, datetime.now(UTC), "240 1200")
     forecasts = ForecastFile(file)
-    assert not forecasts.look()
+    assert not forecasts.update()
     assert "only the last 16 MB of a live site's file are read" in forecasts.problem
 
 
 def test_columns_that_may_be_left_out(file: Path) -> None:
     """Temperature is optional; evapotranspiration is not, as a live site has no record of it."""
     forecasts = ForecastFile(file)
-    assert not forecasts.look()
+    assert not forecasts.update()
     assert "cannot be read" in forecasts.problem and forecasts.issues == []
     with pytest.raises(NoForecastError, match="there is no forecast"):
         LiveForecast(forecasts, PAPER_SITE, 0.0, 7200.0, all_members=False).at(SIX)
     write(file, SIX, [0.0] * 4, evapotranspiration=None)
-    assert not forecasts.look()
+    assert not forecasts.update()
     assert "must have a column 'evapotranspiration [mm/day]'" in forecasts.problem
     (issue,) = read_forecasts(file)
     assert issue.evapotranspiration is None

@@ -79,8 +79,8 @@ def test_gaps_are_filled_up_to_so_many_hours(
     assert list(series.filled) == [quantity] * (longest > 0)
     for first, last in ((0, 0), (6, 6 + longest), (47, 47)):
         weather = two_days(bridged, range(first, last + 1))
-        said = refusal(run, weather, "2021-07-01T00:00-05:00", 48)
-        assert said.startswith(str(tmp_path / "en_climate_hourly.csv")) and quantity in said
+        reason = refusal(run, weather, "2021-07-01T00:00-05:00", 48)
+        assert reason.startswith(str(tmp_path / "en_climate_hourly.csv")) and quantity in reason
 
 
 def test_short_rows_are_missing_hours(tmp_path: Path) -> None:
@@ -90,8 +90,8 @@ def test_short_rows_are_missing_hours(tmp_path: Path) -> None:
     # Between 21.4 degC at 8 h and 22.0 at 11 h.
     assert weather.values["temperature"][8:12] == pytest.approx([21.4, 21.6, 21.8, 22.0])
     run(weather, "2021-07-01T11:00-05:00", 12)
-    said = refusal(run, weather, "2021-07-01T08:00-05:00", 4)
-    assert "2021-07-01T09:00-05:00 to 2021-07-01T10:00-05:00 (2 hours)" in said
+    reason = refusal(run, weather, "2021-07-01T08:00-05:00", 4)
+    assert "2021-07-01T09:00-05:00 to 2021-07-01T10:00-05:00 (2 hours)" in reason
 
 
 def test_frost(tmp_path: Path) -> None:
@@ -166,8 +166,8 @@ def test_rain_is_of_the_hour_before_its_time() -> None:
         assert read_weather([file], TORONTO).rain_late == 1
         with file.open(encoding="utf-8-sig") as stream:
             rows = list(csv.DictReader(stream))
-        said = [row["Weather"] or "" for row in rows]
-        rains = np.array(["Rain" in text or "Drizzle" in text for text in said])
+        reason = [row["Weather"] or "" for row in rows]
+        rains = np.array(["Rain" in text or "Drizzle" in text for text in reason])
         for hour in range(2, len(rows) - 1):
             if float(rows[hour]["Precip. Amount (mm)"] or 0) > 0:
                 raining += rains[hour - 2 : hour + 2]

@@ -100,8 +100,8 @@ def test_missing_values_and_other_units() -> None:
 def test_times_that_are_wrong(time: str, reason: str) -> None:
     """The same error, with the hour that is due."""
     read = table(ROWS[0], f"{time},1,1")
-    said = refusal(read.hours, "time")
-    assert said.startswith(f"{FILE}, line 5: time = {time!r}: {reason}")
+    message = refusal(read.hours, "time")
+    assert message.startswith(f"{FILE}, line 5: time = {time!r}: {reason}")
 
 
 def test_columns_that_must_be_there() -> None:

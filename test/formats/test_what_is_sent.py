@@ -327,16 +327,30 @@ def test_without_radiation(tmp_path: Path) -> None:
     assert any(note.startswith("solar radiation is missing in 1 hours") for note in one.notes)
 
 
-@pytest.mark.parametrize("name", ["dew_point_2m", "temperature_2m", "surface_pressure"])
-def test_without_what_evapotranspiration_needs(tmp_path: Path, name: str) -> None:
-    """The site's monthly means, in July 4.02 mm/day times the crop coefficient."""
-    read = weather(tmp_path, replace(TORONTO, crop_coefficient=0.5), **{name: [None] * 72})
+def test_without_temperature(tmp_path: Path) -> None:
+    """The site's monthly means, in July 4.02 mm/day times the crop coefficient; no known frost."""
+    nothing = partial(weather, temperature_2m=[None] * 72)
+    read = nothing(tmp_path, replace(TORONTO, crop_coefficient=0.5))
     assert read.evapotranspiration.tolist() == [pytest.approx(2.01)] * 71
-    assert any("the site's monthly means, for want of" in note for note in read.notes)
-    assert (read.frost is None) == (name == "temperature_2m")
+    assert (read.method, read.frost) == ("monthly", None)
+    assert "evapotranspiration is the site's monthly means, for want of temperature" in read.notes
     without = replace(TORONTO, monthly_evapotranspiration=None)
-    lacking = partial(weather, **{name: [None] * 72})
-    refusal(lacking, tmp_path, without, match="give the site file monthly_evapotranspiration")
+    refusal(nothing, tmp_path, without, match="give the site file monthly_evapotranspiration")
+
+
+@pytest.mark.parametrize(
+    ("name", "lacking"), [("dew_point_2m", "dew point"), ("surface_pressure", "station pressure")]
+)
+def test_with_temperature_but_not_all_that_fao56_needs(
+    tmp_path: Path, name: str, lacking: str
+) -> None:
+    """Hargreaves' equation, with or without monthly means."""
+    course = [15 + 5 * np.sin(hour / 4) for hour in range(72)]
+    for site in (TORONTO, replace(TORONTO, monthly_evapotranspiration=None)):
+        read = weather(tmp_path, site, **{"temperature_2m": course, name: [None] * 72})
+        assert read.method == "hargreaves"
+        assert any(f"Eq. 52), for want of {lacking}" in note for note in read.notes)
+        assert read.frost is not None
 
 
 @pytest.mark.parametrize("name", ["wind_speed_10m", "dew_point_2m", "temperature_2m"])
@@ -539,11 +553,11 @@ def test_files_that_do_not_suffice(tmp_path: Path, header: str, row: str, what: 
     """The message says what the file is and what to download."""
     file = tmp_path / "climate.csv"
     file.write_text(f"{header}\n{row}\n", encoding="utf-8-sig")
-    said = refusal(read_weather, [file], TORONTO)
-    assert said.startswith(f"{file}, line 1: is a file of Environment Canada that {what}") or (
-        what in said
+    reason = refusal(read_weather, [file], TORONTO)
+    assert reason.startswith(f"{file}, line 1: is a file of Environment Canada that {what}") or (
+        what in reason
     )
-    assert "download hourly data of the station with precipitation" in said
+    assert "download hourly data of the station with precipitation" in reason
 
 
 # --- loggers --------------------------------------------------------------------------------------
@@ -574,8 +588,8 @@ def test_semicolons_decimal_commas_and_rows_left_out(tmp_path: Path) -> None:
     file.write_text(text)
     long = read_weather([file], TORONTO)
     site = replace(TORONTO, tau=600.0, M=1)
-    said = refusal(WeatherSeries, long, site, long.first, 300)
-    assert "evapotranspiration is missing at 2021-07-02T08:00+00:00 to" in said
+    reason = refusal(WeatherSeries, long, site, long.first, 300)
+    assert "evapotranspiration is missing at 2021-07-02T08:00+00:00 to" in reason
 
 
 @pytest.mark.parametrize(

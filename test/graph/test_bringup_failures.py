@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import time
 from contextlib import closing
@@ -18,7 +19,7 @@ from graphs import (
     udp_addresses_of,
     wait_for,
 )
-from lookers import in_domain
+from peers import in_domain
 from rosbags.highlevel import AnyReader
 
 from greenroof_ros.model.metrics import METRICS
@@ -85,7 +86,7 @@ def test_kill_leaves_all_but_a_chunk(domain: int, tmp_path: Path) -> None:
         process = Process(
             domain, "bringup", "--output", "run", "--speed", "20", cwd=tmp_path
         )
-        levels = observer.hear("/roof/level")
+        levels = observer.collect("/roof/level")
         observer.until(lambda: len(levels) > 100, 60, "100 ticks")
         process.process.kill()
         process.process.wait(60)
@@ -152,3 +153,62 @@ def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
     assert "ROS_DOMAIN_ID" in refused.stderr()  # from bringup, or from the node that detects it
     weather.process.kill()
     weather.process.wait()
+
+
+# --- what a user's controller does wrong ----------------------------------------------------------
+
+MINE = """
+import time
+
+class Mine:
+    parameters = ()
+
+    def __init__(self, site):
+        self.tick = 0
+        AT_START
+
+    def command(self, *inputs):
+        self.tick += 1
+        if self.tick == 20:
+            IN_TICK
+        return 1.0
+
+    def skip(self):
+        pass
+
+    def statistics(self):
+        return AT_END
+"""
+HANGS = "did not return within 2 s; it was at .*mine.py, line 14"
+# What stands in its code, and the line that the run ends with.
+WRONG = {
+    "waits for ever": ("IN_TICK", "time.sleep(600)", HANGS),
+    "loops for ever": ("IN_TICK", "while True: pass", HANGS),
+    "fails": ("IN_TICK", "1 / 0", r"ZeroDivisionError: division by zero \(.*mine.py, line 14\)"),
+    "fails at the start": ("AT_START", "1 / 0", r"ZeroDivisionError: .* \(.*mine.py, line 9\)"),
+    "fails at the end": ("AT_END", "1 / 0", r"ZeroDivisionError: .* \(.*mine.py, line 21\)"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_controller_that_hangs_or_fails_ends_the_run(
+    domain: int, tmp_path: Path, case: str
+) -> None:
+    """In one line with its place; the bag is closed, and the summary says why."""
+    name, code, reason = WRONG[case]
+    text = MINE.replace(name, code)
+    for other in ("AT_START", "IN_TICK"):
+        text = text.replace(other, "pass")
+    (tmp_path / "mine.py").write_text(text.replace("AT_END", "None"))
+    process = Process(
+        domain, "bringup", "--controller", "mine:Mine", "--hours", "0.02", "--peer-limit", "2",
+        "--output", "run", cwd=tmp_path,
+    )
+    assert process.wait(60) == 1
+    summary = summary_of(tmp_path / "run")
+    assert summary["status"] == "failed"
+    assert re.search(reason, summary["reason"]), summary["reason"]
+    assert f"error: {summary['reason']}\n" in process.stderr()
+    assert "Traceback" not in process.stderr()
+    bag = tmp_path / "run" / "bag"
+    assert (bag / "metadata.yaml").exists() or case == "fails at the start"

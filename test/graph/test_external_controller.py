@@ -37,7 +37,7 @@ BROKEN = {
     "doubled": (
         "publisher.publish(Float64(data=command()))",
         "publisher.publish(Float64(data=command())), publisher.publish(Float64(data=0.0))",
-        r"/pump/command came twice in tick \d+ \(controller\)",
+        r"/pump/command has a second message in tick \d+ \(controller\)",
     ),
 }
 

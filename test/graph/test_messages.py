@@ -30,7 +30,7 @@ from greenroof_ros.graph.messages import (  # noqa: E402
     encoder,
     lacks,
 )
-from greenroof_ros.graph.publishers import call_node  # noqa: E402
+from greenroof_ros.graph.publishers import display_name  # noqa: E402
 from greenroof_ros.nodes.plant import root_causes  # noqa: E402
 
 NUMBER, NUMBERS, CLOCK = (
@@ -137,7 +137,7 @@ def test_big_endian(kind: str, message: bytes, value: Any) -> None:
 
 def test_a_node_whose_name_never_came_is_called_so_in_words() -> None:
     """rmw_dds_common has this name for a participant without a known node."""
-    assert call_node("_NODE_NAME_UNKNOWN_") == (
+    assert display_name("_NODE_NAME_UNKNOWN_") == (
         "a node of unknown name, perhaps because it was killed"
     )
 

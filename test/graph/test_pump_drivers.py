@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from checked_nodes import changed, in_namespace, start_node, wrong_verdict
 from graphs import Process, wait_for
-from lookers import Peer, in_domain
+from peers import Peer, in_domain
 from places import CHECKOUT
 
 pytest.importorskip("rclpy", reason="the check needs ROS 2")
@@ -136,7 +136,7 @@ def test_example_passes_and_broken_drivers_fail_for_what_is_broken(
 
     The example needs nothing from this package.
     """
-    assert "greenroof" not in EXAMPLE
+    assert "greenroof" not in EXAMPLE and len(EXAMPLE.splitlines()) <= 60
     monkeypatch.setenv("COLUMNS", "400")  # one line for a row
     wrong = wrong_verdicts(domain, tmp_path / "once")
     assert not wrong or not wrong_verdicts(domain, tmp_path / "again"), wrong
@@ -167,6 +167,6 @@ def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Pat
         assert process.wait(300) == 130
     warnings = [line for line in process.stderr().splitlines() if "warning" in line]
     assert warnings == [
-        "warning: /pump/flow has a publisher that cannot be heard (pump): it is volatile, but must "
-        "be reliable, transient local, keep last 64; change it, or end it"
+        "warning: /pump/flow has a publisher with an incompatible QoS (pump): it is volatile, but "
+        "must be reliable, transient local, keep last 64; change it, or end it"
     ]

@@ -23,12 +23,12 @@ from rclpy.serialization import deserialize_message, serialize_message  # noqa: 
 from std_msgs.msg import Float64  # noqa: E402
 
 from greenroof_ros.common.interface import read_topics  # noqa: E402
-from greenroof_ros.graph.domain import begin_to_listen  # noqa: E402
+from greenroof_ros.graph.domain import start_receiving  # noqa: E402
 from greenroof_ros.graph.messages import qos_profile  # noqa: E402
 from greenroof_ros.graph.rclpy_internals import (  # noqa: E402
     NoClockSubscription,
     raw_publish,
-    waiting_in,
+    waiting_messages,
 )
 from greenroof_ros.live.lifecycle import (  # noqa: E402
     INACTIVE,
@@ -50,7 +50,7 @@ class Small(Lifecycle, Node):
     def on_configure(self) -> None:
         pass
 
-    def on_asked(self) -> None:
+    def on_transition_request(self) -> None:
         self.wakes += 1
 
 
@@ -79,8 +79,8 @@ def test_a_node_in_simulated_time_need_not_subscribe_to_the_clock(
     node.destroy_node()
 
 
-class Deaf:
-    """An executor that misses all messages that came before it listened."""
+class ExecutorThatMisses:
+    """An executor that misses all messages that arrived before it listened."""
 
     def add_node(self, node: Node) -> None:
         pass
@@ -103,36 +103,36 @@ def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
     publisher = small.create_publisher(Float64, "level", profile)
     wait_for(publisher.get_subscription_count, 60, "the subscription")
 
-    def say(*values: float) -> None:
+    def publish_all(*values: float) -> None:
         for value in values:
             publisher.publish(Float64(data=value))
         assert publisher.wait_for_all_acked(Duration(seconds=60))
 
-    say(1.0, 2.0, 3.0)
-    begin_to_listen(Deaf(), small)
+    publish_all(1.0, 2.0, 3.0)
+    start_receiving(ExecutorThatMisses(), small)
     assert values == [1.0, 2.0, 3.0]
-    say(4.0, 5.0)
+    publish_all(4.0, 5.0)
     (subscription,) = (entry for entry in small.subscriptions if entry.raw)
-    numbers = [info["publication_sequence_number"] for _, info in waiting_in(subscription)]
+    numbers = [info["publication_sequence_number"] for _, info in waiting_messages(subscription)]
     assert numbers == [4, 5]
 
 
 def test_the_short_ways_of_a_message(small: Small) -> None:
     """What is published without rclpy's checks arrives through the fast executor, sped up."""
     profile = qos_profile(read_topics()["/roof/level"].qos)
-    came: list[bytes] = []
-    small.create_subscription(Float64, "level", came.append, profile, raw=True)
+    received: list[bytes] = []
+    small.create_subscription(Float64, "level", received.append, profile, raw=True)
     (subscription,) = (entry for entry in small.subscriptions if entry.raw)
     publish = raw_publish(small.create_publisher(Float64, "level", profile))
     executor = EventsExecutor(context=small.context)
-    begin_to_listen(executor, small)
+    start_receiving(executor, small)
     assert not isinstance(subscription.CallbackType.MessageOnly, Enum)
     message = serialize_message(Float64(data=0.05))
     publish(message)
     until = time.monotonic() + 60
-    while not came and time.monotonic() < until:
+    while not received and time.monotonic() < until:
         executor.spin_once(timeout_sec=0.1)
-    assert came == [message]
+    assert received == [message]
 
 
 def test_a_transition_that_the_state_lacks_is_refused(small: Small) -> None:
@@ -141,13 +141,13 @@ def test_a_transition_that_the_state_lacks_is_refused(small: Small) -> None:
     executor = SingleThreadedExecutor(context=small.context)
     executor.add_node(small)
 
-    def ask(number: int) -> bool:
+    def request(number: int) -> bool:
         answer = client.call_async(ChangeState.Request(transition=Transition(id=number)))
         executor.spin_until_future_complete(answer, 60)
         return bool(answer.result().success)
 
     assert small.lifecycle_state == UNCONFIGURED
-    assert not ask(Transition.TRANSITION_ACTIVATE)
-    assert ask(Transition.TRANSITION_CONFIGURE)
+    assert not request(Transition.TRANSITION_ACTIVATE)
+    assert request(Transition.TRANSITION_CONFIGURE)
     assert small.lifecycle_state == INACTIVE
     assert small.wakes == 2

@@ -56,7 +56,7 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
 
     On/off does not care that there is no forecast, or that one is refused.
     """
-    arrays = site.watcher.hear("/diagnostics", lambda message: message)
+    arrays = site.watcher.collect("/diagnostics", lambda message: message)
     commands = site.be_dry()
     for name in FORECASTS:
         del site.values[name]
@@ -66,11 +66,11 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
 
     def stops(level: bytes, *words: str) -> None:
         site.until(lambda: newest(commands) == 0.0, LATE, f"stop: {words}")
-        site.until(site.says("/onoff: inputs", level, *words), LATE, f"{words}")
+        site.until(site.shows("/onoff: inputs", level, *words), LATE, f"{words}")
 
     def recovers() -> None:
         site.until(lambda: newest(commands) == 0.5, LATE, "recovery")
-        site.until(site.says("/onoff: inputs", OK), LATE, "all well")
+        site.until(site.shows("/onoff: inputs", OK), LATE, "all well")
 
     with site.live(
         "controller --controller onoff", fraction=0.5, level_limit=1.5,
@@ -87,7 +87,7 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
             changed = {**good, **change}
             site.values = {name: value for name, value in changed.items() if value is not None}
             stops(level, *words)
-            assert site.says("/onoff", OK)()  # only the part is not OK
+            assert site.shows("/onoff", OK)()  # only the part is not OK
             site.values = dict(good)
             mended = time.monotonic()
             recovers()
@@ -108,14 +108,14 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
         # The received flow counts, not the command: a pump that is held freezes no level.
         site.values["/pump/flow"] = 0.0
         site.during(2)
-        site.said.clear()
+        site.messages.clear()
         site.values["/cistern/level"] = cistern(time.monotonic())
         site.during(4)
         # Nor does a pump that has been silent for longer than flow_limit: it may be at rest.
         del site.values["/pump/flow"]
         site.during(9)
         # A command 0 for another reason, e.g. this process was paused, is only temporary.
-        assert not [text for text in site.said if "frozen" in text]
+        assert not [text for text in site.messages if "frozen" in text]
         site.until(lambda: newest(commands) == 0.5, LATE, "a command")
         # One command per tick: none twice, and none left out unless the machine is busy.
         times = [now for now, _ in commands]
@@ -145,12 +145,12 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
     ):
         for case, (bad, why) in BAD_FORECASTS.items():
             site.until(lambda: 0 < (newest(commands) or 0) <= 0.4, LATE, "a command of mpc")
-            site.until(site.says("/mpc: forecast", OK), LATE, "all well")
+            site.until(site.shows("/mpc: forecast", OK), LATE, "all well")
             began = datetime.now(UTC).replace(microsecond=0)
             without = {name: value for name, value in good.items() if name != rain}
             site.values = without if bad is None else {**without, rain: bad}
             site.until(lambda: newest(commands) == 1.0, LATE, f"on/off, {case}")
-            degraded = site.says("/mpc: forecast", WARN, "on/off commands since ", f"{rain} {why}")
+            degraded = site.shows("/mpc: forecast", WARN, "on/off commands since ", f"{rain} {why}")
             site.until(degraded, LATE, case)
             since = re.search(r"since (\S+ \S+), ", site.diagnoses["/mpc: forecast"].message)
             assert since and began <= datetime.fromisoformat(since[1]) <= datetime.now(UTC)
@@ -158,7 +158,7 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
             commands_before = len(commands)
             site.during(1)
             assert {value for _, value in commands[commands_before:]} == {1.0}
-            assert site.says("/mpc: inputs", OK)()
+            assert site.shows("/mpc: inputs", OK)()
             if bad is not None:
                 site.values = dict(good)
         for change in ({"/roof/level": math.nan}, {"/cistern/level": 0.5}, {"/weather/frost": 1.0}):
@@ -175,7 +175,7 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
             site.publishers[rain].publish(Float64MultiArray(
                 layout=MultiArrayLayout(dim=dimensions), data=array("d", [0.0] * count)
             ))
-            site.until(site.says("/mpc: forecast", WARN, why), LATE, "why")
+            site.until(site.shows("/mpc: forecast", WARN, why), LATE, "why")
             site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
 
 
@@ -227,7 +227,7 @@ def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> Non
     # Without a forecast on/off commands.
     part, *words = ("inputs", OK) if forecasts else ("forecast", WARN, "on/off commands since")
     with site.live("controller --controller mine:Counting", site_file=file, recovery_time=1.0):
-        site.until(site.says(f"/counting: {part}", *words), LATE, "good inputs")
+        site.until(site.shows(f"/counting: {part}", *words), LATE, "good inputs")
         site.during(2)
         assert {command for _, command in commands} == {0.0}
 
@@ -253,23 +253,23 @@ def test_classes_of_a_users_own(site: Site) -> None:
     # A roof that waits for rain: if the forecast is missing for a moment, on/off starts no pump.
     commands.clear()
     with site.live("controller --controller mine:Waiting", recovery_time=2.0):
-        site.until(site.says("/waiting: forecast", OK), LATE, "a forecast")
+        site.until(site.shows("/waiting: forecast", OK), LATE, "a forecast")
         site.values = {**good, "/forecast/precipitation": [math.nan] * 10}
-        site.until(site.says("/waiting: forecast", WARN, "was refused"), LATE, "the refusal")
+        site.until(site.shows("/waiting: forecast", WARN, "was refused"), LATE, "the refusal")
         site.values = good
-        site.until(site.says("/waiting: forecast", OK), LATE, "a forecast again")
+        site.until(site.shows("/waiting: forecast", OK), LATE, "a forecast again")
         # An invalid command acts as 0; as the forecast is good, on/off does not take over.
         answer = Parameter("answer", value=1.5).to_parameter_msg()
         site.call(SetParameters, "/waiting/set_parameters", parameters=[answer])
-        broken = site.says("/waiting: command", ERROR, "must be a finite number")
+        broken = site.shows("/waiting: command", ERROR, "must be a finite number")
         site.until(broken, LATE, "what is wrong")
         site.during(2)
         assert {value for _, value in commands} == {0.0}
-        assert site.says("/waiting: forecast", OK)()
+        assert site.shows("/waiting: forecast", OK)()
     # A controller that needs no forecast continues, and reports that it has none.
     commands.clear()
     with site.live("controller --controller lookahead", recovery_time=0.2):
-        without = site.says("/lookahead: forecast", WARN, "commands without a forecast")
+        without = site.shows("/lookahead: forecast", WARN, "commands without a forecast")
         site.until(without, LATE, "that it has none")
         site.until(lambda: newest(commands), LATE, "its commands")
 
@@ -337,12 +337,12 @@ def test_no_command_of_what_was_before_a_suspend(
         for when in ("suspended", "suspended_in_a_decision"):
             site.until(lambda: newest(commands), LATE, "a command")
             # Its diagnostics must be received before it is paused: discovery can take seconds.
-            site.until(site.says("/onoff: inputs", OK), LATE, "all well")
-            site.said.clear()
+            site.until(site.shows("/onoff: inputs", OK), LATE, "all well")
+            site.messages.clear()
             (site.cwd / when).touch()
             site.until(lambda: newest(commands) == 0.0, LATE, "no command")
             site.until(
-                lambda: any("was paused for 3600 s" in message for message in site.said),
+                lambda: any("was paused for 3600 s" in message for message in site.messages),
                 LATE, "why",
             )
         site.until(lambda: newest(commands), LATE, "a command of what is new")
@@ -379,7 +379,7 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
     ) as process:
         site.until(lambda: newest(commands), LATE, "a command")
         # Its diagnostics must be received before it is stopped: discovery can take seconds.
-        site.until(site.says("/onoff: inputs", OK), LATE, "all well")
+        site.until(site.shows("/onoff: inputs", OK), LATE, "all well")
         before = len(commands)
         site.until(lambda: len(commands) > before, LATE, "the end of a decision")
         site.during(0.3)  # it waits for the next tick
@@ -392,8 +392,8 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
         site.values["/roof/level"] = lambda now: dry(now) + 0.04
         site.during(0.5)
         os.kill(process.pid, signal.SIGCONT)
-        site.until(site.says("/onoff: inputs", ERROR, "this node itself was paused"), LATE, "why")
-        site.until(site.says("/onoff: inputs", OK), LATE, "all well")
+        site.until(site.shows("/onoff: inputs", ERROR, "this node itself was paused"), LATE, "why")
+        site.until(site.shows("/onoff: inputs", OK), LATE, "all well")
         site.during(0.5)
         after = [value for _, value in commands[before:]]
         assert after and set(after) == {0.0}
@@ -422,7 +422,7 @@ def test_the_noise_of_a_sensor_at_zero_counts_as_zero(observer: Observer, sectio
         raw = (next(remaining) if its_own else 0).to_bytes(2, "big", signed=True)
         return [(0.0, request[:4] + bytes([0, 5, request[6], 4, 2]) + raw)]
 
-    values = observer.hear(QUANTITIES[section].topic_name)
+    values = observer.collect(QUANTITIES[section].topic_name)
     with closing(Wire(answer)) as wire:
         sensor = (
             f"\n  address: {wire.at}\n  device_id: 1\n  kind: input\n  type: int16\n  median: 1\n"
@@ -455,7 +455,7 @@ def test_live_weather(site: Site) -> None:
             LATE, f"{rain_now}, {frost_now}",
         )
         for part, *words in expected:
-            site.until(site.says(f"/weather: {part}", *words), LATE, f"{part}: {words}")
+            site.until(site.shows(f"/weather: {part}", *words), LATE, f"{part}: {words}")
 
     with site.live(
         "weather", forecast=file, gauge_limit=1.0, recovery_time=0.3,
@@ -505,7 +505,7 @@ def test_a_node_keeps_answering_while_it_reads_a_large_file(site: Site) -> None:
             for member in range(30):
                 stream.writelines(f"{times[0]},{time},{member},0.5,2.0,12.0\n" for time in times)
     with site.live("weather", forecast=file, horizon=118.0, all_members="true"):
-        site.until(site.says("/weather: forecast", OK), LATE, "the forecast")
+        site.until(site.shows("/weather: forecast", OK), LATE, "the forecast")
         for _ in range(3):
             os.utime(file)  # as if it were replaced
             site.during(3)
@@ -526,13 +526,13 @@ def test_a_short_forecast_keeps_no_pump_off(site: Site, horizon: float) -> None:
         "controller --controller lookahead", horizon=horizon, recovery_time=0.3
     ):
         site.until(
-            site.says("/weather: forecast", WARN, "the forecast issued at ",
+            site.shows("/weather: forecast", WARN, "the forecast issued at ",
                       f"before the {horizon:g} h look-ahead does", "a horizon of at most "),
             LATE, "what is short",
         )
         site.until(lambda: newest(frost) == 0.0, LATE, "the temperature")
         site.until(lambda: (newest(commands) or 0.0) > 0.0, LATE, "a command")
-        site.until(site.says("/lookahead: forecast", OK), LATE, "a forecast for the controller")
+        site.until(site.shows("/lookahead: forecast", OK), LATE, "a forecast for the controller")
 
 
 # What a site has besides no forecast: whether a service, whether a thermometer that is lost later;
@@ -559,7 +559,7 @@ def test_advice_is_by_what_the_site_has(site: Site, name: str) -> None:
     with site.live("weather", gauge_limit=1.0, recovery_time=0.3, **options):
         if measured:
             site.values = {"/gauge/temperature": 4.0}
-            site.until(site.says("/weather: frost", OK), LATE, "a temperature")
+            site.until(site.shows("/weather: frost", OK), LATE, "a temperature")
             site.values = {}
         for part, code in (("forecast", forecast), ("frost", frost)):
             site.until(
@@ -582,17 +582,17 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
     service.start()
     file = site.cwd / "kept" / "forecast.csv"
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
-    arrays = site.watcher.hear("/diagnostics", lambda message: message)
+    arrays = site.watcher.collect("/diagnostics", lambda message: message)
     part = "/weather: forecast service"
     options = {
         "forecast": file, "fetch": "ensemble", "fetch_url": f"{service.address}/v1/ensemble",
         "horizon": 24.0, "all_members": "true",
     }
     with site.live("weather", **options, unknown_frost_may_pump="true"):
-        site.until(site.says(part, WARN, "503 Service Unavailable"), LATE, "why there is none")
-        site.until(site.says("/weather: forecast", ERROR, f"{file}: cannot be read"), LATE, "none")
+        site.until(site.shows(part, WARN, "503 Service Unavailable"), LATE, "why there is none")
+        site.until(site.shows("/weather: forecast", ERROR, f"{file}: cannot be read"), LATE, "none")
         site.until(lambda: newest(frost) == 0.0, LATE, "no frost")
-        site.until(site.says("/weather: frost", WARN, "may run anyway"), LATE, "a warning")
+        site.until(site.shows("/weather: frost", WARN, "may run anyway"), LATE, "a warning")
         # It is ready after it has reported what it lacks, not before it has looked.
         for array in arrays:
             messages = {status.name: status.message for status in array.status}
@@ -601,7 +601,7 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
     frost.clear()
     service.fault = "none"
     with site.live("weather", **options):
-        site.until(site.says(part, OK, "Open-Meteo"), LATE, "whose forecast it is")
+        site.until(site.shows(part, OK, "Open-Meteo"), LATE, "whose forecast it is")
         site.until(lambda: forecast and newest(frost) == 0.0, LATE, "a forecast in July")
         assert len(newest(forecast)) == 11 * (len(growing_steps(24.0)) - 1)
     service.close()

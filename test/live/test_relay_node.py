@@ -35,7 +35,7 @@ def test_a_command_below_all_is_delivered_in_pulses(rig: PumpRig) -> None:
     rig.join()
     rig.tick_until(1.0, lambda: rig.drive.speed() == 1.0, 60, "a closed contact")
     assert rig.observer.diagnoses["/pump: drive"].hardware_id.startswith("Tasmota")
-    rig.until_said("drive timeout", OK, "the drive stops after 3 s", command=1.0)
+    rig.until_reported("drive timeout", OK, "the drive stops after 3 s", command=1.0)
     rig.tick_until(0.0, lambda: rig.drive.speed() == 0.0, 60, "an open contact")
     closed = 0
     for _ in range(300):
@@ -47,7 +47,7 @@ def test_a_command_below_all_is_delivered_in_pulses(rig: PumpRig) -> None:
 
 def test_check_pump_finds_it_right(rig: PumpRig) -> None:
     """At command 1, at which a relay stays on; the check acts as all peers, so nobody publishes."""
-    rig.leave()
+    rig.remove_publishers()
     node = rig.start(drive="tasmota")
     check = Process(
         rig.domain, "check_pump", "--node", "pump", "--period", "0.05", "--command", "1",

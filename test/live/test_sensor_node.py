@@ -23,20 +23,20 @@ def test_the_published_rain_adds_up_to_the_rise_of_the_total(
         text = text.replace("mqtt://127.0.0.1:1883", broker.address)
         file.write_text(text.replace("high: 0.0001 ", "high: 0.0004 "))
         times, rates = (
-            collect("/gauge/precipitation") for collect in (observer.times, observer.hear)
+            collect("/gauge/precipitation") for collect in (observer.times, observer.collect)
         )
         observer.start(f"live.sensors --sensors {file}")
         with Talker(broker) as talker:
 
             def first() -> bool:
-                talker.say("roof/rain", "17.0")
+                talker.publish("roof/rain", "17.0")
                 return bool(rates)
 
             observer.until(first, 60, "a second total")
             for total in ("17.4", "17.6", "18.0", "18.0", "19.2"):
                 pause = time.monotonic() + (0.1 if total == "17.4" else 1.5)
                 for _ in range(3):
-                    talker.say("roof/rain", total)
+                    talker.publish("roof/rain", total)
                 observer.until(lambda pause=pause: time.monotonic() > pause, 60, "a pause")
         broker.kill()
         observer.until(lambda: rates[-1] == 0.0, 60, "the end of what is due")

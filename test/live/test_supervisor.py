@@ -21,7 +21,7 @@ from places import CHECKOUT
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.live import supervisor
-from greenroof_ros.live.site_run import _Start, values_of
+from greenroof_ros.live.site_run import _StartReport, values_of
 from greenroof_ros.live.supervision import SOCKET, SupervisorSocket, read_report
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart, Supervisor
 
@@ -60,8 +60,8 @@ class Site:
 
         def step() -> bool:
             began = time.monotonic()
-            self.supervisor.listen()
-            self.supervisor.look()
+            self.supervisor.read_reports()
+            self.supervisor.update()
             self.longest_step = max(self.longest_step, time.monotonic() - began)
             return bool(condition())
 
@@ -350,14 +350,14 @@ _STRANGE = [
 def test_what_a_node_of_another_version_says() -> None:
     """Readers continue, and show what can be read."""
     shown: list[str] = []
-    log, start = IncidentLog(shown.append), _Start("")
+    log, start = IncidentLog(shown.append), _StartReport("")
     for strange in _STRANGE:
         report = read_report(json.dumps(strange).encode())
         last = {} if report is None else {"pump": report}
         assert bool(last) == (isinstance(strange, dict) and strange.get("state") == "ready")
-        start.look(last, "")
+        start.update(last, "")
         values_of(last)
-        log.look(last)
+        log.update(last)
     for line in (b"", b"{", b"\xff", b"[" * 100_000):
         assert read_report(line) is None
     assert not shown

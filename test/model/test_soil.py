@@ -26,7 +26,7 @@ SOIL, PAPER_SOIL = MeasuredSoil(ROOF), soil_of(PAPER_SITE)
 
 
 @pytest.mark.parametrize(
-    ("x2", "filled", "kept", "stress"),
+    ("x2", "filled", "retained", "stress"),
     [
         (0.0, 0.0, 1.0, 0.0),
         (2.0, 0.0, 1.0, 0.0),
@@ -37,13 +37,13 @@ SOIL, PAPER_SOIL = MeasuredSoil(ROOF), soil_of(PAPER_SITE)
         (9.0, 1.0, 0.0, 1.0),
     ],
 )
-def test_shares_by_hand(x2: float, filled: float, kept: float, stress: float) -> None:
+def test_shares_by_hand(x2: float, filled: float, retained: float, stress: float) -> None:
     """S, 1 - S^2, and FAO-56's Eq. 84 with TAW = 4 m3: at D_r = 3 m3 it is (4 - 3) / 2."""
     assert SOIL.filled_share(x2) == pytest.approx(filled, abs=1e-15)
-    assert SOIL.kept_share(x2) == pytest.approx(kept, abs=1e-15)
+    assert SOIL.retained_share(x2) == pytest.approx(retained, abs=1e-15)
     assert SOIL.water_stress(x2) == pytest.approx(stress, abs=1e-15)
     assert (x2 < SOIL.stress_volume) == (stress < 1)
-    assert (PAPER_SOIL.kept_share(x2), PAPER_SOIL.water_stress(x2)) == (1.0, 1.0)
+    assert (PAPER_SOIL.retained_share(x2), PAPER_SOIL.water_stress(x2)) == (1.0, 1.0)
 
 
 def test_percolation_by_hand() -> None:
@@ -126,11 +126,11 @@ def test_a_long_step_by_hand(x2: float, rain: float, potential: float, left: flo
     assert roofs.tolist() == pytest.approx([left] * 2, rel=1e-9)
 
 
-def lasting(x2: float, rain_m3: list[float], asked_m3: list[float]) -> list[float]:
+def lasting(x2: float, rain_m3: list[float], potential_m3: list[float]) -> list[float]:
     """Return the share that lasts over hours with this rain and evapotranspiration."""
     rain = np.array(rain_m3) / 3600 / ROOF.a2
     hours = np.full(len(rain_m3), 3600.0)
-    weather = rain, np.array(asked_m3) / 3600, hours
+    weather = rain, np.array(potential_m3) / 3600, hours
     share = SOIL.lasting_share(x2, SOIL.free_changes(x2, *weather), *weather)
     return list(share)
 
@@ -183,7 +183,7 @@ def test_what_is_followed_is_what_the_plant_did(
         np.full_like(rain, site.tau),
     )
     assert roof.layer.tolist() == list(layers)
-    assert roof.left == plant.layer
+    assert roof.remaining == plant.layer
     assert roof.drained.tolist() == [flow.drainage for flow in flows]
     assert roof.evaporated == pytest.approx(
         [flow.evapotranspiration for flow in flows], rel=1e-12, abs=1e-15

@@ -45,7 +45,7 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     names = [f"/site1/{name}" for name in ("plant", "weather", "mpc", "recorder")]
     (tmp_path / "mine.yaml").write_text("/**:\n  ros__parameters:\n    weight: 5\n")
     began = time.time()
-    arrays = observer.hear("/diagnostics", lambda message: message)
+    arrays = observer.collect("/diagnostics", lambda message: message)
     intruder = observer.node.create_publisher(Clock, "/clock", 10)
     message = Clock()
     message.clock.sec = start + 86_400

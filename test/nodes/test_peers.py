@@ -61,13 +61,13 @@ def test_started_by_hand_gives_the_bag_of_bringup(
     All end by themselves with exit code 0.
     """
     weather = nodes.node("weather", run_length=360)
-    weather.until_said("waiting for plant\n")
-    nodes.node("recorder", directory="bag").until_said("waiting for plant, the controller\n")
+    weather.until_printed("waiting for plant\n")
+    nodes.node("recorder", directory="bag").until_printed("waiting for plant, the controller\n")
     plant = nodes.node("plant", run_length=360, record="true")
-    plant.until_said("waiting for the controller\n")
-    weather.until_said("its inputs have publishers\n")
+    plant.until_printed("waiting for the controller\n")
+    weather.until_printed("its inputs have publishers\n")
     nodes.node("mpc")
-    plant.until_said("finished 360 ticks")
+    plant.until_printed("finished 360 ticks")
     for name in nodes.started:
         assert nodes.code(name) == 0
         log = nodes.log(name)
@@ -112,7 +112,7 @@ def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
     nodes.node("weather")
     nodes.node("onoff")
     nodes.node("plant", run_length=40_000, speed=100.0, peer_limit=4.0)
-    flows = observer.hear("/pump/flow")
+    flows = observer.collect("/pump/flow")
     observer.until(lambda: len(flows) >= 50, 60, "50 ticks")
     nodes.started["weather"].process.kill()
     assert nodes.code("plant") == 1
@@ -145,30 +145,30 @@ def test_a_plant_that_stood_still_makes_up_for_nothing(nodes: Nodes, observer: O
 
 
 # What the test's node sends to the node under test: topics, each with a value.
-Said = list[tuple[str, Any]]
+Messages = list[tuple[str, Any]]
 LEVEL = ("/cistern/level", 2.5)
-INPUTS: Said = [
+INPUTS: Messages = [
     LEVEL, ("/roof/level", 0.03), ("/weather/frost", 0.0), *((name, [0.0]) for name in FORECASTS)
 ]
 RUN = ("/run", [7.0, 0.0, 0.0])
 # One message of each topic recorded with mpc, the recorder's default.
-RECORDED: Said = [
+RECORDED: Messages = [
     (name, [0.0] if "Array" in topic.type else dict(INPUTS).get(name, 0.0))
     for name, topic in read_topics().items() if name in MPC_TOPICS
 ]
 COUNT = "expected 1 messages of each topic; some were lost or arrived twice: /cistern/"
 # The node, its messages, those after its first command, its exit code, and its message.
-WRONG: dict[str, tuple[str, Said, Said, int, str]] = {
+WRONG: dict[str, tuple[str, Messages, Messages, int, str]] = {
     "a level twice before the run": (
-        "onoff", [LEVEL, LEVEL], [], 3, "/cistern/level came twice in tick 0 ("),
+        "onoff", [LEVEL, LEVEL], [], 3, "/cistern/level has a second message in tick 0 ("),
     "a level twice in the run": (
-        "onoff", INPUTS, [LEVEL, LEVEL], 1, "/cistern/level came twice in tick 1 ("),
+        "onoff", INPUTS, [LEVEL, LEVEL], 1, "/cistern/level has a second message in tick 1 ("),
     "a level after the last tick": (
-        "onoff", [RUN, *INPUTS], [LEVEL], 1, "/cistern/level came twice in tick 1 ("),
+        "onoff", [RUN, *INPUTS], [LEVEL], 1, "/cistern/level has a second message in tick 1 ("),
     "a level after the last tick, before the run": (
-        "onoff", INPUTS, [LEVEL, RUN], 1, "/cistern/level came twice in tick 1 ("),
+        "onoff", INPUTS, [LEVEL, RUN], 1, "/cistern/level has a second message in tick 1 ("),
     "a tick after the last, before the run": (
-        "onoff", INPUTS, [*INPUTS, RUN], 1, "came twice in tick 1 ("),
+        "onoff", INPUTS, [*INPUTS, RUN], 1, "has a second message in tick 1 ("),
     "another run": (
         "onoff", [("/run", [7.0, 5.0, 0.0]), *INPUTS], [("/run", [8.0, 5.0, 0.0])], 1,
         "the plant was started again, or there are two"),
@@ -187,14 +187,14 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
     node, before, then, code, words = WRONG[case]
     names = {"/clock", *(topic for topic, _ in before + then)}
     publishers = {topic: observer.publisher(topic) for topic in names}
-    commands = observer.hear("/pump/command")
+    commands = observer.collect("/pump/command")
 
-    def say(messages: Said) -> None:
+    def publish(messages: Messages) -> None:
         for topic, value in messages:
             kind = message_class(read_topics()[topic].type)
             publishers[topic].publish(kind() if kind is Clock else kind(data=value))
 
-    say(before)
+    publish(before)
     nodes.node(node, **({"peer_limit": 0.5} if node == "recorder" else {}))
     if then:
         observer.until(lambda: commands, 60, "a command")
@@ -202,7 +202,7 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
             observer.until(publisher.get_subscription_count, 60, "its reader")
             assert publisher.wait_for_all_acked(Duration(seconds=60))
         time.sleep(0.5)
-        say(then)
+        publish(then)
     assert nodes.code(node) in (code, -signal.SIGALRM)
     assert words in nodes.log(node)
 

@@ -83,6 +83,6 @@ def test_a_topic_that_runs_ahead_ends_the_run(ahead: str) -> None:
     node._queues = {name: deque() for name in ("/clock", "/roof/level", "/pump/flow")}
     node._every_queue = node._queues.values()
     for _ in range(1000):
-        node._take(ahead, b"message")
+        node._receive(ahead, b"message")
     with pytest.raises(LockstepError, match=f"{ahead} has 1001 messages more than /"):
-        node._take(ahead, b"message")
+        node._receive(ahead, b"message")

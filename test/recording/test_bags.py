@@ -243,10 +243,9 @@ def test_no_damage_comes_back(tmp_path: Path) -> None:
         ) == sorted((topic, stamp, data) for topic, stamp, _, data in written)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_flipped_bit_costs_a_chunk_at_most(tmp_path: Path, seed: int) -> None:
+def test_a_flipped_bit_costs_a_chunk_at_most(tmp_path: Path) -> None:
     """Wherever it is: nothing wrong comes out, and the loss is counted exactly."""
-    written, random = write_bag(tmp_path / "whole", 361), Random(seed)
+    written, random = write_bag(tmp_path / "whole", 361), Random(0)
     content, amounts = (tmp_path / "whole" / "whole_0.mcap").read_bytes(), set()
     for number in range(60):
         bag, new = tmp_path / f"bag{number}", tmp_path / f"new{number}"
@@ -297,22 +296,22 @@ def test_a_disk_that_fails_while_it_is_read(tmp_path: Path, what: str, where: fl
         return
     restored = messages_of(tmp_path / "new" / "new_0.mcap")
     there = {tick for *_, tick, _ in restored}
-    gone = sorted(set(range(361)) - there)
+    missing = sorted(set(range(361)) - there)
     assert restored == [message for message in written if message[2] in there]
     assert done.stdout.startswith(f"{len(there)} ticks recovered to new")
-    assert done.returncode == bool(gone), done.stderr
-    assert bool(gone) == (done.stderr != "") == (where < 1)
-    if not gone:
+    assert done.returncode == bool(missing), done.stderr
+    assert bool(missing) == (done.stderr != "") == (where < 1)
+    if not missing:
         return
-    assert gone == list(range(gone[0], gone[-1] + 1))
-    assert f"lost: bag_0.mcap: {len(gone)} of 361 ticks are lost, " in done.stderr
+    assert missing == list(range(missing[0], missing[-1] + 1))
+    assert f"lost: bag_0.mcap: {len(missing)} of 361 ticks are lost, " in done.stderr
     assert "bytes cannot be read" in done.stderr
     if what == "CUT_TO":
-        assert gone[-1] == 360 and 361 * (1 - where) - 16 < len(gone) < 361 * (1 - where) + 48
+        assert missing[-1] == 360 and 361 * (1 - where) - 16 < len(missing) < 361 * (1 - where) + 48
     elif where:
-        assert len(gone) <= 48
+        assert len(missing) <= 48
     else:
-        assert gone == FIRST
+        assert missing == FIRST
 
 
 def test_a_file_that_cannot_be_opened(tmp_path: Path) -> None:
@@ -432,7 +431,7 @@ def test_oldest_files_go_beyond_the_limit(tmp_path: Path) -> None:
     for message in range(8_000):
         at += 0.25
         bag.write(TOPICS[0], LATE_NS + int(at * 1e9), number(random.random()), at)
-        bag.look(at)
+        bag.flush_if_due(at)
         if message % 500 == 499:
             size = sum(path.stat().st_size for path in directory.glob("*.mcap"))
             largest = max(largest, size)
@@ -459,7 +458,7 @@ def test_a_kill_costs_what_came_since_the_last_flush(tmp_path: Path) -> None:
     killed = live_bag(tmp_path / "growing" / "bag", file_bytes=20_000, namespace="/site1")
     for tick, (topic, stamp, value) in enumerate(sent):
         killed.write(topic, stamp, number(value), float(tick))
-        killed.look(float(tick))
+        killed.flush_if_due(float(tick))
     shutil.copytree(tmp_path / "growing", tmp_path, dirs_exist_ok=True)
     killed.close()
     files = len(list((tmp_path / "bag").glob("*.mcap")))
@@ -487,7 +486,7 @@ def split_bag(directory: Path) -> list[tuple[str, int, float]]:
     bag = live_bag(directory, file_bytes=20_000)
     for tick, (topic, stamp, value) in enumerate(sent):
         bag.write(topic, stamp, number(value), float(tick))
-        bag.look(float(tick))
+        bag.flush_if_due(float(tick))
     bag.close()
     assert len(list(directory.glob("*.mcap"))) > 3
     return sent
@@ -543,7 +542,7 @@ def test_recording_that_fails_tries_again(tmp_path: Path, room: int) -> None:
 
     def write(second: int) -> None:
         bag.write(TOPICS[0], LATE_NS + second * 10**9, number(values[second]), float(second))
-        bag.look(float(second))
+        bag.flush_if_due(float(second))
 
     second = 0
     with no_file_beyond(room):

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from page_inputs import SECOND, START
 from paper import PAPER_SITE, paper_run, site_file
 from places import CONFIG
-from said import SECOND, START
 
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics

@@ -9,33 +9,33 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from said import ERROR, HELD, HOLD, OK, STALE, WARN, node, silent_sensor
+from page_inputs import ERROR, HELD, HOLD, OK, STALE, WARN, node, silent_sensor
 
 from greenroof_ros.common.conditions import LATCHED, read_conditions, read_interlocks
 from greenroof_ros.watch.alarms import FOREIGN, OTHER, Alarms, advise, find_causes
 from greenroof_ros.watch.registry import Trouble
-from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.wire import WireStatus
 
-Steps = list[tuple[float, list[Status]]]
+Steps = list[tuple[float, list[WireStatus]]]
 
 
-def pump(*parts: tuple[Any, ...], **said: Any) -> list[Status]:
+def pump(*parts: tuple[Any, ...], **said: Any) -> list[WireStatus]:
     return node("/pump", "pump", *parts, **said)
 
 
-def mpc(*parts: tuple[Any, ...], **said: Any) -> list[Status]:
+def mpc(*parts: tuple[Any, ...], **said: Any) -> list[WireStatus]:
     return node("/mpc", "controller", *parts, **said)
 
 
-def heard(*steps: tuple[float, list[Status]], namespace: str = "") -> Alarms:
+def heard(*steps: tuple[float, list[WireStatus]], namespace: str = "") -> Alarms:
     """Return the alarms after messages, each with its time."""
     alarms = Alarms(namespace)
     for at, statuses in steps:
-        alarms.hear(at, at, statuses)
+        alarms.receive(at, at, statuses)
     return alarms
 
 
-def each_quarter(seconds: float, *statuses: list[Status], begin: float = 0.0) -> Steps:
+def each_quarter(seconds: float, *statuses: list[WireStatus], begin: float = 0.0) -> Steps:
     """Return messages four times a second for this long (s), with these statuses in turn."""
     return [(begin + at / 4, statuses[at % len(statuses)]) for at in range(round(4 * seconds))]
 
@@ -63,16 +63,16 @@ WRONG, RIGHT = ("drive", ERROR, "no connection", "drive_lost"), ("drive", OK, "c
 
 def test_an_alarm_comes_changes_its_numbers_and_goes() -> None:
     alarms = Alarms()
-    alarms.hear(0.0, 1000.0, pump(RIGHT))
+    alarms.receive(0.0, 1000.0, pump(RIGHT))
     assert (alarms.rows(), alarms.counts(), alarms.advice()) == ([], (0, 0, 0), "Nothing to do.")
-    alarms.hear(0.25, 1005.0, pump(WRONG))
+    alarms.receive(0.25, 1005.0, pump(WRONG))
     assert alarms.counts() == (1, 0, 0)
-    alarms.hear(0.5, 1010.0, pump(("drive", ERROR, "no connection for 6 s", "drive_lost")))
+    alarms.receive(0.5, 1010.0, pump(("drive", ERROR, "no connection for 6 s", "drive_lost")))
     (row,) = alarms.rows()
     assert (row["what"], row["level"], row["since"]) == ("no connection for 6 s", "error", 1005.0)
     assert not row["since_at_least"]
     assert row["over"] is None
-    alarms.hear(0.75, 1015.0, pump(RIGHT))
+    alarms.receive(0.75, 1015.0, pump(RIGHT))
     (row,) = alarms.rows()
     assert (row["since"], row["over"], alarms.counts()) == (1005.0, 1015.0, (0, 0, 0))
 
@@ -85,7 +85,7 @@ def test_an_alarm_that_was_there_before_anybody_listened() -> None:
         (0.25, pump(RIGHT)), (20.0, pump(WRONG)), (20.25, mpc(("inputs", OK, "good"))),
         (20.5, mpc(("inputs", ERROR, "bad"))),
     ):
-        alarms.hear(at, at, said)
+        alarms.receive(at, at, said)
     known = rows(alarms)
     assert (known["/pump: drive"]["since"], known["/pump: drive"]["since_at_least"]) == (20, False)
     assert not known["/mpc: inputs"]["since_at_least"]
@@ -95,7 +95,7 @@ def test_flapping_is_one_row() -> None:
     """On and off ten times a second: one alarm since the first time, acknowledged once."""
     alarms = Alarms()
     for step in range(150):
-        alarms.hear(step / 10, float(step), pump(WRONG if step % 2 else RIGHT))
+        alarms.receive(step / 10, float(step), pump(WRONG if step % 2 else RIGHT))
         if step == 1:
             assert alarms.acknowledge("/pump: drive")
     (row,) = alarms.rows()
@@ -109,7 +109,7 @@ def test_an_acknowledged_alarm_stays_listed_until_it_is_another_one() -> None:
         (WARN, "5 m3 are outstanding", False), (WARN, "6 m3 are outstanding", True),
         (ERROR, "6 m3 are outstanding", False),
     ):
-        alarms.hear(0.0, 0.0, pump(("limits", level, what, "limited")))
+        alarms.receive(0.0, 0.0, pump(("limits", level, what, "limited")))
         assert present(alarms) == ["/pump: limits"]
         assert alarms.rows()[0]["acknowledged"] == acknowledged
         alarms.acknowledge("/pump: limits")
@@ -121,7 +121,7 @@ def test_two_faults_of_a_drive_are_two_alarms() -> None:
     for at, number in enumerate((2310, 2320)):
         fault = f"the drive reports: fault {number}"
         for seconds in (number, 9):
-            alarms.hear(at, at, pump(
+            alarms.receive(at, at, pump(
                 ("drive", ERROR, fault, "drive_fault", {"fault": f"{number}"}),
                 ("pump", ERROR, f"fault: {fault}; no connection for {seconds} s", "drive_fault"),
                 fault=fault,
@@ -135,7 +135,7 @@ def test_two_faults_of_a_drive_are_two_alarms() -> None:
     for at, what, code in (
         (400, "no connection", "drive_lost"), (500, "reports a fault: 2330", "drive_fault"),
     ):
-        alarms.hear(at, at, pump(("drive", ERROR, what, code)))
+        alarms.receive(at, at, pump(("drive", ERROR, what, code)))
     (row,) = (row for row in alarms.rows() if row["id"] == "/pump: drive")
     assert (row["acknowledged"], row["since"]) == (False, 500)
 
@@ -145,14 +145,14 @@ def test_another_code_is_another_alarm() -> None:
     local = "drive", WARN, "the drive: it is in local control", "drive_local"
     alarms = heard((1.0, pump(RIGHT)), (1000.0, pump(WRONG)))
     alarms.acknowledge("/pump: drive")
-    alarms.hear(9000.0, 9000.0, pump(local))
+    alarms.receive(9000.0, 9000.0, pump(local))
     (row,) = alarms.rows()
     assert (row["code"], row["since"], row["acknowledged"]) == ("drive_local", 9000, False)
     changed = "/pump: drive: the drive: it is in local control; before: no connection"
     assert happened(alarms) == [changed]
     # Also if the drive answered for a moment.
-    alarms.hear(9001.0, 9001.0, pump(RIGHT))
-    alarms.hear(9002.0, 9002.0, pump(WRONG))
+    alarms.receive(9001.0, 9001.0, pump(RIGHT))
+    alarms.receive(9002.0, 9002.0, pump(WRONG))
     (row,) = alarms.rows()
     assert (row["code"], row["since"]) == ("drive_lost", 9002)
 
@@ -167,7 +167,7 @@ def test_another_code_is_another_alarm() -> None:
 def test_other_words_under_the_same_code_are_the_same_alarm(sentences: tuple[str, ...]) -> None:
     alarms = heard((0.0, pump(("limits", OK, "nothing limits the pump"))))
     for at, sentence in enumerate(sentences * 10, 1):
-        alarms.hear(at, at, pump(("limits", WARN, sentence, "limited")))
+        alarms.receive(at, at, pump(("limits", WARN, sentence, "limited")))
         (row,) = alarms.rows()
         assert (row["what"], row["since"], row["acknowledged"]) == (sentence, 1, at > 1)
         alarms.acknowledge("/pump: limits")
@@ -181,7 +181,7 @@ def test_an_acknowledged_alarm_that_is_about_something_else_is_not_acknowledged(
     assert rows(alarms)["/mpc"]["acknowledged"]
     since = rows(alarms)["/mpc"]["since"]
     for at, said in each_quarter(1, mpc(state="starting", waiting=["plant"]), begin=6.0):
-        alarms.hear(at, at, said)
+        alarms.receive(at, at, said)
     assert (rows(alarms)["/mpc"]["acknowledged"], rows(alarms)["/mpc"]["since"]) == (False, since)
 
 
@@ -192,7 +192,7 @@ def test_what_is_over_is_kept_for_a_while() -> None:
     assert len(alarms.rows()) == 24
     for gone in range(24):
         good = [(name, OK, "good") for name, _, _ in parts[:gone + 1]]
-        alarms.hear(gone + 1.0, gone + 1.0, pump(*good, *parts[gone + 1:]))
+        alarms.receive(gone + 1.0, gone + 1.0, pump(*good, *parts[gone + 1:]))
     assert [row["over"] for row in alarms.rows()] == [float(at) for at in range(24, 4, -1)]
 
 
@@ -200,14 +200,14 @@ def test_a_node_that_is_not_heard() -> None:
     """After 2 s this is one alarm; its earlier alarms follow from it, as last reported."""
     said = pump(WRONG, ("levels", OK, "good"))
     alarms = heard((0.0, said))
-    alarms.look(1.9, 10.0)
+    alarms.update(1.9, 10.0)
     assert present(alarms) == ["/pump: drive"]
-    alarms.look(2.1, 20.0)
+    alarms.update(2.1, 20.0)
     assert follows(alarms) == {"/pump": None, "/pump: drive": "/pump"}
     row = rows(alarms)["/pump"]
     assert (row["level"], row["since"], alarms.counts()) == ("stale", 20.0, (1, 0, 1))
     assert "Nobody here knows whether the pump runs" in alarms.advice()
-    alarms.hear(3.0, 30.0, said)
+    alarms.receive(3.0, 30.0, said)
     assert present(alarms) == ["/pump: drive"]
 
 
@@ -254,7 +254,7 @@ def test_values_that_are_refused() -> None:
     """While the count grows, and for 2 s more; values refused before the start do not count."""
     alarms = Alarms()
     for step, count in enumerate([7, 7, 8, 9, *[9] * 12]):
-        alarms.hear(step / 4, float(step), mpc(refused={"/forecast/rain": count}))
+        alarms.receive(step / 4, float(step), mpc(refused={"/forecast/rain": count}))
         assert (present(alarms) == ["/mpc: refused"]) == (2 <= step <= 11), step
     assert "/forecast/rain" in rows(alarms)["/mpc: refused"]["what"]
 
@@ -265,7 +265,7 @@ def test_events_of_parameters() -> None:
     changes = [{"parameter": "w", "before": 1, "value": number} for number in range(25)]
     for known in (1, 2, 2, 5, 11, 25):
         newest = changes[max(0, known - 10):known]
-        alarms.hear(0.0, 0.0, mpc(parameter_changes=newest, parameter_change_count=known))
+        alarms.receive(0.0, 0.0, mpc(parameter_changes=newest, parameter_change_count=known))
     assert happened(alarms) == [
         *(f"/mpc: w was changed from 1 to {number}" for number in range(1, 11)),
         "/mpc: 4 changes of parameters before the next are not listed",
@@ -277,7 +277,7 @@ def test_events_of_warnings() -> None:
     """Each new warning is one, although a warning that has gone makes room for it."""
     alarms = Alarms()
     for warnings in ([], ["a"], ["a"], ["b"], [], ["b"]):
-        alarms.hear(0.0, 0.0, mpc(warnings=warnings))
+        alarms.receive(0.0, 0.0, mpc(warnings=warnings))
     assert happened(alarms) == ["/mpc warns: a", "/mpc warns: b", "/mpc warns: b"]
 
 
@@ -288,7 +288,7 @@ def test_events_of_a_hold_and_a_fault() -> None:
     for hold, fault in (
         (None, ""), (HOLD, ""), (HOLD, ""), (other, ""), (None, ""), (None, overheat), (None, ""),
     ):
-        alarms.hear(0.0, 5.0, pump(hold=hold, fault=fault))
+        alarms.receive(0.0, 5.0, pump(hold=hold, fault=fault))
     assert happened(alarms) == [
         f"the pump is held: {HELD}", "the pump is held: a hold by the page", "the hold has ended",
         "the pump is off until it is reset: the drive reports: overheat", "the fault was reset",
@@ -317,7 +317,7 @@ TWO = "two publishers", "two_controllers"
         ("inputs", ERROR, "two publishers", "input_publishers"),
     ), ["/pump: pump", "/pump: inputs"]),
 ])
-def test_what_has_one_cause(cause: str, said: list[Status], chain: list[str]) -> None:
+def test_what_has_one_cause(cause: str, said: list[WireStatus], chain: list[str]) -> None:
     alarms = heard((0.0, said))
     assert {*follows(alarms).items()} == {(cause, None), *((name, cause) for name in chain)}
     assert [name for name in present(alarms) if name != cause] == chain
@@ -337,7 +337,7 @@ def test_a_state_of_the_pump_that_its_cause_does_not_tell(
     alarms = heard((0.0, pump(WRONG, ("pump", ERROR, "why", code), **said)))
     assert list(follows(alarms).items()) == [("/pump: pump", None), ("/pump: drive", None)]
     assert advice in alarms.advice()
-    alarms.look(2.1, 2.1)  # the last report of a node that is silent now
+    alarms.update(2.1, 2.1)  # the last report of a node that is silent now
     assert rows(alarms)["/pump: pump"]["follows"] is None
     assert "Nobody here knows whether the pump runs" in alarms.advice()
 
@@ -381,7 +381,7 @@ def test_every_interlock_has_its_place() -> None:
     conditions = read_conditions()
     assert {
         code for code, interlock in read_interlocks().items()
-        if not conditions[code].needs_a_hand and not interlock.parts
+        if not conditions[code].needs_operator and not interlock.parts
     } == complete
 
 
@@ -397,7 +397,7 @@ def test_no_error_follows_from_a_warning() -> None:
         ("pump", WARN, "off: no command", "no_command"),
     )
     for at, said in each_quarter(1.25, [*mpc(("inputs", OK, "good"), **start), *off], begin=6.25):
-        alarms.hear(at, at, said)
+        alarms.receive(at, at, said)
     assert follows(alarms) == {"/mpc": None, "/pump: command": "/mpc", "/pump: pump": "/mpc"}
     assert alarms.counts() == (1, 0, 2)
     chain = {
@@ -411,7 +411,7 @@ def test_no_error_follows_from_a_warning() -> None:
 
 def test_the_order_of_alarms() -> None:
     """The pump's state, then errors, stale parts and warnings; other devices last."""
-    other = Status("/camera", ERROR, "no picture")
+    other = WireStatus("/camera", ERROR, "no picture")
     alarms = heard((0.0, [other, *mpc()]), (2.5, [
         other,
         *node("/weather", "weather", ("rain gauge", WARN, "/gauge/precipitation is older")),
@@ -472,21 +472,21 @@ def test_the_end_of_another_graph_is_no_alarm() -> None:
         namespace="/site1",
     )
     for wall in (6.0, 7.1, 60.0):
-        alarms.look(wall, wall)
+        alarms.update(wall, wall)
     assert present(alarms) == ["/site2/pump", "/site2/pump: inputs"]
-    alarms.hear(61.0, 61.0, node("/site2/mpc", "controller", ("inputs", ERROR, "bad")))
+    alarms.receive(61.0, 61.0, node("/site2/mpc", "controller", ("inputs", ERROR, "bad")))
     assert "/site2/mpc: inputs" in present(alarms)
 
 
 def test_other_devices() -> None:
     """They have 5 s, and a device heard only once is not missed; they never count as an error."""
-    once, often = Status("/camera", OK, "fine"), Status("disk usage", ERROR, "99 %")
+    once, often = WireStatus("/camera", OK, "fine"), WireStatus("disk usage", ERROR, "99 %")
     alarms = heard((0.0, [once, often]))
     assert present(alarms) == ["disk usage"]
     assert alarms.counts() == (0, 1, 0)
-    alarms.hear(1.0, 1.0, [often])
+    alarms.receive(1.0, 1.0, [often])
     for wall, level in ((5.9, "error"), (6.1, "stale")):
-        alarms.look(wall, wall)
+        alarms.update(wall, wall)
         assert [(row["id"], row["level"]) for row in alarms.rows()] == [("disk usage", level)]
 
 
@@ -502,7 +502,7 @@ _TEXTS = st.one_of(
     ]),
 )
 _STATUSES = st.builds(
-    Status, _TEXTS, st.integers(-(2**70), 2**70) | st.sampled_from([0, 1, 2, 3]), _TEXTS,
+    WireStatus, _TEXTS, st.integers(-(2**70), 2**70) | st.sampled_from([0, 1, 2, 3]), _TEXTS,
     st.dictionaries(
         st.sampled_from([
             "role", "refused", "hold", "fault", "warnings", "waiting", "parameter_changes",
@@ -515,13 +515,13 @@ _STATUSES = st.builds(
 @settings(max_examples=40)
 @given(st.lists(st.tuples(st.sampled_from([0.0, 0.1, 3.0]), st.lists(_STATUSES, max_size=6)),
                 max_size=6))
-def test_nothing_that_is_said_raises(messages: list[tuple[float, list[Status]]]) -> None:
+def test_nothing_that_is_said_raises(messages: list[tuple[float, list[WireStatus]]]) -> None:
     """And everything shown can be printed, and sent as JSON in UTF-8."""
     alarms, wall = Alarms(), 0.0
     for passed, statuses in messages:
         wall += passed
-        alarms.hear(wall, wall, statuses)
-        alarms.look(wall, wall)
+        alarms.receive(wall, wall, statuses)
+        alarms.update(wall, wall)
         for row in alarms.rows():
             alarms.acknowledge(row["id"])
         shown = [alarms.rows(), alarms.events(), alarms.counts(), alarms.advice(),
@@ -536,10 +536,10 @@ def test_nothing_that_is_said_raises(messages: list[tuple[float, list[Status]]])
 
 def test_a_watcher_that_stood_still_takes_nobody_for_silent() -> None:
     alarms = heard((0.0, [*pump(RIGHT), *mpc()]))
-    alarms.registry.forgive(6.0)
-    alarms.hear(6.0, 6.0, mpc())  # the first of the waiting messages
+    alarms.registry.excuse_silence(6.0)
+    alarms.receive(6.0, 6.0, mpc())  # the first of the waiting messages
     assert alarms.rows() == []
-    alarms.look(8.5, 8.5)
+    alarms.update(8.5, 8.5)
     assert {row["id"] for row in alarms.rows()} == {"/pump", "/mpc"}
 
 
@@ -567,9 +567,9 @@ def test_what_is_missing_while_a_site_starts_is_no_alarm(
     assert (alarms.rows(), alarms.events(), alarms.counts()) == ([], [], (0, 0, 0))
     assert [trouble.what for trouble in alarms.missing.values()] == [what]
     came, late = alarms, heard((1.0, pump((part, level, what, code), up_s=1.0)))
-    came.hear(59.5, 59.5, pump((part, OK, "good"), up_s=59.5))
+    came.receive(59.5, 59.5, pump((part, OK, "good"), up_s=59.5))
     assert (came.rows(), came.events(), came.missing) == ([], [], {})
-    late.hear(60.5, 60.5, pump((part, level, what, code), up_s=60.5))
+    late.receive(60.5, 60.5, pump((part, level, what, code), up_s=60.5))
     assert [row["what"] for row in late.rows()] == [what]
     assert not late.missing
 
@@ -591,7 +591,7 @@ def test_what_is_lost_or_wrong_while_a_site_starts_is_an_alarm(part: str, code: 
     mpc(up_s=5000.0),  # the others go on: a node was started again
     mpc(),  # of a version that does not say
 ])
-def test_a_node_that_is_started_again_is_no_start_of_the_site(others: list[Status]) -> None:
+def test_a_node_that_is_started_again_is_no_start_of_the_site(others: list[WireStatus]) -> None:
     alarms = heard((0.0, [
         *others, *pump(("levels", ERROR, "not come yet", "input_waiting"), up_s=1.0),
     ]))

@@ -16,7 +16,7 @@ import pytest
 from greenroof_ros.common.interface import read_topics, recorded_topics
 from greenroof_ros.recording.bag_writer import FLUSH_S, BagWriter, LiveBag
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.bag import Batch, Recorded
+from greenroof_ros.watch.bag import Batch, GrowingBag
 
 START_NS = 1_625_641_200 * 10**9
 DAY_NS = 86_400 * 10**9
@@ -77,7 +77,7 @@ class Reader:
     """Collects what was read."""
 
     def __init__(self, bag: Path, namespace: str | None = None) -> None:
-        self._bag = Recorded(bag, namespace)
+        self._bag = GrowingBag(bag, namespace)
         self.recorded = Batch()
         self.numbers: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
         self.messages: dict[tuple[str, int], tuple[int, bytes]] = {}
@@ -239,7 +239,7 @@ def test_a_live_bag(tmp_path: Path) -> None:
             bag.write("/diagnostics", time_ns, bytes(500), now)
         bag.write("/pump/state", time_ns, text, now)
     now += FLUSH_S + 1
-    bag.look(now)
+    bag.flush_if_due(now)
     for day in range(12):
         written = (START_NS + (day + 1) * DAY_NS) / 1e9
         os.utime(tmp_path / "bag" / f"bag_{day}.mcap", (written, written))
@@ -253,7 +253,7 @@ def test_a_live_bag(tmp_path: Path) -> None:
     reader.read()
     assert reader.numbers["/roof/level"][-1] != (time_ns + 10**9, 99.0)  # not yet flushed
     now += FLUSH_S + 1
-    bag.look(now)
+    bag.flush_if_due(now)
     reader.read()
     assert reader.numbers["/roof/level"][-1] == (time_ns + 10**9, 99.0)
     times = [time_ns for time_ns, _ in reader.numbers["/roof/level"]]
@@ -271,7 +271,7 @@ def test_much_is_read_in_pieces(tmp_path: Path) -> None:
         if tick % 100 == 0:  # incompressible bytes, 20 MB in all
             bag.write("/diagnostics", START_NS + tick * 10**6, os.urandom(100_000), 0.0)
     bag.close()
-    reader = Recorded(tmp_path / "long", "")
+    reader = GrowingBag(tmp_path / "long", "")
     notes: set[str] = set()
     batches = []
     while True:

@@ -17,7 +17,7 @@ import pytest
 from brokers import Talker, mosquitto, needs_mosquitto
 from commands import run_command
 from graphs import Process, environment, wait_for
-from said import ERROR, SECOND, START, hear, node, store
+from page_inputs import ERROR, SECOND, START, add_values, node, store
 from test_watch_command import end, running_pump
 
 from greenroof_ros.common.mqtt import parse_broker
@@ -27,7 +27,7 @@ from greenroof_ros.watch.bridge import Bridge, alarms_of, state_of
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.home_assistant import discovery
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.store import GraphStore
 
 pytest.importorskip("paho.mqtt", reason="the bridge needs paho-mqtt")
 
@@ -96,13 +96,13 @@ def test_discovery_is_what_home_assistant_documents() -> None:
 # --- what is published ----------------------------------------------------------------------------
 
 
-def state(graph: Store, wall: float = 0.0) -> dict[str, Any]:
+def state(graph: GraphStore, wall: float = 0.0) -> dict[str, Any]:
     return state_of(graph, read_document(graph, wall))
 
 
 def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
     graph = store("live")
-    hear(graph, 0, 10, {
+    add_values(graph, 0, 10, {
         "/roof/level": 0.0457, "/cistern/level": 2.5, "/weather/precipitation": 1e-6,
         "/pump/flow": 1e-3, "/pump/command": 0.25, "/weather/frost": 1.0,
     })
@@ -110,7 +110,7 @@ def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
     graph.add_plan(START + 9 * SECOND, np.array([
         [1000.0, 0.0, 0.04], [4600.0, 1e-3, 0.045], [43_200.0, 0.0, 0.04],
     ]), past=False)
-    graph.look(0.0, START / SECOND + 10)
+    graph.update(0.0, START / SECOND + 10)
     said = state(graph)
     assert {key: said[key] for key in (
         "mode", "roof_level", "cistern_level", "rain", "flow", "command", "frost", "planned_volume",
@@ -124,7 +124,7 @@ def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
     assert {later[key] for key in (
         "roof_level", "cistern_level", "rain", "flow", "command", "frost"
     )} == {None}
-    hear(graph, 30, 40, {"/roof/level": 0.0457, "/cistern/level": -1.0})
+    add_values(graph, 30, 40, {"/roof/level": 0.0457, "/cistern/level": -1.0})
     assert (state(graph, 20.0)["roof_level"], state(graph, 20.0)["cistern_level"]) == (45.7, None)
     graph.set_present(mode="ended", factor=None, note="")
     said = state(graph, 20.0)
@@ -163,15 +163,16 @@ def test_it_says_what_a_simulated_run_does_and_nothing_can_be_stopped(
         assert "pump" in state_on(heard)["plan"]
         with Talker(broker) as late:
             wait_for(lambda: late.of("greenroof/roof/availability"), 30, "what is retained")
-            retained = {topic for _, topic, _, retained in late.heard if retained}
+            retained = {topic for _, topic, _, retained in late.received if retained}
             assert retained == {"greenroof/roof/availability", *discovery("roof", "homeassistant")}
-        heard.say("greenroof/roof/stop", "STOP")
-        bridge.until_said("There is no pump node that could be stopped")
+        heard.publish("greenroof/roof/stop", "STOP")
+        bridge.until_printed("There is no pump node that could be stopped")
         bridge.process.kill()
         wait_for(
             lambda: heard.last("greenroof/roof/availability") == "offline", 30, "the last will"
         )
-        assert run.wait(120) == 0
+        run.process.send_signal(signal.SIGINT)
+        assert run.wait(120) == 130
 
 
 @needs_mosquitto
@@ -185,7 +186,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         # At less than full flow, so that it still runs after the broker was lost.
         running_pump(domain, tmp_path, "--fraction", "0.4") as (run, drive),
     ):
-        heard.say(stop, "STOP", retain=True)
+        heard.publish(stop, "STOP", retain=True)
         bridge = Process(
             domain, "bridge", "--broker", broker.address, "--namespace", "site1", cwd=tmp_path
         )
@@ -193,19 +194,19 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         def state() -> dict[str, Any]:
             return state_on(heard, "site1")
 
-        bridge.until_said("ignored, since it is retained")
+        bridge.until_printed("ignored, since it is retained")
         wait_for(
             lambda: state().get("can_stop") and state()["pump"] == "running"
             and (state()["flow"] or 0.0) > 0, 60, "a running pump, and its flow",
         )
         assert state()["hold"] == ""
         for wish in ("RELEASE", "", '{"data": false}', "stop"):
-            heard.say(stop, wish)
+            heard.publish(stop, wish)
         wait_for(lambda: bridge.stderr().count("it is not STOP") >= 4, 30, "four refusals")
         assert state()["pump"] == "running"
         before = len(heard.of(availability))
         broker.kill()
-        bridge.until_said("not connected to")
+        bridge.until_printed("not connected to")
         time.sleep(3.0)
         broker.start()
         wait_for(lambda: len(heard.of(availability)) > before, 30, "the bridge again")
@@ -213,10 +214,10 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         assert run.process.poll() is None
         config = next(iter(discovery("site1", "homeassistant")))
         before = len(heard.of(config))
-        heard.say("homeassistant/status", "online")
+        heard.publish("homeassistant/status", "online")
         wait_for(lambda: len(heard.of(config)) > before, 30, "the discovery again")
         # Sent retained while the bridge is connected, it is a stop like any other.
-        heard.say(stop, "STOP", retain=True)
+        heard.publish(stop, "STOP", retain=True)
         wait_for(lambda: state()["pump"] == "held", 30, "a pump that is held off")
         assert (state()["condition"], state()["hold"]) == ("hold", "A hold by MQTT.")
         wait_for(lambda: drive.speed() < 0.005, 30, "a pump that stands")
@@ -228,13 +229,13 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         bridge = Process(
             domain, "bridge", "--broker", broker.address, "--namespace", "site1", cwd=tmp_path
         )
-        bridge.until_said("ignored, since it is retained")
+        bridge.until_printed("ignored, since it is retained")
         wait_for(lambda: state()["hold"] == "" and state()["pump"] != "held", 30, "no hold")
         time.sleep(3.0)
         assert state()["hold"] == ""
         broker.pause()
-        bridge.until_said("Keep alive timeout")
-        broker.go_on()
+        bridge.until_printed("Keep alive timeout")
+        broker.resume()
         end(bridge)
         wait_for(lambda: heard.last(availability) == "offline", 30, "its last word")
 
@@ -254,11 +255,11 @@ def test_it_logs_in_and_says_once_why_it_cannot(domain: int, tmp_path: Path) -> 
     ) as broker:
         options = ("--broker", broker.address)
         bridge = Process(domain, "bridge", *options, "--login", str(login), cwd=tmp_path)
-        bridge.until_said(f"connected to {broker.address}; topics")
+        bridge.until_printed(f"connected to {broker.address}; topics")
         end(bridge)
         # As a shell starts it in a script's background.
         bridge = Process(domain, "bridge", *options, cwd=tmp_path, ignored=[signal.SIGINT])
-        bridge.until_said("Not authorized")
+        bridge.until_printed("Not authorized")
         time.sleep(2.0)  # it has tried again
         assert bridge.stderr().count("Not authorized") == 1
         end(bridge)
@@ -315,7 +316,7 @@ def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
         others = {"bridge.state_of": "alarms", "bridge.document": "availability"}
         other = others.get(broken, "state")
         wait_for(lambda: heard.last(f"greenroof/roof/{other}"), 30, "a message")
-        heard.say("greenroof/roof/stop", "STOP")
+        heard.publish("greenroof/roof/stop", "STOP")
         said = ""
 
         def answered() -> bool:

@@ -15,8 +15,20 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
+from page_inputs import (
+    ERROR,
+    HELD,
+    HOLD,
+    OK,
+    SECOND,
+    START,
+    WARN,
+    add_values,
+    incident,
+    node,
+    store,
+)
 from paper import PAPER_SITE
-from said import ERROR, HELD, HOLD, OK, SECOND, START, WARN, hear, incident, node, store
 
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import Site
@@ -24,8 +36,8 @@ from greenroof_ros.watch import words
 from greenroof_ros.watch.document import LINES
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
-from greenroof_ros.watch.store import Store
-from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.store import GraphStore
+from greenroof_ros.watch.wire import WireStatus
 
 SITE = replace(PAPER_SITE, utc_offset=-5.0)  # START is 00:00 there
 TORONTO, STANDARD = ZoneInfo("America/Toronto"), timezone(timedelta(hours=-5))
@@ -39,28 +51,28 @@ LEVELS = "roof", "cistern"  # lines with a point at the end of a stretch, not wh
 ENSEMBLE = np.outer(np.arange(1.0, 12.0), np.full(32, 1e-7))  # 11 members, (member, step)
 
 
-def watched(mode: str = "simulated", **values: float) -> Store:
+def watched(mode: str = "simulated", **values: float) -> GraphStore:
     """Return a store after a minute with these values; ``_`` stands for ``/``."""
     given = {**QUIET, **{f"/{name.replace('_', '/')}": value for name, value in values.items()}}
     graph = store(mode, SITE)
-    hear(graph, 0, 61, given)
+    add_values(graph, 0, 61, given)
     return graph
 
 
-def add_at(graph: Store, topic: str, *pairs: tuple[float, float]) -> None:
+def add_at(graph: GraphStore, topic: str, *pairs: tuple[float, float]) -> None:
     """Add values of a topic, each with its second."""
     seconds, values = zip(*pairs, strict=True)
     graph.add(topic, START + SECOND * np.array(seconds, np.int64), np.array(values))
 
 
 def forecast(
-    graph: Store, time_ns: int, rain: Any, hours: float = 12, *, issued: float = math.nan
+    graph: GraphStore, time_ns: int, rain: Any, hours: float = 12, *, issued: float = math.nan
 ) -> None:
     """Add a forecast with growing steps, up to this many hours ahead."""
     graph.add_forecast(time_ns, rain, np.array([issued, *growing_steps(hours)[1:]]))
 
 
-def plan_lasts(graph: Store, first: int, last: int) -> None:
+def plan_lasts(graph: GraphStore, first: int, last: int) -> None:
     """Have the controller report from one second to another that its plan is unchanged."""
     for second in range(first, last, 60):
         graph.add_plan(START + second * SECOND, np.empty((0, 4)))
@@ -77,7 +89,7 @@ def leaves(value: Any) -> Iterator[Any]:
         yield value
 
 
-def shown(graph: Store, wall: float = 100.0) -> dict[str, Any]:
+def shown(graph: GraphStore, wall: float = 100.0) -> dict[str, Any]:
     """Return the document, which must be short, and JSON that a browser accepts.
 
     Here plain spaces are between numbers and units.
@@ -93,16 +105,16 @@ def shown(graph: Store, wall: float = 100.0) -> dict[str, Any]:
     return document
 
 
-def tile_of(graph: Store, name: str, wall: float = 100.0) -> dict[str, Any]:
+def tile_of(graph: GraphStore, name: str, wall: float = 100.0) -> dict[str, Any]:
     tile: dict[str, Any] = shown(graph, wall)["tiles"][name]
     return tile
 
 
-def account_of(graph: Store, wall: float = 100.0) -> dict[str, dict[str, Any]]:
+def account_of(graph: GraphStore, wall: float = 100.0) -> dict[str, dict[str, Any]]:
     return {row["key"]: row for row in shown(graph, wall)["account"]["rows"]}
 
 
-def pump_says(graph: Store, wall: float, text: str, stamp_ns: int = 0, **said: Any) -> None:
+def pump_says(graph: GraphStore, wall: float, text: str, stamp_ns: int = 0, **said: Any) -> None:
     graph.add_statuses(wall, node("/pump", "pump", pump=text, **said), stamp_ns)
 
 
@@ -226,7 +238,7 @@ def test_rain_and_what_is_to_come() -> None:
 
 def test_what_is_known_by_words_alone() -> None:
     """If nobody hears a controller's command, it is not shown as working."""
-    graph = Store()
+    graph = GraphStore()
     pump_says(graph, 100.0, "held: there is frost")
     graph.add_statuses(100.0, node("/mpc", "controller"))
     pump, controller = (tile_of(graph, name) for name in ("pump", "controller"))
@@ -263,7 +275,7 @@ def test_what_the_controller_fills_to() -> None:
     """A level for now and one for later; no present level while the roof is left alone."""
     graph = watched()
     graph.add_plan(MINUTE, np.array([[3600.0, 1e-3, 0.045]]))
-    hear(graph, 60, 61, {"/controller/fill_to": 0.041})
+    add_values(graph, 60, 61, {"/controller/fill_to": 0.041})
     said = tile_of(graph, "controller")["sentence"].partition("; ")[0]
     assert said == "fills to 41.0 mm now"
     later = [[3600.0, 0.0, 0.045, 0.041], [7200.0, 0.0, 0.045, 0.0412], [9000.0, 0.0, 0.045, 0.044]]
@@ -273,7 +285,7 @@ def test_what_the_controller_fills_to() -> None:
     forecast(graph, MINUTE, np.full((1, 32), 1e-7))
     said = tile_of(graph, "controller")["sentence"].partition("; ")[0]
     assert said == "fills to 41.0 mm now, and to 44.0 mm after 02:01 if no rain has come"
-    hear(graph, 61, 62, {"/roof/level": 0.0435, "/controller/fill_to": math.nan})
+    add_values(graph, 61, 62, {"/roof/level": 0.0435, "/controller/fill_to": math.nan})
     said = tile_of(graph, "controller")["sentence"].partition("; ")[0]
     assert said == "fills to 44.0 mm after 02:01 if no rain comes"
     graph.add_plan(MINUTE + 2 * SECOND, np.array(later)[:, :3])  # from an older bag
@@ -354,8 +366,8 @@ def test_a_value_that_does_not_come_any_more_is_stale() -> None:
     stale = []
     for second in range(17):
         values = {"/cistern/level": 2.0, **({"/roof/level": 0.0453} if second < 10 else {})}
-        hear(graph, 61 + second, 62 + second, values)
-        graph.look(100.0 + second, 0.0)  # by the feed, whether a page is open or not
+        add_values(graph, 61 + second, 62 + second, values)
+        graph.update(100.0 + second, 0.0)  # by the feed, whether a page is open or not
         if second == 13:
             stale.append(tile_of(graph, "roof", 113.0)["stale"])
     document = shown(graph, 116.0)
@@ -365,7 +377,7 @@ def test_a_value_that_does_not_come_any_more_is_stale() -> None:
     assert tile["sentence"] == "45.3 mm when last heard at 00:01:10"
     assert not document["tiles"]["cistern"]["stale"]
     assert document["tiles"]["summary"]["level"] == "warn"
-    hear(graph, 90, 91, {"/roof/level": 0.0453})
+    add_values(graph, 90, 91, {"/roof/level": 0.0453})
     assert tile_of(graph, "roof", 118.0)["state"] == "good"
 
 
@@ -373,7 +385,7 @@ def test_what_comes_seldom_may_be_silent_for_longer() -> None:
     """The bag of a live site grows every 10 s: three times that is allowed."""
     graph = watched()
     for block in range(4):
-        hear(graph, 61 + 10 * block, 71 + 10 * block, {"/roof/level": 0.0457})
+        add_values(graph, 61 + 10 * block, 71 + 10 * block, {"/roof/level": 0.0457})
         shown(graph, 100.0 + 10 * block)
     assert not tile_of(graph, "roof", 159.0)["stale"]
     assert tile_of(graph, "roof", 161.0)["stale"]
@@ -382,17 +394,17 @@ def test_what_comes_seldom_may_be_silent_for_longer() -> None:
 def test_the_time_of_a_live_site_goes_on_without_values_and_may_be_set_back() -> None:
     """Set back by an hour: new values count, and the recording's later ones do not."""
     graph = watched("live")
-    graph.look(100.0, START / 1e9 + 60)
+    graph.update(100.0, START / 1e9 + 60)
     assert shown(graph, 101.0)["notes"] == []
-    graph.look(112.0, START / 1e9 + 72)
+    graph.update(112.0, START / 1e9 + 72)
     document = shown(graph, 112.0)
     assert document["time"]["text"] == "2021-07-20 00:01:12 UTC-05:00"
     assert document["notes"] == ["No values have come for 12 s."]
     assert read_series(graph, 1.0)["now"] == START / 1e9 + 72
     pump_says(graph, 112.0, "off: nothing is commanded")
-    graph.look(112.5, START / 1e9 - 3539)
-    hear(graph, 55, 62, {"/roof/level": 0.01})
-    hear(graph, -3539, -3530, QUIET)
+    graph.update(112.5, START / 1e9 - 3539)
+    add_values(graph, 55, 62, {"/roof/level": 0.01})
+    add_values(graph, -3539, -3530, QUIET)
     document = shown(graph, 113.0)
     assert document["tiles"]["roof"]["number"] == QUIET["/roof/level"]
     assert document["tiles"]["pump"]["value"] == "off"
@@ -421,7 +433,7 @@ def test_nothing_of_an_ended_run_is_stale_and_it_has_no_future() -> None:
 
 
 def test_headings() -> None:
-    graph = Store()
+    graph = GraphStore()
     for mode, factor, heading in (
         ("none", None, "Nothing is heard yet"),
         ("simulated", 30.0, "Simulated run, 30 times real time"),
@@ -434,7 +446,7 @@ def test_headings() -> None:
 
 
 def test_a_watcher_that_knows_nothing() -> None:
-    document = shown(Store("/site1"), 5.0)
+    document = shown(GraphStore("/site1"), 5.0)
     assert document["namespace"] == "/site1"
     assert document["time"] == {
         "now": None, "text": "unknown", "clock": [],
@@ -442,15 +454,15 @@ def test_a_watcher_that_knows_nothing() -> None:
     assert document["tiles"].pop("summary")["sentence"] == "no run or site is found."
     assert {tile["state"] for tile in document["tiles"].values()} == {"unknown"}
     assert {row["value"] for row in document["account"]["rows"]} == {"unknown"}
-    assert not any(read_series(Store(), 12)["lines"].values())
+    assert not any(read_series(GraphStore(), 12)["lines"].values())
 
 
 def test_another_run_begins() -> None:
     """It can be of an earlier day."""
     graph = watched()
-    graph.start_over()
+    graph.reset()
     assert tile_of(graph, "roof")["state"] == "unknown"
-    hear(graph, -86_400, -86_300, QUIET)
+    add_values(graph, -86_400, -86_300, QUIET)
     assert tile_of(graph, "roof")["state"] == "good"
     assert shown(graph)["account"]["since_text"] == "since 2021-07-19 00:00:00"
 
@@ -471,14 +483,14 @@ def test_the_account_in_words() -> None:
         "saved": "0.060 m³",
     }  # the level stood still; without rain no share of it was kept
     assert shown(graph)["account"]["sentence"] == ""
-    hear(graph, 361, 400, QUIET)
+    add_values(graph, 361, 400, QUIET)
     assert shown(graph)["account"]["sentence"] == "with gaps of 5 min"
 
 
 def test_water_of_the_mains_in_the_account() -> None:
     """Below its level the valve gives its flow, here all that is pumped, so none is saved."""
     graph = store(site=replace(SITE, mains_level=1.0, mains_flow=1e-3))
-    hear(graph, 0, 61, {**QUIET, "/cistern/level": 0.9, "/pump/flow": 1e-3})
+    add_values(graph, 0, 61, {**QUIET, "/cistern/level": 0.9, "/pump/flow": 1e-3})
     numbers = [account_of(graph)[key]["number"] for key in ("pumped", "mains", "saved")]
     assert numbers == pytest.approx([0.06, 0.06, 0.0], abs=1e-12)
 
@@ -488,7 +500,7 @@ def test_an_ended_live_bag_has_its_account_to_the_end() -> None:
     graph = store("ended", SITE)
     of_plant = ("/cistern/outflow", "/roof/drainage")
     live = {topic: value for topic, value in QUIET.items() if topic not in of_plant}
-    hear(graph, 0, 1000, {**live, "/pump/flow": 1e-3})
+    add_values(graph, 0, 1000, {**live, "/pump/flow": 1e-3})
     shown(graph, 100.0)
     rows = account_of(graph, 103.0)
     assert rows["pumped"]["number"] == pytest.approx(0.999)
@@ -604,7 +616,7 @@ def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
     assert "it is not known what the pump does" in document["tiles"]["summary"]["sentence"]
 
 
-def with_pump(graph: Store, state: str, **said: Any) -> dict[str, Any]:
+def with_pump(graph: GraphStore, state: str, **said: Any) -> dict[str, Any]:
     """Return the document after this report of the pump node, with its part and another warning."""
     graph.add_statuses(100.0, node(
         "/pump", "pump", ("pump", WARN, state, "drive_lost"), ("limits", WARN, "3 m3", "limited"),
@@ -661,19 +673,19 @@ def test_a_drive_that_is_not_heard_has_no_flow_although_it_stands() -> None:
 def test_a_flow_that_is_not_known_is_a_gap() -> None:
     """In the chart and the account, from when it was last known until it is known again."""
     graph = watched("live", pump_flow=1e-3)
-    graph.look(99.0, START / 1e9 + 60)
+    graph.update(99.0, START / 1e9 + 60)
     known = {"stands": False, "speed": 1.0, "flow": 1e-3}
 
-    def say(second: int, said: dict[str, Any]) -> None:
-        graph.look(100.0 + second, START / 1e9 + second)
+    def print_line(second: int, said: dict[str, Any]) -> None:
+        graph.update(100.0 + second, START / 1e9 + second)
         pump_says(graph, 100.0 + second, "off: lost", START + second * SECOND, **said)
 
-    say(60, known)
-    say(70, {"stands": False, "speed": None, "flow": None})
-    hear(graph, 61, 161, {**QUIET, "/pump/flow": 0.0})
-    say(160, known)
-    hear(graph, 161, 181, {**QUIET, "/pump/flow": 1e-3})
-    graph.look(301.0, START / 1e9 + 180)
+    print_line(60, known)
+    print_line(70, {"stands": False, "speed": None, "flow": None})
+    add_values(graph, 61, 161, {**QUIET, "/pump/flow": 0.0})
+    print_line(160, known)
+    add_values(graph, 161, 181, {**QUIET, "/pump/flow": 1e-3})
+    graph.update(301.0, START / 1e9 + 180)
     flow = read_series(graph, 1)["lines"]["flow"]
     assert [row[1] for row in flow] == [*[1e-3] * 4, None, *[1e-3] * 2]
     assert flow[4][0] == START / 1e9 + 60
@@ -742,7 +754,7 @@ def test_what_began_before_the_clock_of_a_run_is_of_its_clock() -> None:
         (1.0, WARN, time.time_ns()), (2.0, WARN, time.time_ns()), (3.0, OK, START + SECOND),
     ):
         graph.add_statuses(wall, node("/pump", "pump", ("drive", level, "not connected")), stamp_ns)
-    hear(graph, 0, 9, QUIET)
+    add_values(graph, 0, 9, QUIET)
     document = shown(graph, 3.5)
     (alarm,) = document["alarms"]
     assert (alarm["since_text"], alarm["since_at_least"]) == ("00:00:01", True)
@@ -767,7 +779,7 @@ def test_an_incident_of_a_recording_stands_while_it_did(
         incident("pump", "drive", "no connection to the drive", "drive_lost", at + 10, at + 30),
         incident("mpc", "", "ended", "node_failed", at + 10, at + 12),
     ]
-    hear(graph, 0, second + 1, QUIET)
+    add_values(graph, 0, second + 1, QUIET)
     document = shown(graph)
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
     assert (summary["level"], summary["word"], tile["value"]) == (level, word, value)
@@ -789,7 +801,9 @@ def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
     """It is shown; present incidents, and those since, are reported by the nodes themselves."""
     graph, before = store("live", SITE), time.time()
     over = incident("pump", "drive", "no connection", "drive_lost", before - 60, before - 30)
-    graph.recorded_incidents = [over, replace(over, over=None), replace(over, over=before + 60)]
+    graph.recorded_incidents = [
+        over, replace(over, ended_at=None), replace(over, ended_at=before + 60)
+    ]
     assert shown(graph)["alarms"] == []
     graph.add_statuses(time.monotonic(), [])
     assert [row["over"] for row in shown(graph)["alarms"]] == [before - 30]
@@ -848,7 +862,7 @@ def test_a_forecast_has_an_age(hours: float, sentence: str) -> None:
     graph, now = watched(), round(hours * 3600)
     rain = np.full(len(growing_steps(48)) - 1, 1e-7)
     forecast(graph, START, rain, 48)
-    hear(graph, now, now + 1, QUIET)
+    add_values(graph, now, now + 1, QUIET)
     assert tile_of(graph, "rain")["sentence"] == sentence
     if hours >= 2:
         forecast(graph, START + now * SECOND, rain, 48, issued=START / 1e9)
@@ -863,7 +877,7 @@ def test_a_new_forecast_is_an_event_when_the_rain_is_another() -> None:
     for minute in range(0, 240, 10):
         rain = np.full(32, (1 if minute < 120 else 4) * 1e-7 + minute * 1e-11)
         forecast(graph, START + minute * 60 * SECOND, rain)
-        hear(graph, minute * 60, minute * 60 + 1, {"/roof/level": 0.0457})
+        add_values(graph, minute * 60, minute * 60 + 1, {"/roof/level": 0.0457})
     (event,) = shown(graph)["events"]
     assert (event["at_text"], event["what"]) == (
         "02:00:00", "New forecast: 17 mm of rain in the next 12 h; before, it was 4.3 mm"
@@ -885,7 +899,7 @@ def test_a_flood_of_statuses_crowds_nobody_out_and_leaves_a_short_document() -> 
     tracemalloc.start()
     for turn in range(1, 4):
         flood = [
-            Status(f"/{turn} {number} {long[:100]}", number % 4, long, {"a": long})
+            WireStatus(f"/{turn} {number} {long[:100]}", number % 4, long, {"a": long})
             for number in range(10_000)
         ]
         graph.add_statuses(100.0 + turn / 4, [*flood, *forged, *own])
@@ -1000,8 +1014,8 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
     (3000, 12, 9000.0),  # three samples
 ])
 def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None:
-    graph = Store()
-    hear(graph, 0, round(hours * 3600), {"/roof/level": 0.04}, every=seconds)
+    graph = GraphStore()
+    add_values(graph, 0, round(hours * 3600), {"/roof/level": 0.04}, every=seconds)
     series = read_series(graph, hours)
     assert series["gaps"]["roof"] == gap
     assert np.diff([row[0] for row in series["lines"]["roof"]]).max() <= gap
@@ -1010,8 +1024,8 @@ def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None
 
 def test_a_run_that_has_just_begun_has_many_rows() -> None:
     """Ten minutes of 12 h are shown in stretches of 20 s, from the first to the newest value."""
-    graph = Store()
-    hear(graph, 0, 600, {"/roof/level": 0.04, "/weather/precipitation": 0.0})
+    graph = GraphStore()
+    add_values(graph, 0, 600, {"/roof/level": 0.04, "/weather/precipitation": 0.0})
     series = read_series(graph, 12)
     assert series["stretch"] == 20.0
     for name in ("roof", "rain"):
@@ -1087,8 +1101,8 @@ def _fail(*_: Any, **__: Any) -> Any:
 @pytest.mark.parametrize("place", [
     "tiles.rain", "tiles.roof", "tiles.cistern", "tiles.pump", "tiles.controller", "tiles.waiting",
     "tiles.too_wet", "words.date_and_time", "words.length_of_time", "account.Account.totals",
-    "alarms.Alarms.rows", "alarms.Alarms.counts", "alarms.Alarms.events", "alarms.Alarms.look",
-    "store.Store.incidents",
+    "alarms.Alarms.rows", "alarms.Alarms.counts", "alarms.Alarms.events", "alarms.Alarms.update",
+    "store.GraphStore.incidents",
 ])
 def test_whatever_cannot_be_shown_the_pump_can_be_stopped(
     place: str, monkeypatch: pytest.MonkeyPatch

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from bag_topics import MPC_TOPICS
 from graphs import Process, bag_file, bring_up, wait_for
-from lookers import Peer, in_domain
 from mcap.reader import make_reader
 from numpy.typing import NDArray
+from peers import Peer, in_domain
 from test_account import STORM, assert_equal
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
@@ -27,11 +27,11 @@ pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED
-from greenroof_ros.graph.looker import StopFailedError
 from greenroof_ros.watch import feed, wire
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.store import Store
+from greenroof_ros.watch.graph_client import PumpRequestError
+from greenroof_ros.watch.store import GraphStore
 
 LEVEL = "/roof/level"
 FORECASTS = {"/forecast/precipitation", "/forecast/evapotranspiration"}
@@ -39,7 +39,7 @@ NUMBERS = MPC_TOPICS - {"/clock"} - FORECASTS
 HEARD, READ = "graph", "bag"  # the threads that hear and read
 
 
-class Kept(Store):
+class Kept(GraphStore):
     """A store that also keeps what it is fed.
 
     Attributes:
@@ -67,10 +67,10 @@ class Kept(Store):
         self._keep(topic, time_ns, value)
         super().add_present(topic, time_ns, value)
 
-    def take(self, topic: str, time_ns: int, message: bytes, *, past: bool) -> None:
+    def receive(self, topic: str, time_ns: int, message: bytes, *, past: bool) -> None:
         if (rows := wire.rows(message)) is not None and topic in FORECASTS:
             self._keep(topic, time_ns, rows[0].tolist())
-        super().take(topic, time_ns, message, past=past)
+        super().receive(topic, time_ns, message, past=past)
 
     def set_present(self, **present: Any) -> None:
         said = present["mode"], present["note"]
@@ -78,10 +78,10 @@ class Kept(Store):
             self.present.append(said)
         super().set_present(**present)
 
-    def start_over(self) -> None:
+    def reset(self) -> None:
         self.runs += 1
         self.values.clear()
-        super().start_over()
+        super().reset()
 
     def of(self, thread: str) -> dict[str, dict[int, Any]]:
         kept = list(self.values.items())  # it grows in other threads
@@ -230,8 +230,8 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
 
     def refusal(feed: Feed) -> str:
         began = time.monotonic()
-        with pytest.raises(StopFailedError) as refused:
-            feed.ask("stop", owner="the page")
+        with pytest.raises(PumpRequestError) as refused:
+            feed.request_action("stop", owner="the page")
         assert time.monotonic() - began < 15
         return str(refused.value)
 
@@ -310,8 +310,8 @@ def test_a_stop_is_answered_whatever_else_fails(domain: int) -> None:
     with in_domain(domain), Feed(Broken()) as feed:
         time.sleep(0.5)
         began = time.monotonic()
-        with pytest.raises(StopFailedError, match="no pump node"):
-            feed.ask("stop", owner="the page")
+        with pytest.raises(PumpRequestError, match="no pump node"):
+            feed.request_action("stop", owner="the page")
         assert time.monotonic() - began < 15
 
 
@@ -321,14 +321,14 @@ def test_a_stop_goes_before_what_was_asked_before_it_which_is_not_done() -> None
     answers: dict[int, str] = {}
 
     def ask(number: int, action: str) -> None:
-        with pytest.raises(StopFailedError) as failed:
-            feed.ask(action)
+        with pytest.raises(PumpRequestError) as failed:
+            feed.request_action(action)
         answers[number] = str(failed.value)
 
     for number, action in enumerate(("release", "stop", "dose", "stop", "release")):
         threading.Thread(target=ask, args=(number, action), daemon=True).start()
-        wait_for(lambda a=action: feed._asked and feed._asked[-1][0] == a, 10, "the request")
+        wait_for(lambda a=action: feed._requests and feed._requests[-1][0] == a, 10, "the request")
     wait_for(lambda: len(answers) == 2, 30, "the end of what came before a stop")
-    assert [action for action, *_ in feed._asked] == ["stop", "stop", "release"]
+    assert [action for action, *_ in feed._requests] == ["stop", "stop", "release"]
     assert answers.keys() == {0, 2}
     assert {*answers.values()} == {"Nothing was done: somebody is asking to stop the pump."}

@@ -16,8 +16,8 @@ from greenroof_ros.watch import wire
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.store import Store
-from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.store import GraphStore
+from greenroof_ros.watch.wire import WireStatus
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
@@ -81,8 +81,8 @@ def test_messages_are_read_as_written(little: bool) -> None:
     assert wire.statuses(diagnostics(little)) == (
         1_700_000_000_000_000_005,
         [
-            Status("/plant", 0, "ready", {"role": '"plant"'}),
-            Status("/pump: drive", 3, "ü <b>"),
+            WireStatus("/plant", 0, "ready", {"role": '"plant"'}),
+            WireStatus("/pump: drive", 3, "ü <b>"),
         ],
     )
 
@@ -141,7 +141,7 @@ def test_the_newest_that_is_heard_is_shown_while_the_bag_is_read() -> None:
 
     If no bag comes, they become the past.
     """
-    store = Store()
+    store = GraphStore()
     feed = Feed(store)  # not entered: no graph
     store.mode = "live"  # a message has the time at which it came
     now_ns = 1_626_757_200 * 10**9
@@ -161,7 +161,7 @@ def test_the_newest_that_is_heard_is_shown_while_the_bag_is_read() -> None:
         feed._on_message(topic, message, None, now_ns)
     empty = written("std_msgs/Float64MultiArray", *rows_message(np.empty(0), ()))
     feed._on_message("/controller/plan", empty, None, now_ns)
-    feed._hand_on()
+    feed._move_to_past()
     series = read_series(store, 12)
     assert store.forecast is not None
     assert (series["now"], store.forecast.issued) == (now, now - 60)
@@ -171,5 +171,5 @@ def test_the_newest_that_is_heard_is_shown_while_the_bag_is_read() -> None:
     assert read_document(store, 0.0)["tiles"]["roof"]["number"] == 0.045
     assert series["lines"]["roof"] == series["lines"]["roof_expected"] == []
     feed._waits_since = 0.0  # no bag has come
-    feed._hand_on()
+    feed._move_to_past()
     assert read_series(store, 12)["lines"]["roof"] == [[now, 0.045, 0.045, 0.045]]

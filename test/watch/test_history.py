@@ -6,9 +6,9 @@ import random
 
 import numpy as np
 import pytest
-from said import SECOND, START
+from page_inputs import SECOND, START
 
-from greenroof_ros.watch.history import KEPT, STRETCH_NS, Gaps, History
+from greenroof_ros.watch.history import MOST_STRETCHES, STRETCH_NS, Gaps, History
 
 
 def ticks(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -72,7 +72,7 @@ def test_a_step_is_where_it_happened(points: int, noise: float) -> None:
     values[:ran] += 200.0
     for first in range(0, 1200, 7):
         for at, value in zip(times[first : first + 7], values[first : first + 7], strict=False):
-            history.hear(int(at), float(value))
+            history.add_ahead(int(at), float(value))
         if first >= 21:
             history.add(times[first - 21 : first - 14], values[first - 21 : first - 14])
             rows = history.window(int(times[0]), int(times[-1]), points, steps=True)
@@ -118,7 +118,7 @@ def test_a_week_is_kept_and_memory_is_bounded() -> None:
         last = first + chance.choice([1, 100, 20_000])
         history.add(times[first:last], np.arange(first, min(last, len(times)), dtype=float))
         first = last
-        assert len(history._times) <= 3 * KEPT
+        assert len(history._times) <= 3 * MOST_STRETCHES
     end = int(times[-1])
     rows = history.window(end - 7 * 86_400 * SECOND, end, 400, steps=False)
     assert rows[0][0] < (end - 7 * 86_400 * SECOND) / 1e9 + 2000
@@ -128,10 +128,11 @@ def test_a_week_is_kept_and_memory_is_bounded() -> None:
 def test_a_batch_longer_than_a_week_keeps_its_end() -> None:
     """Times without values take no space: here two stretches are an hour apart."""
     history = History()
-    times = START + 180 * STRETCH_NS * np.arange(3 * KEPT)
-    history.add(times, np.arange(3.0 * KEPT))
-    rows = history.window(int(times[-KEPT]), int(times[-1]), 180 * KEPT, steps=True)
-    assert [row[3] for row in rows] == [float(hour) for hour in range(2 * KEPT, 3 * KEPT)]
+    times = START + 180 * STRETCH_NS * np.arange(3 * MOST_STRETCHES)
+    history.add(times, np.arange(3.0 * MOST_STRETCHES))
+    most = MOST_STRETCHES
+    rows = history.window(int(times[-most]), int(times[-1]), 180 * most, steps=True)
+    assert [row[3] for row in rows] == [float(hour) for hour in range(2 * most, 3 * most)]
 
 
 def test_times_at_which_a_value_was_not_known() -> None:
@@ -139,19 +140,19 @@ def test_times_at_which_a_value_was_not_known() -> None:
     rows = [[float(at), 1.0, 1.0, 1.0] for at in range(0, 100, 10)]
     unknown = Gaps()
     assert unknown.cut_out(rows) == rows
-    unknown.say(1e9, known=False)  # by another clock, before the run's own was known
-    unknown.say(5.0, known=True)
+    unknown.update(1e9, known=False)  # by another clock, before the run's own was known
+    unknown.update(5.0, known=True)
     assert unknown.cut_out(rows) == rows
-    unknown.say(25.0, known=True)
-    unknown.say(27.0, known=False)
-    unknown.say(45.0, known=False)
-    unknown.say(55.0, known=True)
+    unknown.update(25.0, known=True)
+    unknown.update(27.0, known=False)
+    unknown.update(45.0, known=False)
+    unknown.update(55.0, known=True)
     nothing = [None, None, None]
     assert unknown.cut_out(rows) == [*rows[:3], [25.0, *nothing], *rows[6:]]
-    unknown.say(75.0, known=False)
-    assert unknown.lasts
+    unknown.update(75.0, known=False)
+    assert unknown.is_unknown
     before = [*rows[:3], [25.0, *nothing], [55.0, *nothing]]
     assert unknown.cut_out(rows) == before
-    unknown.say(76.0, known=True)
+    unknown.update(76.0, known=True)
     assert unknown.cut_out(rows) == [*before, *rows[8:]]
     assert list(unknown.at(np.array([25.0, 26.0, 55.0, 75.0]))) == [False, True, False, True]

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from browsers import started_browser
 from graphs import wait_for
+from page_inputs import ERROR, HELD, HOLD, SECOND, START, incident, node, store
 from page_server import page_files, served
 from places import CONFIG
-from said import ERROR, HELD, HOLD, SECOND, START, incident, node, store
 
 from greenroof_ros.analysis.report.drawing import COLOURS
 from greenroof_ros.model.look_ahead import growing_steps
@@ -27,8 +27,8 @@ from greenroof_ros.watch import feed
 from greenroof_ros.watch.alarms import Alarms
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
-from greenroof_ros.watch.store import Store
-from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.store import GraphStore
+from greenroof_ros.watch.wire import WireStatus
 
 BEGIN = START // SECOND
 SITE = read_site(CONFIG / "site.yaml")
@@ -47,16 +47,16 @@ def browser() -> Iterator[Any]:
         yield started
 
 
-def pump(state: str = "off: nothing is commanded", **values: Any) -> list[Status]:
+def pump(state: str = "off: nothing is commanded", **values: Any) -> list[WireStatus]:
     return node("/pump", "pump", pump=state, **{"stands": True, **values})
 
 
-def mpc(level: int = ERROR, what: str = CANNOT) -> list[Status]:
+def mpc(level: int = ERROR, what: str = CANNOT) -> list[WireStatus]:
     return node("/mpc", "controller", ("program", level, what, "controller_failed"))
 
 
 @contextmanager
-def saying(watched: Store, statuses: list[Status]) -> Iterator[None]:
+def saying(watched: GraphStore, statuses: list[WireStatus]) -> Iterator[None]:
     """Have nodes report four times a second as real ones do; the list can be changed."""
     ended = threading.Event()
 
@@ -74,7 +74,7 @@ def saying(watched: Store, statuses: list[Status]) -> Iterator[None]:
         thread.join()
 
 
-def site_watched(mode: str = "ended") -> Store:
+def site_watched(mode: str = "ended") -> GraphStore:
     """Return a store of a site after four hours, with a forecast and a plan.
 
     With an ended run nothing becomes stale during a test.
@@ -103,7 +103,7 @@ def site_watched(mode: str = "ended") -> Store:
     return watched
 
 
-def later(watched: Store, level: float) -> None:
+def later(watched: GraphStore, level: float) -> None:
     """Add a level an hour later."""
     watched.add("/roof/level", np.array([(BEGIN + 5 * 3600) * SECOND]), np.array([level]))
 
@@ -131,7 +131,7 @@ def open_page(browser: Any) -> Iterator[Open]:
     with ExitStack() as stack:
         pages = []
 
-        def open_page(watched: Store, said: list[Status] | None = None) -> Any:
+        def open_page(watched: GraphStore, said: list[WireStatus] | None = None) -> Any:
             if said is not None:
                 stack.enter_context(saying(watched, said))
             port = stack.enter_context(served(watched))
@@ -143,7 +143,7 @@ def open_page(browser: Any) -> Iterator[Open]:
 
 
 @pytest.fixture(scope="module")
-def ended_run(browser: Any) -> Iterator[tuple[Store, Any]]:
+def ended_run(browser: Any) -> Iterator[tuple[GraphStore, Any]]:
     """An ended run and its page, for tests that change neither."""
     watched = site_watched()
     with served(watched) as port, opened(browser, port) as page:
@@ -176,14 +176,14 @@ def overflow(page: Any) -> int:
     )
 
 
-def document_of(watched: Store) -> dict[str, Any]:
+def document_of(watched: GraphStore) -> dict[str, Any]:
     return read_document(watched, time.monotonic())
 
 
 # ---------------------------------------------------------------------------------- what it shows
 
 
-def test_it_shows_the_words_of_the_document(ended_run: tuple[Store, Any]) -> None:
+def test_it_shows_the_words_of_the_document(ended_run: tuple[GraphStore, Any]) -> None:
     """Word for word; the console stays empty, and no other server is contacted."""
     watched, page = ended_run
     until_shown(page, "#account td", "m³")  # an ended run's account is closed
@@ -247,7 +247,7 @@ def test_hostile_texts_are_texts(open_page: Open) -> None:
     watched.set_present(mode="simulated", factor=30.0, note=HOSTILE)
     page = open_page(watched, [
         *mpc(what=HOSTILE), *pump(f"fault: {HOSTILE}"),
-        *(Status(f"{HOSTILE}{i}", ERROR, HOSTILE) for i in range(50)),
+        *(WireStatus(f"{HOSTILE}{i}", ERROR, HOSTILE) for i in range(50)),
     ])
     page.set_viewport_size({"width": 400, "height": 900})
     alarm = until_shown(page, ".alarm .what", "<script>hacked=2</script>")
@@ -337,14 +337,14 @@ def test_a_recording_has_no_tick_and_shows_its_incidents(open_page: Open) -> Non
     watched.recorded_incidents = [over]
     row = until_shown(page, ".alarm.over", "pump: drive")
     assert not row.locator("button").is_visible()
-    watched.recorded_incidents = [replace(over, over=None)]
+    watched.recorded_incidents = [replace(over, ended_at=None)]
     until_shown(page, ".alarm:not(.over)", "pump: drive")
 
 
 # --------------------------------------------------------------------------------------- charts
 
 
-def test_charts_have_one_time_axis_and_the_values(ended_run: tuple[Store, Any]) -> None:
+def test_charts_have_one_time_axis_and_the_values(ended_run: tuple[GraphStore, Any]) -> None:
     watched, page = ended_run
     places = page.evaluate(
         "[...charts.views.values()].map(({ plot }) => [plot.bbox.left, plot.bbox.width])"
@@ -547,7 +547,7 @@ def test_no_value_is_wider_than_its_tile(open_page: Open, width: int) -> None:
     assert overflow(page) == 0
 
 
-def test_pointer_and_keyboard_read_values(ended_run: tuple[Store, Any]) -> None:
+def test_pointer_and_keyboard_read_values(ended_run: tuple[GraphStore, Any]) -> None:
     watched, page = ended_run
     frame = page.locator(".frame").first
     frame.scroll_into_view_if_needed()
@@ -728,7 +728,7 @@ def test_what_to_do_is_said_once_and_not_when_it_is_over(open_page: Open) -> Non
     """Two parts report the drive's fault; what to do about it is at the top, for every reader."""
     fault = "the drive reports: overheat"
 
-    def says(level: int, *code: str) -> list[Status]:
+    def says(level: int, *code: str) -> list[WireStatus]:
         return node("/pump", "pump", *((part, level, fault, *code) for part in ("pump", "drive")),
                     pump=fault, stands=True)
 
@@ -891,7 +891,7 @@ def test_a_fresh_page_has_its_stop_whatever_cannot_be_shown(
 ) -> None:
     """Neither a tile, nor the charts, nor even the whole document is needed for it."""
     watched = site_watched("live")
-    watched.look(time.monotonic())
+    watched.update(time.monotonic())
     monkeypatch.setattr(f"greenroof_ros.watch.{broken}", _fail)
     with saying(watched, pump("running", stands=False)), served(watched) as port:
         page = browser.new_page()
@@ -908,9 +908,9 @@ def test_a_tile_that_the_browser_cannot_show_hides_no_other(
     browser: Any, monkeypatch: pytest.MonkeyPatch, key: str
 ) -> None:
     watched = site_watched("live")
-    watched.look(time.monotonic())
+    watched.update(time.monotonic())
 
-    def without(store: Store, wall: float) -> dict[str, Any]:
+    def without(store: GraphStore, wall: float) -> dict[str, Any]:
         document = read_document(store, wall)
         document["tiles"][key] = None
         return document

@@ -18,18 +18,18 @@ from typing import Any
 import numpy as np
 import pytest
 from graphs import wait_for
+from page_inputs import ERROR, SECOND
 from page_server import Answer, Stream, page_files, request, send, served
-from said import ERROR, SECOND
 
 from greenroof_ros.watch import feed, server
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
 from greenroof_ros.watch.listening import LOOPBACK
-from greenroof_ros.watch.server import GZIP_HEAD, Message, News
-from greenroof_ros.watch.store import Store
-from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.server import GZIP_HEAD, EventStream, ServerEvent
+from greenroof_ros.watch.store import GraphStore
+from greenroof_ros.watch.wire import WireStatus
 
-ALARM = Status("/mpc", ERROR, "cannot solve <b>", {"role": '"controller"'})
+ALARM = WireStatus("/mpc", ERROR, "cannot solve <b>", {"role": '"controller"'})
 ACT = {"X_Greenroof": "1"}
 RIGHT = {**ACT, "Authorization": "Bearer secret"}
 GET, POST = (
@@ -45,12 +45,12 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def watched() -> Store:
-    return Store()
+def watched() -> GraphStore:
+    return GraphStore()
 
 
 @pytest.fixture
-def port(watched: Store) -> Iterator[int]:
+def port(watched: GraphStore) -> Iterator[int]:
     with served(watched) as number:
         yield number
 
@@ -62,11 +62,11 @@ def look(port: int) -> Iterator[Callable[..., Stream]]:
         yield lambda *given, **more: stack.enter_context(closing(Stream(port, *given, **more)))
 
 
-def shown(watched: Store) -> dict[str, Any]:
+def shown(watched: GraphStore) -> dict[str, Any]:
     return read_document(watched, time.monotonic())
 
 
-def set_level(watched: Store, metres: float, seconds: int) -> None:
+def set_level(watched: GraphStore, metres: float, seconds: int) -> None:
     watched.add("/roof/level", np.array([seconds * SECOND]), np.array([metres]))
 
 
@@ -144,7 +144,7 @@ def test_a_request_names_this_host(port: int) -> None:
     )),
 ], ids=lambda value: str(value)[:60])
 def test_only_the_page_itself_acts(
-    token: str | None, headers: dict[str, str], status: int, watched: Store
+    token: str | None, headers: dict[str, str], status: int, watched: GraphStore
 ) -> None:
     """With a token nothing is shown without it; the page itself contains no secret."""
     watched.add_statuses(time.monotonic(), [ALARM])
@@ -163,7 +163,7 @@ def test_only_the_page_itself_acts(
 
 
 def test_a_stop_that_did_not_take_hold_says_so_and_many_are_one(
-    port: int, watched: Store
+    port: int, watched: GraphStore
 ) -> None:
     """No request waits for the others."""
     begun = time.monotonic()
@@ -182,7 +182,7 @@ def test_a_stop_that_did_not_take_hold_says_so_and_many_are_one(
     assert "Stop, from 127.0.0.1" in event["what"]
 
 
-def test_nothing_is_released_unless_that_was_allowed_with_a_token(watched: Store) -> None:
+def test_nothing_is_released_unless_that_was_allowed_with_a_token(watched: GraphStore) -> None:
     """Behind a proxy every request seems to come from this machine."""
     body, actions = f'{{"volume": 0.2, "asked_at": {time.time()}}}'.encode(), ("release", "clear",
                                                                               "dose")
@@ -202,7 +202,7 @@ def test_nothing_is_released_unless_that_was_allowed_with_a_token(watched: Store
 
 
 def test_who_asks_for_a_stop_after_a_release_does_not_join_the_stop_before_it(
-    watched: Store
+    watched: GraphStore
 ) -> None:
     """Otherwise the earlier stop would answer it, and the release would be the last action."""
     watched.allow_release = True
@@ -215,7 +215,7 @@ def test_who_asks_for_a_stop_after_a_release_does_not_join_the_stop_before_it(
     assert sorted(said) == ["Release", "Stop", "Stop"]
 
 
-def test_a_dose_without_volume_or_time_is_refused(watched: Store) -> None:
+def test_a_dose_without_volume_or_time_is_refused(watched: GraphStore) -> None:
     watched.allow_release = True
     with served(watched, "secret") as port:
         for name, unit in (("volume", "m3"), ("asked_at", "s")):
@@ -286,7 +286,8 @@ BROKEN = [
 
 
 def test_broken_requests_stop_nothing(
-    port: int, watched: Store, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    port: int, watched: GraphStore, capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Nor do they keep other clients away, all at the same time."""
     monkeypatch.setattr(server, "_FIRST_S", 1.0)
@@ -306,7 +307,7 @@ def test_broken_requests_stop_nothing(
 
 
 def test_silent_connections_keep_nobody_away(
-    port: int, look: Callable[..., Stream], watched: Store, monkeypatch: pytest.MonkeyPatch
+    port: int, look: Callable[..., Stream], watched: GraphStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Three times the permitted number."""
     monkeypatch.setattr(server, "_FIRST_S", 1.0)
@@ -349,15 +350,15 @@ def test_there_is_a_most_of_streams(port: int, look: Callable[..., Stream]) -> N
 # ------------------------------------------------------------------------------------- the stream
 
 
-def test_what_is_pushed_is_made_once_for_all_pages(watched: Store) -> None:
+def test_what_is_pushed_is_made_once_for_all_pages(watched: GraphStore) -> None:
     """The document twice a second, and the series every 2 s, while the level changes."""
 
-    async def follow(news: News, hours: float) -> list[Message]:
-        messages = news.messages(hours)
+    async def follow(news: EventStream, hours: float) -> list[ServerEvent]:
+        messages = news.events(hours)
         return [await anext(messages) for _ in range(8)]
 
-    async def all_seen() -> list[list[Message]]:
-        news = News(watched)
+    async def all_seen() -> list[list[ServerEvent]]:
+        news = EventStream(watched)
         readers = asyncio.gather(*(follow(news, hours) for hours in (3.0, 3.0, 12.0)))
         for step in range(100):
             if readers.done():
@@ -380,7 +381,7 @@ def test_what_is_pushed_is_made_once_for_all_pages(watched: Store) -> None:
 def test_each_message_is_compressed_for_all_and_read_by_any(look: Callable[..., Stream]) -> None:
     """As a browser reads gzip: one stream, from any first message on."""
     hostile = "</script><img src=x onerror=alert(1)>\n\nevent: state\ndata: {}\n\n\ud800\0\u2028"
-    messages = [Message("state", {"n": n, "text": hostile * 10}) for n in range(20)]
+    messages = [ServerEvent("state", {"n": n, "text": hostile * 10}) for n in range(20)]
     name, data, *rest = messages[0].plain.split(b"\n")  # one event, whatever its text
     assert (name, json.loads(data[6:])["text"], rest) == (b"event: state", hostile * 10, [b"", b""])
     for first in (0, 7):
@@ -401,7 +402,7 @@ def test_each_message_is_compressed_for_all_and_read_by_any(look: Callable[..., 
 
 
 def test_who_does_not_read_is_skipped_and_costs_nobody_anything(
-    port: int, look: Callable[..., Stream], watched: Store, monkeypatch: pytest.MonkeyPatch
+    port: int, look: Callable[..., Stream], watched: GraphStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It gets no queue; when it reads again, it soon has the newest state."""
     monkeypatch.setattr(server, "_UNREAD_S", 8.0)
@@ -450,7 +451,7 @@ def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
 ) -> None:
     """A page then says that it is not connected: nothing old is shown as present."""
 
-    def fail(store: Store, wall: float) -> None:
+    def fail(store: GraphStore, wall: float) -> None:
         raise RuntimeError("this document cannot be made")
 
     events = look().events()
@@ -464,7 +465,7 @@ def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
 
 
 def test_a_page_that_nobody_sees_gets_the_summary_alone(
-    look: Callable[..., Stream], watched: Store
+    look: Callable[..., Stream], watched: GraphStore
 ) -> None:
     """For its title: on changes, and now and then to confirm the connection."""
     set_level(watched, 0.01, 1)

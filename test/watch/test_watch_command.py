@@ -260,7 +260,7 @@ def test_a_page_beside_a_run_ends_with_it_and_never_the_other_way(
 
     process, page = start("failed", 0.05)
     os.kill(page, signal.SIGKILL)
-    process.until_said("the page has ended (SIGKILL)")
+    process.until_printed("the page has ended (SIGKILL)")
     assert process.wait(120) == 0
     assert summary_of(tmp_path / "failed")["status"] == "done"
     process, page = start("killed", 1)

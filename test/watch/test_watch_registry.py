@@ -6,7 +6,7 @@ import socket
 from pathlib import Path
 from typing import Any
 
-from said import node
+from page_inputs import node
 
 from greenroof_ros.watch.registry import Registry
 
@@ -15,7 +15,7 @@ def say(
     graph: Registry, now: float, role: str, state: str = "ready", name: str = "", **values: Any
 ) -> None:
     """Have a node of a lockstep graph report its state."""
-    graph.hear(now, node(name or f"/{role}", role, state=state, run_length=100, **values))
+    graph.receive(now, node(name or f"/{role}", role, state=state, run_length=100, **values))
 
 
 def test_a_run_has_not_ended_while_its_pump_is_there() -> None:
@@ -33,13 +33,13 @@ def test_a_live_site_that_falls_silent_has_not_ended() -> None:
     """A silent live pump may turn; a simulation with all nodes killed has ended."""
     live, simulated = Registry(), Registry()
     for role in ("controller", "pump"):
-        live.hear(0.0, node(f"/{role}", role))
+        live.receive(0.0, node(f"/{role}", role))
     for role in ("plant", "controller"):
         say(simulated, 0.0, role)
     assert (live.mode(1.0), simulated.mode(1.0)) == ("live", "simulated")
     assert (live.mode(60.0), simulated.mode(60.0)) == ("live", "ended")
     for role in ("controller", "pump"):
-        live.hear(61.0, node(f"/{role}", role, state="ended"))
+        live.receive(61.0, node(f"/{role}", role, state="ended"))
     assert live.mode(61.0) == "ended"
 
 

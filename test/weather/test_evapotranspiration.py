@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from paper import PAPER_SITE, weather_of
 from places import CHECKOUT, CONFIG
 
+from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.formats.reading import read_records
 from greenroof_ros.model.site import Site, read_site
@@ -18,11 +20,13 @@ from greenroof_ros.weather.evapotranspiration import (
     evaporable,
     extraterrestrial_radiation,
     fao56,
+    from_temperatures,
     hargreaves,
     hourly,
-    over_the_day,
+    spread_over_day,
     sun_height,
 )
+from greenroof_ros.weather.reading import read_weather
 from greenroof_ros.weather.series import Weather
 
 NDIAYE = replace(
@@ -201,7 +205,7 @@ def test_steps_of_any_length_keep_the_sums_of_whole_days(step_s: int) -> None:
         seconds = first + step_s * np.arange(int(2.5 * 86400) // step_s)
         day = seconds // 86400 - first // 86400
         daily = np.array([4.0, 5.0, 6.0])
-        return day, over_the_day(daily, 52.5, seconds, day, float(step_s), 0.0)
+        return day, spread_over_day(daily, 52.5, seconds, day, float(step_s), 0.0)
 
     day, steps = over(step_s)
     sums = np.bincount(day, steps)
@@ -222,3 +226,60 @@ def test_the_height_of_the_wind_is_the_records() -> None:
     assert np.array_equal(fao56(records, low), fao56(records, TORONTO), equal_nan=True)
     own = replace(records, wind_height=None)
     assert np.nanmean(fao56(own, low)) > 1.02 * np.nanmean(fao56(own, TORONTO))
+
+
+# --- hours of temperature -------------------------------------------------------------------------
+
+LYON = replace(TORONTO, latitude=45 + 43 / 60, longitude=4.85, utc_offset=1.0)
+# From 14.8 to 26.6 degC each day, FAO-56's Example 20.
+COURSE = np.tile(20.7 + 5.9 * np.cos(np.pi * (np.arange(24) - 15) / 12), 4)
+
+
+def hours_of(temperature: NDArray[np.float64], first: str) -> Weather:
+    return weather_of(np.zeros(len(temperature)), first=parse_time(first), temperature=temperature)
+
+
+def test_hargreaves_hour_by_hour() -> None:
+    """Example 20: 5.0 mm on 15 July, in each hour as its share of the day's Ra (Eqs. 28-33).
+
+    Days are of local standard time, so the same hours in UTC have the same values.
+    """
+    records = hours_of(COURSE, "1998-07-13T00:00+01:00")
+    evaporated = from_temperatures(records, replace(LYON, crop_coefficient=0.5))
+    of_the_15th = evaporated[48:72] / 24
+    assert of_the_15th.sum() == pytest.approx(0.5 * 5.0, abs=0.025)
+    shares = extraterrestrial(LYON, 196, np.arange(24))
+    assert of_the_15th / of_the_15th.sum() == pytest.approx(shares / shares.sum(), abs=2e-4)
+    utc = hours_of(COURSE, "1998-07-12T23:00+00:00")
+    assert from_temperatures(utc, LYON).tolist() == from_temperatures(records, LYON).tolist()
+
+
+def test_days_with_too_few_temperatures() -> None:
+    """Less than 18 hours show no extremes: a day nearby stands in, for at most three days."""
+    records = hours_of(COURSE[:90], "1998-07-13T00:00+01:00")
+    whole = from_temperatures(hours_of(COURSE, "1998-07-13T00:00+01:00"), LYON)
+    assert from_temperatures(records, LYON).tolist() == whole[:90].tolist()
+    short = hours_of(COURSE[8:32], "1998-07-13T08:00+01:00")
+    assert np.isnan(from_temperatures(short, LYON)).all()
+    temperature = np.tile(COURSE, 3)
+    temperature[24 : 24 * 9] = np.nan
+    far = np.isnan(from_temperatures(hours_of(temperature, "1998-07-01T00:00+01:00"), LYON))
+    assert np.flatnonzero(far).tolist() == list(range(24 * 4, 24 * 6))
+
+
+def test_simulations_and_fits_use_the_same_evapotranspiration(tmp_path: Path) -> None:
+    """A year's hours of temperature as weather, and as a measured record: equal in every bit."""
+    random = np.random.default_rng(4)
+    times = np.datetime64("2021-01-01T00:00") + np.arange(365 * 24).astype("timedelta64[h]")
+    temperature = random.normal(12, 6, len(times)).round(1)
+    rows = [f"{time},0,{degrees}" for time, degrees in zip(times, temperature, strict=True)]
+    file = tmp_path / "record.csv"
+    file.write_text("\n".join(["time,rain [mm],temperature [degC]", *rows]))
+    site = replace(TORONTO, time_zone="Etc/GMT+5", crop_coefficient=0.5)
+    weather = read_weather([file], site)
+    assert weather.method == "hargreaves"
+    file.write_text("\n".join(["time,rain [mm],temperature [degC],level [m]", *(
+        f"{row},0.02" for row in rows
+    )]))
+    reference = read_csv_record(file, site).reference
+    assert (reference * 24 * 0.5).tolist() == weather.evapotranspiration.tolist()

@@ -77,7 +77,7 @@ def test_columns_have_any_order(tmp_path: Path) -> None:
         ("date" + HEADER[4:], "'date': the first column must be 'time'"),
         (HEADER + ",snow [cm]", "'snow [cm]': is not a known column; choose from precipitatio"),
         (HEADER + ",temperature", "'temperature': a column must be named like"),
-        (HEADER.replace("mm/h]", "mm]"), "'precipitation [mm]': the unit of precipitation must be"),
+        (HEADER.replace("mm/h]", "cm]"), "'precipitation [cm]': the unit of precipitation must be"),
         (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': there is a"),
         ("time,fao56 evapotranspiration [mm/day]", "there must be a column 'precipitation [mm/h]'"),
     ],
@@ -98,6 +98,88 @@ def test_a_rain_gauge_alone(tmp_path: Path) -> None:
     assert np.isnan(gauge.evapotranspiration).all()
 
 
+# --- what people have -----------------------------------------------------------------------------
+
+
+def test_rain_alone(tmp_path: Path) -> None:
+    """The month's mean of the site file, 3.96 mm/day in June and 4.02 in July; no frost is known.
+
+    An amount of an hour in mm is its rate in mm/h.
+    """
+    path = write(
+        tmp_path / "gauge.csv", "time,rain [mm]", "2021-06-30T22:00-05:00,3.2",
+        "2021-06-30T23:00-05:00,0", "2021-07-01T00:00-05:00,0.4",
+    )
+    weather = read_weather([path], replace(TORONTO, crop_coefficient=0.5))
+    assert weather.precipitation.tolist() == [3.2, 0.0, 0.4]
+    assert weather.evapotranspiration == pytest.approx([1.98, 1.98, 2.01])
+    assert weather.method == "monthly"
+    assert weather.notes == (
+        "there is no temperature, so frost is unknown and none is assumed: in frost nothing is "
+        "pumped",
+        "evapotranspiration is the site's monthly means, for want of temperature",
+    )
+    series = WeatherSeries(weather, TORONTO, weather.first, 3600)
+    assert (series.frost_hours, series.frost[0]) == (None, 0.0)
+    climateless = replace(TORONTO, monthly_evapotranspiration=None)
+    refusal(read_weather, [path], climateless, match="has no temperature, .* give the site file mo")
+    refusal(read_weather, [path], TORONTO, "fao56", match="has no column .* and no temperature, de")
+    refusal(read_weather, [path], TORONTO, "hargreaves", match="has no temperature, from which har")
+    refusal(read_weather, [path], TORONTO, "published", match="must be fao56, hargreaves, monthly:")
+
+
+def test_a_method_can_be_chosen(tmp_path: Path) -> None:
+    """Of records with all columns any of them; the most accurate one is the default."""
+    means = {
+        method: np.nanmean(read_weather([JULY], TORONTO, method).evapotranspiration)
+        for method in (None, "fao56", "hargreaves", "monthly")
+    }
+    assert means[None] == means["fao56"]
+    # config/site_neubrandenburg.yaml: they agree within 1 % in Toronto in July 2021.
+    assert means["hargreaves"] == pytest.approx(means["fao56"], rel=0.01)
+    assert means["monthly"] == pytest.approx(4.02)
+    nowhere = replace(TORONTO, latitude=None)
+    refusal(read_weather, [JULY], nowhere, "hargreaves", match="hargreaves needs latitude in the")
+    header = "time,rain [mm],temperature [degC]"
+    path = write(tmp_path / "hour.csv", header, "2021-07-07T03:00Z,0.5,20")
+    hour = read_weather([path], TORONTO)
+    assert hour.method == "monthly"
+    assert "means, for want of a day with 18 hours of temperature" in hour.notes[-1]
+
+
+def logged(path: Path, *rows: tuple[int, str]) -> Path:
+    """Write rows of a logger, each the minutes since 14:20 and its cells."""
+    first = np.datetime64("2021-07-07T14:20")
+    return write(path, "time,rain [mm],temperature [degC]", *(
+        f"{first + np.timedelta64(minutes, 'm')}-05:00,{cells}" for minutes, cells in rows
+    ))
+
+
+def test_rows_of_a_logger_add_up_to_hours(tmp_path: Path) -> None:
+    """Rain adds up, temperature is averaged; rain needs three quarters of an hour's rows.
+
+    Twelve rows of 0.1 mm are 1.2 mm. Of nine rows the mean rate counts, of eight none. Temperature
+    may be in every third row.
+    """
+    rows = [(5 * row, f"0.1,{row}") for row in range(8 + 12 + 9)]
+    rows += [(5 * row, f"0.2,{'' if row % 3 else 5}") for row in range(8 + 24, 8 + 24 + 8)]
+    path = logged(tmp_path / "logger.csv", *rows)
+    weather = read_weather([path], TORONTO)
+    assert weather.first.isoformat() == "2021-07-07T14:00:00-05:00"
+    assert weather.precipitation.tolist() == pytest.approx([np.nan, 1.2, 1.2, np.nan], nan_ok=True)
+    assert weather.precipitation[1] == 1.2
+    assert weather.values["temperature"].tolist() == [3.5, 13.5, 24.0, 5.0]
+    assert any("logger.csv: rows are 5 min apart" in note for note in weather.notes)
+
+
+def test_rows_of_a_logger_that_cannot_be_hours(tmp_path: Path) -> None:
+    """A row for each tip of a rain gauge, and times that go back."""
+    tips = logged(tmp_path / "tips.csv", *((7 * n + n**2 % 5, "0.2,5") for n in range(40)))
+    refusal(read_weather, [tips], TORONTO, match="write rows at a regular step")
+    back = logged(tmp_path / "back.csv", (0, "0,5"), (5, "0,5"), (0, "0,5"))
+    refusal(read_weather, [back], TORONTO, match=r"line 5: .*must be later than the time of the r")
+
+
 # --- several files --------------------------------------------------------------------------------
 
 
@@ -116,8 +198,8 @@ def piece(path: Path, first: int, last: int, *, rain: bool = True) -> Path:
 def same(weather: Weather, expected: Weather) -> None:
     """Check that two weathers are equal bit for bit, except for their files."""
     assert (weather.first, weather.method) == (expected.first, expected.method)
-    for own, due in ((weather.values, expected.values), (weather.filled, expected.filled)):
-        assert {name: series.tobytes() for name, series in own.items()} == {
+    for own_csv, due in ((weather.values, expected.values), (weather.filled, expected.filled)):
+        assert {name: series.tobytes() for name, series in own_csv.items()} == {
             name: series.tobytes() for name, series in due.items()
         }
 
@@ -147,12 +229,12 @@ def test_months_far_from_each_other() -> None:
     assert np.isnan(weather.precipitation[744:-744]).all()
     assert weather.evapotranspiration[-744:].tobytes() == july.evapotranspiration.tobytes()
     site = replace(TORONTO, tau=600.0, M=1)
-    said = refusal(WeatherSeries, weather, site, parse_time("2021-03-31T12:00-05:00"), 6 * 24)
-    assert said.startswith(
+    reason = refusal(WeatherSeries, weather, site, parse_time("2021-03-31T12:00-05:00"), 6 * 24)
+    assert reason.startswith(
         f"{DATA / '2 files'}, {MARCH.name} to {JULY.name}: precipitation is missing at "
         "2021-04-01T00:00-05:00 to 2021-04-01T12:00-05:00 (13 hours); choose another window"
     )
-    assert "fill the gaps (--gaps fill; in a grid, gaps: fill)" in said
+    assert "fill the gaps (--gaps fill; in a grid, gaps: fill)" in reason
 
 
 def test_value_that_one_file_lacks(tmp_path: Path) -> None:
@@ -166,7 +248,7 @@ def test_value_that_one_file_lacks(tmp_path: Path) -> None:
 def test_what_cannot_be_joined(tmp_path: Path) -> None:
     """Other values or quantities, another method."""
 
-    def own(first: str, method: str = "published", rain: float = 0.1) -> Path:
+    def own_csv(first: str, method: str = "published", rain: float = 0.1) -> Path:
         """Write two hours of a file in this project's format."""
         hours = np.datetime64(first, "m") + np.arange(2).astype("timedelta64[h]")
         return write(
@@ -175,11 +257,11 @@ def test_what_cannot_be_joined(tmp_path: Path) -> None:
             *(f"{hour}-05:00,{rain},1.0" for hour in hours),
         )
 
-    early = own("2021-07-01T00:00")
+    early = own_csv("2021-07-01T00:00")
     for late, reason in (
-        (own("2021-07-01T02:00", "lysimeter"),
+        (own_csv("2021-07-01T02:00", "lysimeter"),
          f"must have the same method of evapotranspiration as {early}, published; it has lysimet"),
-        (own("2021-07-01T01:00", rain=9.9),
+        (own_csv("2021-07-01T01:00", rain=9.9),
          f"precipitation at 2021-07-01T01:00-05:00 = 9.9: must be 0.1, as in {early}, or the files "
          "must not overlap"),
         (JULY, f"must have the same quantities as {early}, evapotranspiration, precipitation; it "
@@ -213,9 +295,9 @@ def test_files_whose_hours_begin_at_different_minutes(
     assert read.files == (early, late)
     assert read.values["precipitation"].tolist() == [0.5] * 4 + expected
     assert read.values["evapotranspiration"].tolist() == [1.0] * 4 + [2.0] * 3
-    assert read.notes == (
+    assert read.notes[0] == (
         f"{late}: its hours begin {minutes} min after the hours of {early}; each value is the mean "
-        "of the two hours in which it lies",
+        "of the two hours in which it lies"
     )
 
 
@@ -270,9 +352,9 @@ def test_long_gaps_have_the_mean_of_the_days_about_them() -> None:
     assert filled[12 * 24] == pytest.approx((13**2 + 14**2 + 15**2) / 3)
     assert filled[[4 * 24, 13 * 24]].tolist() == [16.0, 169.0]
     weather = replace(weather_of(np.zeros(20 * 24), temperature=filled), gaps=FILL)
-    said = refusal(WeatherSeries, weather, TORONTO, weather.first + timedelta(days=8), 3600)
-    assert "temperature is missing at" in said
-    assert "--gaps" not in said
+    reason = refusal(WeatherSeries, weather, TORONTO, weather.first + timedelta(days=8), 3600)
+    assert "temperature is missing at" in reason
+    assert "--gaps" not in reason
 
 
 @pytest.mark.parametrize("name", ["weather.csv", "weather.json"])

@@ -43,8 +43,8 @@ def test_last_record_is_repeated_past_the_end(steps: int, repeats: bool) -> None
 def test_run_outside_the_records() -> None:
     """A second too early, and a second too long."""
     for start, steps in (("2021-07-07T02:59:59-05:00", 10), ("2021-07-07T03:00-05:00", 10801)):
-        said = refusal(WeatherSeries, THREE_HOURS, PAPER_SITE, parse_time(start), steps)
-        assert said.startswith(
+        reason = refusal(WeatherSeries, THREE_HOURS, PAPER_SITE, parse_time(start), steps)
+        assert reason.startswith(
             "drawn.csv: has records from 2021-07-07T03:00-05:00 to 2021-07-07T06:00-05:00, but "
             "the run starts at "
         )

@@ -17,7 +17,7 @@ from places import CHECKOUT
 
 # Marks the processes of a page, which all inherit it, to find those that are left.
 _SESSION = "GREENROOF_ROS_DOC_COMMANDS"
-_LEAVE_S = 10.0
+_EXIT_S = 10.0
 
 
 def copy_of_checkout(to: Path) -> None:
@@ -62,7 +62,8 @@ def run_page(
             else:
                 last = block, _run(block, terminal)
     finally:
-        failures = terminal.close() + [f"left running: {process}" for process in _left(directory)]
+        failures = terminal.close()
+        failures += [f"left running: {process}" for process in _running_in(directory)]
         if last is not None:
             block, outcome = last
             last = block, replace(outcome, failures=[*outcome.failures, *failures])
@@ -81,19 +82,19 @@ def _run(block: Block, terminal: Terminal) -> Outcome:
     return replace(outcome, failures=[*outcome.failures, *wrong, *after.failures])
 
 
-def _left(directory: Path) -> list[str]:
+def _running_in(directory: Path) -> list[str]:
     """Return the processes of a page that still run after some time."""
     mark = f"{_SESSION}={directory}".encode()
-    until = time.monotonic() + _LEAVE_S
+    until = time.monotonic() + _EXIT_S
     while True:
-        left = []
+        running = []
         for entry in Path("/proc").glob("[0-9]*"):
             try:
                 if mark in (entry / "environ").read_bytes().split(b"\0"):
                     words = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-                    left.append(f"{entry.name} {words}")
+                    running.append(f"{entry.name} {words}")
             except OSError:  # it has ended, or is another user's
                 continue
-        if not left or time.monotonic() > until:
-            return left
+        if not running or time.monotonic() > until:
+            return running
         time.sleep(0.2)

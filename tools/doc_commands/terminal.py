@@ -28,9 +28,9 @@ _SET_UP = (
 )
 # Exit codes after Ctrl-C: the program's own, or 128 + SIGINT.
 _INTERRUPTED = {0, 130}
-_CTRL_C_TAKES_S = 30.0
-_READY_TAKES_S = 120.0
-_TAKES_S = 4 * 3600.0
+_CTRL_C_LIMIT_S = 30.0
+_READY_LIMIT_S = 120.0
+_LIMIT_S = 4 * 3600.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Outcome:
     failures: list[str]
 
 
-def _take_terminal() -> None:
+def _acquire_terminal() -> None:
     """Make standard input the terminal of this session, and let Ctrl-C work."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
@@ -63,7 +63,7 @@ class Terminal:
             ["bash", "--norc", "--noprofile", "--noediting", "-i"],
             stdin=slave, stdout=slave, stderr=slave, cwd=directory, env=dict(environment),
             start_new_session=True,
-            preexec_fn=_take_terminal,  # noqa: PLW1509
+            preexec_fn=_acquire_terminal,  # noqa: PLW1509
         )
         os.close(slave)
         self._decoder = codecs.getincrementaldecoder("utf-8")(errors="replace")
@@ -73,7 +73,7 @@ class Terminal:
 
     def run(
         self, commands: str, ready: Sequence[str] = (), then_s: float = 0.0,
-        limit_s: float = _TAKES_S,
+        limit_s: float = _LIMIT_S,
     ) -> Outcome:
         """Run a block of commands to its end.
 
@@ -88,29 +88,29 @@ class Terminal:
         self._type("source ./.block.sh")
         output, failures = "", []
         for pattern in ready:
-            text, came = self._until([re.compile(pattern), _PROMPT], _READY_TAKES_S)
-            if came == 0 and then_s:
+            text, matched = self._until([re.compile(pattern), _PROMPT], _READY_LIMIT_S)
+            if matched == 0 and then_s:
                 more, ended = self._until([_PROMPT], then_s)
                 text += more
                 if ended == 0:
-                    came = 1
+                    matched = 1
             output += text
-            if came != 0:
+            if matched != 0:
                 failures.append(
-                    f"did not print {pattern!r} within {_READY_TAKES_S:g} s" if came is None
+                    f"did not print {pattern!r} within {_READY_LIMIT_S:g} s" if matched is None
                     else f"ended before its Ctrl-C, which was due after {pattern!r}"
                 )
                 break
             os.write(self._master, b"\x03")
         if not failures:
-            limit_s = _CTRL_C_TAKES_S if ready else limit_s
-            text, came = self._until([_PROMPT], limit_s)
+            limit_s = _CTRL_C_LIMIT_S if ready else limit_s
+            text, matched = self._until([_PROMPT], limit_s)
             output += text
-            if came is None:
+            if matched is None:
                 failures.append(f"did not end within {limit_s:g} s")
-        if came is None:
+        if matched is None:
             os.killpg(os.tcgetpgrp(self._master), signal.SIGKILL)
-            output += self._until([_PROMPT], _CTRL_C_TAKES_S)[0]
+            output += self._until([_PROMPT], _CTRL_C_LIMIT_S)[0]
         expected = _INTERRUPTED if ready else {0}
         for code, command in _FAILED.findall(output):
             if int(code) not in expected and not command.startswith("source ./.block.sh"):
@@ -147,8 +147,8 @@ class Terminal:
                     text = self._unread[:match.end()]
                     self._unread = self._unread[match.end():]
                     return _PROMPT.sub("", text), number
-            left = until - time.monotonic()
-            if left <= 0 or not select.select([self._master], [], [], left)[0]:
+            remaining = until - time.monotonic()
+            if remaining <= 0 or not select.select([self._master], [], [], remaining)[0]:
                 break
             try:
                 self._unread += self._decoder.decode(os.read(self._master, 65536))

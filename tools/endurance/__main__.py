@@ -21,7 +21,7 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 from endurance.live import LiveRun
 from endurance.loop import HEAD, in_the_loop
-from graphs import own_domain
+from graphs import reserved_domain
 
 
 def main() -> None:
@@ -42,25 +42,25 @@ def main() -> None:
     )
     parser.add_argument("--full-disk", action="store_true", help="live: needs root")
     parser.add_argument("--output", type=Path, metavar="DIR", help="new directory for the results")
-    asked = parser.parse_args()
-    directory = (asked.output or Path(tempfile.mkdtemp(prefix="endurance-"))).resolve()
+    options = parser.parse_args()
+    directory = (options.output or Path(tempfile.mkdtemp(prefix="endurance-"))).resolve()
     directory.mkdir(parents=True, exist_ok=True)
     print(f"in {directory}", flush=True)
-    with own_domain() as domain:
-        if asked.way == "loop":
+    with reserved_domain() as domain:
+        if options.way == "loop":
             print(HEAD, flush=True)
-            for controller in asked.controller or ("mpc", "lookahead"):
+            for controller in options.controller or ("mpc", "lookahead"):
                 (directory / controller).mkdir()
                 print(in_the_loop(
-                    directory / controller, domain, controller, asked.minutes / 60, asked.speed,
-                    asked.drive, asked.line,
+                    directory / controller, domain, controller, options.minutes / 60, options.speed,
+                    options.drive, options.line,
                 ), flush=True)
         else:
-            with LiveRun(directory, domain, asked.drive, full_disk=asked.full_disk) as run:
+            with LiveRun(directory, domain, options.drive, full_disk=options.full_disk) as run:
                 run.run(
-                    asked.minutes,
-                    asked.controller or ("mpc", "lookahead", "anticipating_onoff", "onoff"),
-                    asked.kill_every or float("inf"),
+                    options.minutes,
+                    options.controller or ("mpc", "lookahead", "anticipating_onoff", "onoff"),
+                    options.kill_every or float("inf"),
                 )
                 report = run.report()
             (directory / "report.md").write_text(f"{report}\n")

@@ -49,9 +49,9 @@ class LiveRun(ExitStack):
         """
         super().__init__()
         self._directory, self._domain, self._drive_file = directory, domain, drive
-        self._kept = directory / "state"
+        self._state = directory / "state"
         self._mounted = full_disk and self.enter_context(
-            disk_if_allowed(self._kept, f"{_DISK_MB}m"))
+            disk_if_allowed(self._state, f"{_DISK_MB}m"))
         self._notes = ["no small disk could be mounted"] if full_disk > self._mounted else []
         *sensor_ports, port, bench, site_bench = map(str, free_ports(5))
         sensors = yaml.safe_load((CONFIG / "sensors.yaml").read_text())
@@ -130,12 +130,12 @@ class LiveRun(ExitStack):
             "--drive-at", self._drive.place, "--state", "state", "--restarts", "1000",
             cwd=self._directory,
         )
-        bringup.until_said("all nodes are here", _START_S)
+        bringup.until_printed("all nodes are here", _START_S)
         return bringup
 
     def _fill(self, passed: float) -> None:
         """Fill the disk, or free it, as the part of the run requires."""
-        filling = self._kept / "filling"
+        filling = self._state / "filling"
         if not self._mounted or (_FULL_FROM < passed < _FULL_TO) == filling.exists():
             return
         if filling.exists():
@@ -148,7 +148,7 @@ class LiveRun(ExitStack):
         code = bringup.process.wait(60)
         if code != 0 or "Traceback" in bringup.stderr():
             self._notes.append(f"{controller}: exit code {code}: {bringup.stderr()[-500:]}")
-        self._incidents += summary_of(self._kept)["incidents"]
+        self._incidents += summary_of(self._state)["incidents"]
 
     def _tick(self) -> int:
         return len((self._directory / "levels.csv").read_text().splitlines()) - 2
@@ -164,7 +164,7 @@ class LiveRun(ExitStack):
             "simulated (m3)",
         ])]
         parts = [
-            (controller, *self._beside_simulation(controller, ticks[first : last + 1]))
+            (controller, *self._with_simulation(controller, ticks[first : last + 1]))
             for controller, first, last in self._parts
         ]
         _, *numbers = zip(*parts, strict=True)
@@ -182,7 +182,7 @@ class LiveRun(ExitStack):
             "", *self._notes, "", self._figures.table(),
         ])
 
-    def _beside_simulation(
+    def _with_simulation(
         self, controller: str, ticks: Sequence[dict[str, str]]
     ) -> tuple[float, ...]:
         """Return a part's minutes, volume (m3) and deviation (m3), both with the simulation's.

@@ -5,7 +5,7 @@ doc/reference/interlocks.md and doc/reference/live-inputs.md give the same figur
 
 from __future__ import annotations
 
-from greenroof_ros.live.drives.exchange import FIRST_WAIT_S, RUNS_ON_S, SEEN_S, SILENCE_MARGIN_S
+from greenroof_ros.live.drives.exchange import FIRST_WAIT_S, RUNS_ON_S, SILENCE_MARGIN_S, VISIBLE_S
 from greenroof_ros.live.engine import LIMITS
 from greenroof_ros.live.pump import parameters as parameters_of_pump
 from greenroof_ros.live.supervisor import ENDING_S
@@ -45,7 +45,7 @@ def bounds(site: Site) -> dict[str, float]:
     exchange *= 2
     end = exchange + RAMP_S + SLACK_S
     # The line is left silent if the speed has not fallen for this long.
-    runs_on = RUNS_ON_S + SEEN_S + SILENCE_MARGIN_S + DRIVE_TIMEOUT_S + exchange + end
+    runs_on = RUNS_ON_S + VISIBLE_S + SILENCE_MARGIN_S + DRIVE_TIMEOUT_S + exchange + end
     step = site.tau + end
     frozen, jump = 0.01, 0.02
     flow = flow_at(site, 1.0, 2.0)

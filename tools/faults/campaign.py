@@ -24,7 +24,7 @@ from faults import readers, service, simulated
 from faults.cases import Case, all_cases
 from faults.live import Outcome, Rigs, run_case
 from faults.table import read_results
-from graphs import Process, environment, own_domain
+from graphs import Process, environment, reserved_domain
 
 # Seed of everything random; then the directory of the results and of the rigs' files.
 SEED = int(os.environ.get("FAULTS_SEED", "1"))
@@ -72,7 +72,7 @@ class Bench:
         place = self._place / str(sum(1 for _ in self._place.iterdir()))
         outcome = Outcome()
         if case.rig == "simulated":
-            with own_domain() as domain:
+            with reserved_domain() as domain:
                 outcome = simulated.run_case(case, place, domain, rng)
         elif case.rig == "readers":
             if case not in self._read:

@@ -21,7 +21,7 @@ from faults.players import HOSTILE, HUGE, OFF_S, ON_S, Players
 from faults.rig import FullDiskRig, MqttRig, RelayRig, Rig, SiteRig, pump_node, wait
 from faults.truth import AT_REST
 from faults.watcher import Watcher
-from graphs import Process, own_domain
+from graphs import Process, reserved_domain
 from ros_rig import FORECAST_HEADER, write_forecast
 
 from greenroof_ros.common.command_line import EXIT_OCCUPIED
@@ -229,15 +229,15 @@ def _broker(
             time.sleep(6.0)  # its clients wait for up to 5 s; their reports belong to this case
         case "paused":
             broker.pause()
-            undo.callback(broker.go_on)
+            undo.callback(broker.resume)
         case "half_open":
             rig.cable.cut = True
             undo.callback(setattr, rig.cable, "cut", False)
         case "hostile" if isinstance(rig, MqttRig):
-            rig.say_nonsense(10_000, rng)
+            rig.publish_nonsense(10_000, rng)
         case "retained" if isinstance(rig, MqttRig):
             # The sensor dies, and a client that reconnects gets its last message.
-            rig.say_retained()
+            rig.publish_retained()
             rig.truth.inject_site("cistern_silent")
             undo.callback(rig.truth.inject_site, "none")
             broker.end()
@@ -288,7 +288,7 @@ def _rewrite_timeout(rig: Rig, case: Case, undo: ExitStack) -> None:
     runs. Then the drive can be reached again.
     """
     file, address = read_drive_file(Path(rig.drive_file)), parse_address(rig.drive_at)
-    timeout = file.timeout.over(address)
+    timeout = file.timeout.guarding(address)
     assert timeout is not None
     register = file.registers[timeout.register]
 
@@ -315,7 +315,7 @@ def _rewrite_timeout(rig: Rig, case: Case, undo: ExitStack) -> None:
 
 def _fill_incidents(rig: Rig, undo: ExitStack) -> None:
     """Fill the list of incidents, as months of flapping would; it must not become longer."""
-    file = rig.kept / INCIDENTS
+    file = rig.output / INCIDENTS
     old = Incident(0, "campaign", "earlier", "of an earlier start", wall_time(), wall_time())
     line = json.dumps(asdict(old)) + "\n"
     with file.open("a") as stream:
@@ -379,7 +379,7 @@ def _write_ensembles(
 def _state_file(rig: Rig, fault: str) -> None:
     """Kill the pump node, and lose or break its state file before the supervisor restarts it."""
     os.kill(rig.pids()["pump"], signal.SIGKILL)
-    file = rig.kept / "pump.json"
+    file = rig.output / "pump.json"
     match fault:
         case "moved away":
             file.rename(file.with_name("pump.json.broken"))
@@ -401,7 +401,7 @@ def _second(rig: Rig, case: Case, undo: ExitStack) -> None:
     elsewhere = case.target.startswith("in another domain")
     if "removed" in case.target:
         _remove_files(rig)
-    domain = undo.enter_context(own_domain()) if elsewhere else rig.domain
+    domain = undo.enter_context(reserved_domain()) if elsewhere else rig.domain
     if case.fault == "second controller":
         topic = "/pump/command"
         node = Process(

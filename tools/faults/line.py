@@ -10,7 +10,7 @@ import time
 
 from greenroof_ros.live.drives.modbus_line import Address, DriveError, ModbusLine
 from greenroof_ros.live.simulators import faults
-from greenroof_ros.live.simulators.server import Device, Server, StandingFault
+from greenroof_ros.live.simulators.server import ActiveFault, Device, Server
 
 
 class Line:
@@ -23,9 +23,9 @@ class Line:
         self._behind = ModbusLine(
             Address("127.0.0.1", behind), port=0, device_id=1, timeout_s=0.2
         )
-        self._fault = StandingFault()
+        self._fault = ActiveFault()
         self._level: dict[int, int] = {}
-        device = Device(lambda: self._level, hears=self._ask)
+        device = Device(lambda: self._level, on_request=self._request)
         self._server = Server(Address("127.0.0.1", port), {1: device}, fault=self._fault)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
@@ -42,12 +42,12 @@ class Line:
 
     async def _serve(self) -> None:
         while not self._ended.is_set():
-            await self._server.be_open(self._fault.name != "refused")
+            await self._server.set_open(self._fault.name != "refused")
             await asyncio.sleep(0.02)
         self._server.close()
         self._behind.close()
 
-    def _ask(self, register: int) -> bool:
+    def _request(self, register: int) -> bool:
         """Read the level; return False, for no answer, if the sensor gives none."""
         try:
             if not self._behind.connected:
@@ -91,16 +91,16 @@ class Cable:
                     near.close()
                     continue
                 for ends in ((near, far), (far, near)):
-                    threading.Thread(target=self._hand_on, args=ends, daemon=True).start()
+                    threading.Thread(target=self._forward, args=ends, daemon=True).start()
 
-    def _hand_on(self, source: socket.socket, target: socket.socket) -> None:
+    def _forward(self, source: socket.socket, target: socket.socket) -> None:
         with contextlib.suppress(OSError), source, target:
             source.settimeout(None)
             while data := source.recv(4096):
-                self._wait_until_whole()
+                self._wait_for_frame()
                 target.sendall(data)
-            self._wait_until_whole()
+            self._wait_for_frame()
 
-    def _wait_until_whole(self) -> None:
+    def _wait_for_frame(self) -> None:
         while self.cut and not self._ended:
             time.sleep(0.02)

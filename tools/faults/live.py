@@ -13,8 +13,8 @@ from pathlib import Path
 from faults.bounds import RAMP_S, bounds
 from faults.cases import Case, Sign
 from faults.inject import begin
-from faults.rig import RIGS, BrokenError, Rig, SiteRig, left, wait
-from graphs import own_domain
+from faults.rig import RIGS, BrokenError, Rig, SiteRig, leftover, wait
+from graphs import reserved_domain
 from mcap.exceptions import McapError
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -33,7 +33,7 @@ _LEAST_SPEED = 0.05
 _STEADY_S = 6.0
 # Time after which no alarm of the fault may be shown any more (s); a gauge or a forecast file that
 # is good again counts only after a while.
-_OVER_S = 15.0
+_CLEAR_S = 15.0
 # How far below the suction level the cistern may be pumped: five seconds at full flow (m).
 _DRY_M = 0.002
 # What a recorder may lose (s): data since its last flush, and the flush in progress.
@@ -90,7 +90,7 @@ class Rigs:
                 self._of = case.rig
             if self._rig is None:
                 self._count += 1
-                domain = self.stack.enter_context(own_domain())
+                domain = self.stack.enter_context(reserved_domain())
                 kind, _, drive = case.rig.partition(":")
                 place = self._directory / f"rig-{self._count}"
                 self._rig = self.stack.enter_context(RIGS[kind](place, domain, drive))
@@ -137,7 +137,7 @@ def run_case(
     rig.until_running(steady_s=_STEADY_S if case.expected.stops is False else 0.0)
     rig.watchers[1:] = []
     if case.target == "recorder" and isinstance(rig, SiteRig):
-        _until_it_records(rig.kept / "bag", rng)
+        _until_it_records(rig.output / "bag", rng)
     time.sleep(rng.uniform(0.0, 1.0))  # a random phase of the ticks, which last a second
     if not rig.runs():
         rig.until_running()
@@ -181,7 +181,7 @@ def _fault(
 ) -> None:
     expected = case.expected
     began, incidents = time.monotonic(), rig.incidents()
-    recorded = newest_file(rig.kept / "bag") if isinstance(rig, SiteRig) else None
+    recorded = newest_file(rig.output / "bag") if isinstance(rig, SiteRig) else None
     clock, printed = time.time(), len(rig.main.stderr())
     with ExitStack() as undo:
         begin(rig, case, rng, undo)
@@ -190,7 +190,7 @@ def _fault(
         if case.fault in slow or case.fault.startswith("second"):
             began = time.monotonic()  # the fault took some time to begin
         if expected.stops:
-            _until_it_stands(rig, case, began, outcome)
+            _until_at_rest(rig, case, began, outcome)
         else:
             time.sleep(max(0.0, began + expected.watch - time.monotonic()))
         since = 0.0 if case.fault == "from the start" else began
@@ -199,7 +199,7 @@ def _fault(
             outcome.to_safe = time.monotonic() - began
         time.sleep(hold)
         if expected.stops is False and rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
-            outcome.fail(f"the pump stopped, but should have run on: {_said(rig, began)}")
+            outcome.fail(f"the pump stopped, but should have run on: {_reported(rig, began)}")
         if shown := rig.signs(began, incidents).intersection(expected.never):
             outcome.fail(f"shown without a reason: {shown}")
         if expected.recovery == "ends":  # the fault stays until then
@@ -215,25 +215,25 @@ def _fault(
             outcome.fail(f"{outcome.lost:.1f} s before the fault are not in the bag")
 
 
-def _until_it_stands(rig: Rig, case: Case, began: float, outcome: Outcome) -> None:
+def _until_at_rest(rig: Rig, case: Case, began: float, outcome: Outcome) -> None:
     assert outcome.bound is not None
     until = began + outcome.bound + _LONGER_S
-    stood = None
-    while stood is None and time.monotonic() < until:
+    stopped_after = None
+    while stopped_after is None and time.monotonic() < until:
         time.sleep(0.02)
-        stood = rig.truth.stood_at(began)
-    if stood is None:
+        stopped_after = rig.truth.stopped_at(began)
+    if stopped_after is None:
         outcome.fail(
             f"the pump had not stopped {until - began:.1f} s after the fault (bound "
             f"{outcome.bound:.1f} s), at {rig.truth.speed:.2f} of its speed; "
-            f"{_said(rig, began)}"
+            f"{_reported(rig, began)}"
         )
         return
-    outcome.to_safe = stood - began
+    outcome.to_safe = stopped_after - began
     if outcome.to_safe > outcome.bound:
         outcome.fail(
             f"the pump stopped after {outcome.to_safe:.2f} s, bound {outcome.bound:.2f} s; "
-            f"{_said(rig, began)}"
+            f"{_reported(rig, began)}"
         )
 
 
@@ -253,7 +253,7 @@ def _signs(
         if time.monotonic() > until:
             outcome.fail(
                 f"not shown: {missing}, but {sorted(rig.signs(began, incidents))}; messages: "
-                f"{_said(rig, began)}, {rig.main.stderr()[-400:]!r}"
+                f"{_reported(rig, began)}, {rig.main.stderr()[-400:]!r}"
             )
             return
         time.sleep(0.05)
@@ -266,10 +266,10 @@ def _signs(
         time.sleep(0.05)
 
 
-def _said(rig: Rig, began: float) -> list[str]:
+def _reported(rig: Rig, began: float) -> list[str]:
     """Return what was reported since a time, each with the delay (s)."""
-    said = [(at - began, who, text) for at, who, text in rig.watcher.said if at >= began]
-    return [f"{after:.2f} {who} {text}" for after, who, text in said[:30]]
+    reports = [(at - began, who, text) for at, who, text in rig.watcher.texts if at >= began]
+    return [f"{after:.2f} {who} {text}" for after, who, text in reports[:30]]
 
 
 def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
@@ -278,7 +278,7 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
     if expected == "stays":
         since = time.monotonic()
         time.sleep(5.0)
-        if rig.truth.turned(since, time.monotonic()) > _LEAST_SPEED:
+        if rig.truth.greatest_speed(since, time.monotonic()) > _LEAST_SPEED:
             outcome.fail("the pump ran again")
         outcome.recovery = "stayed off"
         return
@@ -287,7 +287,7 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
     while time.monotonic() < began + patience:
         if rig.runs():
             outcome.recovery, outcome.recovered = "ran again", time.monotonic() - began
-            _over(rig, case, outcome)
+            _check_no_alarm(rig, case, outcome)
             if expected == "latches":
                 outcome.fail("the fault did not latch: the pump ran again by itself")
             return
@@ -299,9 +299,9 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
         outcome.fail(f"did not heal within {patience:.0f} s: {rig.watcher.last.get('pump: pump')}")
     if rig.watcher.pump_state != "fault" and expected == "latches":
         outcome.fail(f"no latched fault: {rig.watcher.last.get('pump: pump')}")
-    turned = rig.truth.turned(time.monotonic() - 0.5, time.monotonic())
-    if turned > _LEAST_SPEED:
-        outcome.fail(f"the pump turns at {turned:.2f} while its fault is latched")
+    greatest_speed = rig.truth.greatest_speed(time.monotonic() - 0.5, time.monotonic())
+    if greatest_speed > _LEAST_SPEED:
+        outcome.fail(f"the pump turns at {greatest_speed:.2f} while its fault is latched")
     answer = rig.watcher.reset()
     try:
         rig.until_running(30)
@@ -310,14 +310,14 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
         outcome.fail(f"did not run after ~/reset ({answer}): {error}")
 
 
-def _over(rig: Rig, case: Case, outcome: Outcome) -> None:
+def _check_no_alarm(rig: Rig, case: Case, outcome: Outcome) -> None:
     """Check that no alarm of the fault remains."""
-    until = time.monotonic() + _OVER_S
+    until = time.monotonic() + _CLEAR_S
     if case.fault == "full disk":
         until += RETRY_S + FLUSH_S  # the recorder's wait before it tries again
-    while stands := rig.watcher.standing.intersection(case.expected.signs):
+    while standing := rig.watcher.standing.intersection(case.expected.signs):
         if time.monotonic() > until:
-            outcome.fail(f"still an alarm after the end of the fault: {stands}")
+            outcome.fail(f"still an alarm after the end of the fault: {standing}")
             return
         time.sleep(0.05)
 
@@ -330,14 +330,14 @@ def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
     except subprocess.TimeoutExpired:
         outcome.fail(f"bringup did not end within {_END_S:.0f} s")
         return
-    asked = 0 if isinstance(rig, SiteRig) else 130
-    expected = {"kill": -9, "term": asked}.get(
+    exit_code = 0 if isinstance(rig, SiteRig) else 130
+    expected = {"kill": -9, "term": exit_code}.get(
         case.fault.partition(" ")[0] if case.target == "bringup" else "", 1)
     if case.fault in ("kill both", "power cycle, then kill"):
         expected = -9
     if code != expected:
         outcome.fail(f"bringup ended with exit code {code}, not {expected}")
-    if still := left(pids):
+    if still := leftover(pids):
         outcome.fail(f"{len(still)} processes were left after 12 s")
     outcome.recovery = "ended"
     outcome.reason = rig.reason()

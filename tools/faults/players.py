@@ -134,9 +134,9 @@ class Players(_Played):
                 if at >= self._next[topic]:
                     slow = _SLOW if self._mode[topic] == "slow" else 1.0
                     self._next[topic] = max(at, self._next[topic] + slow * PERIOD_S)
-                    said = self._changed(topic, value())
-                    if said is not None:
-                        self._watcher.publish(topic, said)
+                    changed_value = self._changed(topic, value())
+                    if changed_value is not None:
+                        self._watcher.publish(topic, changed_value)
 
     def burst(self, topic: str, count: int, rng: random.Random) -> None:
         """Publish this many hostile values as fast as possible, with random pauses."""

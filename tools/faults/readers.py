@@ -19,9 +19,9 @@ from faults.cases import ROUNDS, Case
 from faults.live import Outcome
 from faults.rig import BrokenError, LoopRig, Rig, SiteRig
 from faults.simulated import digest, reference
-from graphs import Process, bag_file, environment, own_domain
+from graphs import Process, bag_file, environment, reserved_domain
 
-from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.common.processes import child_environment
 from greenroof_ros.recording.bag_reader import count_ticks
 
 READERS, STOPPED_S = 4, 6.5
@@ -51,7 +51,7 @@ class _Readers:
         self._processes = [
             subprocess.Popen(
                 [sys.executable, "-c", _READER],
-                env={**asked_to_end_with_this(), **environment(domain)}, cwd=directory,
+                env={**child_environment(), **environment(domain)}, cwd=directory,
                 start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )
             for domain in domains for _ in range(READERS)
@@ -92,7 +92,7 @@ def run_cases(cases: list[Case], directory: Path, seed: int) -> Iterator[tuple[C
     round_s = STOPPED_S + _PAUSE_S[1] + _APART_S
     hours = f"{(ROUNDS * round_s + 30.0) * _SPEED / 3600:.2f}"
     with contextlib.ExitStack() as stack:
-        domains = [stack.enter_context(own_domain()) for _ in range(3)]
+        domains = [stack.enter_context(reserved_domain()) for _ in range(3)]
         place = directory / "simulated"
         place.mkdir()
         rigs: dict[str, Rig] = {
@@ -114,7 +114,7 @@ def run_cases(cases: list[Case], directory: Path, seed: int) -> Iterator[tuple[C
                 time.sleep(rng.uniform(*_PAUSE_S))
                 readers.stop_and_continue(rng)
                 for case, outcome in outcomes.items():
-                    _look(case, outcome, rigs, simulation, began, number)
+                    _check_round(case, outcome, rigs, simulation, began, number)
         except BrokenError as error:
             for outcome in outcomes.values():
                 outcome.fail(f"rig: {error}")
@@ -130,7 +130,7 @@ def run_cases(cases: list[Case], directory: Path, seed: int) -> Iterator[tuple[C
         yield case, outcome
 
 
-def _look(
+def _check_round(
     case: Case, outcome: Outcome, rigs: dict[str, Rig], simulation: Process, began: float,
     number: int,
 ) -> None:
@@ -143,8 +143,8 @@ def _look(
     if rig.main.process.poll() is not None:
         raise BrokenError(f"{case.target} ended in round {number}: {rig.main.stderr()[-400:]}")
     if rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
-        said = [text for at, _, text in rig.watcher.said if at >= began]
-        outcome.fail(f"the pump stopped in round {number}: {said[:8]}")
+        texts = [text for at, _, text in rig.watcher.texts if at >= began]
+        outcome.fail(f"the pump stopped in round {number}: {texts[:8]}")
         rig.until_running(steady_s=6.0)
 
 

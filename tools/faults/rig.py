@@ -73,7 +73,7 @@ def wait(condition: Callable[[], Any], seconds: float, what: str) -> None:
         time.sleep(0.02)
 
 
-def left(pids: Collection[int], seconds: float = 12.0) -> list[int]:
+def leftover(pids: Collection[int], seconds: float = 12.0) -> list[int]:
     """Return the processes that have not ended within a time (s)."""
     until = time.monotonic() + seconds
     while any(map(alive, pids)) and time.monotonic() < until:
@@ -141,7 +141,7 @@ class Rig:
         watcher: the campaign's node in the graph.
         truth: the true state of the drive.
         watchers: all that listen for the campaign: `watcher`, and a case's own in another domain.
-        kept: directory of bringup's summary and incidents, if there is a bringup.
+        output: directory of bringup's summary and incidents, if there is a bringup.
         lines: lines to the level sensors that can fail, by tank.
     """
 
@@ -185,7 +185,7 @@ class Rig:
         self.site_simulator: Simulator | None = None
         self.started: set[int] = set()
         self.ended_badly: list[str] = []
-        self.kept = directory / "state"
+        self.output = directory / "state"
         self.players: Players | Relay | None = None
         site_bench = self.start_site()
         self.truth = Truth(parse_address(self._bench), site_bench)
@@ -238,25 +238,26 @@ class Rig:
             if self.main.process.poll() is not None:
                 raise BrokenError(f"bringup ended: {self.main.stderr()[-600:]}")
             if time.monotonic() > until:
-                said = {who: text for who, text in self.watcher.last.items()
+                present_texts = {who: text for who, text in self.watcher.last.items()
                         if not text.startswith("OK")}
                 raise BrokenError(
                     f"the pump did not run within {seconds:.0f} s (speed {self.truth.speed:.2f}): "
-                    f"{said}; {self.main.stderr()[-300:]}"
+                    f"{present_texts}; {self.main.stderr()[-300:]}"
                 )
             time.sleep(0.02)
 
     def signs(self, since: float, incidents: int = 0) -> set[Sign]:
         """Return the signs since a time on /diagnostics, and in incidents from a number on."""
-        return self._heard("signs", since) | {
-            (incident.subject, incident.code) for incident in read_incidents(self.kept)[incidents:]
+        return self._signs_since("signs", since) | {
+            (incident.subject, incident.code)
+            for incident in read_incidents(self.output)[incidents:]
         }
 
     def advised(self, since: float) -> set[Sign]:
         """Return the signs since a time that the page has advice about."""
-        return self._heard("advised", since)
+        return self._signs_since("advised", since)
 
-    def _heard(self, kind: str, since: float) -> set[Sign]:
+    def _signs_since(self, kind: str, since: float) -> set[Sign]:
         """Return a kind of signs since a time; a case's own watcher hears that case alone."""
         return {
             sign for watcher in self.watchers for at, sign in list(getattr(watcher, kind))
@@ -265,11 +266,11 @@ class Rig:
 
     def incidents(self) -> int:
         """Return the number of incidents so far."""
-        return len(read_incidents(self.kept))
+        return len(read_incidents(self.output))
 
     def summary(self) -> dict[str, Any]:
         """Return bringup's summary; empty if there is no bringup."""
-        return summary_of(self.kept) if (self.kept / summary.SUMMARY).exists() else {}
+        return summary_of(self.output) if (self.output / summary.SUMMARY).exists() else {}
 
     def reason(self) -> str:
         """Return why bringup ended, as text; empty if it was killed."""
@@ -308,7 +309,7 @@ class Rig:
                 wrong.append("still there 25 s after SIGTERM")
                 main.kill()
                 main.wait()
-        for pid in left(pids):
+        for pid in leftover(pids):
             wrong.append(f"process {pid} is left")
             os.kill(pid, signal.SIGKILL)
         until = time.monotonic() + 2 * RAMP_S
@@ -353,7 +354,7 @@ class SiteRig(Rig):
             "--controller", self.controller, "--site", str(self.site_file),
             "--sensors", str(read), "--forecast", str(self.forecast),
             "--drive", self.drive_file, "--drive-at", self.drive_at,
-            "--state", str(self.kept), "--restarts", "1000",
+            "--state", str(self.output), "--restarts", "1000",
             "--node-parameters", str(self.parameters),
         )
         return Address("127.0.0.1", bench)
@@ -442,16 +443,16 @@ class MqttRig(SiteRig):
             for port in (self.broker.port, self.cable.port)
         )
 
-    def say_retained(self) -> None:
+    def publish_retained(self) -> None:
         """Publish the cistern's level once more, as a retained message."""
         with Talker(self.broker) as talker:
-            talker.say(_CISTERN_TOPIC, f"{self.levels()[0]:.4f}", retain=True)
+            talker.publish(_CISTERN_TOPIC, f"{self.levels()[0]:.4f}", retain=True)
 
-    def say_nonsense(self, count: int, rng: random.Random) -> None:
+    def publish_nonsense(self, count: int, rng: random.Random) -> None:
         """Publish this many payloads that are no level, as another client with write access."""
         with Talker(self.broker) as talker:
             for _ in range(count):
-                talker.say(_CISTERN_TOPIC, rng.choice(_NONSENSE))
+                talker.publish(_CISTERN_TOPIC, rng.choice(_NONSENSE))
 
     def __exit__(self, *failure: object) -> None:
         super().__exit__(*failure)
@@ -464,7 +465,7 @@ class FullDiskRig(SiteRig):
 
     def bring_up(self) -> Process:
         self._disk = ExitStack()
-        self._disk.enter_context(small_disk(self.kept / "bag", "2m"))
+        self._disk.enter_context(small_disk(self.output / "bag", "2m"))
         return super().bring_up()
 
     def fill(self) -> None:
@@ -476,7 +477,7 @@ class FullDiskRig(SiteRig):
         self._other().unlink()
 
     def _other(self) -> Path:
-        return self.kept / "bag" / "other"
+        return self.output / "bag" / "other"
 
     def __exit__(self, *failure: object) -> None:
         super().__exit__(*failure)
@@ -494,7 +495,7 @@ class PlayedRig(Rig):
         return Process(
             self.domain, "bringup.live", "--controller", CONTROLLER,
             "--site", str(self.site_file), "--sensors", "external", "--weather", "external",
-            *self._pump(), "--state", str(self.kept), "--restarts", "1000",
+            *self._pump(), "--state", str(self.output), "--restarts", "1000",
             "--node-parameters", str(self.parameters), cwd=self.directory,
         )
 
@@ -552,12 +553,12 @@ class LoopRig(Rig):
     nodes = ("pump",)
 
     def bring_up(self) -> Process:
-        self.kept = self.directory / "run"
+        self.output = self.directory / "run"
         return Process(
             self.domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
             "--cistern", str(_CISTERN_M3), "--roof", str(_ROOF_M3), "--hours", "2",
             "--drive", self.drive_file, "--drive-at", self.drive_at,
-            "--output", str(self.kept), "--state", str(self.directory / "state"),
+            "--output", str(self.output), "--state", str(self.directory / "state"),
             "--node-parameters", str(self.parameters), cwd=self.directory,
         )
 

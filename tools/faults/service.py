@@ -61,15 +61,15 @@ def run_case(case: Case, directory: Path, outcome: Outcome) -> None:
         if case.target == "limit" and min(waits) < 120:
             outcome.fail(f"asked again after {min(waits):g} s, where Retry-After says 120 s")
         # If a connection breaks, the HTTP library repeats the request once by itself.
-        if len(waits) > _MOST_REQUESTS or server.asked - 1 > 2 * len(waits):
-            outcome.fail(f"the service was asked {server.asked - 1} times in {_HOURS} h")
+        if len(waits) > _MOST_REQUESTS or server.requests - 1 > 2 * len(waits):
+            outcome.fail(f"the service was asked {server.requests - 1} times in {_HOURS} h")
         forecast = LiveForecast(ForecastFile(file), site, 120.0, _ISSUE_LIMIT_S, False)
-        forecast.file.look()
-        known = _stands_from(site, forecast, began, thermometer=False)
+        forecast.file.update()
+        known = _at_rest_from(site, forecast, began, thermometer=False)
         if not 3600 <= known <= _ISSUE_LIMIT_S:
             outcome.fail(f"without a thermometer the pump stood from {known:g} s on")
-        if (stood := _stands_from(site, forecast, began, thermometer=True)) < math.inf:
-            outcome.fail(f"with a thermometer the pump stood from {stood:g} s on")
+        if (rest_from := _at_rest_from(site, forecast, began, thermometer=True)) < math.inf:
+            outcome.fail(f"with a thermometer the pump stood from {rest_from:g} s on")
         server.fault = NONE
         if fetcher.fetch() != _EVERY_S or fetcher.problem:
             outcome.fail(f"after the fault: {fetcher.problem}")
@@ -89,7 +89,7 @@ def _requests(fetcher: Fetcher, outcome: Outcome) -> list[float]:
     return waits
 
 
-def _stands_from(
+def _at_rest_from(
     site: Site, forecast: LiveForecast, began: datetime, *, thermometer: bool
 ) -> float:
     """Return the time (s) from which a pump that should run stands; infinite if it never does.

@@ -186,8 +186,8 @@ def digest(file: Path) -> str:
 
 def reference(directory: Path, domain: int, hours: str = _SHORT_H) -> Path:
     """Return an undisturbed run, made once in a directory."""
-    kept = directory / "undisturbed"
-    if not (kept / "run").is_dir():
+    output_of_undisturbed = directory / "undisturbed"
+    if not (output_of_undisturbed / "run").is_dir():
         place = Path(tempfile.mkdtemp(prefix="undisturbed-", dir=directory))
         run = Process(
             domain, "bringup", "--controller", "onoff", "--hours", hours, "--output", "run",
@@ -196,5 +196,5 @@ def reference(directory: Path, domain: int, hours: str = _SHORT_H) -> Path:
         code = run.wait(300)
         assert code == 0, run.stderr()
         with contextlib.suppress(OSError):  # another process was faster
-            place.rename(kept)
-    return kept / "run"
+            place.rename(output_of_undisturbed)
+    return output_of_undisturbed / "run"

@@ -123,10 +123,10 @@ def _outcome(results: list[dict[str, Any]]) -> str:
         "ran on" if result["to_safe"] is None and result["recovered"] is not None
         and result["recovered"] < _AT_ONCE_S else result["recovery"] for result in results
     )
-    return ", ".join(said for said, _ in counts.most_common() if said) or "as specified"
+    return ", ".join(text for text, _ in counts.most_common() if text) or "as specified"
 
 
-def put(page: Path, mark: str, results: list[dict[str, Any]]) -> None:
+def insert_table(page: Path, mark: str, results: list[dict[str, Any]]) -> None:
     """Put a table in a page, if there are results for it."""
     before, begin, rest = page.read_text().partition(mark)
     _, end, after = rest.partition(_END)
@@ -139,6 +139,6 @@ if __name__ == "__main__":
     read, written = map(Path, sys.argv[1:])
     every = read_results(read).values()
     for mark in (_RELAYS, _NETWORK, _REST):
-        put(written, mark, [
+        insert_table(written, mark, [
             result for result in every if _TABLES.get(_rig(result), _REST) == mark
         ])

@@ -16,9 +16,9 @@ from greenroof_ros.live.simulators.faults import DEFAULT, SITE_FAULTS
 
 _PERIOD_S = 0.05
 # Six minutes of samples, longer than the longest case.
-_KEPT = 7200
+_CAPACITY = 7200
 # How far back to look for a break in running (s).
-_LOOK_BACK_S = 15.0
+_HISTORY_S = 15.0
 # Speed below which the motor is at rest (share of rated speed). It is below the drivers' limit,
 # because a true speed has no noise.
 AT_REST = 0.005
@@ -31,10 +31,10 @@ class Truth:
 
     def __init__(self, drive: Address, site: Address | None = None) -> None:
         self.greatest = 0.0
-        self.samples: deque[tuple[float, float]] = deque(maxlen=_KEPT)  # time (s), speed
+        self.samples: deque[tuple[float, float]] = deque(maxlen=_CAPACITY)  # time (s), speed
         self._drive = Workbench(drive)
         self._site = None if site is None else Workbench(site, SITE_FAULTS)
-        self._in_turn = threading.Lock()
+        self._lock = threading.Lock()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._sample, daemon=True)
         self._thread.start()
@@ -49,7 +49,7 @@ class Truth:
     def _sample(self) -> None:
         while not self._ended.wait(_PERIOD_S):
             # Nothing is known while the simulator is killed or stopped.
-            with suppress(DriveError), self._in_turn:
+            with suppress(DriveError), self._lock:
                 before = time.monotonic()
                 speed = self._drive.speed()
                 self.samples.append(((before + time.monotonic()) / 2, speed))
@@ -57,18 +57,18 @@ class Truth:
 
     def inject_drive(self, fault: str, parameter: int = DEFAULT) -> None:
         assert fault in FAULTS
-        self._ask(lambda: self._drive.inject(fault, parameter))
+        self._request(lambda: self._drive.inject(fault, parameter))
 
     def inject_site(self, fault: str, parameter: int = DEFAULT) -> None:
         site = self._site
         assert site is not None
-        self._ask(lambda: site.inject(fault, parameter))
+        self._request(lambda: site.inject(fault, parameter))
 
     def take_over(self, local: bool) -> None:
-        self._ask(lambda: self._drive.take_over(local))
+        self._request(lambda: self._drive.take_over(local))
 
-    def _ask(self, request: Callable[[], None]) -> None:
-        with self._in_turn:
+    def _request(self, request: Callable[[], None]) -> None:
+        with self._lock:
             try:
                 request()
             except DriveError:  # the simulator was restarted since the last request
@@ -87,16 +87,16 @@ class Truth:
         """Return for how long the pump has turned without a break (s), as far back as is known."""
         now = since = time.monotonic()
         for at, speed in self._newest_first():
-            if speed <= TURNS or since - at > 2.0 or now - at > _LOOK_BACK_S:
+            if speed <= TURNS or since - at > 2.0 or now - at > _HISTORY_S:
                 break
             since = at
         return now - since
 
-    def stood_at(self, since: float) -> float | None:
+    def stopped_at(self, since: float) -> float | None:
         """Return when the pump first stood after a time; None if it has not."""
         return next((at for at, speed in self._from(since) if speed <= AT_REST), None)
 
-    def turned(self, since: float, until: float) -> float:
+    def greatest_speed(self, since: float, until: float) -> float:
         """Return the greatest speed between two times."""
         return max((v for at, v in self._from(since) if at <= until), default=0.0)
 

@@ -26,7 +26,7 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.domain import choose_transport
 from greenroof_ros.graph.messages import message_class, qos_profile
 from greenroof_ros.watch.alarms import Alarms
-from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.wire import WireStatus
 
 
 @contextmanager
@@ -45,9 +45,9 @@ class Watcher:
     """A node in a thread of its own.
 
     Attributes:
-        said: reports of changed states, as text: the time, the status, its level and sentence.
+        texts: reports of changed states, as text: the time, the status, its level and sentence.
         last: the newest of these texts, by status.
-        codes: code of each status when it was last heard; empty if all is well.
+        codes: code of each status when it was last received; empty if all is well.
         signs: conditions that came up, from the status values and on the page: the time, the status
             and the code.
         advised: those on the page with advice, likewise.
@@ -57,7 +57,7 @@ class Watcher:
     """
 
     def __init__(self, domain: int, name: str = "watcher") -> None:
-        self.said: list[tuple[float, str, str]] = []
+        self.texts: list[tuple[float, str, str]] = []
         self.last: dict[str, str] = {}
         self.signs: list[tuple[float, Sign]] = []
         self.advised: list[tuple[float, Sign]] = []
@@ -105,27 +105,27 @@ class Watcher:
     def _on_diagnostics(self, message: Any) -> None:
         now = time.monotonic()
         for status in message.status:
-            self._hear(now, status)
-        self._alarms.hear(now, time.time(), [
-            Status(status.name, status.level[0], status.message,
+            self._receive(now, status)
+        self._alarms.receive(now, time.time(), [
+            WireStatus(status.name, status.level[0], status.message,
                    {entry.key: entry.value for entry in status.values})
             for status in message.status
         ])
         rows = [row for row in self._alarms.rows() if row["over"] is None]
         advised = {(row["id"].lstrip("/"), row["code"]) for row in rows if row["plain"]}
-        came = [(now, sign) for sign in advised - self.standing]
-        self.signs += came
-        self.advised += came
+        new_signs = [(now, sign) for sign in advised - self.standing]
+        self.signs += new_signs
+        self.advised += new_signs
         self.standing = advised
 
-    def _hear(self, now: float, status: Any) -> None:
+    def _receive(self, now: float, status: Any) -> None:
         who, values = status.name.lstrip("/"), {entry.key: entry.value for entry in status.values}
         if ": " in who:  # a part of a node; values of the nodes themselves are JSON
             code = values.get("code", "")
             text = f"{('OK', 'WARN', 'ERROR', 'STALE')[status.level[0]]} {status.message}"
             if self.last.get(who) != text:
                 self.last[who] = text
-                self.said.append((now, who, text))
+                self.texts.append((now, who, text))
         else:
             code = json.loads(values.get("code", '""'))
             self.failures[who] = json.loads(values.get("failure", '""'))

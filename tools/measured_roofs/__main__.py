@@ -109,7 +109,7 @@ def judge(roof, directory, scratch):
         notes += [
             f"{roof.name}, fitted on the {half} half: {fit_of.name} = {fit_of.value:.4g}"
             + (f" ({fit_of.interval})" if fit_of.interval else "")
-            + (f"; {fit_of.words}" if fit_of.words else "")
+            + (f"; {fit_of.reason}" if fit_of.reason else "")
             for fit_of in fitted.parameters
         ]
         steps = halves[judged_on]

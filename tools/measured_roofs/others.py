@@ -10,12 +10,12 @@ from measured_roofs.roofs import STEP_S, Roof, temperatures
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from greenroof_ros.analysis.calibration.record import Record, sums
+from greenroof_ros.analysis.calibration.record import RoofRecord, sums
 
 Values = NDArray[np.float64]
 
 
-def swmm(roof: Roof, directory: Path, record: Record, scratch: Path) -> Values:
+def swmm(roof: Roof, directory: Path, record: RoofRecord, scratch: Path) -> Values:
     """Run SWMM with the roof's own model; return runoff (mm in each step), NaN outside its run."""
     from pyswmm import Output, Simulation
     from swmm.toolkit.shared_enum import NodeAttribute
@@ -59,22 +59,22 @@ def swmm(roof: Roof, directory: Path, record: Record, scratch: Path) -> Values:
     return result
 
 
-def bucket(record: Record, steps: NDArray[np.bool_]) -> Values:
+def bucket(record: RoofRecord, steps: NDArray[np.bool_]) -> Values:
     """Fit a bucket's one parameter, its depth (mm), and return its runoff (mm).
 
     It evaporates like the reference grass while it holds water, and water that it cannot hold runs
     off at once.
     """
-    rain, wanted = np.nan_to_num(record.rain).tolist(), record.reference.tolist()
+    rain, potentials = np.nan_to_num(record.rain).tolist(), record.reference.tolist()
     seconds = record.seconds[steps]
     measured = sums(record.runoff[steps], seconds, 3600)
 
     def run(depth: float) -> Values:
-        held, runoff = depth / 2, []
-        for comes, asked in zip(rain, wanted, strict=True):
-            held = max(0.0, held + comes - asked)
-            runoff.append(max(0.0, held - depth))
-            held = min(held, depth)
+        stored, runoff = depth / 2, []
+        for water, potential in zip(rain, potentials, strict=True):
+            stored = max(0.0, stored + water - potential)
+            runoff.append(max(0.0, stored - depth))
+            stored = min(stored, depth)
         return np.array(runoff)
 
     def misfit(depth: float) -> float:

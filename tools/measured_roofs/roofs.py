@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.analysis.calibration.record import Record, in_months
+from greenroof_ros.analysis.calibration.record import RoofRecord, in_months
 from greenroof_ros.model.site import Site
 
 STEP_S = 300
@@ -44,7 +44,7 @@ ROOFS = (
 )
 
 
-def read_roof(roof: Roof, directory: Path, site: Site, scratch: Path) -> Record:
+def read_roof(roof: Roof, directory: Path, site: Site, scratch: Path) -> RoofRecord:
     """Write a roof's record as CSV in this project's format, and read that."""
     rain = _series(directory / roof.rain, "rain [mm/5min]")
     runoff = _series(directory / roof.runoff, "runoff [mm/5min]")
@@ -89,6 +89,6 @@ def temperatures(file: Path) -> dict[str, tuple[float, float]]:
     return extremes
 
 
-def warm(record: Record) -> np.ndarray:
+def warm(record: RoofRecord) -> np.ndarray:
     """Return which steps are in April to October; in winter the runoff is melted snow."""
     return in_months(record, "4-10")

@@ -30,7 +30,7 @@ from watch.diagnosed import Diagnosed
 LIMIT_S = 2.0
 # Time that a fault stays beyond this limit after it was reported, and each case after its end (s).
 _LONGER_S = 1.0
-_LOOK_S = 0.1
+_POLL_S = 0.1
 # Each listener discovers a restarted process in its own time, as Fast DDS announces it repeatedly.
 # The page may hear of it this much earlier than this program (s).
 _AHEAD_S = 3.0
@@ -42,7 +42,7 @@ _ON_PAGE = """() => [Object.fromEntries(
   [...document.querySelectorAll("#events li")].map((event) => event.textContent),
   [...document.querySelectorAll("#notes li")].map((note) => note.textContent)]"""
 # Kinds that this page does not show, by fault and target, with the reason.
-NOT_SAID = {
+NOT_REPORTED = {
     ("second pump node", "in another domain"):
         "it reports in its own domain, where this page does not listen",
 }
@@ -65,7 +65,7 @@ def kinds() -> list[Case]:
 
 
 @dataclass(frozen=True)
-class Look:
+class Snapshot:
     """What stood on the page at a time (s).
 
     Attributes:
@@ -105,22 +105,22 @@ class Page:
     """
 
     def __init__(self, url: str) -> None:
-        self.looks: list[Look] = []
+        self.snapshots: list[Snapshot] = []
         self.problem = ""
         self._url, self._ended = url, False
-        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread = threading.Thread(target=self._poll, daemon=True)
         self._thread.start()
-        wait(lambda: self.looks or self.problem, 30, "no browser")
+        wait(lambda: self.snapshots or self.problem, 30, "no browser")
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         try:
             with started_browser() as browser:
                 page = browser.new_page()
                 page.goto(self._url)
                 while not self._ended:
                     began = time.monotonic()
-                    self.looks.append(Look(began, *page.evaluate(_ON_PAGE)))
-                    time.sleep(_LOOK_S)
+                    self.snapshots.append(Snapshot(began, *page.evaluate(_ON_PAGE)))
+                    time.sleep(_POLL_S)
         except Exception as error:
             self.problem = f"{type(error).__name__}: {error}"
 
@@ -129,9 +129,9 @@ class Page:
         self._ended = True
         self._thread.join(10)
 
-    def since(self, at: float) -> list[Look]:
+    def since(self, at: float) -> list[Snapshot]:
         """Return the looks from a time on."""
-        return self.looks[bisect_left(self.looks, at, key=lambda look: look.at):]
+        return self.snapshots[bisect_left(self.snapshots, at, key=lambda snapshot: snapshot.at):]
 
 
 @dataclass(frozen=True)
@@ -152,12 +152,12 @@ class Comparison:
     """
 
     def __init__(
-        self, said: Diagnosed, page: Page, since: float, until: float, limit: float
+        self, diagnosed: Diagnosed, page: Page, since: float, until: float, limit: float
     ) -> None:
         """Compare.
 
         Args:
-            said: what was reported.
+            diagnosed: what was reported.
             page: what was shown.
             since: start of the reports to compare.
             until: time until which the page was read.
@@ -165,14 +165,14 @@ class Comparison:
         """
         self.followed: list[Change] = []
         self.missed: list[str] = []
-        self._page, self._limit, self._until = page, limit + _LOOK_S, until
-        for name, changes in list(said.said.items()):
+        self._page, self._limit, self._until = page, limit + _POLL_S, until
+        for name, changes in list(diagnosed.changes.items()):
             self._compare(name, [*changes, (until, "")], since)
-        for at, name in list(said.restarts):
+        for at, name in list(diagnosed.restarts):
             if at >= since:
                 self._compare_restart(name, at)
-        for name, what in page.looks[-1].alarms.items():
-            changes = said.said.get(name, [(0.0, "")])
+        for name, what in page.snapshots[-1].alarms.items():
+            changes = diagnosed.changes.get(name, [(0.0, "")])
             if not changes[-1][1] and changes[-1][0] < until - self._limit:
                 self.missed.append(f"{name} {what}: is shown, but was not reported")
 
@@ -183,28 +183,31 @@ class Comparison:
                 shown = what
             elif what != shown:
                 again = next((when for when, it in changes[number + 1:-1] if it == what), math.inf)
-                looks = self._page.since(max(at - _AHEAD_S, shown_at))
-                seen = next((
-                    look.at for look in looks
-                    if look.at < again and look.shows(name, what)
+                snapshots = self._page.since(max(at - _AHEAD_S, shown_at))
+                first_shown = next((
+                    snapshot.at for snapshot in snapshots
+                    if snapshot.at < again and snapshot.shows(name, what)
                 ), None)
                 may_miss = self._limit + (_AHEAD_S if what.startswith("stale not_heard") else 0.0)
-                if self._note(name, what, at, seen, must=then - at > may_miss):
-                    shown, shown_at = what, seen or at
+                if self._note(name, what, at, first_shown, must=then - at > may_miss):
+                    shown, shown_at = what, first_shown or at
 
     def _compare_restart(self, name: str, at: float) -> None:
-        looks = self._page.since(at - _AHEAD_S)
-        before = looks[0].restart(name) if looks else ""
-        seen = next((look.at for look in looks if look.restart(name) != before), None)
+        snapshots = self._page.since(at - _AHEAD_S)
+        before = snapshots[0].restart(name) if snapshots else ""
+        restarts = (snapshot.at for snapshot in snapshots if snapshot.restart(name) != before)
+        first_shown = next(restarts, None)
         must = self._until - at > self._limit
-        self._note(name, "was started again", at, seen, must=must)
+        self._note(name, "was started again", at, first_shown, must=must)
 
-    def _note(self, name: str, what: str, at: float, seen: float | None, *, must: bool) -> bool:
+    def _note(
+        self, name: str, what: str, at: float, first_shown: float | None, *, must: bool
+    ) -> bool:
         """Note whether a change was shown; return False if it may be missed, and was."""
-        if seen is not None and seen - at <= self._limit:
-            self.followed.append(Change(name, what, max(0.0, seen - at)))
+        if first_shown is not None and first_shown - at <= self._limit:
+            self.followed.append(Change(name, what, max(0.0, first_shown - at)))
         elif must:
-            when = "never" if seen is None else f"after {seen - at:.1f} s"
+            when = "never" if first_shown is None else f"after {first_shown - at:.1f} s"
             self.missed.append(f"{name} {what or 'is well'}: {when}")
         else:
             return False
@@ -228,19 +231,19 @@ class Pages:
         time.sleep(LIMIT_S + _LONGER_S)
         if self._page.problem:
             raise BrokenError(self._page.problem)
-        comparison = Comparison(self._said, self._page, began, time.monotonic(), LIMIT_S)
+        comparison = Comparison(self._diagnosed, self._page, began, time.monotonic(), LIMIT_S)
         self.followed += comparison.followed
         return comparison
 
     def _open(self, rig: Rig) -> None:
-        said = self._said = Diagnosed(rig.watcher.node)
+        diagnosed = self._diagnosed = Diagnosed(rig.watcher.node)
         port = free_ports(1)[0]
         watch = Process(rig.domain, "watch", "--port", str(port), cwd=rig.directory)
         self.rigs.stack.callback(watch.process.terminate)
         wait(watch.stdout, 30, "no address")
         page = self._page = Page(f"http://127.0.0.1:{port}/")
         self.rigs.stack.callback(page.close)
-        wait(lambda: page.looks[-1].shows_all(said.stands), 30, "no page of all")
+        wait(lambda: page.snapshots[-1].shows_all(diagnosed.problems), 30, "no page of all")
         rig.until_running()  # last, because some rigs' pumps may run for only 20 s
         self._rig = rig
 
@@ -277,7 +280,7 @@ def test_alarm(pages: Pages, case: Case) -> None:
         change.name == f"/{case.target}" or change.what.partition(" ")[2] in codes
         for change in comparison.followed if change.what
     )
-    assert own or (case.fault, case.target) in NOT_SAID
+    assert own or (case.fault, case.target) in NOT_REPORTED
 
 
 def _table(changes: list[Change]) -> str:

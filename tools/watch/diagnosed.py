@@ -24,7 +24,7 @@ from greenroof_ros.graph.states import ENDED, STARTING, STATES
 SILENT_S = 2.0
 # A node that waits for another one for longer than this reports an alarm (s).
 _WAITS_S = 5.0
-_LOOK_S = 0.1
+_POLL_S = 0.1
 _LEVELS = ("", "warn", "error", "stale")
 _LATCHED = {code for code, interlock in read_interlocks().items() if interlock.kind == LATCHED}
 
@@ -34,38 +34,38 @@ class _Node:
     process: str
     state: str
     since: float  # in this state
-    heard: float
+    last: float
     values: dict[str, Any]
-    before: dict[str, float] = field(default_factory=dict)  # when other processes were last heard
+    before: dict[str, float] = field(default_factory=dict)  # when other processes last reported
     twice: float = -math.inf  # when two processes last reported in turn
     refuses: float = -math.inf  # when it last refused more values than before
     refused: dict[str, dict[str, int]] = field(default_factory=dict)  # by process, then topic
-    parts: dict[str, tuple[float, str]] = field(default_factory=dict)  # when heard, what is wrong
+    parts: dict[str, tuple[float, str]] = field(default_factory=dict)  # time, what is wrong
 
 
 class Diagnosed:
-    """Hears /diagnostics in a node that a caller spins. Times are of `time.monotonic` (s).
+    """Receives /diagnostics in a node that a caller spins. Times are of `time.monotonic` (s).
 
     Attributes:
-        said: changes by the name of a status: the time, and what is wrong from then on, as level
+        changes: changes by the name of a status: the time, and what is wrong from then on, as level
             and code; empty if nothing is.
         restarts: when a new process appeared under the name of a node, and the name.
     """
     def __init__(self, node: Node) -> None:
-        self.said: dict[str, list[tuple[float, str]]] = {}
+        self.changes: dict[str, list[tuple[float, str]]] = {}
         self.restarts: list[tuple[float, str]] = []
         self._nodes: dict[str, _Node] = {}
         profile = qos_profile(read_topics()["/diagnostics"].qos)
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, profile)
-        node.create_timer(_LOOK_S, self._look)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._receive, profile)
+        node.create_timer(_POLL_S, self._update)
 
     @property
-    def stands(self) -> dict[str, str]:
+    def problems(self) -> dict[str, str]:
         """What is wrong now, by the name of its status."""
-        said = list(self.said.items())  # another thread adds to it
-        return {name: changes[-1][1] for name, changes in said if changes[-1][1]}
+        changes = list(self.changes.items())  # another thread adds to it
+        return {name: changes[-1][1] for name, changes in changes if changes[-1][1]}
 
-    def _hear(self, message: Any) -> None:
+    def _receive(self, message: Any) -> None:
         at = time.monotonic()
         for status in message.status:
             name, _, part = status.name.partition(": ")
@@ -81,10 +81,10 @@ class Diagnosed:
                 self._nodes[name].parts[part] = at, f"{level} {code}" if level else ""
             elif not part and status.message in STATES:
                 values = {entry.key: json.loads(entry.value) for entry in status.values}
-                self._hear_node(at, name, status.message, values)
-        self._look()
+                self._receive_node(at, name, status.message, values)
+        self._update()
 
-    def _hear_node(self, at: float, name: str, state: str, values: dict[str, Any]) -> None:
+    def _receive_node(self, at: float, name: str, state: str, values: dict[str, Any]) -> None:
         process = values["process"]
         node = self._nodes.get(name)
         if node is None:
@@ -92,7 +92,7 @@ class Diagnosed:
             node.refused[process] = values.get("refused") or {}
             return
         if process != node.process:
-            node.before[node.process] = node.heard
+            node.before[node.process] = node.last
             if at - node.before.get(process, -math.inf) <= SILENT_S:
                 node.twice = at
             else:
@@ -106,17 +106,17 @@ class Diagnosed:
         node.refused[process] = counts
         if state != node.state:
             node.since = at
-        node.process, node.state, node.heard, node.values = process, state, at, values
+        node.process, node.state, node.last, node.values = process, state, at, values
 
-    def _look(self) -> None:
+    def _update(self) -> None:
         at = time.monotonic()
         wrong = {}
         for name, node in self._nodes.items():
             wrong.update(_wrong(at, name, node))
-        for name in self.said.keys() | wrong.keys():
-            changes, now = self.said.get(name, [(at, "")]), wrong.get(name, "")
+        for name in self.changes.keys() | wrong.keys():
+            changes, now = self.changes.get(name, [(at, "")]), wrong.get(name, "")
             if now != changes[-1][1]:
-                self.said[name] = [*changes, (at, now)]
+                self.changes[name] = [*changes, (at, now)]
 
 
 def _wrong(at: float, name: str, node: _Node) -> dict[str, str]:
@@ -125,10 +125,10 @@ def _wrong(at: float, name: str, node: _Node) -> dict[str, str]:
         return {name: "error node_failed"} if node.values.get("failure") else {}
     silent = "stale not_heard"
     wrong = {
-        f"{name}: {part}": what if at - heard <= SILENT_S or at - node.heard > SILENT_S else silent
-        for part, (heard, what) in node.parts.items()
+        f"{name}: {part}": what if at - last <= SILENT_S or at - node.last > SILENT_S else silent
+        for part, (last, what) in node.parts.items()
     }
-    if at - node.heard > SILENT_S:
+    if at - node.last > SILENT_S:
         wrong[name] = silent
     elif at - node.twice <= SILENT_S:
         wrong[name] = "error two_processes"

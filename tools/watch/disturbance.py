@@ -21,13 +21,13 @@ from pathlib import Path
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 import paths  # noqa: F401
-from graphs import Process, free_ports, own_domain, wait_for
+from graphs import Process, free_ports, reserved_domain, wait_for
 from places import DATA
 
-from greenroof_ros.graph.looker import Looker
 from greenroof_ros.watch import wire
+from greenroof_ros.watch.graph_client import GraphClient
 
-TURN_S = 6.0
+_TURN_S = 6.0
 
 
 @contextmanager
@@ -58,23 +58,23 @@ class Ticks:
     def __init__(self, domain: int) -> None:
         self.newest: tuple[float, int] | None = None
         os.environ["ROS_DOMAIN_ID"] = str(domain)
-        threading.Thread(target=self._hear, daemon=True).start()
+        threading.Thread(target=self._receive, daemon=True).start()
 
-    def _hear(self) -> None:
-        looker = Looker("", self._on_message)
+    def _receive(self) -> None:
+        client = GraphClient("", self._on_message)
         while True:
-            looker.look(0.1)
+            client.receive(0.1)
 
-    def _on_message(self, topic: str, message: bytes, number: int | None, came_ns: int) -> None:
+    def _on_message(self, topic: str, message: bytes, number: int | None, received_ns: int) -> None:
         _, statuses = wire.statuses(message) or (0, [])
         for status in statuses:
             if status.name == "/plant" and "tick" in status.values:
-                self.newest = (came_ns / 1e9, int(status.values["tick"]))
+                self.newest = (received_ns / 1e9, int(status.values["tick"]))
 
     def measure(self) -> float:
         """Return the mean time of a tick over a turn (s)."""
         before = self._next()
-        time.sleep(TURN_S)
+        time.sleep(_TURN_S)
         after = self._next()
         return (after[0] - before[0]) / (after[1] - before[1])
 
@@ -93,7 +93,7 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=5, help="default: %(default)s")
     turns = parser.parse_args().turns
     with ExitStack() as stack:
-        domain = stack.enter_context(own_domain())
+        domain = stack.enter_context(reserved_domain())
         place = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         run = Process(  # it lasts longer than any measurement here
             domain, "bringup", "--controller", "mpc", "--weather",
@@ -107,12 +107,12 @@ def main() -> None:
             with ExitStack() as watching:
                 if turn % 2:
                     watching.enter_context(watched(domain, place))
-                took = ticks.measure()
-            ticks_s[bool(turn % 2)].append(took)
-            print(f"{'with' if turn % 2 else 'without':8} {took * 1e6:.0f} us a tick", flush=True)
+                tick_s = ticks.measure()
+            ticks_s[bool(turn % 2)].append(tick_s)
+            print(f"{'with' if turn % 2 else 'without':8} {tick_s * 1e6:.0f} us a tick", flush=True)
             time.sleep(2)
         ratio = statistics.median(ticks_s[True]) / statistics.median(ticks_s[False])
-        print(f"with a watcher {ratio:.3f} of without, medians of {turns} turns of {TURN_S:g} s")
+        print(f"with a watcher {ratio:.3f} of without, medians of {turns} turns of {_TURN_S:g} s")
 
 
 if __name__ == "__main__":

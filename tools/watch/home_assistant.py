@@ -26,7 +26,7 @@ import paths
 sys.path[:0] = [str(paths.CHECKOUT / "test" / "watch")]
 
 from brokers import Talker, mosquitto
-from graphs import Process, free_ports, own_domain, wait_for
+from graphs import Process, free_ports, reserved_domain, wait_for
 from test_bridge import state_on
 from test_watch_command import running_pump
 
@@ -55,7 +55,7 @@ class HomeAssistant:
                 [program, "-c", str(directory)], stdout=log, stderr=log
             )
 
-    def ask(self, path: str, content: dict[str, Any] | None = None) -> Any:
+    def request(self, path: str, content: dict[str, Any] | None = None) -> Any:
         """Post the content if there is any, otherwise get; return the answer."""
         data, kind = None, "application/json"
         if content is not None:
@@ -69,7 +69,7 @@ class HomeAssistant:
     def there(self) -> bool:
         """Return whether it answers."""
         with suppress(OSError):
-            return bool(self.ask("/api/onboarding"))
+            return bool(self.request("/api/onboarding"))
         return False
 
     def set_up(self, broker_port: int) -> None:
@@ -77,18 +77,19 @@ class HomeAssistant:
         wait_for(self.there, 600, "Home Assistant")
         user = {"name": "a", "username": "a", "password": "a", "language": "en"}
         client = f"{self._at}/"
-        code = self.ask("/api/onboarding/users", {"client_id": client, **user})["auth_code"]
-        self._token = self.ask("/auth/token", {
+        code = self.request("/api/onboarding/users", {"client_id": client, **user})["auth_code"]
+        self._token = self.request("/auth/token", {
             "grant_type": "authorization_code", "code": code, "client_id": client,
         })["access_token"]
         flow = "/api/config/config_entries/flow"
-        begun = self.ask(flow, {"handler": "mqtt"})
-        done = self.ask(f"{flow}/{begun['flow_id']}", {"broker": "127.0.0.1", "port": broker_port})
+        begun = self.request(flow, {"handler": "mqtt"})
+        settings = {"broker": "127.0.0.1", "port": broker_port}
+        done = self.request(f"{flow}/{begun['flow_id']}", settings)
         assert done["type"] == "create_entry", done
 
     def states(self) -> dict[str, dict[str, Any]]:
         """Return the site's entities, by their names without the site's prefix."""
-        entities = {state["entity_id"]: state for state in self.ask("/api/states")}
+        entities = {state["entity_id"]: state for state in self.request("/api/states")}
         return {
             name.replace(_OF_SITE, ""): state for name, state in entities.items()
             if _OF_SITE in name
@@ -98,7 +99,7 @@ class HomeAssistant:
 def check(program: str, place: Path, domain: int) -> None:
     """Check that it shows a site whose pump runs, and stops that pump."""
     with (
-        mosquitto(place) as broker, Talker(broker) as heard, running_pump(domain, place),
+        mosquitto(place) as broker, Talker(broker) as client, running_pump(domain, place),
     ):
         bridge = Process(
             domain, "bridge", "--broker", broker.address, "--namespace", "site1", cwd=place
@@ -112,20 +113,20 @@ def check(program: str, place: Path, domain: int) -> None:
                 return str(home.states()[entity]["state"])
 
             wait_for(lambda: shown("sensor.pump") == "running", 60, "a running pump")
-            said, states = state_on(heard, "site1"), home.states()
+            logged, states = state_on(client, "site1"), home.states()
             for name, (unit, kind) in _NUMBERS.items():
                 entity = states[f"sensor.{name}"]
                 attributes = entity["attributes"]
                 assert attributes["unit_of_measurement"] == unit, name
                 assert attributes.get("device_class") == kind, name
                 float(entity["state"])
-            assert abs(float(shown("sensor.cistern_level")) - said["cistern_level"]) < 50
+            assert abs(float(shown("sensor.cistern_level")) - logged["cistern_level"]) < 50
             assert shown("binary_sensor.frost") == "off"
             wait_for(
                 lambda: "summary" in home.states()["binary_sensor.alarm"]["attributes"], 20,
                 "the summary",
             )
-            home.ask("/api/services/button/press", {
+            home.request("/api/services/button/press", {
                 "entity_id": f"button.{_OF_SITE}stop_the_pump",
             })
             wait_for(lambda: shown("sensor.pump") == "held", 60, "a held pump")
@@ -139,9 +140,9 @@ def check(program: str, place: Path, domain: int) -> None:
             home.process.terminate()
             home.process.wait(60)
     log = (place / "home" / "log").read_text(encoding="utf-8")
-    said = [line for line in log.splitlines() if re.search(r"(WARNING|ERROR).*mqtt", line)]
+    logged = [line for line in log.splitlines() if re.search(r"(WARNING|ERROR).*mqtt", line)]
     # Releases of early 2024 cannot show an unknown time: they log this, and show it as unknown.
-    wrong = [line for line in said if "Invalid state message" not in line]
+    wrong = [line for line in logged if "Invalid state message" not in line]
     assert not wrong, wrong
 
 
@@ -151,7 +152,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("hass")
     program = parser.parse_args().hass
-    with own_domain() as domain, tempfile.TemporaryDirectory() as place:
+    with reserved_domain() as domain, tempfile.TemporaryDirectory() as place:
         check(program, Path(place), domain)
     print("Home Assistant shows the site, and stops its pump")
 

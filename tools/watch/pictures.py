@@ -24,7 +24,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 import paths  # noqa: F401
 from browsers import started_browser
 from faults.rig import SiteRig
-from graphs import Process, bring_up, free_ports, own_domain, wait_for
+from graphs import Process, bring_up, free_ports, reserved_domain, wait_for
 from places import DATA
 
 WIDTHS, SCHEMES, HEIGHT = (1400, 800, 400), ("light", "dark"), 900
@@ -176,7 +176,7 @@ def click(address: str, selectors: tuple[str, ...]) -> None:
             time.sleep(5)
 
 
-def take(state: str, address: str, directory: Path) -> None:
+def capture(state: str, address: str, directory: Path) -> None:
     """Capture the pictures of a state."""
     with started_browser() as browser:
         for scheme in SCHEMES:
@@ -201,7 +201,7 @@ def main() -> None:
     arguments.directory.mkdir(parents=True, exist_ok=True)
     for state in arguments.only:
         with ExitStack() as stack:
-            domain = stack.enter_context(own_domain())
+            domain = stack.enter_context(reserved_domain())
             place = Path(stack.enter_context(tempfile.TemporaryDirectory(
                 ignore_cleanup_errors=True)))
             watched = stack.enter_context(STATES[state](domain, place))
@@ -211,7 +211,7 @@ def main() -> None:
             if watched.end is not None:
                 watched.end()
                 time.sleep(8)
-            take(state, address, arguments.directory)
+            capture(state, address, arguments.directory)
             print(state, flush=True)
 
 

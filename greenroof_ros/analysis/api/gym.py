@@ -12,7 +12,7 @@ Gymnasium before 1.0 finds it by itself; later versions look for none, so import
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         ends: ends of the forecast's steps (s from now), the first 0, shape (steps + 1,).
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as the base class has it)
 
     def __init__(
         self, *, reward: Callable[[Tick, SiteState], float] = minus_deviation,

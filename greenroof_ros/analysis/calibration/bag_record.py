@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from greenroof_ros.analysis.calibration.record import Record, Values
+from greenroof_ros.analysis.calibration.record import RoofRecord, Values
 from greenroof_ros.analysis.report.bags import run_directory
 from greenroof_ros.analysis.report.run import read_about
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.plant import pumps_run
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
-from greenroof_ros.weather.evapotranspiration import FAO56
+from greenroof_ros.weather.evapotranspiration import COMPUTED
 
 # Duration of the steps (s): short relative to storms, long relative to a sensor's noise.
 _STEP_S = 300.0
@@ -22,7 +22,7 @@ _STEP_S = 300.0
 _GAP_S = 600.0
 
 
-def read_bag_record(bag: Path, site: Site) -> Record:
+def read_bag_record(bag: Path, site: Site) -> RoofRecord:
     """Read a bag as steps of five minutes.
 
     Rain, evapotranspiration and pumped water are summed over each step; ``/roof/level`` is the
@@ -42,31 +42,31 @@ def read_bag_record(bag: Path, site: Site) -> Record:
             evapotranspiration.
     """
     offset = timezone(timedelta(hours=site.utc_offset or 0.0))
-    seen = load_bag(bag, site, offset, own=False).trajectory
-    steps = int(seen.time[-1] // _STEP_S)
+    trajectory = load_bag(bag, site, offset, own=False).trajectory
+    steps = int(trajectory.time[-1] // _STEP_S)
     if steps < 2:
         raise ConfigurationError(
-            f"is {seen.time[-1]:g} s long; it must have at least two steps of {_STEP_S:g} s",
+            f"is {trajectory.time[-1]:g} s long; it must have at least two steps of {_STEP_S:g} s",
             file=bag,
         )
     edges = _STEP_S * np.arange(steps + 1)
-    spacing = np.diff(seen.time)
+    spacing = np.diff(trajectory.time)
     gap = np.zeros(steps, dtype=bool)
     for place in np.flatnonzero(spacing > _GAP_S):
-        low, high = seen.time[place] // _STEP_S, np.ceil(seen.time[place + 1] / _STEP_S)
+        low, high = trajectory.time[place] // _STEP_S, np.ceil(trajectory.time[place + 1] / _STEP_S)
         gap[int(low):int(high)] = True
 
     def summed(flow: Values) -> Values:
         """Return the sum in each step of a flow that holds from each sample to the next."""
         total = np.concatenate(([0.0], np.cumsum(flow[:-1] * spacing)))
-        amounts = np.diff(np.interp(edges, seen.time, total))
+        amounts = np.diff(np.interp(edges, trajectory.time, total))
         return np.where(gap, np.nan, amounts)
 
     mm = 1000 / site.a2
-    first = np.searchsorted(seen.time, edges[:-1], side="right") - 1
-    reference = summed(seen.evapotranspiration) * mm
+    first = np.searchsorted(trajectory.time, edges[:-1], side="right") - 1
+    reference = summed(trajectory.evapotranspiration) * mm
     run = run_directory(bag)
-    if read_about(run, site).row["evapotranspiration"] == FAO56:
+    if read_about(run, site).row["evapotranspiration"] in COMPUTED:
         own = run / "configuration" / "site.yaml"
         reference /= (read_site(own) if own.is_file() else site).crop_coefficient
     if not np.any(reference > 0):
@@ -74,16 +74,17 @@ def read_bag_record(bag: Path, site: Site) -> Record:
             "is not in the bag, or is 0 throughout: how the roof dries cannot be fitted without "
             "it", file=bag, key="/weather/evapotranspiration",
         )
-    beyond = summed((seen.command > 1).astype(np.float64)) > 0
-    command = summed(np.where(pumps_run(site, seen.pump_flow), seen.command, 0.0)) / _STEP_S
-    return Record(
-        source=bag, start=seen.start, step_s=_STEP_S,
-        rain=summed(seen.precipitation) * 1000,
+    beyond = summed((trajectory.command > 1).astype(np.float64)) > 0
+    running = pumps_run(site, trajectory.pump_flow)
+    command = summed(np.where(running, trajectory.command, 0.0)) / _STEP_S
+    return RoofRecord(
+        source=bag, start=trajectory.start, step_s=_STEP_S,
+        rain=summed(trajectory.precipitation) * 1000,
         reference=_through_gaps(reference),
-        pumped=summed(seen.pump_flow) * mm,
-        runoff=summed(seen.drainage) * mm if np.any(seen.drainage > 0) else None,
-        level=np.where(gap, np.nan, seen.roof[first] / site.a2),
-        cistern=np.where(gap, np.nan, seen.cistern[first] / site.a1),
+        pumped=summed(trajectory.pump_flow) * mm,
+        runoff=summed(trajectory.drainage) * mm if np.any(trajectory.drainage > 0) else None,
+        level=np.where(gap, np.nan, trajectory.roof[first] / site.a2),
+        cistern=np.where(gap, np.nan, trajectory.cistern[first] / site.a1),
         command=np.where(beyond, np.nan, command),
     )
 

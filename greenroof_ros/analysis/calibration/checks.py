@@ -16,16 +16,16 @@ import numpy as np
 from greenroof_ros.analysis.calibration.record import (
     DAY_S,
     HOUR_S,
-    Record,
+    RoofRecord,
     Steps,
     Values,
     greatest_rise,
-    lately,
     outages,
+    prolonged,
     storms,
     time_name,
 )
-from greenroof_ros.analysis.calibration.scores import Scores
+from greenroof_ros.analysis.calibration.scores import FitScores
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.quality import Finding, Findings
 from greenroof_ros.formats.records import gaps
@@ -38,7 +38,7 @@ FINDINGS = Findings(Path(__file__).with_name("findings.yaml"))
 _FEWEST_VALUES = 100
 
 
-def check_record(record: Record, site: Site) -> list[Finding]:
+def check_record(record: RoofRecord, site: Site) -> list[Finding]:
     """Return what is wrong with the sensors, units and clocks of a record.
 
     Args:
@@ -77,7 +77,7 @@ def check_record(record: Record, site: Site) -> list[Finding]:
 _STUCK_S, _STUCK_RAIN, _RAIN_STUCK_S, _SAME_STEPS = DAY_S, 10.0, 6 * HOUR_S, 6
 
 
-def _sparse(record: Record) -> Iterator[Finding]:
+def _sparse(record: RoofRecord) -> Iterator[Finding]:
     """Find sensors that are read less often than rows are written: rows between are empty."""
     for column, values in {"rain": record.rain, **record.measured}.items():
         often = float(np.median(np.diff(np.flatnonzero(~np.isnan(values)))))
@@ -88,7 +88,7 @@ def _sparse(record: Record) -> Iterator[Finding]:
             )
 
 
-def _stuck(record: Record) -> Iterator[Finding]:
+def _stuck(record: RoofRecord) -> Iterator[Finding]:
     """Find sensors that show one value while it must change."""
     fallen = np.concatenate(([0.0], np.cumsum(np.nan_to_num(record.rain))))
     for column, values in (*reversed(record.measured.items()), ("rain", record.rain)):
@@ -108,8 +108,8 @@ def _stuck(record: Record) -> Iterator[Finding]:
                 break
 
 
-def outages_found(record: Record) -> Iterator[Finding]:
-    """Tell which steps do not count after outages of rain gauge and pump meter."""
+def outages_found(record: RoofRecord) -> Iterator[Finding]:
+    """Report which steps do not count after outages of rain gauge and pump meter."""
     found = outages(record)
     for column, values in (("rain", record.rain), ("pumped", record.pumped)):
         own = [outage for outage in found if np.isnan(values[outage.first:outage.end]).any()]
@@ -137,7 +137,7 @@ _EARLY_STEPS, _EARLY_S = {"runoff": 1, "level": 2}, 2 * HOUR_S
 _CLEAR, _EARLY_BETTER, _LATE_BETTER = 0.1, 1.1, 1.5
 
 
-def _clock(record: Record) -> Iterator[Finding]:
+def _clock(record: RoofRecord) -> Iterator[Finding]:
     """Find a roof that responds before the rain, or hours after it.
 
     Only rises of runoff or level count: how long runoff continues after rain says nothing about
@@ -153,16 +153,16 @@ def _clock(record: Record) -> Iterator[Finding]:
         -min(_EARLY_STEPS[column] * record.step_s, _EARLY_S), max(_LONGEST_DELAY_S, record.step_s),
     )
     # Square roots reduce the weight of one large storm.
-    came, answers = (
+    inflow, answers = (
         roots - roots.mean()
-        for roots in (np.sqrt(record.came), np.sqrt(np.maximum(np.nan_to_num(rises), 0.0)))
+        for roots in (np.sqrt(record.water), np.sqrt(np.maximum(np.nan_to_num(rises), 0.0)))
     )
-    scale = np.sqrt(np.sum(came**2) * np.sum(answers**2))
+    scale = np.sqrt(np.sum(inflow**2) * np.sum(answers**2))
     if scale == 0:
         return
     most = int(_MOST_SHIFT_S // record.step_s)
     lags = record.step_s * np.arange(-most, most + 1)
-    correlations = np.correlate(np.pad(answers, most), came, "valid") / scale
+    correlations = np.correlate(np.pad(answers, most), inflow, "valid") / scale
     lag, best = float(lags[np.argmax(correlations)]), float(correlations.max())
     usual = float(correlations[(lags >= usual_s[0]) & (lags <= usual_s[1])].max())
     early = lag < usual_s[0]
@@ -207,12 +207,12 @@ _MOST_EXCESS, _LEAST_EXCESS = 0.25, 5.0
 # at most 0.08; with three such storms in 90 days. A shorter record can be from a dry month.
 _LEAST_SHARE, _LARGE, _FEWEST_LARGE, _LONG_DAYS = 0.1, 5.0, 3, 90
 # A roof keeps at most the soil's volume and this much more of a storm (mm).
-_HELD_BESIDES = 20.0
+_EXTRA_STORAGE = 20.0
 # Rise of levels in storms of 1 mm and more, as a share of their water: 0.4 to 1.1, and with a wrong
 # unit at most 0.09 or at least 6; with three such storms.
 _LEAST_RISE, _MOST_RISE, _COUNTS, _FEWEST_STORMS = 0.1, 2.0, 1.0, 3
 # Duration of the means before and after a storm, which reduce a sensor's noise (s).
-_BESIDE_S = 1800
+_MEAN_S = 1800
 # More water than this (mm), even from many storms, must cause some runoff if it also exceeds what
 # the soil can hold. The measured roofs had no runoff from 44 mm in four weeks.
 _LEAVES_SOME = 80.0
@@ -225,17 +225,17 @@ _LEAST_OF_WATER = 0.001
 _WATERED_S, _FULL_RATE = 7 * DAY_S, 1.3
 
 
-def _days(record: Record) -> float:
+def _days(record: RoofRecord) -> float:
     """Return the duration of known rain in days."""
     return float(np.count_nonzero(~np.isnan(record.rain))) * record.step_s / DAY_S
 
 
-def _watered(record: Record) -> Steps:
+def _watered(record: RoofRecord) -> Steps:
     """Return the steps with water pumped onto the roof within the last week."""
-    return lately(np.nan_to_num(record.pumped) > 0, math.ceil(_WATERED_S / record.step_s))
+    return prolonged(np.nan_to_num(record.pumped) > 0, math.ceil(_WATERED_S / record.step_s))
 
 
-def _to_hold(record: Record, site: Site, runoff: Values) -> Values:
+def _gain_without_runoff(record: RoofRecord, site: Site, runoff: Values) -> Values:
     """Return the gain of a roof without runoff up to each step (mm), shape (steps + 1,).
 
     A dry roof must be able to hold the greatest rise of this gain. Water in steps with unknown
@@ -244,16 +244,16 @@ def _to_hold(record: Record, site: Site, runoff: Values) -> Values:
     enough.
     """
     rate = max(_FULL_RATE, site.crop_coefficient) * bool(np.nansum(record.pumped) > 0)
-    came = np.where(np.isnan(runoff), 0.0, record.came)
-    return np.concatenate(([0.0], np.cumsum(came - rate * record.reference)))
+    inflow = np.where(np.isnan(runoff), 0.0, record.water)
+    return np.concatenate(([0.0], np.cumsum(inflow - rate * record.reference)))
 
 
-def _most_held(site: Site) -> float:
+def _most_storage(site: Site) -> float:
     """Return the most water that a roof can hold without any runoff (mm)."""
     return max(_LEAVES_SOME, 1000 * site.z_soil)
 
 
-def _evapotranspiration(record: Record, site: Site) -> Iterator[Finding]:
+def _evapotranspiration(record: RoofRecord, site: Site) -> Iterator[Finding]:
     """Find impossible evapotranspiration: a day with too much, or no day with enough.
 
     Too little is found only if the site has a latitude, and in records of 30 days or more.
@@ -263,11 +263,11 @@ def _evapotranspiration(record: Record, site: Site) -> Iterator[Finding]:
         return
     numbers, day = np.unique(record.seconds // DAY_S, return_inverse=True)
     days, totals = numbers.astype("datetime64[D]"), np.bincount(day, record.reference)
-    over = np.flatnonzero(totals > _MOST_A_DAY)
-    if len(over):
+    surplus = np.flatnonzero(totals > _MOST_A_DAY)
+    if len(surplus):
         yield FINDINGS.make(
             "unit-error", "day", column,
-            most=float(totals[over[0]]), day=str(days[over[0]]), bound=_MOST_A_DAY,
+            most=float(totals[surplus[0]]), day=str(days[surplus[0]]), bound=_MOST_A_DAY,
         )
     if site.latitude is None or record.steps * record.step_s < _FEWEST_DAYS * DAY_S:
         return
@@ -280,7 +280,7 @@ def _evapotranspiration(record: Record, site: Site) -> Iterator[Finding]:
         )
 
 
-def _rain(record: Record) -> Iterator[Finding]:
+def _rain(record: RoofRecord) -> Iterator[Finding]:
     rain, days = float(np.nansum(record.rain)), _days(record)
     if rain + float(np.nansum(record.pumped)) < _LEAST_RAIN:
         yield FINDINGS.make(
@@ -290,7 +290,7 @@ def _rain(record: Record) -> Iterator[Finding]:
         yield FINDINGS.make("unit-error", "much rain", "rain", rain=rain, days=days)
 
 
-def _level(record: Record, site: Site, level: Values) -> Iterator[Finding]:
+def _level(record: RoofRecord, site: Site, level: Values) -> Iterator[Finding]:
     """Find levels above the soil, or rises in storms that are far from the storms' water.
 
     A rise is between the means of half an hour before a storm's first rain and after its last.
@@ -301,40 +301,40 @@ def _level(record: Record, site: Site, level: Values) -> Iterator[Finding]:
             "unit-error", "high level", "level",
             highest=highest, soil=site.z_soil, when=record.time(int(np.nanargmax(level))),
         )
-    beside = max(1, round(_BESIDE_S / record.step_s))
+    mean_steps = max(1, round(_MEAN_S / record.step_s))
     water, rises = record.rain + record.pumped, []
     for storm in storms(record):
-        if storm.first < beside or storm.dry + beside > record.steps:
+        if storm.first < mean_steps or storm.dry + mean_steps > record.steps:
             continue
-        came = float(np.sum(water[storm.first - beside:storm.dry + beside]))
+        inflow = float(np.sum(water[storm.first - mean_steps:storm.dry + mean_steps]))
         # Levels are at the beginning of steps: the level of the first step is before its rain.
-        before = level[storm.first + 1 - beside:storm.first + 1]
-        rise = 1000 * float(np.mean(level[storm.dry:storm.dry + beside]) - np.mean(before))
-        if came >= _COUNTS and not np.isnan(rise):
-            rises.append((came, rise))
-    came, risen = (sum(depths) for depths in zip(*rises, strict=True)) if rises else (1.0, 1.0)
-    if len(rises) >= _FEWEST_STORMS and not _LEAST_RISE < risen / came < _MOST_RISE:
+        before = level[storm.first + 1 - mean_steps:storm.first + 1]
+        rise = 1000 * float(np.mean(level[storm.dry:storm.dry + mean_steps]) - np.mean(before))
+        if inflow >= _COUNTS and not np.isnan(rise):
+            rises.append((inflow, rise))
+    inflow, risen = (sum(depths) for depths in zip(*rises, strict=True)) if rises else (1.0, 1.0)
+    if len(rises) >= _FEWEST_STORMS and not _LEAST_RISE < risen / inflow < _MOST_RISE:
         yield FINDINGS.make(
             "unit-error", "rises", "level",
-            risen=risen, came=came, least=_LEAST_RISE, most=_MOST_RISE,
+            risen=risen, came=inflow, least=_LEAST_RISE, most=_MOST_RISE,
         )
 
 
-def _runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
+def _runoff(record: RoofRecord, site: Site, runoff: Values) -> Iterator[Finding]:
     """Find records with almost no runoff, but some.
 
     A watered roof may have so little if its soil could hold all the water.
     """
     known = ~np.isnan(runoff) & ~np.isnan(record.rain)
-    came, gone = float(np.sum(record.came[known])), float(np.sum(runoff[known]))
-    if 0 < gone < _LEAST_OF_WATER * came and (
+    inflow, outflow = float(np.sum(record.water[known])), float(np.sum(runoff[known]))
+    if 0 < outflow < _LEAST_OF_WATER * inflow and (
         not _watered(record).any()
-        or greatest_rise(_to_hold(record, site, runoff)) > _most_held(site)
+        or greatest_rise(_gain_without_runoff(record, site, runoff)) > _most_storage(site)
     ):
-        yield FINDINGS.make("unit-error", "little runoff", "runoff", gone=gone, came=came)
+        yield FINDINGS.make("unit-error", "little runoff", "runoff", gone=outflow, came=inflow)
 
 
-def _storm_runoff(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
+def _storm_runoff(record: RoofRecord, site: Site, runoff: Values) -> Iterator[Finding]:
     """Find runoff that exceeds the water of storms, or is less than any roof lets run off.
 
     Water and runoff are of a storm and the day after it (mm). Storms with gaps do not count. The
@@ -345,25 +345,26 @@ def _storm_runoff(record: Record, site: Site, runoff: Values) -> Iterator[Findin
     balances = []
     for storm in storms(record):
         span = slice(storm.first, storm.end)
-        came, gone = float(np.sum(water[span])), float(np.sum(runoff[span]))
-        if not math.isnan(came + gone):
-            balances.append((gone - came, gone, came, storm.first))
-    excess = sum(max(0.0, over) for over, *_ in balances)
-    if excess > max(_LEAST_EXCESS, _MOST_EXCESS * sum(gone for _, gone, *_ in balances)):
-        _, gone, came, first = max(balances)
+        inflow, outflow = float(np.sum(water[span])), float(np.sum(runoff[span]))
+        if not math.isnan(inflow + outflow):
+            balances.append((outflow - inflow, outflow, inflow, storm.first))
+    excess = sum(max(0.0, surplus) for surplus, *_ in balances)
+    if excess > max(_LEAST_EXCESS, _MOST_EXCESS * sum(outflow for _, outflow, *_ in balances)):
+        _, outflow, inflow, first = max(balances)
         yield FINDINGS.make(
-            "unit-error", "excess", "runoff", gone=gone, came=came, when=record.time(first),
+            "unit-error", "excess", "runoff", gone=outflow, came=inflow, when=record.time(first),
             excess=excess, storms=len(balances),
         )
-    for over, gone, came, first in balances:
-        if over < -capacity - _HELD_BESIDES:
+    for surplus, outflow, inflow, first in balances:
+        if surplus < -capacity - _EXTRA_STORAGE:
             yield FINDINGS.make(
-                "unit-error", "held", "runoff", gone=gone, came=came, when=record.time(first),
+                "unit-error", "held", "runoff", gone=outflow, came=inflow, when=record.time(first),
                 held=capacity,
             )
             return
     shares = [
-        gone / came for _, gone, came, first in balances if came >= _LARGE and not watered[first]
+        outflow / inflow for _, outflow, inflow, first in balances
+        if inflow >= _LARGE and not watered[first]
     ]
     if len(shares) >= _FEWEST_LARGE and _days(record) >= _LONG_DAYS and max(shares) < _LEAST_SHARE:
         yield FINDINGS.make(
@@ -382,41 +383,42 @@ _UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
 _RISE_S, _RISE_VALUES, _RISE, _RISE_TO_FALL = 6 * HOUR_S, 6, 5.0, 3.0
 
 
-def _silence(record: Record, site: Site, runoff: Values) -> Iterator[Finding]:
+def _silence(record: RoofRecord, site: Site, runoff: Values) -> Iterator[Finding]:
     """Find a flow meter that shows 0 for more water than soil and evapotranspiration take.
 
     A meter that never shows anything else is judged by the whole record, despite gaps.
     """
-    zero, most, gained = runoff == 0, _most_held(site), _to_hold(record, site, runoff)
+    zero, most = runoff == 0, _most_storage(site)
+    gained = _gain_without_runoff(record, site, runoff)
     for low, high in gaps(zero) if np.any(runoff > 0) else [(0, record.steps)]:
         if greatest_rise(gained[low:high + 1]) > most:
             yield FINDINGS.make(
                 "sensor-dead", "silent", "runoff",
                 days=(high - low) * record.step_s / DAY_S, since=record.time(low),
-                came=float(np.sum((record.came * zero)[low:high])), most=most,
+                came=float(np.sum((record.water * zero)[low:high])), most=most,
             )
             return
 
 
-def _wet(record: Record) -> Steps:
-    """Return the steps in which water came, or is unknown."""
-    return np.asarray((record.came > 0) | np.isnan(record.rain) | np.isnan(record.pumped))
+def _wet(record: RoofRecord) -> Steps:
+    """Return the steps with water, or in which it is unknown."""
+    return np.asarray((record.water > 0) | np.isnan(record.rain) | np.isnan(record.pumped))
 
 
-def _runoff_without_rain(record: Record, runoff: Values) -> Iterator[Finding]:
+def _runoff_without_rain(record: RoofRecord, runoff: Values) -> Iterator[Finding]:
     since = math.ceil(_DRY_S / record.step_s)
-    for low, high in gaps(~lately(_wet(record), since)):
-        gone = float(np.nansum(runoff[low:high]))
-        if low > 0 and gone > _UNEXPLAINED:
+    for low, high in gaps(~prolonged(_wet(record), since)):
+        outflow = float(np.nansum(runoff[low:high]))
+        if low > 0 and outflow > _UNEXPLAINED:
             yield FINDINGS.make(
                 "gauge-blocked", "runoff", "rain",
                 days=(high - low + since - 1) * record.step_s / DAY_S, when=record.time(high),
-                gone=gone,
+                gone=outflow,
             )
             return
 
 
-def _rise_without_rain(record: Record, level: Values) -> Iterator[Finding]:
+def _rise_without_rain(record: RoofRecord, level: Values) -> Iterator[Finding]:
     count = max(_RISE_VALUES, round(_RISE_S / record.step_s))
     before = max(count, round(DAY_S / record.step_s))
     if record.steps <= before + count:
@@ -444,7 +446,7 @@ def _rise_without_rain(record: Record, level: Values) -> Iterator[Finding]:
 _VOLUME_OFF = 0.5
 
 
-def check_fit(scores: Sequence[Scores]) -> list[Finding]:
+def check_fit(scores: Sequence[FitScores]) -> list[Finding]:
     """Return the objections to a fit.
 
     It is refused if it is worse than the mean of the measurements in every respect: every NSE is
@@ -457,8 +459,8 @@ def check_fit(scores: Sequence[Scores]) -> list[Finding]:
     lines, best, worse, off, judged = [], [], [], [], False
     for row in scores:
         nses = {
-            f"{nse:.2f} ({time_name(over_s)})": nse for over_s, nse in row.nse.items()
-            if over_s >= HOUR_S and not math.isnan(nse)
+            f"{nse:.2f} ({time_name(span_s)})": nse for span_s, nse in row.nse.items()
+            if span_s >= HOUR_S and not math.isnan(nse)
         }
         lines.append(f"{row.quantity}, {row.part}: {' and '.join(nses)}")
         best.append(max(nses.values(), default=-math.inf))
@@ -486,7 +488,7 @@ def check_fit(scores: Sequence[Scores]) -> list[Finding]:
 _STILL_S, _SHORTEST_NIGHT_S, _FEWEST_NIGHTS = DAY_S, 3 * HOUR_S, 5
 
 
-def level_sensor(record: Record, simulated: Values) -> Finding:
+def level_sensor(record: RoofRecord, simulated: Values) -> Finding:
     """Return noise and drift of the level sensor, from nights without rain or evapotranspiration.
 
     Noise is the deviation of the level from its mean within a night. Drift is the slope of a line
@@ -498,7 +500,7 @@ def level_sensor(record: Record, simulated: Values) -> Finding:
         simulated: level (m), shape (steps,).
     """
     assert record.level is not None
-    recent = lately(record.came > 0, math.ceil(_STILL_S / record.step_s))
+    recent = prolonged(record.water > 0, math.ceil(_STILL_S / record.step_s))
     times, errors, variances = [], [], []
     for low, high in gaps(~recent & (record.reference == 0) & ~np.isnan(record.level)):
         if high - low > 1 and (high - low) * record.step_s >= _SHORTEST_NIGHT_S:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from greenroof_ros.analysis.calibration.record import (
     DAY_S,
     HOUR_S,
-    Record,
+    RoofRecord,
     Steps,
     Values,
     in_months,
@@ -26,9 +26,14 @@ from greenroof_ros.analysis.calibration.record import (
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.formats.records import QUANTITIES, Limits, Table, Unit, gaps, read_table
+from greenroof_ros.formats.steps import steps_of_rows
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.evapotranspiration import check_latitude, hargreaves, over_the_day
+from greenroof_ros.weather.evapotranspiration import (
+    DailyTemperatures,
+    check_latitude,
+    extremes_of_days,
+)
 
 TIME = "time"
 REFERENCE = "reference evapotranspiration"
@@ -57,11 +62,6 @@ _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "day": 86400.0}
 _FEWEST_ROWS = 100
 # When clocks change in either hemisphere: months, and the day of the week.
 _CHANGES, _SUNDAY = {3, 4, 9, 10, 11}, 6
-# A row further than this from whole steps (share of a step) is off; at most this share of rows may
-# be: a clock that is set each week makes two in a thousand.
-_LOOSENESS, _MOST_OFF = 0.1, 0.01
-# Least share of a day with temperatures to know its extremes, and how far away they may be (d).
-_ENOUGH, _LONGEST_GAP = 0.75, 3
 # Temperatures further apart (s) miss a day's extremes: three hours apart they show at least 0.92 of
 # a sine's range, six hours apart 0.71.
 _LONGEST_STEP_S = 3 * HOUR_S
@@ -86,7 +86,7 @@ class _Rows(NamedTuple):
 
 def read_csv_record(
     file: Path, site: Site, months: str | None = None, zone: tzinfo | None = None
-) -> Record:
+) -> RoofRecord:
     """Read a measured record from CSV.
 
     The first column is ``time``: ISO 8601, at the site's ``utc_offset`` if a time has no offset.
@@ -121,6 +121,11 @@ def read_csv_record(
             f"has {len(times)} rows; a record must have at least {_FEWEST_ROWS}", file=file
         )
     steps, step_s = steps_of_rows(table, times)
+    # A roof drains within hours, so longer sums show no more than the rain does.
+    if step_s > DAY_S:
+        raise table.refuse(
+            f"the rows are {time_name(step_s)} apart; they must be at most a day apart", TIME, 1
+        )
     rows = _Rows(table, times, steps)
     units, numbers, series = {}, {}, {}
     for quantity, (name, text) in columns.items():
@@ -130,7 +135,7 @@ def read_csv_record(
             name, limits, unit, hint="; is the unit of the column right?"
         )
         series[quantity] = rows.together(numbers[quantity], sums if adds_up else means)
-    record = Record(
+    record = RoofRecord(
         source=file, start=times[0], step_s=step_s, rain=series["rain"],
         reference=np.zeros(steps[-1] + 1), pumped=_pumped(series, site, step_s),
         runoff=series.get("runoff"), level=series.get("level"),
@@ -263,47 +268,10 @@ def _pumped(series: Mapping[str, Values], site: Site, step_s: float) -> Values:
     return np.where(state == 0, 0.0, state * most * step_s * 1000 / site.a2)
 
 
-# --- rows and steps -------------------------------------------------------------------------------
-
-
-def steps_of_rows(table: Table, times: Sequence[datetime]) -> tuple[NDArray[np.int64], float]:
-    """Return the step of each row, counted from the first row, and the duration of steps (s).
-
-    The duration is the median spacing of the rows. A row belongs to the step that begins nearest to
-    its time, at most half a step away, so errors of a clock do not add up. Two rows can then belong
-    to one step.
-
-    Args:
-        table: for messages.
-        times: of its rows, each later than the one before.
-
-    Raises:
-        ConfigurationError: the rows are more than a day apart, or more than one spacing in a
-            hundred is not a whole number of steps.
-    """
-    since = np.array([time.timestamp() for time in times]) - times[0].timestamp()
-    spacing = np.diff(since)
-    step_s = float(np.median(spacing))
-    # A roof drains within hours, so longer sums show no more than the rain does.
-    if step_s > DAY_S:
-        raise table.refuse(
-            f"the rows are {time_name(step_s)} apart; they must be at most a day apart", TIME, 1
-        )
-    counts = np.maximum(1.0, np.round(spacing / step_s))
-    off = np.flatnonzero(np.abs(spacing / step_s - counts) > _LOOSENESS)
-    if len(off) > _MOST_OFF * len(spacing):
-        raise table.refuse(
-            f"must be {step_s:g} s after the row before, or a whole number of such steps, not "
-            f"{spacing[off[0]]:g} s; {len(off)} of {len(times)} rows are like this, too many for a "
-            "clock that was set: write rows at a regular step", TIME, int(off[0]) + 1,
-        )
-    return np.floor(since / step_s + 0.5).astype(np.int64), step_s
-
-
 # --- reference evapotranspiration -----------------------------------------------------------------
 
 
-def _through_short_gaps(record: Record, rows: _Rows, values: Values, counts: Steps) -> Values:
+def _through_short_gaps(record: RoofRecord, rows: _Rows, values: Values, counts: Steps) -> Values:
     """Return reference evapotranspiration without gaps (mm), shape (steps,).
 
     A roof dries even if its sensors fail. So a gap of at most an hour is interpolated linearly, and
@@ -347,7 +315,7 @@ def _through_short_gaps(record: Record, rows: _Rows, values: Values, counts: Ste
 
 
 def _from_temperatures(
-    record: Record, site: Site, rows: _Rows, numbers: Mapping[str, Values], counts: Steps
+    record: RoofRecord, site: Site, rows: _Rows, numbers: Mapping[str, Values], counts: Steps
 ) -> Values:
     """Return Hargreaves' reference evapotranspiration of each step (mm), shape (steps,).
 
@@ -382,15 +350,13 @@ def _from_temperatures(
             "they are at most three hours apart; write columns 'least temperature [degC]' and "
             "'greatest temperature [degC]' instead", file=record.source, key=_COURSE,
         )
-    enough = _ENOUGH * DAY_S / record.step_s if _COURSE in numbers else 1.0
     dates, day = np.unique(
         np.array([time.date() for time in rows.times], dtype="datetime64[D]"), return_inverse=True
     )
-    least, greatest = extremes = np.full((2, len(dates)), np.nan)
-    for name, extreme, of_days in ((_LEAST, np.fmin, least), (_GREATEST, np.fmax, greatest)):
-        values = numbers[_COURSE if _COURSE in numbers else name]
-        extreme.at(of_days, day, values)
-        of_days[np.bincount(day, ~np.isnan(values)) < enough] = np.nan
+    low, high = (_COURSE, _COURSE) if _COURSE in numbers else (_LEAST, _GREATEST)
+    least, greatest = extremes = extremes_of_days(
+        day, numbers[low], numbers[high], DAY_S / record.step_s if _COURSE in numbers else 1.0
+    )
     crossed = np.flatnonzero(least > greatest)
     if len(crossed):
         raise ConfigurationError(
@@ -400,22 +366,13 @@ def _from_temperatures(
     there = ~np.isnan(extremes).any(axis=0)
     if not there.any():
         raise ConfigurationError("no day has its temperatures", file=record.source)
-    days, day_of_step = np.unique(record.seconds // DAY_S, return_inverse=True)
-    wanted = days.astype("datetime64[D]")
-    counted = np.unique(day_of_step[counts])
-    at = dates.astype(np.int64)
-    far = np.abs(days[counted, None] - at[there]).min(axis=1) > _LONGEST_GAP
+    temperatures = DailyTemperatures(dates, extremes)
+    counted = np.unique((record.seconds[counts] // DAY_S).astype("datetime64[D]"))
+    far = temperatures.far(counted)
     if far.any():
         raise ConfigurationError(
-            f"has no temperature within {_LONGEST_GAP} days of {wanted[counted[far][0]]}, from "
-            "which evapotranspiration is computed; add a row for each day without them, with its "
-            "temperatures and the other cells empty, or leave its month out with --months",
-            file=record.source,
+            f"has no temperature within 3 days of {counted[far][0]}, from which evapotranspiration "
+            "is computed; add a row for each day without them, with its temperatures and the other "
+            "cells empty, or leave its month out with --months", file=record.source,
         )
-    lines = []
-    for values in extremes:
-        known = ~np.isnan(values)
-        lines.append(np.interp(days, at[known], values[known]))
-    daily = hargreaves(site.latitude, wanted, *lines)
-    east = site.longitude - record.offset_s / 240
-    return over_the_day(daily, site.latitude, record.seconds, day_of_step, record.step_s, east)
+    return temperatures.evapotranspiration(site, record.seconds, record.step_s, record.offset_s)

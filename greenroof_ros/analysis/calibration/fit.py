@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import OptimizeResult, least_squares
 
-from greenroof_ros.analysis.calibration.record import TOGETHER, Record, Steps, Values, time_name
+from greenroof_ros.analysis.calibration.record import COMBINE, RoofRecord, Steps, Values, time_name
 from greenroof_ros.analysis.calibration.simulation import Simulated, least_reading, simulate
 from greenroof_ros.model.site import Site
 
-Tell = Callable[[str, float], None]
+UpdateProgress = Callable[[str, float], None]
 """called with a text on the current stage, and the finished share of the fit, 0 to 1, rising"""
 
 _STAGES = (
@@ -37,7 +37,7 @@ _WEEK_S = 7 * 86400
 # no longer with its square.
 _ROBUST_FROM = 10.0
 # A parameter is not identified if its diagonal of the pivoted QR, over the largest, is below this.
-_TELLS_NOTHING = 1e-3
+_UNIDENTIFIED = 1e-3
 # The coarse grid: shares of the ranges at which the search can begin.
 _GRID = {
     "field_capacity": (0.2, 0.45, 0.7),
@@ -47,7 +47,7 @@ _GRID = {
 _STEP = 1e-3
 _MOST_EVALUATIONS = 60
 # With longer steps (s) the drainage time is not fitted: it would compensate for the even rain.
-_TELLS_DRAINAGE_S = 3600
+_DRAINAGE_STEP_S = 3600
 HARDLY = 0.5
 """If half an interval exceeds this share of the value or range, the data hardly constrain it."""
 _END = 0.005
@@ -61,7 +61,7 @@ _DRAINAGE = "drainage_time"
 
 
 @dataclass(frozen=True)
-class Range:
+class FitRange:
     """The range of a parameter.
 
     Attributes:
@@ -90,7 +90,7 @@ class Range:
         return float(self.low + share * (self.high - self.low))
 
 
-def ranges(site: Site, record: Record) -> list[Range]:
+def ranges(site: Site, record: RoofRecord) -> list[FitRange]:
     """Return the ranges of the parameters to fit.
 
     The ranges of field capacity and wilting point do not overlap; the driest level, if measured,
@@ -103,14 +103,14 @@ def ranges(site: Site, record: Record) -> list[Range]:
     else:
         driest = float(np.nanquantile(record.level, 0.01)) / site.z_soil + 0.02
         most = min(0.3, max(0.03, driest))
-    drainage = Range(_DRAINAGE, 10.0, 2e4, logarithmic=True)
+    drainage = FitRange(_DRAINAGE, 10.0, 2e4, logarithmic=True)
     return [
-        Range("field_capacity", most + 0.01, 0.9),
-        Range("wilting_point", 0.0, most),
-        Range("depletion_fraction", 0.0, 0.95),
-        *([drainage] if record.step_s <= _TELLS_DRAINAGE_S else []),
-        Range("crop_coefficient", 0.1, 2.5),
-        Range(FILLED, 0.0, 1.0),
+        FitRange("field_capacity", most + 0.01, 0.9),
+        FitRange("wilting_point", 0.0, most),
+        FitRange("depletion_fraction", 0.0, 0.95),
+        *([drainage] if record.step_s <= _DRAINAGE_STEP_S else []),
+        FitRange("crop_coefficient", 0.1, 2.5),
+        FitRange(FILLED, 0.0, 1.0),
     ]
 
 
@@ -132,7 +132,7 @@ def measured_roof(site: Site) -> Site:
 
 # Share of the plants' available water that may be used up: 'a value of 0.50 for p is commonly used
 # for many crops' (FAO-56, chapter 8).
-_MAY_BE_GONE = 0.5
+_DEPLETION = 0.5
 
 
 def reachable_target(site: Site) -> Site:
@@ -147,12 +147,12 @@ def reachable_target(site: Site) -> Site:
     """
     if site.x2_star < site.z_cap:
         return site
-    volume = site.wilting_volume + (1 - _MAY_BE_GONE) * site.available_volume
+    volume = site.wilting_volume + (1 - _DEPLETION) * site.available_volume
     depth = float(f"{volume / site.a2:.6g}")  # with the digits of the site file
     return replace(site, z_veg=depth, x2_star=site.a2 * depth)
 
 
-class Parameter(NamedTuple):
+class FittedParameter(NamedTuple):
     """A parameter after the fit."""
 
     name: str
@@ -160,7 +160,7 @@ class Parameter(NamedTuple):
     low: float
     """end of the 95 % interval; NaN if the data do not determine it"""
     high: float
-    words: str
+    reason: str
     """why it was not fitted, or is uncertain; empty if the data determine it"""
 
     @property
@@ -173,7 +173,7 @@ class Fit(NamedTuple):
     """A site fitted to a record."""
 
     site: Site
-    parameters: list[Parameter]
+    parameters: list[FittedParameter]
     simulated: Simulated
     """the whole record as simulated, as its meter would show it"""
 
@@ -186,11 +186,11 @@ class _Stages:
     number possible; if a search needs fewer, progress jumps at its end.
     """
 
-    def __init__(self, tell: Tell) -> None:
-        self._tell, self._stage, self._simulations = tell, -1, 0
+    def __init__(self, update_progress: UpdateProgress) -> None:
+        self._update_progress, self._stage, self._simulations = update_progress, -1, 0
 
-    def begin(self, most: int) -> None:
-        """Begin the next stage, of at most this many simulations."""
+    def start(self, most: int) -> None:
+        """Start the next stage, of at most this many simulations."""
         self._stage, self._most, self._before = self._stage + 1, most, self._simulations
         self.simulated(0)
 
@@ -198,14 +198,15 @@ class _Stages:
         """Count simulations."""
         self._simulations += more
         within = min(1.0, (self._simulations - self._before) / self._most)
-        self._tell(
+        self._update_progress(
             f"{self._stage + 1} of {len(_STAGES)}: {_STAGES[self._stage]}, {self._simulations} "
             "simulations", (self._stage + within) / len(_STAGES),
         )
 
 
 def fit(
-    site: Site, record: Record, steps: Steps, tell: Tell = lambda text, share: None
+    site: Site, record: RoofRecord, steps: Steps,
+    update_progress: UpdateProgress = lambda text, share: None,
 ) -> Fit:
     """Fit a measured roof to some steps of a record.
 
@@ -226,14 +227,14 @@ def fit(
         site: start of the search, and values of the parameters that are held.
         record: the measurements.
         steps: that count; the roof is simulated through all.
-        tell: called after each simulation.
+        update_progress: called after each simulation.
     """
     site = measured_roof(site)
     every = ranges(site, record)
     as_it_was = np.array([span.share(getattr(site, span.name, _HALF_FILLED)) for span in every])
     at = np.clip(as_it_was, 0.01, 0.99)
     residuals, weeks = _comparison(record, steps)
-    stages = _Stages(tell)
+    stages = _Stages(update_progress)
     least = least_reading(record)
 
     def simulated(shares: Values, least: float) -> tuple[Site, Simulated]:
@@ -262,9 +263,9 @@ def fit(
             columns.append((differences(moved, 0.0) - base) / (moved[place] - share))
         return np.column_stack(columns)
 
-    def tell_apart() -> tuple[Steps, list[str]]:
-        stages.begin(1 + len(every))
-        return _tell_apart([span.name for span in every], jacobian())
+    def identify() -> tuple[Steps, list[str]]:
+        stages.start(1 + len(every))
+        return _identify([span.name for span in every], jacobian())
 
     def solve() -> OptimizeResult:
         def moved(shares: Values) -> Values:
@@ -273,7 +274,7 @@ def fit(
             return differences(near)
 
         # Each evaluation can be followed by a Jacobian: one simulation for each parameter.
-        stages.begin(_MOST_EVALUATIONS * (1 + int(free.sum())))
+        stages.start(_MOST_EVALUATIONS * (1 + int(free.sum())))
         solution = least_squares(
             moved, at[free], bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1",
             f_scale=_ROBUST_FROM, xtol=1e-8, ftol=1e-9, max_nfev=_MOST_EVALUATIONS,
@@ -281,7 +282,7 @@ def fit(
         at[free] = solution.x
         return solution
 
-    free, _ = tell_apart()
+    free, _ = identify()
     # Between a large store with little evaporation and a small store with much, there is a ridge
     # that no search crosses.
     grid = itertools.product(*(
@@ -289,11 +290,11 @@ def fit(
         for span, share, is_free in zip(every, at, free, strict=True)
     ))
     tried = [at, *map(np.array, grid)]
-    stages.begin(len(tried))
+    stages.start(len(tried))
     at = min(tried, key=lambda shares: _cost(differences(shares)))
     solve()
     # Again at the solution: it may identify other parameters than the start of the search.
-    free, why = tell_apart()
+    free, why = identify()
     at[~free] = as_it_was[~free]
     solution = solve()
     # Rows and residuals are scaled for the robust loss as in scipy's least_squares: their product
@@ -303,15 +304,15 @@ def fit(
     half = np.full(len(every), np.nan)
     half[free] = np.hypot(
         grouped_intervals(rows[:, free], solution.fun * robust**0.25, weeks),
-        _moved_by_held(rows[:, free], rows[:, ~free], at[~free]),
+        _shift_by_fixed(rows[:, free], rows[:, ~free], at[~free]),
     )
     parameters = list(map(_judged, every, at.tolist(), half.tolist(), why))
-    if record.step_s > _TELLS_DRAINAGE_S:
+    if record.step_s > _DRAINAGE_STEP_S:
         assert site.drainage_time is not None
-        words = f"steps of {time_name(record.step_s)} are too long to identify it"
-        parameters.insert(3, Parameter(_DRAINAGE, site.drainage_time, np.nan, np.nan, words))
+        reason = f"steps of {time_name(record.step_s)} are too long to identify it"
+        parameters.insert(3, FittedParameter(_DRAINAGE, site.drainage_time, np.nan, np.nan, reason))
     fitted, shown = simulated(at, least)
-    tell("done", 1.0)
+    update_progress("done", 1.0)
     return Fit(fitted, parameters, shown)
 
 
@@ -321,41 +322,41 @@ def _cost(residuals: Values) -> float:
 
 
 def _comparison(
-    record: Record, steps: Steps
+    record: RoofRecord, steps: Steps
 ) -> tuple[Callable[[Simulated], Values], NDArray[np.int64]]:
     """Return a function for the residuals of a simulation, and the week of each residual.
 
     Residuals are in standard deviations of the measurements.
     """
-    counts = steps & record.known
+    counts = steps & record.complete
     seconds = record.seconds[counts]
-    over_s = max(_SUM_S, min(_SUM_STEPS * round(record.step_s), _LONGEST_SUM_S))
+    span_s = max(_SUM_S, min(_SUM_STEPS * round(record.step_s), _LONGEST_SUM_S))
 
     def together(series: Mapping[str, Values]) -> list[Values]:
-        return [TOGETHER[name](series[name][counts], seconds, over_s) for name in record.measured]
+        return [COMBINE[name](series[name][counts], seconds, span_s) for name in record.measured]
 
     measured = together(record.measured)
     spread = [float(np.std(series)) or 1.0 for series in measured]
 
     def residuals(simulated: Simulated) -> Values:
         pairs = zip(together(simulated._asdict()), measured, spread, strict=True)
-        return np.concatenate([(shown - due) / scale for shown, due, scale in pairs])
+        return np.concatenate([(shown - target) / scale for shown, target, scale in pairs])
 
-    begin = np.unique(seconds // over_s) * over_s
+    begin = np.unique(seconds // span_s) * span_s
     return residuals, np.tile(begin // _WEEK_S, len(measured))
 
 
-def _tell_apart(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str]]:
+def _identify(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str]]:
     """Return which parameters the data identify, and for the others why not."""
     _, triangle, order = qr(jacobian, mode="economic", pivoting=True)
     # With fewer residuals than parameters, no more parameters than residuals are identified.
     size = np.zeros(len(names))
     size[order[:len(triangle)]] = np.abs(np.diag(triangle))
-    free = size > _TELLS_NOTHING * size.max()
+    free = size > _UNIDENTIFIED * size.max()
     lengths = np.linalg.norm(jacobian, axis=0)
     why = [""] * len(names)
     for place in np.flatnonzero(~free).tolist():
-        if lengths[place] <= _TELLS_NOTHING * size.max():
+        if lengths[place] <= _UNIDENTIFIED * size.max():
             why[place] = "the data do not depend on it"
             continue
         weights = np.linalg.lstsq(jacobian[:, free], jacobian[:, place], rcond=None)[0]
@@ -365,24 +366,24 @@ def _tell_apart(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str
     return free, why
 
 
-def _moved_by_held(own: Values, held: Values, shares: Values) -> Values:
-    """Return how far the fitted parameters move if the held ones are elsewhere in their ranges.
+def _shift_by_fixed(own: Values, fixed: Values, shares: Values) -> Values:
+    """Return how far the fitted parameters move if the fixed ones are elsewhere in their ranges.
 
     Args:
         own: Jacobian of the fitted parameters, shape (n, fitted).
-        held: Jacobian of the held parameters, shape (n, held).
-        shares: values of the held parameters, as shares of their ranges, shape (held,).
+        fixed: Jacobian of the fixed parameters, shape (n, fixed).
+        shares: values of the fixed parameters, as shares of their ranges, shape (fixed,).
 
     Returns:
-        Shares of the ranges, shape (fitted,): the root of the sum of squares over the held
+        Shares of the ranges, shape (fitted,): the root of the sum of squares over the fixed
         parameters, each moved to the end of its range that is further away.
     """
-    follows = np.linalg.lstsq(own, held, rcond=None)[0]
+    follows = np.linalg.lstsq(own, fixed, rcond=None)[0]
     return np.asarray(np.linalg.norm(follows * np.maximum(shares, 1 - shares), axis=1))
 
 
-def _judged(parameter: Range, share: float, half: float, why: str) -> Parameter:
-    """Return a parameter with its interval, and words on what is wrong with it.
+def _judged(parameter: FitRange, share: float, half: float, why: str) -> FittedParameter:
+    """Return a parameter with its interval, and the reason if something is wrong with it.
 
     Args:
         parameter: its name and range.
@@ -392,14 +393,14 @@ def _judged(parameter: Range, share: float, half: float, why: str) -> Parameter:
     """
     value = parameter.value(share)
     if math.isnan(half):
-        return Parameter(parameter.name, value, half, half, why)
+        return FittedParameter(parameter.name, value, half, half, why)
     low, high = (parameter.value(max(0.0, min(1.0, end))) for end in (share - half, share + half))
-    words = ""
+    reason = ""
     if not _END < share < 1 - _END:
-        words = f"at the end of its range ({parameter.low:.3g} to {parameter.high:.3g})"
+        reason = f"at the end of its range ({parameter.low:.3g} to {parameter.high:.3g})"
     elif high - low > HARDLY * 2 * abs(value) or half > HARDLY:
-        words = "the data hardly constrain it"
-    return Parameter(parameter.name, value, low, high, words)
+        reason = "the data hardly constrain it"
+    return FittedParameter(parameter.name, value, low, high, reason)
 
 
 def moves(jacobian: Values, residuals: Values, groups: NDArray[np.int64]) -> Values:
@@ -480,12 +481,12 @@ def _information(jacobian: Values) -> Values:
     Args:
         jacobian: shape (n, parameters).
     """
-    left = []
+    unexplained = []
     for place, column in enumerate(jacobian.T):
         others = np.delete(jacobian, place, axis=1)
-        rest = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
-        left.append(float(rest @ rest))
-    return np.array(left)
+        unexplained_part = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
+        unexplained.append(float(unexplained_part @ unexplained_part))
+    return np.array(unexplained)
 
 
 def half_intervals(moved: Values, freedom: Values | None = None) -> Values:

@@ -9,16 +9,16 @@ import numpy as np
 
 from greenroof_ros.analysis.calibration.fit import FILLED, Fit
 from greenroof_ros.analysis.calibration.record import (
+    COMBINE,
     DAY_S,
     HOUR_S,
-    TOGETHER,
-    Record,
+    RoofRecord,
     Steps,
     Values,
     sums,
     time_name,
 )
-from greenroof_ros.analysis.calibration.scores import Scores
+from greenroof_ros.analysis.calibration.scores import FitScores
 from greenroof_ros.analysis.calibration.site_file import CROP_NOTE, INTERVAL_NOTE
 from greenroof_ros.analysis.report.drawing import (
     COLOURS,
@@ -37,11 +37,12 @@ from greenroof_ros.model.site import site_parameters
 MEASURED, SIMULATED = "measured", "simulated"
 # A scatter leaves out points with both values below this share of the largest: there are thousands
 # of them, all in one corner.
-_SEEN = 0.01
+_LEAST_SHOWN = 0.01
 
 
 def render(
-    record: Record, halves: Mapping[str, Steps], fit: Fit, scores: Sequence[Scores], site_file: str,
+    record: RoofRecord, halves: Mapping[str, Steps], fit: Fit, scores: Sequence[FitScores],
+    site_file: str,
     spans: Mapping[str, str], findings: Sequence[Finding],
 ) -> str:
     """Return the page.
@@ -77,9 +78,9 @@ def _shown(value: float, form: str) -> str:
 _QUANTITIES = {"runoff": ("Runoff", 1.0), "level": ("Level on the roof", 1000.0)}
 
 
-def _axis(quantity: str, over_s: int) -> str:
+def _axis(quantity: str, span_s: int) -> str:
     """Return the title of an axis of sums or means over a time (s)."""
-    per = f"/{time_name(over_s).removeprefix('1 ')}" if TOGETHER[quantity] is sums else ""
+    per = f"/{time_name(span_s).removeprefix('1 ')}" if COMBINE[quantity] is sums else ""
     return f"{quantity} (mm{per})"
 
 
@@ -89,22 +90,22 @@ _WHEN = alt.Tooltip("t:T", title="day", timeUnit="utcyearmonthdate", format="%Y-
 
 
 def _figure(
-    quantity: str, record: Record, halves: Mapping[str, Steps], simulated: Values
+    quantity: str, record: RoofRecord, halves: Mapping[str, Steps], simulated: Values
 ) -> Figure:
-    over_s = max(HOUR_S, round(record.step_s))
+    span_s = max(HOUR_S, round(record.step_s))
     days, points = (
-        _together(quantity, record, halves, simulated, *span)
-        for span in ((DAY_S, 0.0), (over_s, _SEEN))
+        _combined(quantity, record, halves, simulated, *span)
+        for span in ((DAY_S, 0.0), (span_s, _LEAST_SHOWN))
     )
     name = f"calibration-{quantity}"
-    adds_up = TOGETHER[quantity] is sums
+    adds_up = COMBINE[quantity] is sums
     values = [float(row[series]) for row in points for series in (MEASURED, SIMULATED)]
     ends = (0.0 if adds_up else min(values), max(values))
     boundary = [{"t": row["t"]} for row in days if row["part"] == [*halves][1]][:1]
     caption = (
         f"Above: {'sums' if adds_up else 'means'} of days, and the residuals (simulated less "
         "measured). The dashed line separates fit and validation; what was not measured is left "
-        f"out. Below: simulated over measured, each point of {time_name(over_s)}; a perfect fit "
+        f"out. Below: simulated over measured, each point of {time_name(span_s)}; a perfect fit "
         "lies on the line."
     )
     data = alt.Chart(alt.NamedData(f"{name}-days"))
@@ -126,7 +127,7 @@ def _figure(
         )
         panels.append(series_panel(lines, field, names, title, below=[rule], zoom=True))
     panels += [
-        _scatter(quantity, name, part, colour, ends, over_s)
+        _scatter(quantity, name, part, colour, ends, span_s)
         for part, colour in zip(halves, COLOURS, strict=False)
     ]
     return Figure(
@@ -135,24 +136,24 @@ def _figure(
     )
 
 
-def _together(
-    quantity: str, record: Record, halves: Mapping[str, Steps], simulated: Values, over_s: int,
-    seen: float,
+def _combined(
+    quantity: str, record: RoofRecord, halves: Mapping[str, Steps], simulated: Values, span_s: int,
+    least: float,
 ) -> Rows:
     """Return sums or means over a time as rows, with the residual: simulated less measured.
 
-    Pairs with both values at most ``seen`` of the largest in their half are left out.
+    Pairs with both values at most ``least`` of the largest in their half are left out.
     """
     rows: Rows = []
     for part, steps in halves.items():
         seconds = record.seconds[steps]
         ours, theirs = (
-            TOGETHER[quantity](series[steps], seconds, over_s) * _QUANTITIES[quantity][1]
+            COMBINE[quantity](series[steps], seconds, span_s) * _QUANTITIES[quantity][1]
             for series in (simulated, record.measured[quantity])
         )
-        times = np.unique(seconds // over_s) * over_s * 1000
+        times = np.unique(seconds // span_s) * span_s * 1000
         larger = np.maximum(ours, theirs)
-        for place in np.flatnonzero((larger > seen * larger.max()) | (seen == 0)):
+        for place in np.flatnonzero((larger > least * larger.max()) | (least == 0)):
             was, now = theirs[place], ours[place]
             rows.append({
                 "t": int(times[place]), "part": part, MEASURED: short(was), SIMULATED: short(now),
@@ -162,7 +163,7 @@ def _together(
 
 
 def _scatter(
-    quantity: str, name: str, part: str, colour: str, ends: tuple[float, float], over_s: int
+    quantity: str, name: str, part: str, colour: str, ends: tuple[float, float], span_s: int
 ) -> Panel:
     """Return simulated over measured values of one half, with the line of a perfect fit."""
     scale = alt.Scale(domain=ends, nice=True)
@@ -172,8 +173,8 @@ def _scatter(
     points = alt.Chart(alt.NamedData(f"{name}-points")).transform_filter(
         alt.datum.part == part
     ).mark_point(size=14, filled=True, opacity=0.5, color=colour).encode(
-        x=alt.X(f"{MEASURED}:Q", title=f"measured {_axis(quantity, over_s)}", scale=scale),
-        y=alt.Y(f"{SIMULATED}:Q", title=f"simulated {_axis(quantity, over_s)}", scale=scale),
+        x=alt.X(f"{MEASURED}:Q", title=f"measured {_axis(quantity, span_s)}", scale=scale),
+        y=alt.Y(f"{SIMULATED}:Q", title=f"simulated {_axis(quantity, span_s)}", scale=scale),
         tooltip=pointed(f"{MEASURED}:Q", f"{SIMULATED}:Q"),
     )
     return Panel(alt.layer(line, points), f"Simulated over measured: {part}", height=300)

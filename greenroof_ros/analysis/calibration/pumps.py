@@ -11,8 +11,20 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
 from greenroof_ros.analysis.calibration.checks import FINDINGS
-from greenroof_ros.analysis.calibration.fit import HARDLY, Parameter, freedom, half_intervals, moves
-from greenroof_ros.analysis.calibration.record import Record, Steps, Values, greatest_rise, lately
+from greenroof_ros.analysis.calibration.fit import (
+    HARDLY,
+    FittedParameter,
+    freedom,
+    half_intervals,
+    moves,
+)
+from greenroof_ros.analysis.calibration.record import (
+    RoofRecord,
+    Steps,
+    Values,
+    greatest_rise,
+    prolonged,
+)
 from greenroof_ros.common.quality import Finding
 from greenroof_ros.formats.records import gaps
 from greenroof_ros.model.plant import maximum_pump_flow
@@ -21,7 +33,7 @@ from greenroof_ros.model.site import Site
 # For this long after rain the catchment still feeds the cistern (s). At this distance from the
 # levels of outlet, valve and suction a sensor's noise does not matter (m).
 _WET_S = 3600
-_APART_M = 0.05
+_MARGIN_M = 0.05
 _STANDING_STEPS, _STANDING_S = 2, 600
 _FEWEST_LEVELS = 3
 _FEWEST_RUNS = 10
@@ -52,7 +64,7 @@ def standing_steps(step_s: float) -> int:
 
 
 def find_runs(
-    site: Site, record: Record, command: Values, cistern: Values
+    site: Site, record: RoofRecord, command: Values, cistern: Values
 ) -> list[NDArray[np.int64]]:
     """Return the pump runs in which only the pumps change the cistern's level.
 
@@ -80,14 +92,14 @@ def find_runs(
 
 
 def _quiet(
-    site: Site, record: Record, command: Values, level: Values, standing: int
+    site: Site, record: RoofRecord, command: Values, level: Values, standing: int
 ) -> Steps:
     """Return the steps in which only the pumps change the cistern's level."""
-    recent = lately(~(record.rain == 0), round(_WET_S / record.step_s) + 1)
+    recent = prolonged(~(record.rain == 0), round(_WET_S / record.step_s) + 1)
     reach = standing + 2
     unknown = np.convolve(np.isnan(command), np.ones(2 * reach + 1), "same") > 0
-    low = max(site.suction_level, site.mains_level or 0.0) + _APART_M
-    between = (level > low) & (level < site.lowest_outlet - _APART_M)
+    low = max(site.suction_level, site.mains_level or 0.0) + _MARGIN_M
+    between = (level > low) & (level < site.lowest_outlet - _MARGIN_M)
     return np.asarray(between & np.append(between[1:], False) & ~recent & ~unknown)
 
 
@@ -108,7 +120,7 @@ class _Solution(NamedTuple):
         return half_intervals(self.others, self.freedom)
 
 
-class _Fall:
+class _CisternFall:
     """The cistern's levels during runs, as a function of the shares that are fitted.
 
     Shares are the delay of the pump state in steps, the flow as a share of the site's and, if there
@@ -126,7 +138,7 @@ class _Fall:
         self._counts = counts[self._step]
         self._sizes = np.bincount(self._number, self._counts)
         self._level = level = cistern[self._step]
-        # Mean of each level and the next; the last level of a run is taken alone.
+        # Mean of each level and the next; the last level of a run is used alone.
         last = np.append(self._number[1:] != self._number[:-1], True)
         self._between = np.where(last, level, (level + np.append(level[1:], 0.0)) / 2)
         self._total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(command))))
@@ -143,9 +155,9 @@ class _Fall:
             np.interp(self._step + later + shares[0], steps, self._total) for later in (0, 1)
         )
         pumped = self.most * shares[1] * head * (end - begin) * self._step_s / self._site.a1
-        put_back = self._level + np.cumsum(pumped) - pumped
-        means = np.bincount(self._number, put_back * self._counts) / self._sizes
-        return np.where(self._counts, put_back - means[self._number], 0.0)
+        restored = self._level + np.cumsum(pumped) - pumped
+        means = np.bincount(self._number, restored * self._counts) / self._sizes
+        return np.where(self._counts, restored - means[self._number], 0.0)
 
     def jacobian(self, shares: Values) -> Values:
         """Return the derivatives of residuals by the shares, shape (n, shares).
@@ -207,13 +219,13 @@ class PumpFit(NamedTuple):
 
     site: Site
     """with the fitted curve; unchanged if the record does not identify it"""
-    parameters: Sequence[Parameter]
+    parameters: Sequence[FittedParameter]
     """``a_hat`` and ``c_hat``; empty if the record does not identify them"""
     findings: Sequence[Finding]
     """the flow, what the record leaves open, or why the record must be wrong"""
 
 
-def fit_pumps(site: Site, record: Record) -> PumpFit:
+def fit_pumps(site: Site, record: RoofRecord) -> PumpFit:
     """Fit the pump curve to the fall of the cistern while the pumps run and nothing flows in.
 
     At command 1 and a level z they lift, by Eqs. (3b)-(3e),
@@ -249,7 +261,7 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
     if len(runs) < _FEWEST_RUNS:
         return unseen
     standing = standing_steps(record.step_s)
-    fall = _Fall(site, record.step_s, command, cistern, runs, np.full(record.steps, True))
+    fall = _CisternFall(site, record.step_s, command, cistern, runs, np.full(record.steps, True))
     coarse = fall.solve(3, standing + 1)
     delay, share = coarse.shares[:2].tolist()
     if not 1 / _BELIEVABLE < share < _BELIEVABLE:
@@ -276,20 +288,20 @@ def fit_pumps(site: Site, record: Record) -> PumpFit:
     runs = [run for run in runs if greatest_rise(cistern[run]) <= _RISE * coarse.size]
     if len(runs) < _FEWEST_RUNS:
         return unseen
-    fall = _Fall(site, record.step_s, command, cistern, runs, counts)
+    fall = _CisternFall(site, record.step_s, command, cistern, runs, counts)
     fitted = fall.solve(3, 1)
     share = min(fitted.shares[2], 1.0)
-    told_apart = fall.derived(fitted.shares)[1] < 0 and fitted.half[2] < HARDLY * share
-    if not told_apart:
+    identified = fall.derived(fitted.shares)[1] < 0 and fitted.half[2] < HARDLY * share
+    if not identified:
         fitted = fall.solve(2, 1)
     flow, a_hat, c_hat = fall.derived(fitted.shares).tolist()
     half = half_intervals(fall.derived(fitted.others), fitted.freedom[[1, -1, -1]]).tolist()
-    shape = Parameter("a_hat", a_hat, a_hat - half[1], a_hat + half[1], "")
-    if not told_apart:
-        shape = Parameter(
+    shape = FittedParameter("a_hat", a_hat, a_hat - half[1], a_hat + half[1], "")
+    if not identified:
+        shape = FittedParameter(
             "a_hat", site.a_hat, np.nan, np.nan, "the data cannot tell it apart from c_hat"
         )
-    height = Parameter("c_hat", c_hat, c_hat - half[2], c_hat + half[2], "")
+    height = FittedParameter("c_hat", c_hat, c_hat - half[2], c_hat + half[2], "")
     count = len(fitted.others)
     delay = late + float(fitted.shares[0])
     findings = [FINDINGS.make(

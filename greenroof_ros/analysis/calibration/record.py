@@ -21,7 +21,7 @@ HOUR_S, DAY_S = 3600, 86400
 
 # The least time between two storms, and how long a roof responds after rain (s). The halves of a
 # record are also split after that long without water.
-_APART_S, _AFTER_S = 6 * HOUR_S, DAY_S
+_STORM_GAP_S, _AFTER_S = 6 * HOUR_S, DAY_S
 # An unknown storm is forgotten after this long (s) and this much reference evapotranspiration (mm).
 _FORGOTTEN_S, _FORGOTTEN_MM = 7 * DAY_S, 20.0
 # Rain beside an outage and runoff (mm), and rise of the level (m), that show water: more than a
@@ -30,7 +30,7 @@ _RAINED_MM, _RAN_MM, _ROSE_M = 1.0, 0.1, 0.003
 
 
 @dataclass(frozen=True)
-class Record:
+class RoofRecord:
     """Steps of equal length, each beginning at its time, with NaN for missing measurements.
 
     Depths (mm) are over the roof's area and for the whole step.
@@ -93,7 +93,7 @@ class Record:
         return str(self.times[min(step, self.steps - 1)]).replace("T", " ")
 
     @property
-    def came(self) -> Values:
+    def water(self) -> Values:
         """Rain and pumped water on the roof (mm); unknown amounts count as 0."""
         return np.asarray(np.nan_to_num(self.rain) + np.nan_to_num(self.pumped))
 
@@ -103,22 +103,22 @@ class Record:
         columns = {"runoff": self.runoff, "level": self.level}
         return {name: series for name, series in columns.items() if series is not None}
 
-    def only(self, steps: Steps) -> Record:
+    def only(self, steps: Steps) -> RoofRecord:
         """Return the record with NaN instead of rain, runoff and level outside of some steps."""
         series = {"rain": self.rain, **self.measured}
         there = {name: np.where(steps, values, np.nan) for name, values in series.items()}
         return replace(self, **there)  # type: ignore[arg-type]
 
     @property
-    def known(self) -> Steps:
-        """Steps with rain, pumped and :attr:`measured` known, also one step before and after.
+    def complete(self) -> Steps:
+        """Steps with rain, pumped and :attr:`measured`, also one step before and after.
 
         A sensor that failed in a step often recorded only a part of the step beside it.
         """
         series = [self.rain, self.pumped, *self.measured.values()]
         missing = np.isnan(series).any(axis=0)
-        beside = np.convolve(missing, np.ones(3), "same") > 0
-        return np.asarray(~beside)
+        near = np.convolve(missing, np.ones(3), "same") > 0
+        return np.asarray(~near)
 
 
 def time_name(seconds: float) -> str:
@@ -130,27 +130,27 @@ def time_name(seconds: float) -> str:
     return f"{count} {'days' if unit == 'day' and count > 1 else unit}"
 
 
-def sums(values: Values | Steps, seconds: NDArray[np.int64], over_s: int) -> Values:
-    """Add up values by the clock span of ``over_s`` seconds that each begins in.
+def sums(values: Values | Steps, seconds: NDArray[np.int64], span_s: int) -> Values:
+    """Add up values by the clock span of ``span_s`` seconds that each begins in.
 
     Spans without values are left out.
     """
-    _, index = np.unique(seconds // over_s, return_inverse=True)
+    _, index = np.unique(seconds // span_s, return_inverse=True)
     return np.bincount(index, values).astype(np.float64)
 
 
-def means(values: Values, seconds: NDArray[np.int64], over_s: int) -> Values:
+def means(values: Values, seconds: NDArray[np.int64], span_s: int) -> Values:
     """Average values by the clock span that each begins in, as :func:`sums` adds them up.
 
     NaN do not count; the mean of a span with only NaN is NaN.
     """
-    count = sums(~np.isnan(values), seconds, over_s)
-    total = sums(np.nan_to_num(values), seconds, over_s)
+    count = sums(~np.isnan(values), seconds, span_s)
+    total = sums(np.nan_to_num(values), seconds, span_s)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-TOGETHER = {"runoff": sums, "level": means}
-"""How to combine the values of a span, by the names of :attr:`Record.measured`.
+COMBINE = {"runoff": sums, "level": means}
+"""How to combine the values of a span, by the names of :attr:`RoofRecord.measured`.
 
 Amounts add up. Levels do not: their sum would depend on the length of gaps in the span.
 """
@@ -161,7 +161,7 @@ def greatest_rise(values: Values) -> float:
     return float(np.max(values - np.minimum.accumulate(values)))
 
 
-def lately(steps: Steps, count: int) -> Steps:
+def prolonged(steps: Steps, count: int) -> Steps:
     """Return which steps are marked, or follow a marked step by less than ``count``."""
     return np.asarray(np.convolve(steps, np.ones(count), "full")[: len(steps)] > 0)
 
@@ -178,12 +178,12 @@ class Storm(NamedTuple):
     """sum over the storm (mm)"""
 
 
-def storms(record: Record) -> list[Storm]:
+def storms(record: RoofRecord) -> list[Storm]:
     """Return all storms, which are separated by six hours without rain, and at least one step."""
     wet = np.flatnonzero(record.rain > 0)
-    apart = max(1.0, _APART_S / record.step_s)
-    firsts = wet[np.diff(wet, prepend=-np.inf) > apart].tolist()
-    dries = (wet[np.diff(wet, append=np.inf) > apart] + 1).tolist()
+    gap_steps = max(1.0, _STORM_GAP_S / record.step_s)
+    firsts = wet[np.diff(wet, prepend=-np.inf) > gap_steps].tolist()
+    dries = (wet[np.diff(wet, append=np.inf) > gap_steps] + 1).tolist()
     after = math.ceil(_AFTER_S / record.step_s)
     return [
         Storm(first, min(dry + after, following), dry, float(np.nansum(record.rain[first:dry])))
@@ -201,7 +201,7 @@ class Outage(NamedTuple):
     """one after the last step that does not count"""
 
 
-def outages(record: Record) -> list[Outage]:
+def outages(record: RoofRecord) -> list[Outage]:
     """Return the outages of rain gauge and pump meter after which the roof is unknown.
 
     A storm may have come in them. Its water is gone after about a week, and not before 20 mm could
@@ -220,8 +220,8 @@ def outages(record: Record) -> list[Outage]:
     return found
 
 
-def _watered(record: Record, first: int, end: int) -> bool:
-    """Return whether rain, runoff or level show that water came in an outage."""
+def _watered(record: RoofRecord, first: int, end: int) -> bool:
+    """Return whether rain, runoff or level show that there was water in an outage."""
     hour = math.ceil(HOUR_S / record.step_s)
     before, after = slice(max(0, first - hour), first), slice(end, end + hour)
     if np.nansum(record.rain[before]) + np.nansum(record.rain[after]) > _RAINED_MM:
@@ -238,15 +238,15 @@ def _watered(record: Record, first: int, end: int) -> bool:
     return bool(len(was) and len(since) and np.median(since) - np.median(was) > _ROSE_M)
 
 
-def comparable(record: Record) -> Steps:
+def comparable(record: RoofRecord) -> Steps:
     """Return the steps in which a simulation is compared: known steps outside of broken storms.
 
     A storm is broken if rain, pumped water or runoff is missing in it. Unrecorded water affects the
     roof for the whole storm. And meters fail when runoff is largest; their values before and after
     the gap can then be incomplete, for an unknown time. Nor do steps count until a roof has
-    forgotten what came in an outage (:func:`outages`).
+    forgotten the water of an outage (:func:`outages`).
     """
-    steps = record.known
+    steps = record.complete
     for outage in outages(record):
         steps[outage.first:outage.forgotten] = False
     missing = np.isnan(record.rain) | np.isnan(record.pumped)
@@ -258,7 +258,7 @@ def comparable(record: Record) -> Steps:
     return steps
 
 
-def halve(record: Record, steps: Steps) -> dict[str, Steps]:
+def halve(record: RoofRecord, steps: Steps) -> dict[str, Steps]:
     """Split steps on the first dry day after half of all rain and pumped water.
 
     Only water tells something about a roof: with halves of equal time, one could have all storms. A
@@ -272,8 +272,8 @@ def halve(record: Record, steps: Steps) -> dict[str, Steps]:
     Returns:
         The steps of each half by its purpose: ``fit``, the earlier half, and ``validation``.
     """
-    total = np.cumsum(np.where(steps, record.came, 0.0))
-    dry = ~lately(record.came > 0, math.ceil(_AFTER_S / record.step_s))
+    total = np.cumsum(np.where(steps, record.water, 0.0))
+    dry = ~prolonged(record.water > 0, math.ceil(_AFTER_S / record.step_s))
     later = np.cumsum((total >= total[-1] / 2) & dry) > 0
     return {"fit": steps & ~later, "validation": steps & later}
 
@@ -294,7 +294,7 @@ def month_numbers(span: str) -> list[int]:
     return [(first - 1 + more) % 12 + 1 for more in range((last - first) % 12 + 1)]
 
 
-def in_months(record: Record, span: str | None) -> Steps:
+def in_months(record: RoofRecord, span: str | None) -> Steps:
     """Return which steps begin in a span of months, by the record's own clock; None means all.
 
     Raises:

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.analysis.calibration.record import DAY_S, HOUR_S, TOGETHER, Values
+from greenroof_ros.analysis.calibration.record import COMBINE, DAY_S, HOUR_S, Values
 
 
-class Scores(NamedTuple):
+class FitScores(NamedTuple):
     """The scores of one series in one half of a record.
 
     Efficiencies are of sums of runoff, or means of levels, over a time (s), and listed by that
@@ -56,7 +56,7 @@ def kling_gupta(simulated: Values, measured: Values) -> float:
 def score(
     quantity: str, part: str, simulated: Values, measured: Values, seconds: NDArray[np.int64],
     step_s: float,
-) -> Scores:
+) -> FitScores:
     """Score a series over its steps, and over hours and days if they are longer.
 
     Args:
@@ -69,11 +69,11 @@ def score(
     """
     step = round(step_s)
     nses, kges = {}, {}
-    for over_s in (step, *(time for time in (HOUR_S, DAY_S) if time > step)):
+    for span_s in (step, *(time for time in (HOUR_S, DAY_S) if time > step)):
         ours, theirs = (
-            TOGETHER[quantity](series, seconds, over_s) for series in (simulated, measured)
+            COMBINE[quantity](series, seconds, span_s) for series in (simulated, measured)
         )
-        nses[over_s], kges[over_s] = efficiency(ours, theirs), kling_gupta(ours, theirs)
+        nses[span_s], kges[span_s] = efficiency(ours, theirs), kling_gupta(ours, theirs)
     total = float(np.sum(measured))
     error = float(np.sum(simulated)) / total - 1 if total > 0 else np.nan
-    return Scores(quantity, part, nses, kges, error)
+    return FitScores(quantity, part, nses, kges, error)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greenroof_ros.analysis.calibration.record import Record, Values
+from greenroof_ros.analysis.calibration.record import RoofRecord, Values
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import MeasuredSoil
 
@@ -29,7 +29,7 @@ class Simulated(NamedTuple):
     """water level in the substrate at the beginning of each step (m), shape (steps,)"""
 
 
-def simulate(site: Site, record: Record, filled: float, least: float = 0.0) -> Simulated:
+def simulate(site: Site, record: RoofRecord, filled: float, least: float = 0.0) -> Simulated:
     """Simulate a measured roof through a record's steps.
 
     The result matches :class:`greenroof_ros.model.plant.Plant` with short ticks, because
@@ -45,39 +45,39 @@ def simulate(site: Site, record: Record, filled: float, least: float = 0.0) -> S
         least: runoff of a step (mm) below which a meter shows 0.
     """
     volume_flow = site.a2 / 1000 / record.step_s  # m3/s of a mm in a step
-    came = record.came
+    water = record.water
     wet, dry = (math.ceil(record.step_s / longest) for longest in (_WET_S, _DRY_S))
-    parts = np.where(came > 0, wet, dry)
+    parts = np.where(water > 0, wet, dry)
     starts = np.cumsum(parts) - parts
     durations = np.repeat(record.step_s / parts, parts)
-    arriving = np.repeat(came * volume_flow, parts)
-    asked = np.repeat(record.reference * site.crop_coefficient * volume_flow, parts)
+    arriving = np.repeat(water * volume_flow, parts)
+    potential = np.repeat(record.reference * site.crop_coefficient * volume_flow, parts)
     soil, capacity, empty = MeasuredSoil(site), site.z_cap, _EMPTY * site.a2
     x2, layer = site.wilting_volume + filled * site.available_volume, 0.0
     volumes = np.empty(len(durations))
     flows = np.zeros(len(durations))
-    for part, (comes, wanted, seconds) in enumerate(
-        zip(arriving.tolist(), asked.tolist(), durations.tolist(), strict=True)
+    for part, (inflow, demand, seconds) in enumerate(
+        zip(arriving.tolist(), potential.tolist(), durations.tolist(), strict=True)
     ):
         volumes[part] = x2
         percolated = 0.0
-        if comes > 0 or x2 > capacity:
-            percolated = soil.mean_percolation(x2, comes, seconds)
+        if inflow > 0 or x2 > capacity:
+            percolated = soil.mean_percolation(x2, inflow, seconds)
         evaporated = 0.0
-        if wanted > 0:
-            left = x2 / seconds + comes - percolated
-            evaporated = max(0.0, min(wanted * soil.water_stress(x2), left))
+        if demand > 0:
+            available = x2 / seconds + inflow - percolated
+            evaporated = max(0.0, min(demand * soil.water_stress(x2), available))
         if percolated > 0 or layer > empty:
             drained = soil.layer_outflow(layer, percolated, seconds)
             flows[part] = drained
             layer = max(0.0, layer + seconds * (percolated - drained))
-        x2 = max(0.0, x2 + seconds * (comes - percolated - evaporated))
+        x2 = max(0.0, x2 + seconds * (inflow - percolated - evaporated))
     runoff = np.add.reduceat(flows * durations, starts) * 1000 / site.a2
     runoff = np.where(runoff < least, 0.0, runoff)
     return Simulated(runoff, volumes[starts] / site.a2)
 
 
-def least_reading(record: Record) -> float:
+def least_reading(record: RoofRecord) -> float:
     """Return the runoff of a step (mm) below which a record's meter shows 0.
 
     It is the least reading above 0. A tipping bucket misses nothing, because less than a tip adds

@@ -56,16 +56,16 @@ def fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> Entries:
     entries: Entries = {name: (getattr(fit.site, name), "unchanged, not fitted") for name in _ROOF}
     entries |= {} if sheet is None else sheet_entries(sheet)
     for parameter in fit.parameters:
-        words = f"unchanged: {parameter.words}"
+        reason = f"unchanged: {parameter.reason}"
         if parameter.interval:
             interval = f"fitted, {parameter.interval} (95 %)"
-            words = f"{interval}; {parameter.words}" if parameter.words else interval
+            reason = f"{interval}; {parameter.reason}" if parameter.reason else interval
         elif parameter.name in entries and parameter.name not in _ROOF:
-            words = f"{_FROM_SHEET}; {parameter.words}"
+            reason = f"{_FROM_SHEET}; {parameter.reason}"
         if parameter.name == "crop_coefficient":
-            words += f"; {CROP_NOTE}"
+            reason += f"; {CROP_NOTE}"
         if parameter.name != FILLED:
-            entries[parameter.name] = parameter.value, words
+            entries[parameter.name] = parameter.value, reason
     if fit.site.z_veg != target:
         entries["z_veg"] = fit.site.z_veg, "choose your own"
     return entries
@@ -89,9 +89,9 @@ def edited_site_file(file: Path, entries: Entries, heading: Sequence[str]) -> st
     missing = [name for name in entries if name not in yaml.load(edited(file, {}))]
     site: CommentedMap = yaml.load(edited(file, {key: float(text) for key, text in values.items()}))
     site.fa.set_block_style()
-    for name, (_, words) in entries.items():
+    for name, (_, reason) in entries.items():
         site[name] = values[name]
-        _comment(site, name, f"# {_UNITS[name]:<7} {words}")
+        _comment(site, name, f"# {_UNITS[name]:<7} {reason}")
     if missing:
         site.yaml_set_comment_before_after_key(missing[0], before="\nThe measured roof")
     stream = io.StringIO()

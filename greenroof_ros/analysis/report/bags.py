@@ -15,7 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.analysis.report.run import Note, Row, Run, labels, meaning_of_initial, read_about
+from greenroof_ros.analysis.report.run import (
+    Note,
+    ReportedRun,
+    Row,
+    labels,
+    meaning_of_initial,
+    read_about,
+)
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import file_digest, shared_directory
 from greenroof_ros.common.times import to_people
@@ -28,7 +35,7 @@ from greenroof_ros.model.metrics import Samples, totals_of
 from greenroof_ros.model.plant import mains_flow
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
-from greenroof_ros.recording.bag_reader import Recorded, load_bag
+from greenroof_ros.recording.bag_reader import RecordedTrajectory, load_bag
 from greenroof_ros.recording.bag_writer import METADATA, recovered_bag
 from greenroof_ros.recording.trajectory import TRAJECTORY, Trajectory, read_parquet
 from greenroof_ros.weather.reading import read_weather
@@ -67,7 +74,7 @@ def _closed_and_repair(path: Path, bag: Path) -> tuple[list[Path], str]:
     return closed, ""
 
 
-def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
+def read_run(path: Path, name: str, site_file: Path | None) -> ReportedRun | Row:
     """Return the run in a run directory or bag; a row with its error if it left no bag."""
     bag, run, kept = _bag_in(path), run_directory(path), path / TRAJECTORY
     closed, repair = _closed_and_repair(path, bag)
@@ -117,7 +124,7 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
         ),
         # A sensor with errors shows neither the roof's initial volume nor its deviation.
         bound=partial(
-            _own_bound, weather, own_site, site, row["evapotranspiration"], row["gaps"]
+            _run_bound, weather, own_site, site, row["evapotranspiration"], row["gaps"]
         ) if about.exact_sensor else lambda _: None,
         source=name,
         meant={
@@ -129,16 +136,17 @@ def read_run(path: Path, name: str, site_file: Path | None) -> Run | Row:
     )
 
 
-def load_trajectory(path: Path) -> Recorded:
+def load_trajectory(path: Path) -> RecordedTrajectory:
     """Read the trajectory of a simulation in one process."""
     trajectory = read_parquet(path)
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
         raise ConfigurationError("must have two or more samples, in order of time", file=path)
-    return Recorded(trajectory)
+    return RecordedTrajectory(trajectory)
 
 
-def _own_bound(
-    weather: list[Path], site_file: Path, site: Site, method: str, gaps: str, recorded: Recorded
+def _run_bound(
+    weather: list[Path], site_file: Path, site: Site, method: str, gaps: str,
+    recorded: RecordedTrajectory,
 ) -> float | None:
     """Return the least total deviation (m3) that a controller could reach in a run's own weather.
 
@@ -167,7 +175,7 @@ def _own_bound(
         return None
 
 
-def measured(run: Run, recorded: Recorded) -> Row:
+def measured(run: ReportedRun, recorded: RecordedTrajectory) -> Row:
     """Return the row of a bag's run with its results.
 
     Results in the summary of a finished run are kept; all others are computed from the bag. Sums
@@ -267,8 +275,8 @@ def thin(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.int
     if count <= most:
         return np.arange(count)
     edges = np.linspace(0, count, (most - 2) // 2 + 1).astype(np.intp)
-    kept = {0, count - 1}
+    indices = {0, count - 1}
     for low, high in itertools.pairwise(edges):
-        kept.add(int(low + np.argmin(values[low:high])))
-        kept.add(int(low + np.argmax(values[low:high])))
-    return np.array(sorted(kept), dtype=np.intp)
+        indices.add(int(low + np.argmin(values[low:high])))
+        indices.add(int(low + np.argmax(values[low:high])))
+    return np.array(sorted(indices), dtype=np.intp)

@@ -56,7 +56,7 @@ _PIXELS = 300
 _TOTAL_AXIS = "total |x2 - x2*| (m³)"
 
 
-class Quantity(NamedTuple):
+class Criterion(NamedTuple):
     """A quantity by which runs are compared, setting by setting."""
 
     name: str
@@ -68,16 +68,16 @@ class Quantity(NamedTuple):
     """least distance of an axis' ticks"""
 
 
-QUANTITIES = (
-    Quantity("total-deviation", "Total deviation", _TOTAL_AXIS, TOTAL),
-    Quantity("time-in-band", "Time near the target", "time in the band (h)", "near_target_hours"),
-    Quantity("energy", "Electric energy", "electric energy (Wh)", "electric_energy_kwh", 1000),
-    Quantity("pump-starts", "Pump starts", "starts", "pump_starts", step=1.0),
+CRITERIA = (
+    Criterion("total-deviation", "Total deviation", _TOTAL_AXIS, TOTAL),
+    Criterion("time-in-band", "Time near the target", "time in the band (h)", "near_target_hours"),
+    Criterion("energy", "Electric energy", "electric energy (Wh)", "electric_energy_kwh", 1000),
+    Criterion("pump-starts", "Pump starts", "starts", "pump_starts", step=1.0),
 )
 
 # The names of all figures begin with one of these; numbers can follow.
 _KINDS = (
-    *(quantity.name for quantity in QUANTITIES), "weather", "trajectories", "water-balance",
+    *(criterion.name for criterion in CRITERIA), "weather", "trajectories", "water-balance",
     "forecast-errors", "seasons", "season-comparisons", "sizing",
 )
 
@@ -107,10 +107,10 @@ def make_figures(report: Report) -> Iterator[Figure]:
     for number, rows in windows:
         # With a single mark in each panel the figure would only repeat the table.
         if len({row["controller"] for row in rows}) < len(rows):
-            for quantity in QUANTITIES:
-                known = [row for row in rows if row[quantity.column] is not None]
+            for criterion in CRITERIA:
+                known = [row for row in rows if row[criterion.column] is not None]
                 if known:
-                    yield by_setting(report, known, number, quantity)
+                    yield by_setting(report, known, number, criterion)
     for number, rows in recorded:
         for initial in report.initials:
             of_state = [row for row in rows if row["from"] == initial]
@@ -124,23 +124,23 @@ def make_figures(report: Report) -> Iterator[Figure]:
         yield sizing(report)
     elif report.of(SEASONS):
         yield by_year(report)
-        if report.over_onoff:
+        if report.relative_to_onoff:
             yield comparison_figure(report)
 
 
 # --- single runs ----------------------------------------------------------------------------------
 
 
-def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quantity) -> Figure:
-    """Return a quantity of each run: a panel for each initial state, with a scale of its own.
+def by_setting(report: Report, rows: Sequence[Row], number: int, criterion: Criterion) -> Figure:
+    """Return a criterion of each run: a panel for each initial state, with a scale of its own.
 
     Args:
         report: all results.
-        rows: runs of a window for which the quantity is known.
+        rows: runs of a window for which the criterion is known.
         number: of the window.
-        quantity: to draw.
+        criterion: to draw.
     """
-    published = published_totals(report, rows) if quantity.column == TOTAL else {}
+    published = published_totals(report, rows) if criterion.column == TOTAL else {}
     controllers = list(map(controller_name, report.controllers))
     panels, marks = list[Panel](), set[str]()
     data: dict[str, Rows] = {}
@@ -149,10 +149,10 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
         if not here:
             continue
         names = unique(here, list(map(who, here)))
-        bound = here[0]["bound_m3"] if quantity.column == TOTAL else None
+        bound = here[0]["bound_m3"] if criterion.column == TOTAL else None
         drawn: Rows = [
             {"setting": name, "run": row["run"], "controller": controller_name(row["controller"]),
-             "v": short(quantity.times * row[quantity.column])}
+             "v": short(criterion.times * row[criterion.column])}
             for name, row in zip(names, here, strict=True)
         ]
         theirs: Rows = [
@@ -160,10 +160,10 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
             for name, row in zip(names, here, strict=True) if row["run"] in published
         ]
         values = [*(row["v"] for row in (*drawn, *theirs)), *([bound] if bound is not None else [])]
-        dataset = f"{quantity.name}-{number}-{len(panels) + 1}"
+        dataset = f"{criterion.name}-{number}-{len(panels) + 1}"
         data[dataset] = drawn
         x = alt.X(
-            "v:Q", title=quantity.axis, **{"axis": alt.Axis(tickMinStep=quantity.step)}
+            "v:Q", title=criterion.axis, **{"axis": alt.Axis(tickMinStep=criterion.step)}
             | value_axis(values),
         )
         y = alt.Y("setting:N", sort=names, title=None, axis=alt.Axis(labelLimit=190))
@@ -173,7 +173,7 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
                 color=alt.Color(
                     "controller:N", scale=cycled(COLOURS, controllers), legend=None
                 ),
-                tooltip=pointed("run:N", "setting:N", ("v:Q", quantity.axis)),
+                tooltip=pointed("run:N", "setting:N", ("v:Q", criterion.axis)),
             )
         ]
         if bound is not None:
@@ -192,7 +192,7 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, quantity: Quant
             alt.layer(*layers), f"from {initial}", max(60, 18 * len(here))
         ))
     return Figure(
-        f"{quantity.name}-{number}", report.title(quantity.title, rows[0]), _named(marks),
+        f"{criterion.name}-{number}", report.title(criterion.title, rows[0]), _named(marks),
         tuple(panels), min(len(panels), 3), data,
     )
 
@@ -308,7 +308,7 @@ _AMOUNTS = {"mean": TOTAL, "mean of the worst tenth": "worst_tenth_m3"}
 
 def forecast_errors(report: Report) -> Figure:
     """Return the figure of total deviation, mean and worst tenth, over the skill of forecasts."""
-    cases, apart = report.of(SEEDS), report.apart(SEEDS)
+    cases, apart = report.of(SEEDS), report.differing_facts(SEEDS)
     panels, data = [], {}
     for number, here in enumerate(by_place(cases), start=1):
         dataset = f"forecast-errors-{number}"
@@ -374,7 +374,7 @@ def _errors_chart(report: Report, cases: Sequence[Row], dataset: str) -> Chart:
 
 def _places(report: Report, rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
     """Yield the cases of each place, with the facts that distinguish it from other places."""
-    apart = report.apart(SEASONS)
+    apart = report.differing_facts(SEASONS)
     for here in by_place(rows):
         yield ", ".join(here[0][name] for name in apart) or "all years", here
 
@@ -394,13 +394,15 @@ def by_year(report: Report) -> Figure:
     """Return the figure of each year's deviation: a panel for each place and kind of forecast."""
     panels: list[Panel] = []
     data: dict[str, Rows] = {}
-    cases, looking = report.of(SEASONS), report.given_errors
-    usual = list(dict.fromkeys(row["forecast"] for row in cases if row["controller"] in looking))
+    cases, forecasting = report.of(SEASONS), report.with_forecast_errors
+    usual = list(dict.fromkeys(
+        row["forecast"] for row in cases if row["controller"] in forecasting
+    ))
     for place, here in _places(report, cases):
         for forecast in usual or [""]:
             shown = [
                 row for row in here
-                if row["controller"] not in looking or row["forecast"] == forecast
+                if row["controller"] not in forecasting or row["forecast"] == forecast
             ]
             name = f"seasons-{len(data) + 1}"
             data[name] = [
@@ -431,7 +433,7 @@ def comparison_figure(report: Report) -> Figure:
     names = list(map(controller_name, report.controllers))
     panels: list[Panel] = []
     data: dict[str, Rows] = {}
-    for place, here in _places(report, report.over_onoff):
+    for place, here in _places(report, report.relative_to_onoff):
         name = f"season-comparisons-{len(data) + 1}"
         data[name] = [
             {

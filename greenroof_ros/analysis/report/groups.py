@@ -24,8 +24,8 @@ from greenroof_ros.analysis.report.run import (
     PAPERS_CONTROLLERS,
     Assumptions,
     Note,
+    ReportedRun,
     Row,
-    Run,
     controller_name,
     parameter_text,
 )
@@ -106,14 +106,14 @@ class Settings:
         labels: all labels, in the order of their values.
     """
 
-    def __init__(self, runs: Sequence[Run]) -> None:
+    def __init__(self, runs: Sequence[ReportedRun]) -> None:
         changed = {name for run in runs for name in run.changes}
         apart = differing([run.parameters for run in runs])
         apart += sorted(changed.difference(apart))
         self._shown = apart or list(runs[0].parameters)[:1]
         self.title = self._shown[0] if len(self._shown) == 1 else "setting"
 
-        def order(run: Run) -> tuple[list[tuple[float, str]], str]:
+        def order(run: ReportedRun) -> tuple[list[tuple[float, str]], str]:
             values = map(run.parameters.get, self._shown)
             return [
                 (value if isinstance(value, float) else math.inf, str(value)) for value in values
@@ -121,7 +121,7 @@ class Settings:
 
         self.labels = list(dict.fromkeys(map(self.label, sorted(runs, key=order))))
 
-    def label(self, run: Run, *, full: bool = False) -> str:
+    def label(self, run: ReportedRun, *, full: bool = False) -> str:
         """Return the setting of a run: the parameters that differ between the controller's runs.
 
         Args:
@@ -157,7 +157,7 @@ class Report:
 
     def __init__(
         self, sources: Sources, assumptions: Assumptions,
-        track: Callable[[Sequence[Run]], Iterable[Run]] = iter,
+        track: Callable[[Sequence[ReportedRun]], Iterable[ReportedRun]] = iter,
     ) -> None:
         """Read and group runs.
 
@@ -200,7 +200,7 @@ class Report:
         self.table = self._grouped(runs)
         self.cases = self._cases()
 
-    def _read(self, run: Run, kind: str) -> Run:
+    def _read(self, run: ReportedRun, kind: str) -> ReportedRun:
         """Return a run with its kind; if it is a case of its own, also read its trajectory.
 
         The curves to draw are kept. For other runs, only the results in the study's table are used.
@@ -230,7 +230,7 @@ class Report:
                     row["near_target_hours"] = near_hours(run.site, happened, self.assumptions.band)
         return replace(run, row=row, notes=tuple(notes))
 
-    def _grouped(self, runs: list[Run]) -> pl.DataFrame:
+    def _grouped(self, runs: list[ReportedRun]) -> pl.DataFrame:
         """Return the table: names and results of the runs, and their window, place and case."""
         rows = []
         for run in runs:
@@ -337,7 +337,7 @@ class Report:
         return self.table.filter(kind=kind).group_by("window", maintain_order=True).first(
         ).to_dicts()
 
-    def apart(self, kind: str = SINGLE) -> list[str]:
+    def differing_facts(self, kind: str = SINGLE) -> list[str]:
         """Return the facts that differ between windows, for use as columns and in titles."""
         return differing([facts(row) for row in self.windows(kind)])
 
@@ -348,7 +348,7 @@ class Report:
 
     def heading(self, row: Row, names: Sequence[str] = ()) -> str:
         """Name the window of a run; with ``names``, by these facts only."""
-        return heading(row, self.apart(row["kind"]), names)
+        return heading(row, self.differing_facts(row["kind"]), names)
 
     def title(self, text: str, row: Row) -> str:
         """Return a figure's title, with the window if there are several."""
@@ -379,7 +379,7 @@ class Report:
         return len(sizes) > 1 and set(differing(sites)) <= _BY_SIZE
 
     @cached_property
-    def given_errors(self) -> set[str]:
+    def with_forecast_errors(self) -> set[str]:
         """The controllers that ran seasons with imperfect forecasts.
 
         Other controllers, such as on/off, may use no forecast: they are shown beside any of these.
@@ -408,27 +408,27 @@ class Report:
         """
         complete = (row for row in self.of(SEASONS) if not row["missing"])
         return lowest(
-            row for row in complete if not self.given_errors or row["forecast"] != PERFECT
-            or not (row["controller"] in self.given_errors
+            row for row in complete if not self.with_forecast_errors or row["forecast"] != PERFECT
+            or not (row["controller"] in self.with_forecast_errors
                     or "horizon" in self.runs[row["run"]].parameters)
         )
 
     @cached_property
-    def over_onoff(self) -> list[Row]:
+    def relative_to_onoff(self) -> list[Row]:
         """The seasons' cases compared with plain on/off.
 
         ``has`` is the :class:`.intervals.Comparison`, ``than`` the row of plain on/off.
         """
-        return self._over(self.plain_onoff)
+        return self._relative_to(self.plain_onoff)
 
     @cached_property
-    def over_least(self) -> list[Row]:
+    def relative_to_least(self) -> list[Row]:
         """The same compared with the case of least deviation, if that is not plain on/off."""
         plain = [row["case"] for row in self.plain_onoff]
         known = {row["place"] for row in self.least if row["case"] in plain}
-        return self._over([row for row in self.least if row["place"] not in known])
+        return self._relative_to([row for row in self.least if row["place"] not in known])
 
-    def _over(self, references: Sequence[Row]) -> list[Row]:
+    def _relative_to(self, references: Sequence[Row]) -> list[Row]:
         others, compared = {row["place"]: row for row in reversed(references)}, []
         for row in self.of(SEASONS):
             than = others.get(row["place"], row)

@@ -24,7 +24,7 @@ from greenroof_ros.model.initial_state import INITIAL_STATES
 from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.model.site import Site
-from greenroof_ros.recording.bag_reader import Recorded
+from greenroof_ros.recording.bag_reader import RecordedTrajectory
 from greenroof_ros.recording.results_table import shortest, summary_columns
 from greenroof_ros.weather.series import REFUSE
 
@@ -78,7 +78,7 @@ class Note(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class ReportedRun:
     """A run as its files describe it; the defaults stand for anything that they do not say.
 
     Attributes:
@@ -118,8 +118,8 @@ class Run:
     short: str = summary.DONE
     incidents: tuple[Incident, ...] = ()
     notes: tuple[Note, ...] = ()
-    load: Callable[[], Recorded] | None = None
-    bound: Callable[[Recorded], float | None] | None = None
+    load: Callable[[], RecordedTrajectory] | None = None
+    bound: Callable[[RecordedTrajectory], float | None] | None = None
     source: str = ""
     meant: Mapping[str, object] = field(default_factory=dict)
 
@@ -239,13 +239,13 @@ def notes_of(row: Row) -> list[Note]:
     return notes
 
 
-def read_about(run: Path, site: Site) -> Run:
+def read_about(run: Path, site: Site) -> ReportedRun:
     """Read a run's summary or, if it is missing or damaged, the parameters of its nodes.
 
     A damaged or foreign file beside a bag leaves a note; the bag is still used. Incidents have a
     file of their own, which exists before the summary lists them.
     """
-    about, notes = Run(site=site), list[Note]()
+    about, notes = ReportedRun(site=site), list[Note]()
     incidents: tuple[Incident, ...] = ()
 
     def unused(name: str, wrong: str, reason: object) -> None:
@@ -315,7 +315,7 @@ def _node_parameters(file: Path) -> dict[str, Any]:
     }
 
 
-def _understand(content: dict[str, Any], site: Site) -> Run:
+def _understand(content: dict[str, Any], site: Site) -> ReportedRun:
     """Return the run that a summary describes.
 
     Raises:
@@ -327,7 +327,7 @@ def _understand(content: dict[str, Any], site: Site) -> Run:
     done = content.get("status", summary.DONE) == summary.DONE
     given = parameters(content.get("parameters") or {})
     errors = content.get("sensor_pump_errors") or {}
-    row = {**Run(site=site).row, **_row(content, live=live, done=done), **errors}
+    row = {**ReportedRun(site=site).row, **_row(content, live=live, done=done), **errors}
     start = datetime.fromisoformat(content["start"]) if content.get("start") else None
     notes = notes_of({**row, "start": None if start is None else to_people(start)})
     changes, ticks = dict[str, str](), dict[str, list[str]]()
@@ -358,7 +358,7 @@ def _understand(content: dict[str, Any], site: Site) -> Run:
         named = labels(row)["sensor and pump errors"]
         notes.append(Note(f"the roof's level is what a sensor reads ({named}); {of}"))
     ending, short = ("", summary.DONE) if done else _ending(content)
-    return Run(
+    return ReportedRun(
         site=site, row=row, parameters=given, exact_sensor=exact_sensor, changes=changes,
         zone=None if start is None else start.tzinfo, ending=ending, short=short,
         own=not live,  # live sensors can report anything

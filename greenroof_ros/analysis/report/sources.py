@@ -17,8 +17,8 @@ import polars as pl
 from greenroof_ros.analysis.report.bags import load_trajectory, read_run, run_directory
 from greenroof_ros.analysis.report.run import (
     NO_ERRORS,
+    ReportedRun,
     Row,
-    Run,
     labels,
     meaning_of_initial,
     notes_of,
@@ -54,7 +54,7 @@ class Sources:
         configuration: name and text of each further file that affects the results.
     """
 
-    runs: list[Run] = field(default_factory=list)
+    runs: list[ReportedRun] = field(default_factory=list)
     failed: list[Row] = field(default_factory=list)
     configuration: dict[str, str] = field(default_factory=dict)
 
@@ -95,7 +95,7 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
             raise ConfigurationError("is a study without results.csv", file=path)
         else:
             run = read_run(path, name, site_file)
-            if isinstance(run, Run):
+            if isinstance(run, ReportedRun):
                 sources.runs.append(run)
             else:
                 sources.failed.append(run)
@@ -103,7 +103,7 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
     return sources
 
 
-def _with_sources(runs: Sequence[Run]) -> list[Run]:
+def _with_sources(runs: Sequence[ReportedRun]) -> list[ReportedRun]:
     """Add the source to a name that means different things in different sources.
 
     Things that are equal share a name, with their first source, so their runs are compared.
@@ -142,7 +142,7 @@ def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
         row["frost_pumped_m3"] = 0.0
         trajectory = path / "runs" / run / TRAJECTORY
         forecasts = (row.get(key) for key in ("forecast", "forecast_skill"))
-        sources.runs.append(Run(
+        sources.runs.append(ReportedRun(
             row=row,
             site=site,
             parameters=given,

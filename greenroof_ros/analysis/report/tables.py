@@ -63,7 +63,7 @@ class Cell(NamedTuple):
     warning: bool = False
 
 
-class Table(NamedTuple):
+class ReportTable(NamedTuple):
     """A table that a reader can sort; the first column names the row.
 
     A table without a header has one quantity of the only run in each row.
@@ -106,7 +106,7 @@ def share(value: float | None) -> Cell:
     return Cell("unknown", sys.float_info.max) if value is None else cell(value, ".4f")
 
 
-def make_tables(report: Report) -> list[Table]:
+def make_tables(report: Report) -> list[ReportTable]:
     """Return the tables for which a report has data."""
     tables = [*_seasons(report), *_seeds(report)]
     single, best = report.single, report.best()
@@ -126,9 +126,9 @@ def make_tables(report: Report) -> list[Table]:
 
 def _table(
     report: Report, name: str, columns: Sequence[Column], rows: Iterable[Row], **folded: bool
-) -> Table:
+) -> ReportTable:
     """Return a table of rows, which are runs or cases."""
-    return Table(
+    return ReportTable(
         name, [column.header for column in columns],
         [_cells(report, row, columns) for row in rows], **folded,
     )
@@ -136,7 +136,7 @@ def _table(
 
 def _cells(report: Report, row: Row, columns: Sequence[Column]) -> list[Cell]:
     """Return the cells of a run or a case; controllers are sorted by their settings' values."""
-    apart = report.apart(row["kind"])
+    apart = report.differing_facts(row["kind"])
     near, ended, unknown = row["near_share"], row["ended"], Cell("unknown", -1.0)
     shown = {
         **row,
@@ -250,7 +250,7 @@ def _balances(report: Report) -> dict[str, list[Column]]:
     }
 
 
-def _of_runs(report: Report, name: str, columns: Sequence[Column], *, folded: bool) -> Table:
+def _of_runs(report: Report, name: str, columns: Sequence[Column], *, folded: bool) -> ReportTable:
     """Return a table with a row for each run, or for each quantity if there is a single run."""
     title = f"{name[0].upper()}{name[1:]}"
     columns = [_CONTROLLER, _FROM, *_ended(report), *columns]
@@ -258,10 +258,10 @@ def _of_runs(report: Report, name: str, columns: Sequence[Column], *, folded: bo
     if len(report.single) > 1:
         return table
     rows = [[cell(header), value] for header, value in zip(table.header, *table.rows, strict=True)]
-    return Table(title, (), rows, folded)
+    return ReportTable(title, (), rows, folded)
 
 
-def _best(report: Report, best: Sequence[Row]) -> Table:
+def _best(report: Report, best: Sequence[Row]) -> ReportTable:
     """Return the table of each controller's best run."""
     return _table(report, "Least total deviation of each controller", [
         _CONTROLLER, _FROM, *_ended(report), _metric(TOTAL), *_ratio(report.single),
@@ -269,9 +269,9 @@ def _best(report: Report, best: Sequence[Row]) -> Table:
     ], best)
 
 
-def _methods(report: Report) -> list[Table]:
+def _methods(report: Report) -> list[ReportTable]:
     """Return the table of total deviations under both kinds of evapotranspiration, if any."""
-    where = [name for name in report.apart() if name != "evapotranspiration"]
+    where = [name for name in report.differing_facts() if name != "evapotranspiration"]
     windows = [Column("window", "where")] * bool(where)
 
     def key(row: Row) -> tuple[object, ...]:
@@ -294,7 +294,7 @@ def _methods(report: Report) -> list[Table]:
     ], pairs)] if pairs else []
 
 
-def incident_tables(report: Report) -> list[Table]:
+def incident_tables(report: Report) -> list[ReportTable]:
     """Return the table of incidents of single runs, if there were any."""
     unknown = Cell("unknown", sys.float_info.max, warning=True)
     rows = [
@@ -312,7 +312,9 @@ def incident_tables(report: Report) -> list[Table]:
     ]
     for row in rows if len(report.single) == 1 else []:
         del row["run"]
-    return [Table("Incidents", list(rows[0]), [list(row.values()) for row in rows])] if rows else []
+    if not rows:
+        return []
+    return [ReportTable("Incidents", list(rows[0]), [list(row.values()) for row in rows])]
 
 
 def _moment(report: Report, row: Row, wall_time: str | None, tick: int | None) -> Cell:
@@ -329,7 +331,7 @@ def _moment(report: Report, row: Row, wall_time: str | None, tick: int | None) -
 # --- many seeds, and the same season of several years ---------------------------------------------
 
 
-def _seeds(report: Report) -> list[Table]:
+def _seeds(report: Report) -> list[ReportTable]:
     """Return the table of runs under forecast errors, over their seeds, if there are any."""
     cases = report.of(SEEDS)
     amounts = {"mean": TOTAL, "worst tenth": "worst_tenth_m3", "worst": "worst_m3"}
@@ -345,15 +347,15 @@ def _seeds(report: Report) -> list[Table]:
     ], cases)] if cases else []
 
 
-def _seasons(report: Report) -> list[Table]:
+def _seasons(report: Report) -> list[ReportTable]:
     """Return the seasons' means and, unless they compare sizes, comparisons of controllers."""
     cases = report.of(SEASONS)
     if not cases:
         return []
     tables = _means(report, cases)
     for other, compared in (
-        ("on/off", report.over_onoff),
-        ("the controller with the least deviation", report.over_least),
+        ("on/off", report.relative_to_onoff),
+        ("the controller with the least deviation", report.relative_to_least),
     ):
         if compared and not report.sizing:
             tables.append(_comparisons(report, other, compared))
@@ -364,7 +366,7 @@ def _named(report: Report) -> list[Column]:
     return [_CONTROLLER, Column("forecast", "forecast"), *_window(report, SEASONS)]
 
 
-def _means(report: Report, cases: Sequence[Row]) -> list[Table]:
+def _means(report: Report, cases: Sequence[Row]) -> list[ReportTable]:
     """Return the tables of means, with sizes if the sites differ in size."""
     sizes = [
         Column("green roof (m²)", "roof_m2", "g"), Column("cistern (m³)", "cistern_size_m3", "g")
@@ -376,15 +378,15 @@ def _means(report: Report, cases: Sequence[Row]) -> list[Table]:
         *_ratio(cases),
         Column("worst year (m³)", "worst_year_m3", ".0f"), Column("which", "worst_year", "d"),
         Column("worst tenth of weeks (m³)", "worst_tenth_m3", ".0f"),
-        _NEAR, *_known({"mean_deviation_mm": ".2f"}, cases),
-    ]} | {name: _known(metrics, cases) for name, metrics in _MEANS.items()}
+        _NEAR, *_present_columns({"mean_deviation_mm": ".2f"}, cases),
+    ]} | {name: _present_columns(metrics, cases) for name, metrics in _MEANS.items()}
     return [
         _table(report, f"Means of a season: {name}", [*named, *results], cases)
         for name, results in columns.items() if results
     ]
 
 
-def _known(metrics: Mapping[str, str], rows: Sequence[Row]) -> list[Column]:
+def _present_columns(metrics: Mapping[str, str], rows: Sequence[Row]) -> list[Column]:
     """Return the columns of the metrics that at least one row has."""
     return [
         _metric(name, form) for name, form in metrics.items()
@@ -392,7 +394,7 @@ def _known(metrics: Mapping[str, str], rows: Sequence[Row]) -> list[Column]:
     ]
 
 
-def _comparisons(report: Report, other: str, compared: Sequence[Row]) -> Table:
+def _comparisons(report: Report, other: str, compared: Sequence[Row]) -> ReportTable:
     """Return the table of comparisons with one other controller."""
     rows = []
     for row in compared:

@@ -17,7 +17,7 @@ from greenroof_ros.analysis.report.groups import (
     lowest,
     who,
 )
-from greenroof_ros.analysis.report.run import Note, Row, Run, controller_name
+from greenroof_ros.analysis.report.run import Note, ReportedRun, Row, controller_name
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.recording.results_table import shortest
@@ -68,7 +68,7 @@ def _windows(report: Report) -> list[str]:
 
 def _seasons(report: Report) -> list[str]:
     """Name the seasons, each with its years."""
-    apart = [*report.apart(SEASONS), "start", "length"]
+    apart = [*report.differing_facts(SEASONS), "start", "length"]
     years: dict[str, set[int]] = {}
     for row in report.table.filter(kind=SEASONS).to_dicts():
         years.setdefault(heading(row, apart), set()).add(row["year"])
@@ -98,7 +98,7 @@ def _mean_deviation(row: Row) -> str:
     return _deviation(row[TOTAL]) if mean is None else f"{mean:{_FORMS['mean_deviation_mm']}} mm"
 
 
-def _over_least(row: Row) -> str:
+def _relative_to_least(row: Row) -> str:
     return "" if row["ratio"] is None else f", {row['ratio']:.4g} times the least possible"
 
 
@@ -117,12 +117,12 @@ def _runs(report: Report, where: Sequence[str], initials: Sequence[str] = ()) ->
 
 
 def _of_run(report: Report, row: Row) -> list[str]:
-    whose = controller_name(row["controller"]) + f" ({row['setting']})" * bool(row["setting"])
+    label = controller_name(row["controller"]) + f" ({row['setting']})" * bool(row["setting"])
     near = row["near_target_hours"]
     return [
-        f"A run of {whose}: {heading(row, ['site'])}, from {row['from']}: {row['ended']}.",
+        f"A run of {label}: {heading(row, ['site'])}, from {row['from']}: {row['ended']}.",
         f"The roof's total deviation from its target was {_deviation(row[TOTAL])}"
-        f"{_over_least(row)}; it was near the target for "
+        f"{_relative_to_least(row)}; it was near the target for "
         f"{'an unknown part' if near is None else f'{near:.2f}'} "
         f"of {shortest(round(row['hours'], 2))} h.",
         f"The pumps started {counted(int(row['pump_starts'] or 0), 'time')} and lifted "
@@ -158,13 +158,13 @@ def _least_of(
     for rows in places:
         names = {controller_name(row["controller"]) for row in lowest(rows)}
         wins[f"{names.pop()}'s" if len(names) == 1 else "shared"] += 1
-    won = _and(f"{whose} in {count}" for whose, count in wins.most_common())
+    won = _and(f"{label} in {count}" for label, count in wins.most_common())
     return f"Of {len(places)} {what} the least {deviation} was {won}."
 
 
 def _least(report: Report) -> str:
     """Say which run had the least total deviation; for many places, which controller how often."""
-    apart = report.apart()
+    apart = report.differing_facts()
 
     def named(*here: Row) -> str:
         rows = sorted(here, key=lambda row: row[TOTAL])
@@ -175,8 +175,8 @@ def _least(report: Report) -> str:
             text += f" in {heading(first, apart, apart)}"
         if len(report.initials) > 1:
             text += f" from {first['from']}"
-        whose = _and(map(who, best)) if others or not rows[1:] else "whatever the controller"
-        text += f" ({whose}{_over_least(first)}"
+        label = _and(map(who, best)) if others or not rows[1:] else "whatever the controller"
+        text += f" ({label}{_relative_to_least(first)}"
         return text + (f"; {who(others[0])} had {others[0][TOTAL]:.2f})" if others else ")")
 
     return _least_of(
@@ -188,8 +188,8 @@ def _of_seeds(report: Report) -> list[str]:
     cases = report.of(SEEDS)
 
     def named(*rows: Row) -> str:
-        row, whose = rows[0], _and(map(who, rows))
-        return f"{whose} from {row['from']}, forecasts of skill {row['skill']}"
+        row, label = rows[0], _and(map(who, rows))
+        return f"{label} from {row['from']}, forecasts of skill {row['skill']}"
 
     groups: dict[object, list[Row]] = {}
     for row in cases:
@@ -212,14 +212,14 @@ def _of_seasons(report: Report) -> list[str]:
     first = _runs(report, _seasons(report))  # these name the initial states
     if report.sizing:
         return [first, *_of_sizes(report.of(SEASONS))]
-    best, apart = by_place(report.least), report.apart(SEASONS)
+    best, apart = by_place(report.least), report.differing_facts(SEASONS)
     shown = [row["case"] for row in report.least] if len(best) <= _MOST_NAMED else []
-    compared = [_over_onoff(row) for row in report.over_onoff if row["case"] in shown]
+    compared = [_relative_to_onoff(row) for row in report.relative_to_onoff if row["case"] in shown]
 
     def named(*rows: Row) -> str:
-        row, whose = rows[0], [f"{who(row)}, forecast {row['forecast']}" for row in rows]
+        row, label = rows[0], [f"{who(row)}, forecast {row['forecast']}" for row in rows]
         where = f", {heading(row, apart, apart)}" if apart else ""
-        return f"{_mean_deviation(row)}{_over_least(row)} ({', and '.join(whose)}{where})"
+        return f"{_mean_deviation(row)}{_relative_to_least(row)} ({', and '.join(label)}{where})"
 
     return [
         first,
@@ -228,7 +228,7 @@ def _of_seasons(report: Report) -> list[str]:
     ]
 
 
-def _over_onoff(row: Row) -> str:
+def _relative_to_onoff(row: Row) -> str:
     has = row["has"]
     value, low, high = (f"{ratio:.3f}" for ratio in has.mean)
     return f"{value} (95 %: {low} to {high}; less in {has.better} of {has.years} years)"
@@ -322,7 +322,7 @@ def make_warnings(report: Report) -> list[RunWarning]:
     return [RunWarning(text, listed, runs) for (text, listed), runs in runs_of.items()]
 
 
-def _of_results(row: Row, run: Run) -> list[str]:
+def _of_results(row: Row, run: ReportedRun) -> list[str]:
     """Return the warnings from a run's ending, results and incidents."""
     above_1 = (row["max_command"] or 0) > 1 or (row["beyond_hours"] or 0) > 0
     return [text for there, text in (

@@ -36,7 +36,7 @@ class Outcome:
     files: dict[str, bytes]
 
 
-def lay_out(files: Mapping[str, bytes], directory: Path) -> None:
+def write_inputs(files: Mapping[str, bytes], directory: Path) -> None:
     """Write the contents of input files to a directory, where :func:`run_case` reads them."""
     for name, content in files.items():
         with naming(directory / name):

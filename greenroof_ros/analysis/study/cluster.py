@@ -13,8 +13,8 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from greenroof_ros.analysis.study.case_run import lay_out
-from greenroof_ros.analysis.study.workers import Workers, WorkersGoneError
+from greenroof_ros.analysis.study.case_run import write_inputs
+from greenroof_ros.analysis.study.workers import Workers, WorkersLostError
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.experiment.summary import versions
 
@@ -30,7 +30,7 @@ _CONNECT_S = 10
 # A worker that its nanny restarts is back sooner.
 _NO_WORKER_S = 15.0
 # Time between two requests to a scheduler for its workers.
-_ASK_S = 2.0
+_POLL_S = 2.0
 # The longest wait for the workers to delete their files.
 _DELETE_S = 5.0
 
@@ -39,14 +39,14 @@ class InputFiles(WorkerPlugin):
     """Keeps a study's input files on a worker; Dask sends them to each worker once."""
 
     def __init__(self, files: Mapping[str, bytes]) -> None:
-        """Take the contents by name."""
+        """Set the contents by name."""
         self._files = files
 
     def setup(self, worker: Any) -> None:
         """Write the files, before the worker gets its first run."""
         self._directory = tempfile.TemporaryDirectory(dir=worker.local_directory)
         self.path = Path(self._directory.name)
-        lay_out(self._files, self.path)
+        write_inputs(self._files, self.path)
 
     def teardown(self, worker: Any) -> None:
         """Delete the files."""
@@ -71,9 +71,9 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
     Raises:
         ConfigurationError: the scheduler does not answer or has no worker, or the versions on a
             worker differ from this process's.
-        WorkersGoneError: the scheduler or all its workers disappeared during work.
+        WorkersLostError: the scheduler or all its workers disappeared during work.
     """
-    gone = WorkersGoneError(f"the Dask scheduler at {address} is gone")
+    lost = WorkersLostError(f"the Dask scheduler at {address} is gone")
     try:
         client = Client(address, timeout=_CONNECT_S)
     except (OSError, ValueError, TypeError) as error:
@@ -96,24 +96,24 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
                 "has no worker", key="--scheduler", value=address
             ) from error
         except (OSError, CancelledError) as error:
-            raise gone from error
+            raise lost from error
         executor = client.get_executor(pure=False, retries=0)
-        asked = seen = time.monotonic()
+        polled = last_worker = time.monotonic()
 
         def check() -> None:
-            nonlocal asked, seen
+            nonlocal polled, last_worker
             now = time.monotonic()
-            if now - asked < _ASK_S:
+            if now - polled < _POLL_S:
                 return
-            asked = now
+            polled = now
             try:
                 there = client.nthreads()
             except (OSError, RuntimeError) as error:  # the connection or the client failed
-                raise gone from error
+                raise lost from error
             if there:
-                seen = now
-            elif now - seen > _NO_WORKER_S:
-                raise WorkersGoneError(
+                last_worker = now
+            elif now - last_worker > _NO_WORKER_S:
+                raise WorkersLostError(
                     f"the Dask scheduler at {address} has had no worker for {_NO_WORKER_S:g} s"
                 )
 
@@ -123,7 +123,7 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
                 partial(executor.submit, task), lambda future: future.result(), check
             )
         except CancelledError as error:  # not by this process: the scheduler is gone
-            raise gone from error
+            raise lost from error
         finally:
             # Cancels running tasks: after an interrupt nobody waits for their results.
             executor.shutdown(wait=False)

@@ -43,15 +43,16 @@ from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import name_files
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,
-    OWN_KEYS,
-    SITES_OWN,
+    SITE_STATE,
+    SITE_STATE_KEYS,
     check_volumes,
     initial_state,
-    own_state,
+    site_state,
 )
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS, SensorPumpErrors
 from greenroof_ros.model.site import PLACE, Site, edited, read_site, site_parameters
 from greenroof_ros.recording.results_table import shortest
+from greenroof_ros.weather.evapotranspiration import COMPUTED
 from greenroof_ros.weather.reading import find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, Weather
 
@@ -67,7 +68,7 @@ _FORECAST = "{model: errors, skill: real, seed: [1, 2]}"
 _FORECASTS = f"must be one of {', '.join(MODELS)}, a file or directory of forecasts, or {_FORECAST}"
 _ERRORS = "must be {roof_noise: 0.0005, roof_offset: [0, 0.002]} and the like, or a list of these"
 _STATE = (
-    f"must be one of {', '.join((*INITIAL_STATES, SITES_OWN))}, or "
+    f"must be one of {', '.join((*INITIAL_STATES, SITE_STATE))}, or "
     "{name: dry, cistern: 60.0, roof: 1.0} in m3"
 )
 _CONTROLLERS = (
@@ -79,7 +80,8 @@ _FILE, _START = "must be the name of a file", "must be a time such as 2021-07-07
 _NAME = "must be a name of your own"
 _TEXTS = {
     "file": _FILE, "start": _START, "name": _NAME,
-    "evapotranspiration": "must be fao56, or published for the weather files' own column",
+    "evapotranspiration":
+        f"must be {', '.join(COMPUTED)}, or published for the weather files' own column",
     "skill": f"must be one of {', '.join(SKILLS)}, or the name of a file",
 }
 _SETTINGS = "must hold parameters, a list of these, or nothing"
@@ -88,7 +90,7 @@ _NEEDED = {"site": _SITE, "weather": _WINDOW, "initial": _STATE, "controllers": 
 # Keys for the digests of a case's forecast files in the data of its identity.
 _DIGESTS = {"file": "forecast_file", "skill": "skill_file"}
 # Names that the directory of a study uses itself.
-_OWN_FILES = ("grid.yaml", "study.json")
+_STUDY_FILES = ("grid.yaml", "study.json")
 
 
 @dataclass(frozen=True)
@@ -240,16 +242,16 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
     """
     grid = _Grid(path, weather)
     cases = list(grid.cases())
-    seen: set[str] = set()
+    identities: set[str] = set()
     for case in cases:
-        if case.identity in seen:
+        if case.identity in identities:
             raise ConfigurationError(
                 f"is the same run twice: {case.controller.name} {case.parameters}, {case.initial}, "
                 f"from {case.start}, forecast {case.forecast}"
                 + (f", {case.sensor_pump_errors.values()}" if case.sensor_pump_errors else ""),
                 file=path,
             )
-        seen.add(case.identity)
+        identities.add(case.identity)
     return cases
 
 
@@ -352,13 +354,13 @@ class _Grid:
                 if choice in given
             ]
             for controller, parameters, *_ in theirs:
-                asked = ForecastChoice() if "seed" in choice.takes else choice
-                key = (asked, volumes, parameters.get("horizon"), controller.ensemble)
+                seedless = ForecastChoice() if "seed" in choice.option_names else choice
+                key = (seedless, volumes, parameters.get("horizon"), controller.ensemble)
                 if key not in checked:
                     with self._at(window, "start"):
                         checked[key] = build_run(
                             site_file, site, weather, start, steps, controller, parameters,
-                            initial, volumes, asked,
+                            initial, volumes, seedless,
                         )
                 run = checked[key]
             carried, forecast_files = self._carried(choice, site)
@@ -399,8 +401,8 @@ class _Grid:
                 raise self._refuse(mapping, "forecast", wrong) from error
             if choice.file is not None:
                 choice = replace(choice, file=self._file(block, key))
-            self._keys(block, {key: _FORECAST}, choice.takes)
-            for options in self._combinations(block, choice.takes):
+            self._keys(block, {key: _FORECAST}, choice.option_names)
+            for options in self._combinations(block, choice.option_names):
                 given: dict[str, Any] = read_numbers(self._path, options, NUMBERS)
                 if "skill" in options:
                     given["skill"] = self._skill(options)
@@ -475,11 +477,11 @@ class _Grid:
         """
         path = path.resolve()
         if path not in self._files:
-            taken = {*_OWN_FILES, *(file.name for file in self._files.values())}
+            used = {*_STUDY_FILES, *(file.name for file in self._files.values())}
             name = f"{path.name}{suffix}"
-            if name in taken:
+            if name in used:
                 name = f"{path.parent.name}-{name}"
-            self._files[path] = InputFile(unique_name(Path(name), taken), content(path))
+            self._files[path] = InputFile(unique_name(Path(name), used), content(path))
         return self._files[path]
 
     def _carried(
@@ -508,9 +510,9 @@ class _Grid:
     ) -> Iterator[tuple[str, tuple[float, float]]]:
         """Yield the name and volumes (m3) of each initial state."""
         named = {name: initial_state(site, name) for name in INITIAL_STATES}
-        own, names = own_state(site), set()
+        own, names = site_state(site), set()
         if own is not None:
-            named[SITES_OWN] = own
+            named[SITE_STATE] = own
         for state in self._blocks(self._mapping, "initial", _STATE):
             if "initial" not in state:
                 volumes = self._volumes(state, {"cistern": site.a1, "roof": site.a2})
@@ -518,8 +520,9 @@ class _Grid:
                 volumes = named[state["initial"]]
             else:
                 wrong = f"{state['initial']!r} {_STATE}"
-                if state["initial"] == SITES_OWN:
-                    wrong = f"{SITES_OWN} needs {' and '.join(OWN_KEYS)} in {site_file.name}"
+                if state["initial"] == SITE_STATE:
+                    needed = " and ".join(SITE_STATE_KEYS)
+                    wrong = f"{SITE_STATE} needs {needed} in {site_file.name}"
                 raise self._refuse(self._mapping, "initial", wrong)
             name = state.get("initial") or self._text(state, "name")
             if name in names:

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TextIO
 
-from greenroof_ros.analysis.study.case_run import Outcome, lay_out
+from greenroof_ros.analysis.study.case_run import Outcome, write_inputs
 from greenroof_ros.analysis.study.grid import Case, contents
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import naming
@@ -27,7 +27,7 @@ _DIGEST = "digest"
 _LOCK = ".lock"
 
 
-class Store:
+class StudyStore:
     """Stores each run's outcome when it arrives, whole or not at all.
 
     Attributes:
@@ -105,7 +105,7 @@ class Store:
             self._check(file, identity)
         else:
             shutil.copyfile(grid, configuration / "grid.yaml")
-            lay_out(contents(self.cases), configuration)
+            write_inputs(contents(self.cases), configuration)
             _write(file, json.dumps(identity, indent=2) + "\n")
         self._runs.mkdir(exist_ok=True)
         for cut_short in self._runs.glob("*.part"):
@@ -113,9 +113,9 @@ class Store:
 
     def _lock(self) -> None:
         """Keep other processes out while this one lives."""
-        self._held: TextIO = (self.directory / _LOCK).open("w")
+        self._lock_file: TextIO = (self.directory / _LOCK).open("w")
         try:
-            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(self._lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ConfigurationError(
                 "is in use by another process", key="--output", value=str(self.directory)
@@ -138,7 +138,7 @@ class Store:
                     key="--output", value=str(self.directory),
                 )
 
-    def keep(self, case: Case, outcome: Outcome) -> None:
+    def write_outcome(self, case: Case, outcome: Outcome) -> None:
         """Write an outcome; if the process is killed meanwhile, the outcome does not exist.
 
         Raises:
@@ -155,7 +155,7 @@ class Store:
         part.replace(whole)
         self.outcomes[case.identity] = replace(outcome, files={})
 
-    def keep_bound(self, case: Case, bound: float) -> None:
+    def write_bound(self, case: Case, bound: float) -> None:
         """Store the least possible total deviation (m3) of a case's problem."""
         self.bounds[case.problem] = bound
         _write(self._bounds, _with_digest(self.bounds))

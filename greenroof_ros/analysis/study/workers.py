@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
 
-from greenroof_ros.analysis.study.case_run import lay_out
+from greenroof_ros.analysis.study.case_run import write_inputs
 from greenroof_ros.common.files import naming
 from greenroof_ros.common.processes import end_with, scratch_directory
 
@@ -32,7 +32,7 @@ _PRELOADED = [
 ]
 
 
-class WorkersGoneError(BrokenExecutor):
+class WorkersLostError(BrokenExecutor):
     """The workers cannot go on; the message says what is gone."""
 
 
@@ -45,7 +45,7 @@ class Workers(NamedTuple):
     result: Callable[[Future[Any]], Any]
     """returns what the function of a future returned, or raises what it raised"""
     check: Callable[[], None]
-    """raises :class:`WorkersGoneError` if no worker is left"""
+    """raises :class:`WorkersLostError` if no worker is left"""
 
 
 @contextmanager
@@ -57,7 +57,7 @@ def processes(jobs: int, files: Mapping[str, bytes]) -> Iterator[Workers]:
         files: contents of the study's input files, by name.
 
     Raises:
-        WorkersGoneError: a process ended by itself, or was killed.
+        WorkersLostError: a process ended by itself, or was killed.
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_PRELOADED)
@@ -72,13 +72,13 @@ def processes(jobs: int, files: Mapping[str, bytes]) -> Iterator[Workers]:
     with scratch_directory() as scratch:
         inputs = scratch / "inputs"
         inputs.mkdir()
-        lay_out(files, inputs)
+        write_inputs(files, inputs)
         executor = ProcessPoolExecutor(jobs, context, _prepare, (str(scratch), os.getpid()))
         try:
             task = partial(_to_file, inputs)
             yield Workers(partial(executor.submit, task), _from_file, check=lambda: None)
         except (BrokenProcessPool, EOFError, ConnectionError) as error:  # or as a worker starts
-            raise WorkersGoneError(
+            raise WorkersLostError(
                 "a worker process was killed, perhaps because memory ran out; then use fewer --jobs"
             ) from error
         finally:

@@ -8,7 +8,7 @@ from pathlib import Path
 from statistics import median
 
 from greenroof_ros.analysis.verification.pairs import Class
-from greenroof_ros.analysis.verification.scores import Scores, Tally
+from greenroof_ros.analysis.verification.scores import ForecastScores, Tally
 from greenroof_ros.common.quality import Finding, Findings
 
 _FINDINGS = Findings(Path(__file__).with_name("findings.yaml"))
@@ -46,7 +46,7 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
     return findings
 
 
-def _odd_leads(scores: Mapping[Class, Scores]) -> dict[str, float]:
+def _odd_leads(scores: Mapping[Class, ForecastScores]) -> dict[str, float]:
     """Return leads, in words, whose water differs from the others', with the ratio (1).
 
     The water of a lead is its bias, which leaves out the hours that the lead lacks. A lead is odd

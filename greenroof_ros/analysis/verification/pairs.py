@@ -111,7 +111,7 @@ def _modelled(
     return IssuedForecasts(
         ", ".join([choice.model, *options]), choice.members if choice.model == "ensemble" else 1,
         horizon, 1, f"{to_people(weather.first)} to {to_people(weather.end)}", len(starts),
-        ((hour, model.known(hour, min(horizon, len(rain) - hour))[0]) for hour in starts),
+        ((hour, model.forecast(hour, min(horizon, len(rain) - hour))[0]) for hour in starts),
     )
 
 

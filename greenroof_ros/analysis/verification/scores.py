@@ -49,7 +49,7 @@ def event_scores(
     )
 
 
-class Scores(NamedTuple):
+class ForecastScores(NamedTuple):
     """Scores of pairs of forecast and observed sums; NaN if undefined.
 
     Bias, r, POD, FAR and ETS are scores of member 0, the forecast of controllers that use a single
@@ -135,18 +135,18 @@ class Tally:
         for column, weights in enumerate((np.ones_like(probability), probability, event)):
             self.reliability[:, column] += np.bincount(tenth, weights, TENTHS + 1)
 
-    def scores(self) -> Scores:
+    def scores(self) -> ForecastScores:
         """Return the scores of all pairs that were added."""
         n = int(self.table.sum())
         if not n:
-            return Scores(0, *[math.nan] * 7)
+            return ForecastScores(0, *[math.nan] * 7)
         forecast, observed, forecast_2, observed_2, product = self._moments / n
         variances = (forecast_2 - forecast**2) * (observed_2 - observed**2)
         # The variance of a constant series is only rounding error.
         varies = variances > 1e-12 * (forecast_2 * observed_2)
         r = (product - forecast * observed) / math.sqrt(variances) if varies else math.nan
         brier, error = (self._errors / n).tolist()
-        return Scores(
+        return ForecastScores(
             n, _ratio(forecast, observed), float(r), *event_scores(*self.table.tolist()), brier,
             error,
         )

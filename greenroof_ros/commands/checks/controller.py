@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 from rclpy.node import Node
 
 from greenroof_ros.commands.checks.node import NodeCheck, ProblemError, checking_node, require
-from greenroof_ros.common.command_line import Finding
+from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.controllers.check import trial_values
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import WithFront
@@ -37,7 +37,7 @@ _WATERS_AGAIN_S = 3600.0
 # A second command follows the first within this time (s): awaited in the first tick and the last.
 _SETTLE_S = 0.5
 # How long the last input of a tick is kept back (s): a node that does not await it answers by then.
-_KEPT_BACK_S = 0.1
+_DELAY_S = 0.1
 # A solver's answers to equal inputs may differ by this much.
 _EQUAL = 1e-6
 # How long a node may take to end when the plant has gone (s).
@@ -80,7 +80,7 @@ class ControllerCheck(NodeCheck):
         self._doubled = ""
         self._slowest = 0.0
 
-    def try_all(self) -> None:
+    def run_checks(self) -> None:
         """Run all checks in turn; after each stop the controller must water again."""
         with self.check("publishes nothing before the first tick"):
             early = len(self.answers)
@@ -105,7 +105,7 @@ class ControllerCheck(NodeCheck):
         with self.check("awaits each input of a tick, and commands the same in whatever order"):
             require(not self.hindered, self.hindered)
             for topic in filter(self.endpoints, (*self.inputs, *self.optional)):
-                self._come_last(topic)
+                self._publish_last(topic)
         with self.check("its commands are finite and not negative, at all levels and forecasts"):
             for trial in self._trials():
                 self._valid_command(trial)
@@ -144,7 +144,7 @@ class ControllerCheck(NodeCheck):
             for trial in trial_values(self._site)
         ]
 
-    def _come_last(self, topic: str) -> None:
+    def _publish_last(self, topic: str) -> None:
         """Publish an input last in a tick; the command must not change by that.
 
         The command of a controller with a memory may lie between its neighbours.
@@ -168,7 +168,7 @@ class ControllerCheck(NodeCheck):
 
     def _end(self) -> None:
         require(bool(self.endpoints(self.output)), "it has ended before the plant")
-        self.leave()
+        self.close_publishers()
         until = time.monotonic() + _END_S
         while self.endpoints(self.output):
             require(
@@ -196,14 +196,14 @@ class ControllerCheck(NodeCheck):
             ProblemError: there is no answer, or one before the last input.
         """
         self._count_answers(0)
-        self.begin_tick()
+        self.start_tick()
         values = {**self._usual, **overrides}
         early = False
         for topic in self.played[1:]:
             if topic != last:
                 self.publish(topic, self._value(topic, values))
         if last:
-            self.spin(_KEPT_BACK_S)
+            self.spin(_DELAY_S)
             early = bool(self.answers)
             self.publish(last, self._value(last, values))
         began = time.monotonic()
@@ -252,7 +252,7 @@ def _with(values: Mapping[str, float]) -> str:
 
 def check_controller_node(
     controller: str, site: Site, *, horizon: float, answer: float, arrival: float
-) -> list[Finding]:
+) -> list[CheckResult]:
     """Check a running controller's node.
 
     Args:
@@ -263,7 +263,7 @@ def check_controller_node(
         arrival: longest wait for the node to join the graph (s).
 
     Returns:
-        A finding for each check.
+        A result for each check.
 
     Raises:
         ConfigurationError: there is no such node.

@@ -18,14 +18,14 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
-from greenroof_ros.common.command_line import Finding
+from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.standard_error import ProgressLines
 from greenroof_ros.graph.domain import choose_transport, make_executor
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import encoder, lacks, message_class, qos_profile, requirements
-from greenroof_ros.graph.publishers import call_node
+from greenroof_ros.graph.publishers import display_name
 
 # More ticks than a check ever takes.
 _LAST_TICK = 1e9
@@ -55,10 +55,10 @@ class NodeCheck(ABC):
         optional: the topics that it may subscribe to, and whose quality of service must then fit.
         played: the topics that the check publishes, in the order of a tick.
         peers: which nodes the check plays, for messages.
-        checks: the number of findings, for the progress messages.
+        checks: the number of checks, for the progress messages.
         answers: the values received on ``output`` and not counted yet.
-        findings: what was found.
-        result: what the present check found, if it is worth showing.
+        results: of the checks so far.
+        result: of the present check, if it is worth showing.
         hindered: why no more ticks are tried; empty if they are.
         ticks: how many ticks were published.
     """
@@ -84,7 +84,7 @@ class NodeCheck(ABC):
         self.node = node
         self.interface = read_topics()
         self.answers: list[float] = []
-        self.findings: list[Finding] = []
+        self.results: list[CheckResult] = []
         self.result = ""
         self.hindered = ""
         self.ticks = 0
@@ -92,12 +92,12 @@ class NodeCheck(ABC):
         self._tau, self._speed = tau, speed
         self._executor = make_executor()
         self._executor.add_node(node)
-        self._trying = f"waiting for the {self.kind}"
+        self._current_check = f"waiting for the {self.kind}"
         self._lines = ProgressLines()
         self._publishers: dict[str, Callable[[Any], None]] = {}
 
-    def run(self) -> list[Finding]:
-        """Run all checks, and return a finding for each; only the first if the topics do not fit.
+    def run(self) -> list[CheckResult]:
+        """Run all checks, and return a result for each; only the first if the topics do not fit.
 
         Raises:
             ConfigurationError: there is no such node.
@@ -105,26 +105,26 @@ class NodeCheck(ABC):
         """
         self._wait_for_node()
         unfit = self._unfit()
-        self.findings.append(Finding("its topics fit the interface", unfit))
+        self.results.append(CheckResult("its topics fit the interface", unfit))
         if not unfit:
             self.join()
-            self.try_all()
-        return self.findings
+            self.run_checks()
+        return self.results
 
     @abstractmethod
-    def try_all(self) -> None:
+    def run_checks(self) -> None:
         """Run all checks in turn, except for the topics."""
 
     @contextmanager
     def check(self, title: str) -> Iterator[None]:
-        """Run a check and note its finding."""
-        self._trying = f"check {len(self.findings) + 1} of {self.checks}: {title}"
+        """Run a check and store its result."""
+        self._current_check = f"check {len(self.results) + 1} of {self.checks}: {title}"
         problem, self.result = "", ""
         try:
             yield
         except ProblemError as error:
             problem = str(error)
-        self.findings.append(Finding(title, problem, self.result))
+        self.results.append(CheckResult(title, problem, self.result))
 
     # --- the graph ------------------------------------------------------------------------------
 
@@ -161,13 +161,13 @@ class NodeCheck(ABC):
             if publishers:
                 raise OccupiedError(
                     f"{self._name(topic)} already has a publisher "
-                    f"({call_node(publishers[0].node_name)}): the check plays {self.peers} "
+                    f"({display_name(publishers[0].node_name)}): the check plays {self.peers} "
                     "itself; end the graph first"
                 )
 
     def _absent(self) -> str:
         names = {
-            call_node(info.node_name) for topic in (self.output, *self.inputs)
+            display_name(info.node_name) for topic in (self.output, *self.inputs)
             for info in self._all_endpoints(topic)
         }
         return (
@@ -209,7 +209,7 @@ class NodeCheck(ABC):
         self._publishers[RUN](RunIdentity(0.0, _LAST_TICK, self._speed).values)
         self.spin(_DISCOVERY_S)
 
-    def leave(self) -> None:
+    def close_publishers(self) -> None:
         """Close every topic of a tick, as nodes that end do."""
         names = set(map(self._name, self.played))
         for publisher in list(self.node.publishers):
@@ -227,14 +227,14 @@ class NodeCheck(ABC):
 
     # --- ticks ----------------------------------------------------------------------------------
 
-    def begin_tick(self) -> None:
+    def start_tick(self) -> None:
         """Publish the time of the next tick.
 
         Raises:
             ProblemError: no more ticks are tried.
         """
         require(not self.hindered, self.hindered)
-        self._lines.tell(self._trying)
+        self._lines.update(self._current_check)
         self.publish(CLOCK, _EPOCH_NS + round(self.ticks * self._tau * 1e9))
         self.ticks += 1
 
@@ -245,19 +245,19 @@ class NodeCheck(ABC):
     def wait_for_answer(self, until: float) -> bool:
         """Wait until the node has answered; return whether it has by then (steady clock, s)."""
         while not self.answers:
-            left = until - time.monotonic()
-            if left < 0:
+            remaining = until - time.monotonic()
+            if remaining < 0:
                 self.hindered = f"not tried: the {self.kind} does not answer"
                 return False
-            self._executor.spin_once(timeout_sec=left)
+            self._executor.spin_once(timeout_sec=remaining)
         return True
 
     def spin(self, seconds: float) -> None:
         """Receive messages for this time, and show the progress."""
         until = time.monotonic() + seconds
-        while (left := until - time.monotonic()) > 0:
-            self._executor.spin_once(timeout_sec=left)
-        self._lines.tell(self._trying)
+        while (remaining := until - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=remaining)
+        self._lines.update(self._current_check)
 
 
 @contextmanager

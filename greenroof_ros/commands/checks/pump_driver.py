@@ -13,7 +13,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from greenroof_ros.commands.checks.node import NodeCheck, checking_node, require
-from greenroof_ros.common.command_line import Finding
+from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.site import Site
@@ -56,7 +56,7 @@ _NOT_RUNNING = "not tried: the pump does not run"
 
 
 @dataclass(frozen=True)
-class Limits:
+class DriverLimits:
     """The command for the driver, and its time limits.
 
     Attributes:
@@ -91,7 +91,7 @@ class PumpCheck(NodeCheck):
     peers: ClassVar[str] = "plant, weather and controller"
     checks: ClassVar[int] = 22
 
-    def __init__(self, node: Node, driver: str, site: Site, limits: Limits) -> None:
+    def __init__(self, node: Node, driver: str, site: Site, limits: DriverLimits) -> None:
         """Prepare a check.
 
         Args:
@@ -112,7 +112,7 @@ class PumpCheck(NodeCheck):
         self._lockstep_problem = ""
         self._state = ""
 
-    def try_all(self) -> None:
+    def run_checks(self) -> None:
         """Run all checks in turn; after each stop except the last, the pump must run again."""
         limits, site = self._limits, self._site
         with self.check("is off at start: no flow before a command, and 0 at command 0"):
@@ -148,7 +148,7 @@ class PumpCheck(NodeCheck):
             with self.check(f"stops {when}: {within}"):
                 self._must_run()
                 self._stop(f"{value:g} on {topic}", {topic: value})
-            if topic == "/roof/level":  # the roof is taken to have dried: it has room again
+            if topic == "/roof/level":  # the roof is assumed to have dried: it has room again
                 self._volumes[1] = self._empty_roof
             self._runs(f"again when {after}")
         with self.check(f"stops when the cistern falls to the suction level: {within}"):
@@ -190,7 +190,7 @@ class PumpCheck(NodeCheck):
             overrides: values, by topic, that replace the values of an undisturbed tick.
         """
         began, tau = time.monotonic(), self._site.tau
-        self.begin_tick()
+        self.start_tick()
         cistern, roof = self._volumes
         values: dict[str, float] = {
             "/cistern/level": cistern / self._site.a1,
@@ -307,7 +307,7 @@ class PumpCheck(NodeCheck):
             self._count_answers(0)
 
 
-def check_pump(driver: str, site: Site, limits: Limits) -> list[Finding]:
+def check_pump(driver: str, site: Site, limits: DriverLimits) -> list[CheckResult]:
     """Check a running driver.
 
     Args:
@@ -316,7 +316,7 @@ def check_pump(driver: str, site: Site, limits: Limits) -> list[Finding]:
         limits: the command and the time limits.
 
     Returns:
-        A finding for each check.
+        A result for each check.
 
     Raises:
         ConfigurationError: there is no such driver.

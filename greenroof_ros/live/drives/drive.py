@@ -10,17 +10,17 @@ from dataclasses import dataclass
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.drives.drive_file import (
     Codes,
-    Condition,
     DriveFile,
     Register,
+    RegisterCondition,
     Step,
     Timeout,
 )
 from greenroof_ros.live.drives.modbus_line import SIMULATOR, Address, DriveError, decode, limits
-from greenroof_ros.model.pump_speed import STANDS
+from greenroof_ros.model.pump_speed import STANDSTILL
 
 # Time between two checks whether a drive has reached a state (s).
-_LOOK_S = 0.05
+_POLL_S = 0.05
 _LOCAL = "; it is in local control: switch it to bus control at its panel"
 
 
@@ -51,9 +51,9 @@ class DriveStatus:
     runs_on: bool = False
 
     @property
-    def stands(self) -> bool:
+    def at_rest(self) -> bool:
         """Whether the pump is at rest."""
-        return abs(self.speed) <= STANDS
+        return abs(self.speed) <= STANDSTILL
 
     def __str__(self) -> str:
         return ", ".join(filter(None, (
@@ -82,7 +82,7 @@ class Drive:
         """
         self.file, self.line = file, file.line(address, timeout_s)
         self.stopped: bool | None = None
-        self._address, self._timeout = address, file.timeout.over(address)
+        self._address, self._timeout = address, file.timeout.guarding(address)
         self._full_scale: dict[str, float] = {}
         # False: the state in which somebody else left the drive is unknown.
         self._prepared = False
@@ -105,7 +105,7 @@ class Drive:
         """
         parts = []
         for plate in self.file.nameplate:
-            raw = self._raw(plate.register)
+            raw = self._read_raw(plate.register)
             text = plate.texts.get(raw, str(raw)) if isinstance(raw, int) else str(raw)
             parts.append(f"{self.file.registers[plate.register].meaning}: {text}")
         return f"{self.file.make} {self.file.model} ({'; '.join(parts)})"
@@ -128,14 +128,14 @@ class Drive:
                 f"(timeout.{self._address.interface}); if the address is a gateway to the drive's "
                 "serial port, write gateway://HOST:PORT",
             )
-        raw = self._raw(timeout.register)
+        raw = self._read_raw(timeout.register)
         seconds = self._scaled(timeout.register, raw)
         if raw in timeout.off_values or seconds is None or seconds <= 0:
             return None, f"{self._named(timeout.register)} is {raw}: off"
         for setting in (timeout.action, timeout.mode):
             if setting is None:
                 continue
-            chosen = self._number(setting.register)
+            chosen = self._read_number(setting.register)
             if chosen not in setting.stops:
                 text = setting.runs_on.get(chosen, "not in the drive file")
                 return None, (
@@ -158,14 +158,14 @@ class Drive:
         if status.warning is not None and self._fulfils(status.warning, values):
             _, warning = self._cause(self.file.warnings)
         speed = self._available("speed")
-        if -STANDS <= speed <= 0:
+        if -STANDSTILL <= speed <= 0:
             speed = 0.0
         elif speed < 0:
             backwards = f"the pump turns backwards (speed {speed:.1%})"
             fault, timed_out = "; ".join(filter(None, (fault, backwards))), False
         flow = None
         if "flow" in self.file.registers:
-            flow = self._scaled("flow", self._raw("flow"))
+            flow = self._scaled("flow", self._read_raw("flow"))
         return DriveStatus(
             self._fulfils(status.ready, values), self._fulfils(status.running, values), fault,
             warning, speed, flow, remote=not self.local(values), timed_out=timed_out,
@@ -183,7 +183,7 @@ class Drive:
         remote = self.file.status.remote
         return remote is not None and not self._fulfils(remote, {} if values is None else values)
 
-    def run(self, speed: float, go_on: Callable[[], bool] = lambda: True) -> None:
+    def run(self, speed: float, may_continue: Callable[[], bool] = lambda: True) -> None:
         """Make the drive ready if needed, then write speed and control word.
 
         The caller repeats this while the pump must run: many drives stop by themselves unless they
@@ -191,7 +191,7 @@ class Drive:
 
         Args:
             speed: share of rated speed, 0 to 1.
-            go_on: asked before each step and while waiting; if it returns False, the sequence ends.
+            may_continue: called before each step and while waiting; the sequence ends on False.
 
         Raises:
             DriveError: no answer or a wrong one; a fault is active; a state was not reached in
@@ -204,11 +204,11 @@ class Drive:
         if self._fulfils(self.file.status.fault, values):
             raise self.line.error("drive", f"fault: {self._cause(self.file.faults)[1]}")
         if not self._prepared or not self._fulfils(self.file.status.enabled, values):
-            if not self._perform(self.file.sequences.ready, go_on):
+            if not self._perform(self.file.sequences.ready, may_continue):
                 return
             self._prepared = True
             values.clear()
-        self._perform(self.file.sequences.run, go_on, speed, values)
+        self._perform(self.file.sequences.run, may_continue, speed, values)
 
     def stop(self) -> None:
         """Ramp down and switch off. The caller repeats this while the pump must be off.
@@ -231,7 +231,7 @@ class Drive:
                     break
         if refused is not None:
             raise refused
-        self._number(self.file.status.running.register)
+        self._read_number(self.file.status.running.register)
         self.stopped = True
 
     def reset(self) -> None:
@@ -244,7 +244,7 @@ class Drive:
         self._prepared = False
         self._perform(self.file.sequences.reset)
 
-    def intruder(self) -> str:
+    def second_master(self) -> str:
         """Return that the control word is not the one last written; empty if it is, or if unknown.
 
         Only the bits that the drive file uses are compared, and only on a connection on which the
@@ -257,7 +257,7 @@ class Drive:
         if self._word is None:
             return ""
         try:
-            word = self._number("control")
+            word = self._read_number("control")
         except DriveError as error:
             if error.kind == "connection":
                 raise
@@ -271,7 +271,7 @@ class Drive:
             f"0x{word:04X}, but 0x{self._word:04X} was written (unless the drive itself changed it)"
         )
 
-    def why_no_simulator(self) -> str:
+    def simulator_problem(self) -> str:
         """Return why this may not be the drive simulator; empty if it certainly is.
 
         Nothing is written to it. Nothing at all is sent unless the address is at loopback or a
@@ -280,7 +280,7 @@ class Drive:
         Raises:
             DriveError: of the kind ``connection``: nobody answers there.
         """
-        if not self._address.is_here:
+        if not self._address.is_on_this_machine:
             return f"{self._address} is neither at loopback nor a pseudo-terminal"
         try:
             named = self.line.identification()
@@ -297,7 +297,7 @@ class Drive:
     def _perform(
         self,
         steps: Iterable[Step],
-        go_on: Callable[[], bool] = lambda: True,
+        may_continue: Callable[[], bool] = lambda: True,
         speed: float = 0.0,
         values: dict[str, int] | None = None,
     ) -> bool:
@@ -305,12 +305,12 @@ class Drive:
 
         Args:
             steps: in order.
-            go_on: asked before each step and while waiting; if it returns False, the rest is left.
+            may_continue: called before each step and while waiting; the rest is omitted on False.
             speed: written by the step that writes the speed.
             values: raw values just read; a condition that they already fulfil is not waited for.
         """
         for step in steps:
-            if not go_on():
+            if not may_continue():
                 return False
             word = self._encoded(step.write, speed) if isinstance(step.value, str) else step.value
             if step.write == "control":
@@ -322,17 +322,17 @@ class Drive:
             if until is None or (values and until.register in values
                                  and until.fulfilled_by(values[until.register])):
                 continue
-            if not self._reached(step, until, word, go_on):
+            if not self._wait_for(step, until, word, may_continue):
                 return False
         return True
 
-    def _reached(
-        self, step: Step, until: Condition, word: int, go_on: Callable[[], bool]
+    def _wait_for(
+        self, step: Step, until: RegisterCondition, word: int, may_continue: Callable[[], bool]
     ) -> bool:
-        """Wait for a state; return False if `go_on` ended the wait."""
+        """Wait for a state; return False if `may_continue` ended the wait."""
         deadline = time.monotonic() + step.within_s
         while not self._fulfils(until, now := dict[str, int]()):
-            if not go_on():
+            if not may_continue():
                 return False
             if time.monotonic() > deadline:
                 raw, texts = now[until.register], self.file.status.bits.items()
@@ -345,17 +345,17 @@ class Drive:
                     f"{until.register} is 0x{raw:04X}, not 0x{until.value:04X} under the mask "
                     f"0x{until.mask:04X}{bits}" + (_LOCAL if self.local(now) else ""),
                 )
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)
         return True
 
     # --- values -----------------------------------------------------------------------------------
 
-    def _fulfils(self, condition: Condition, values: dict[str, int]) -> bool:
+    def _fulfils(self, condition: RegisterCondition, values: dict[str, int]) -> bool:
         if condition.register not in values:
-            values[condition.register] = self._number(condition.register)
+            values[condition.register] = self._read_number(condition.register)
         return condition.fulfilled_by(values[condition.register])
 
-    def _raw(self, name: str) -> int | float | str:
+    def _read_raw(self, name: str) -> int | float | str:
         register = self.file.registers[name]
         return decode(
             self.line.read(register.address, register.width), register.type, register.word_order
@@ -363,11 +363,11 @@ class Drive:
 
     def _cause(self, codes: Codes | None) -> tuple[int, str]:
         """Return the code, or bits, of the present fault or warning, and its text."""
-        raw = 0 if codes is None else self._number(codes.register)
+        raw = 0 if codes is None else self._read_number(codes.register)
         return raw, (codes and codes.text(raw)) or "the drive gives no cause"
 
-    def _number(self, name: str) -> int:
-        raw = self._raw(name)
+    def _read_number(self, name: str) -> int:
+        raw = self._read_raw(name)
         assert isinstance(raw, int)
         return raw
 
@@ -382,7 +382,7 @@ class Drive:
         if raw == register.missing:
             return None
         value = raw * self._factor(register)
-        low = min(register.low, -STANDS) if name == "speed" else register.low
+        low = min(register.low, -STANDSTILL) if name == "speed" else register.low
         if not math.isfinite(value) or not low <= value <= register.high:
             raise self.line.error(
                 "answer",
@@ -393,7 +393,7 @@ class Drive:
 
     def _available(self, name: str) -> float:
         """Return a register's value in its unit; if it is not available, raise a DriveError."""
-        value = self._scaled(name, self._raw(name))
+        value = self._scaled(name, self._read_raw(name))
         if value is None:
             raise self.line.error("answer", f"its {name} is not available")
         return value
@@ -425,7 +425,7 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class PlacedDrive:
+class DriveEndpoint:
     """A make of drive at an address.
 
     Attributes:
@@ -445,14 +445,14 @@ class PlacedDrive:
     @property
     def guard(self) -> Timeout | None:
         """Its communication timeout at this address; None if the drive file has none."""
-        return self.file.timeout.over(self.address)
+        return self.file.timeout.guarding(self.address)
 
     @property
-    def is_here(self) -> bool:
+    def is_on_this_machine(self) -> bool:
         """Whether it is at loopback or a pseudo-terminal; may block while the host is resolved."""
-        return self.address.is_here
+        return self.address.is_on_this_machine
 
-    def place(self) -> str:
+    def canonical_name(self) -> str:
         """Return a name of the place that is the same however the address is written.
 
         May block while the host name is resolved.
@@ -462,16 +462,16 @@ class PlacedDrive:
         """
         return f"{self._at()}-{self.file.device_id_at(self.address)}"
 
-    def place_of_lock(self) -> str:
-        """Return the place that only one driver may use: the drive, or its whole serial line.
+    def lock_name(self) -> str:
+        """Return the name of its lock: the drive's, or its whole serial line's.
 
         Raises:
-            OSError: as in `place`.
+            OSError: as in `canonical_name`.
         """
-        return self._at() if self.address.line else self.place()
+        return self._at() if self.address.line else self.canonical_name()
 
     def _at(self) -> str:
-        return self.address.place(self.file.tcp.port).strip("/")
+        return self.address.canonical_name(self.file.tcp.port).strip("/")
 
     def connection(self, timeout_s: float = 0.5) -> Drive:
         """Return the drive on a new connection, not yet opened; it must be connected only once.
@@ -485,14 +485,14 @@ class PlacedDrive:
         return Drive(self.file, self.address, timeout_s)
 
 
-def no_real_time(why: str, key: str, speed: float) -> ConfigurationError:
+def real_time_error(why: str, key: str, speed: float) -> ConfigurationError:
     """Return the error that refuses a speed other than real time.
 
     A drive other than the simulator may turn a real motor by made-up levels, and start it more
     often by the factor by which time is faster.
 
     Args:
-        why: it may not be the simulator; see `Drive.why_no_simulator`.
+        why: it may not be the simulator; see `Drive.simulator_problem`.
         key: the option or parameter that sets the speed, for the message.
         speed: simulated time per wall time; 0 for as fast as possible.
     """

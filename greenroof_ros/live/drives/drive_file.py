@@ -84,7 +84,7 @@ class Register:
 
 
 @dataclass(frozen=True)
-class Condition:
+class RegisterCondition:
     """True if register & mask == value."""
 
     mask: Word = entry("bits that count", 1, 0xFFFFFFFF)
@@ -92,7 +92,7 @@ class Condition:
     register: str = entry("name of the register", default="status")
 
     def fulfilled_by(self, raw: int) -> bool:
-        """Tell whether a raw value fulfils the condition."""
+        """Return whether a raw value fulfils the condition."""
         return raw & self.mask == self.value
 
 
@@ -104,7 +104,7 @@ class Step:
     value: Word | str = entry(
         "the word, or 'speed' for the requested speed", 0, 0xFFFF, choices=(SPEED,)
     )
-    until: Condition | None = entry("what must be true before the next step", default=None)
+    until: RegisterCondition | None = entry("what must be true before the next step", default=None)
     within_s: float = entry("how long that may take (s)", 0.05, 60, default=1.0)
 
 
@@ -121,15 +121,15 @@ class Sequences:
 
 
 @dataclass(frozen=True)
-class Status:
+class StatusWord:
     """The meaning of the status word."""
 
-    enabled: Condition = entry("`run` works without `ready` before it")
-    ready: Condition = entry("no fault, no interlock: it would start")
-    running: Condition = entry("the motor is energized")
-    fault: Condition = entry("a fault keeps it off")
-    warning: Condition | None = entry("a warning is active", default=None)
-    remote: Condition | None = entry("it obeys the bus", default=None)
+    enabled: RegisterCondition = entry("`run` works without `ready` before it")
+    ready: RegisterCondition = entry("no fault, no interlock: it would start")
+    running: RegisterCondition = entry("the motor is energized")
+    fault: RegisterCondition = entry("a fault keeps it off")
+    warning: RegisterCondition | None = entry("a warning is active", default=None)
+    remote: RegisterCondition | None = entry("it obeys the bus", default=None)
     bits: dict[int, str] = entry(
         "texts of the status word's bits, 0 the least significant", 0, 31, factory=dict
     )
@@ -146,7 +146,7 @@ class Codes:
     )
 
     def only(self, raw: int, among: tuple[Word, ...]) -> bool:
-        """Tell whether a raw value reports something, and nothing beyond these codes or bits."""
+        """Return whether a raw value reports something, and nothing beyond these codes or bits."""
         if self.kind == "code":
             return raw in among
         return raw != 0 and raw & ~sum(1 << bit for bit in among) == 0
@@ -207,13 +207,13 @@ class Timeouts:
     tcp: Timeout | None = entry("for its own Ethernet port, or its adapter's", default=None)
 
     @property
-    def known(self) -> dict[str, Timeout]:
+    def by_interface(self) -> dict[str, Timeout]:
         """The timeouts in the file, by interface."""
         return {name: timeout for name, timeout in vars(self).items() if timeout is not None}
 
-    def over(self, address: Address) -> Timeout | None:
-        """Return the timeout that guards a connection; None if the file has none."""
-        return self.known.get(address.interface)
+    def guarding(self, address: Address) -> Timeout | None:
+        """Return the timeout that guards an address; None if the file has none."""
+        return self.by_interface.get(address.interface)
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,7 @@ class DriveFile:
         "by name; `control`, `reference`, `status` and `speed` are required"
     )
     sequences: Sequences = entry("control words")
-    status: Status = entry("the status word")
+    status: StatusWord = entry("the status word")
     faults: Codes = entry("fault codes")
     timeout: Timeouts = entry("the drive's own communication timeouts")
     nameplate: tuple[Nameplate, ...] = entry("read on connecting")
@@ -348,7 +348,7 @@ def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
                 yield f"{key}.write", part.write, _WORD
             case Register() if part.full_scale:
                 yield f"{key}.full_scale", part.full_scale, _BITS
-            case Condition() | Codes() | Action():
+            case RegisterCondition() | Codes() | Action():
                 yield f"{key}.register", part.register, _BITS
             case Timeout():
                 yield f"{key}.register", part.register, "s"
@@ -385,7 +385,7 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
                     f"must have low, above 0, and high, and no full_scale: {name} is divided by it"
                 )
     for key, part in _parts(drive, ""):
-        if isinstance(part, Condition) and part.value & ~part.mask:
+        if isinstance(part, RegisterCondition) and part.value & ~part.mask:
             yield f"{key}.value", (
                 f"has bits outside the mask 0x{part.mask:04X}: it could never be true"
             )

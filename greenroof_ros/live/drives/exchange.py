@@ -1,4 +1,4 @@
-"""Controls a drive from its own thread, which stops the drive when nobody asks for it any more."""
+"""Controls a drive from its own thread, which stops the drive when requests cease."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from typing import Any
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
+from greenroof_ros.live.drives.endpoint import Connection, Endpoint
 from greenroof_ros.live.drives.lock import DriveInUseError, DriveLock
-from greenroof_ros.live.drives.modbus_line import DeviceThread, DriveError, Known
-from greenroof_ros.live.drives.placed import Connection, Placed
+from greenroof_ros.live.drives.modbus_line import DeviceSnapshot, DeviceThread, DriveError
 
 # Wait before a new attempt to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
 # A drive being stopped must not keep its speed for longer than this (s), or it counts
 # as one that does not stop; and the least decrease that counts (share of rated speed).
-STILL_S, SLOWER = 3.0, 0.005
+STEADY_S, SLOWER = 3.0, 0.005
 # A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), longer
-# than a drive needs to begin its ramp. It is left in silence once the fault was visible for SEEN_S
-# (s), longer than the caller's tick, even if a connection breaks meanwhile. Together they are not
-# longer than pump control by default waits for a speed to follow beyond the ramp (follow_time).
-RUNS_ON_S, SEEN_S = 10.0, 2.0
+# than a drive needs to begin its ramp. It is left in silence once the fault was visible for
+# VISIBLE_S (s), longer than the caller's tick, even if a connection breaks meanwhile. Together they
+# are not longer than pump control by default waits for a speed to follow beyond the ramp
+# (follow_time).
+RUNS_ON_S, VISIBLE_S = 10.0, 2.0
 # Least time from a silence that did not help to the next (s): the fault may need a person.
 RUNS_ON_AGAIN_S = 60.0
 # A drive whose speed cannot be read may still get orders for this long (s); then follows the
@@ -33,24 +34,24 @@ UNREAD_S = RUNS_ON_S + LONGEST_WAIT_S
 # Longest time that driver and supervisor each wait for a drive to come to rest (s): its ramp, and
 # the requests. It must fit into the 40 s in which bringup lets the pump node end. Twice, one after
 # the other, it must fit into the 120 s of examples/greenroof.service.
-LEAVE_S = LONGEST_RAMP_S + 3.0
+REST_LIMIT_S = LONGEST_RAMP_S + 3.0
 # How long a drive that failed to start is left off before the next attempt (s).
 PAUSE_S = 2.0
 # The same after the last sign of another writer (s): longer than a slow writer's period.
-INTRUDER_PAUSE_S = 10.0
+SECOND_MASTER_PAUSE_S = 10.0
 # Within this time the drive must acknowledge its fault; after it the fault counts again (s).
 RESET_S = 5.0
 # Interval at which the drive's safety-relevant settings are read again (s).
 SETTINGS_S = 30.0
 # A silence is longer than the drive's own communication timeout by this much (s).
 SILENCE_MARGIN_S = 1.0
-# Wait before a new attempt to take the lock of the drive (s).
+# Wait before a new attempt to acquire the lock of the drive (s).
 LOCK_WAIT_S = 1.0
 # The connection counts as lost after this many consecutive cycles without a valid answer.
 LOST_AFTER = 2
 
 
-class State(enum.Enum):
+class ExchangeState(enum.Enum):
     """The state of the exchange with a drive; see `DriveExchange`."""
 
     CONNECTING = "connecting"
@@ -61,7 +62,7 @@ class State(enum.Enum):
 
 
 @dataclass(frozen=True)
-class Snapshot(Known):
+class DriveSnapshot(DeviceSnapshot):
     """What is known about a drive at one moment.
 
     Attributes:
@@ -78,11 +79,11 @@ class Snapshot(Known):
         no_simulator: why it may not be the drive simulator; empty if it is, None if unknown.
         second_master: that somebody else writes to the drive, which is therefore kept off; empty
             if nobody does.
-        start_failed: why it was stopped although it was to run; empty once *off* is asked for.
+        start_failed: why it was stopped although it was to run; empty once *off* is requested.
         errors: number of failures so far.
     """
 
-    state: State = State.CONNECTING
+    state: ExchangeState = ExchangeState.CONNECTING
     status: DriveStatus | None = None
     identity: str = ""
     timeout_s: float | None = None
@@ -97,28 +98,28 @@ class Snapshot(Known):
     @property
     def connected(self) -> bool:
         """Whether there is a connection that gives answers."""
-        return self.state in (State.STOPPED, State.RUNNING, State.STOPPING)
+        return self.state in (ExchangeState.STOPPED, ExchangeState.RUNNING, ExchangeState.STOPPING)
 
 
 class RunsOnError(DriveError):
     """A drive runs on after *stop*, and must now be left in silence."""
 
 
-class _Fall:
+class _Deceleration:
     """The fall of a drive's speed after *stop*."""
 
     def __init__(self) -> None:
         self._lowest, self._fell_at = math.inf, -math.inf
 
-    def still_s(self, status: DriveStatus, now: float) -> float:
-        """Take a drive's report; return for how long its speed has not fallen (s)."""
+    def update(self, status: DriveStatus, now: float) -> float:
+        """Update with a drive's report; return for how long its speed has not fallen (s)."""
         if abs(status.speed) < self._lowest - SLOWER:
             self._lowest, self._fell_at = abs(status.speed), now
         return now - self._fell_at
 
 
-class Obedience:
-    """Whether a drive obeys *stop*, judged across connections that break.
+class StopMonitor:
+    """Monitors whether a drive obeys *stop*, across connections that break.
 
     A drive obeys if its speed falls, however slowly. A drive in local control is left to the
     person at its panel. All times are of `time.monotonic` (s).
@@ -132,54 +133,54 @@ class Obedience:
         """
         self._where = where
         # The fall since *stop* became the last order; None if the drive runs or is at rest.
-        self._fall: _Fall | None = None
+        self._fall: _Deceleration | None = None
         # For how long reports have shown that the speed does not fall, and the time of the last
         # such report on this connection.
-        self._seen_s, self._said_at = 0.0, math.inf
+        self._visible_s, self._reported_at = 0.0, math.inf
         # Since when *stop* has been written without any speed being read.
         self._unread_from = math.inf
         # The number of consecutive connections on which the last *stop* could not be written.
         self._refusals = 0
         # End of the last silence because the drive ran on or its speed could not be read; reset
         # when it comes to rest or runs.
-        self._left_until = -math.inf
+        self._silent_until = -math.inf
 
     def stop_written(self, now: float) -> None:
-        """Note that *stop* was written, and is the last order."""
-        self._fall = self._fall or _Fall()
+        """Record that *stop* was written, and is the last order."""
+        self._fall = self._fall or _Deceleration()
         self._unread_from = min(self._unread_from, now)
 
-    def forget(self) -> None:
-        """Note that the last order is not *stop*, or may be somebody else's."""
+    def order_changed(self) -> None:
+        """Record that the last order is not *stop*, or may be somebody else's."""
         self._fall = None
 
-    def heard(self) -> None:
-        """Note that the speed was read, or that a person at the panel watches the drive."""
+    def speed_read(self) -> None:
+        """Record that the speed was read, or that a person at the panel watches the drive."""
         self._unread_from = math.inf
 
-    def judge(self, status: DriveStatus, now: float) -> DriveStatus:
+    def check(self, status: DriveStatus, now: float) -> DriveStatus:
         """Return a drive's report, with a fault added if it runs on after *stop*.
 
         Raises:
             RunsOnError: the fault has been visible for long enough.
         """
-        fall, said_at, self._said_at = self._fall, self._said_at, math.inf
-        if fall is None or status.stands or not status.remote:
-            self._fall, self._left_until = None, -math.inf
+        fall, reported_at, self._reported_at = self._fall, self._reported_at, math.inf
+        if fall is None or status.at_rest or not status.remote:
+            self._fall, self._silent_until = None, -math.inf
             return status
-        still_s = fall.still_s(status, now)
-        if still_s <= RUNS_ON_S:
-            self._seen_s = 0.0
+        steady_s = fall.update(status, now)
+        if steady_s <= RUNS_ON_S:
+            self._visible_s = 0.0
             return status
-        self._said_at, self._seen_s = now, self._seen_s + max(0.0, now - said_at)
+        self._reported_at, self._visible_s = now, self._visible_s + max(0.0, now - reported_at)
         problem = f"it acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
-        if self._seen_s > SEEN_S and now - self._left_until > RUNS_ON_AGAIN_S:
+        if self._visible_s > VISIBLE_S and now - self._silent_until > RUNS_ON_AGAIN_S:
             raise RunsOnError("drive", f"{self._where}: {problem} (it is {status.speed:.1%})")
         fault = "; ".join(filter(None, (status.fault, problem)))
         return replace(status, fault=fault, timed_out=False, runs_on=True)
 
-    def lost(self, stopped: bool | None, now: float) -> str | None:
-        """Note that the connection is gone.
+    def connection_lost(self, stopped: bool | None, now: float) -> str | None:
+        """Record that the connection was lost.
 
         Args:
             stopped: whether the last *stop* was written; None if none was attempted.
@@ -188,11 +189,11 @@ class Obedience:
         Returns:
             Why the drive must be left in silence, to be added to the problem; None if it need not.
         """
-        self._said_at = math.inf
+        self._reported_at = math.inf
         if stopped is not None:
             self._refusals = 0 if stopped else self._refusals + 1
         unread = now - self._unread_from > RUNS_ON_S
-        if stopped and unread and now - self._left_until > RUNS_ON_AGAIN_S:
+        if stopped and unread and now - self._silent_until > RUNS_ON_AGAIN_S:
             return (
                 f"; its speed cannot be read, and for {RUNS_ON_S:g} s it has been unknown whether "
                 "it is at rest, although *stop* is written"
@@ -201,14 +202,14 @@ class Obedience:
             return "; *stop* could not be written on two successive connections"
         return None
 
-    def left(self, until: float) -> None:
-        """Note the end of the silence in which the drive is left."""
+    def silence_started(self, until: float) -> None:
+        """Record that a silence has started, and when it ends."""
         if not self._refusals:
-            self._left_until = until
+            self._silent_until = until
 
 
-class DriveExchange(DeviceThread[Snapshot]):
-    """Keeps a drive at the speed asked for last, or off, from its own thread.
+class DriveExchange(DeviceThread[DriveSnapshot]):
+    """Keeps a drive at the speed requested last, or off, from its own thread.
 
     Every period it writes the control word and reads the status, which keeps the drive's own
     communication timeout from passing; if this thread dies, that timeout stops the drive:
@@ -218,7 +219,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; it turns, or is at rest
           ^    ^         |    ^            |
           |    |         v    |            |
-          |    |         RUNNING <---------+        a speed is asked for; its timeout guards
+          |    |         RUNNING <---------+        a speed is requested; its timeout guards
           |    |            |
           |    |            |                       from each of these three:
           |    +------------+                       two rounds without a valid answer, or closed
@@ -228,71 +229,71 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     From CONNECTING a drive at rest becomes STOPPED at once.
 
-    Each connection begins with *stop*. RUNNING ends if off is asked for, `demand` is late, the
-    drive fails to start, or somebody else writes to it. After a failed start, or a connection lost
-    while a speed was asked for, the drive stays off until `demand` has asked for off: the caller,
-    which counts starts and waits between them, decides on the next. During a silence nothing is
-    sent for longer than the drive's own timeout, which then stops it: it may count any order as a
-    sign of life. A timeout above the limit is not relied on, and `stop` ends a silence early.
-    `close` works in every state and leaves the drive stopped. From the first connection to `close`
-    no other program on this machine can use the drive.
+    Each connection begins with *stop*. RUNNING ends if off is requested, `request_speed` is late,
+    the drive fails to start, or somebody else writes to it. After a failed start, or a connection
+    lost while a speed was requested, the drive stays off until `request_speed` requests off: the
+    caller, which counts starts and waits between them, decides on the next. During a silence
+    nothing is sent for longer than the drive's own timeout, which then stops it: it may count any
+    order as a sign of life. A timeout above the limit is not relied on, and `stop` ends a silence
+    early. `close` works in every state and leaves the drive stopped. From the first connection to
+    `close` no other program on this machine can use the drive.
     """
 
     def __init__(
         self,
-        placed: Placed,
+        endpoint: Endpoint,
         period_s: float = 0.25,
         dead_man_s: float = 1.0,
         *,
         timeout_s: float = 0.5,
         timeout_limit_s: float = 10.0,
-        seeks_simulator: bool = False,
+        checks_simulator: bool = False,
     ) -> None:
         """Prepare the exchange.
 
         Args:
-            placed: the drive.
-            period_s: between two rounds of requests (s); a relay's file may ask for more.
-            dead_man_s: the drive is stopped if `demand` has not been called for this long (s).
+            endpoint: the drive.
+            period_s: between two rounds of requests (s); a relay's file may set a longer one.
+            dead_man_s: the drive is stopped if `request_speed` has not been called for this (s).
             timeout_s: longest wait for each answer (s).
             timeout_limit_s: longest usable communication timeout of the drive (s). A silence lasts
                 this long if the timeout is longer, unknown or off.
-            seeks_simulator: whether to find out if it is the drive simulator.
+            checks_simulator: whether to find out if it is the drive simulator.
 
         Raises:
             ConfigurationError: its library is missing, or a file for the login is wrong.
         """
-        super().__init__("talking to the drive", Snapshot())
-        self._placed = placed
-        self._drive: Connection = placed.connection(timeout_s)
-        self._only = DriveLock(placed)
-        self._period_s = max(period_s, placed.period)
+        super().__init__("talking to the drive", DriveSnapshot())
+        self._endpoint = endpoint
+        self._drive: Connection = endpoint.connection(timeout_s)
+        self._drive_lock = DriveLock(endpoint)
+        self._period_s = max(period_s, endpoint.period)
         self._dead_man_s, self._timeout_s = dead_man_s, timeout_s
         self._timeout_limit_s = timeout_limit_s
         # Read and written as a whole, so no lock is needed.
-        self._demand: tuple[float | None, float] = (None, -math.inf)
+        self._requested: tuple[float | None, float] = (None, -math.inf)
         # Until this time a fault may be acknowledged.
         self._reset_until = -math.inf
-        self._leave_by = math.inf
+        self._rest_deadline = math.inf
         # When to connect next, how long to wait after that, and whether it is the last attempt.
         self._connect_at, self._wait_s = -math.inf, FIRST_WAIT_S
         self._last_attempt = False
         self._stop_requested = False
         self._paused_until = -math.inf
-        self._settings_at = -math.inf
+        self._settings_read_at = -math.inf
         # Number of consecutive rounds without a valid answer.
         self._unanswered = 0
-        self._obedience = Obedience(str(placed))
-        guard = placed.guard
+        self._stop_monitor = StopMonitor(str(endpoint))
+        guard = endpoint.guard
         self._unguarded_s = 0.0 if guard is None else guard.unguarded_after_power_up_s
         self._guarded_from = -math.inf
-        self._seeks_simulator, self._simulator_only = seeks_simulator, False
+        self._checks_simulator, self._requires_simulator = checks_simulator, False
 
     def close(self, within_s: float = math.inf) -> bool:
         """Stop the drive, read back that it is at rest, and release it; `snapshot` has the result.
 
-        It waits as long as the speed falls, `LEAVE_S` at most. If the speed does not fall, or the
-        drive does not answer, it is released after a few seconds.
+        It waits as long as the speed falls, `REST_LIMIT_S` at most. If the speed does not fall, or
+        the drive does not answer, it is released after a few seconds.
 
         Args:
             within_s: longest wait of the caller (s).
@@ -301,35 +302,35 @@ class DriveExchange(DeviceThread[Snapshot]):
             Whether the drive is released; otherwise the thread continues.
         """
         now = time.monotonic()
-        self._demand = (None, -math.inf)
-        self._leave_by = min(self._leave_by, now + LEAVE_S)
-        longest_s = max(0.0, self._leave_by + LONGEST_WAIT_S - now)
-        if self._end(min(within_s, longest_s)):
+        self._requested = (None, -math.inf)
+        self._rest_deadline = min(self._rest_deadline, now + REST_LIMIT_S)
+        longest_s = max(0.0, self._rest_deadline + LONGEST_WAIT_S - now)
+        if self._stop_thread(min(within_s, longest_s)):
             return True
         if within_s < longest_s:
             return False
-        self._update(state=State.CONNECTING, status=None)
+        self._update(state=ExchangeState.CONNECTING, status=None)
         self._fail("could not confirm that the pump is at rest: the connection hangs")
         return True
 
-    def demand(self, speed: float | None) -> None:
-        """Ask for a speed (share of rated speed), or off (None); valid for `dead_man_s`.
+    def request_speed(self, speed: float | None) -> None:
+        """Request a speed (share of rated speed), or off (None); valid for `dead_man_s`.
 
         Anything but a number from 0 to 1 is refused, reported as a problem, and means off.
         """
         if speed is not None and not 0 <= speed <= 1:
             self._fail(f"refused: {speed} is not a share of rated speed (0 to 1)")
             speed = None
-        before = self._demand[0]
-        self._demand = (speed, boot_time())
+        before = self._requested[0]
+        self._requested = (speed, boot_time())
         if (speed is None) != (before is None):
             self._wake.set()
 
     def stop(self) -> None:
-        """Try to stop the drive now, also during a silence, in which `demand` has no effect.
+        """Try to stop the drive now, also during a silence, in which `request_speed` has no effect.
 
-        For a person's request to stop; `demand` must be off, too. An attempt that fails during a
-        silence begins another silence.
+        For a person's request to stop; the requested speed must be off, too. An attempt that fails
+        during a silence begins another silence.
         """
         self._stop_requested = True
         self._wake.set()
@@ -343,9 +344,9 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._reset_until = time.monotonic() + RESET_S
         self._wake.set()
 
-    def only_simulator(self) -> None:
-        """From now on run only the drive simulator: the graph does not run in real time."""
-        self._seeks_simulator = self._simulator_only = True
+    def require_simulator(self) -> None:
+        """Run only the drive simulator from now on: the graph does not run in real time."""
+        self._checks_simulator = self._requires_simulator = True
 
     # --- in the thread ----------------------------------------------------------------------------
 
@@ -354,11 +355,11 @@ class DriveExchange(DeviceThread[Snapshot]):
             errors = self._snapshot.errors + 1
             self._snapshot = replace(self._snapshot, problem=problem, errors=errors, **changes)
 
-    def _hurried(self) -> bool:
+    def _must_not_wait(self) -> bool:
         return self._closing or self._stop_requested
 
     def _target_speed(self) -> float | None:
-        speed, at = self._demand
+        speed, at = self._requested
         fresh = boot_time() - at <= self._dead_man_s  # a suspend counts
         return speed if fresh and not self._closing and not self._unguarded() else None
 
@@ -367,7 +368,7 @@ class DriveExchange(DeviceThread[Snapshot]):
 
         It may have lost power since the last connection; a cut cable looks the same.
         """
-        if self._simulator_only and (why := self._snapshot.no_simulator) != "":
+        if self._requires_simulator and (why := self._snapshot.no_simulator) != "":
             return why or "it is not known yet whether it is the drive simulator"
         if time.monotonic() >= self._guarded_from:
             return ""
@@ -378,22 +379,22 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def _step(self) -> None:
         """Do what the present state requires."""
-        if self._snapshot.state is State.SILENT:
+        if self._snapshot.state is ExchangeState.SILENT:
             self._pause_until(self._connect_at)
-            self._update(state=State.CONNECTING)
-        elif self._snapshot.state is State.CONNECTING:
+            self._update(state=ExchangeState.CONNECTING)
+        elif self._snapshot.state is ExchangeState.CONNECTING:
             self._connect()
         elif self._closing:
-            self._leave()
+            self._stop_and_release()
         else:
-            self._round()
+            self._run_cycle()
 
-    def _lost(self, error: Exception, problem: str) -> None:
+    def _handle_failure(self, error: Exception, problem: str) -> None:
         """Close the connection; then stay silent, connect again after a while, or end."""
         now, drive = time.monotonic(), self._drive
-        if self._demand[0] is not None:
+        if self._requested[0] is not None:
             self._update(start_failed=f"the connection was lost: {problem}")
-        why = self._obedience.lost(drive.stopped, now)
+        why = self._stop_monitor.connection_lost(drive.stopped, now)
         if isinstance(error, RunsOnError):
             why = ""  # the error already gives the reason
         self._done = self._last_attempt
@@ -403,18 +404,18 @@ class DriveExchange(DeviceThread[Snapshot]):
             closes = drive.stopped is False and not drive.line.connected
             self._connect_at = now + self._wait_s + (self._timeout_s if closes else 0.0)
             self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
-            self._fail(problem, state=State.CONNECTING, status=None)
+            self._fail(problem, state=ExchangeState.CONNECTING, status=None)
         else:
             silence_s, timeout = self._silence()
             self._connect_at = now + silence_s
-            self._obedience.left(self._connect_at)
+            self._stop_monitor.silence_started(self._connect_at)
             self._fail(
                 f"{problem}{why}, so nothing is sent for {silence_s:g} s, in which the drive's "
                 f"own communication timeout ({timeout}) must stop it; any message could restart "
                 "that timeout",
-                state=State.SILENT, status=None,
+                state=ExchangeState.SILENT, status=None,
             )
-        self._let_go()
+        self._disconnect()
 
     def _silence(self) -> tuple[float, str]:
         """Return the length of a silence (s), and the drive's own timeout in words.
@@ -429,22 +430,22 @@ class DriveExchange(DeviceThread[Snapshot]):
             return limit_s, f"{own_s:g} s was read, which is not relied on: above {limit_s:g} s"
         return min(own_s + SILENCE_MARGIN_S, limit_s), f"{own_s:g} s"
 
-    def _let_go(self) -> None:
+    def _disconnect(self) -> None:
         """Close the connection; at the end also release the lock."""
         try:
             self._drive.line.close()
         finally:
             if self._done:
-                self._only.release()
+                self._drive_lock.release()
 
     def _connect(self) -> None:
         """Stop the drive first; then read what it is and whether its own timeout would stop it."""
         self._pause_until(self._connect_at)
         self._stop_requested = False
-        if not self._only.locked:
-            self._take()
+        if not self._drive_lock.locked:
+            self._acquire_lock()
             return
-        self._drive = drive = self._placed.connection(self._timeout_s)
+        self._drive = drive = self._endpoint.connection(self._timeout_s)
         self._last_attempt, self._unanswered = self._closing, 0
         self._update(no_simulator=None)
         drive.line.connect()
@@ -452,8 +453,8 @@ class DriveExchange(DeviceThread[Snapshot]):
         try:
             self._stop()
             # Learn whether the control word reads back: no other master has had time to write yet.
-            drive.intruder()
-            status = self._obedience.judge(self._read(), time.monotonic())
+            drive.second_master()
+            status = self._stop_monitor.check(self._read(), time.monotonic())
         except DriveError as error:
             # Still try to read the timeout: it decides how long a silence must be.
             if error.kind != "connection" and not self._snapshot.timeout_known:
@@ -469,16 +470,17 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._reset_until = -math.inf
         self._wait_s = FIRST_WAIT_S
         self._update(
-            state=State.STOPPED if status.stands else State.STOPPING, status=status,
+            state=ExchangeState.STOPPED if status.at_rest else ExchangeState.STOPPING,
+            status=status,
             read_at=boot_time(), problem="", identity=identity, unguarded=self._unguarded(),
         )
 
-    def _take(self) -> None:
-        """Try to take the drive's lock; set the time of the next attempt, or end if closing."""
+    def _acquire_lock(self) -> None:
+        """Try to acquire the drive's lock; set the time of the next attempt, or end if closing."""
         self._done = self._closing
         if not self._done:
             try:
-                self._only.take()
+                self._drive_lock.acquire()
             except DriveError as error:
                 if self._snapshot.problem != str(error):
                     self._fail(str(error))
@@ -492,22 +494,22 @@ class DriveExchange(DeviceThread[Snapshot]):
             if error.kind == "connection":
                 raise
             seconds, note, timeout_known = None, str(error), False
-        no_simulator = self._drive.why_no_simulator() if self._seeks_simulator else None
-        self._settings_at = time.monotonic()
+        no_simulator = self._drive.simulator_problem() if self._checks_simulator else None
+        self._settings_read_at = time.monotonic()
         self._update(
             timeout_s=seconds, timeout_known=timeout_known, timeout_note=note,
             no_simulator=no_simulator,
         )
 
-    def _round(self) -> None:
-        """Write what is asked for, and read the drive's report."""
+    def _run_cycle(self) -> None:
+        """Write what is requested, and read the drive's report."""
         started = time.monotonic()
         self._stop_requested = False
         try:
-            runs, problem = self._order()
+            runs, problem = self._write_order()
             status = self._read()
-            unknown = self._seeks_simulator and self._snapshot.no_simulator is None
-            if unknown or time.monotonic() - self._settings_at > SETTINGS_S:
+            unknown = self._checks_simulator and self._snapshot.no_simulator is None
+            if unknown or time.monotonic() - self._settings_read_at > SETTINGS_S:
                 self._read_settings()
         except DriveError as error:
             self._unanswered += 1
@@ -518,23 +520,23 @@ class DriveExchange(DeviceThread[Snapshot]):
             time.sleep(self._period_s)
             return
         self._unanswered = 0
-        status = self._obedience.judge(status, time.monotonic())
-        standing = State.STOPPED if status.stands else State.STOPPING
+        status = self._stop_monitor.check(status, time.monotonic())
+        standing = ExchangeState.STOPPED if status.at_rest else ExchangeState.STOPPING
         if not problem and time.monotonic() < self._paused_until:
             problem = self._snapshot.problem  # the reason of the pause, which still lasts
         self._update(
-            state=State.RUNNING if runs else standing, status=status, read_at=boot_time(),
+            state=ExchangeState.RUNNING if runs else standing, status=status, read_at=boot_time(),
             problem=problem, unguarded=self._unguarded(),
         )
         if not self._closing:
             self._pause(self._period_s - (time.monotonic() - started))
 
-    def _leave(self) -> None:
+    def _stop_and_release(self) -> None:
         """Stop the drive; release it when it is at rest, or when its speed does not fall."""
-        status = _stand(self._drive, self._leave_by)
+        status = _stop_until_at_rest(self._drive, self._rest_deadline)
         self._done = True
-        self._update(state=State.CONNECTING, status=status, read_at=boot_time())
-        self._let_go()
+        self._update(state=ExchangeState.CONNECTING, status=status, read_at=boot_time())
+        self._disconnect()
 
     def _read(self) -> DriveStatus:
         """Return the drive's report; first acknowledge a trip of its communication timeout.
@@ -547,9 +549,9 @@ class DriveExchange(DeviceThread[Snapshot]):
         except DriveError as error:
             # In local control a person at the panel sees whether it turns.
             if error.kind != "connection" and drive.local():
-                self._obedience.heard()
+                self._stop_monitor.speed_read()
             raise
-        self._obedience.heard()
+        self._stop_monitor.speed_read()
         if status.timed_out:
             self._fail(f"the drive had stopped by itself: {status.fault}")
             try:
@@ -560,15 +562,15 @@ class DriveExchange(DeviceThread[Snapshot]):
             status = drive.read()
         return status
 
-    def _order(self) -> tuple[bool, str]:
-        """Carry out the present demand; return whether the drive runs, and why it refuses to."""
+    def _write_order(self) -> tuple[bool, str]:
+        """Write the present request; return whether the drive runs, and why it refuses to."""
         pause_s = PAUSE_S
         try:
-            intruder = self._drive.intruder()
-            if intruder:
-                pause_s = INTRUDER_PAUSE_S
-                self._obedience.forget()  # the drive may obey the other writer
-                why = f"{intruder}; stopped until {pause_s:g} s after the last such word"
+            other = self._drive.second_master()
+            if other:
+                pause_s = SECOND_MASTER_PAUSE_S
+                self._stop_monitor.order_changed()  # the drive may obey the other writer
+                why = f"{other}; stopped until {pause_s:g} s after the last such word"
                 self._update(second_master=why)
                 raise DriveError("drive", why)
             if self._snapshot.second_master and time.monotonic() >= self._paused_until:
@@ -578,7 +580,7 @@ class DriveExchange(DeviceThread[Snapshot]):
                 self._paused_until = -math.inf
                 self._drive.reset()
             speed = self._target_speed()
-            if self._demand[0] is None:
+            if self._requested[0] is None:
                 self._update(start_failed="")
             kept_off = self._snapshot.start_failed or time.monotonic() < self._paused_until
             if speed is None or kept_off:
@@ -601,39 +603,39 @@ class DriveExchange(DeviceThread[Snapshot]):
             if error.kind == "drive":
                 self._update(start_failed=f"the drive failed to start: {error}")
             else:
-                self._obedience.forget()  # it may obey although the answer was lost
+                self._stop_monitor.order_changed()  # it may obey although the answer was lost
             raise
-        self._obedience.forget()
+        self._stop_monitor.order_changed()
 
     def _stop(self) -> None:
         self._drive.stop()
-        self._obedience.stop_written(time.monotonic())
+        self._stop_monitor.stop_written(time.monotonic())
 
 
-def _stand(drive: Connection, until: float) -> DriveStatus:
+def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
     """Stop a drive; return its report when it is at rest, or when its speed does not fall.
 
     Drive files do not give the length of the ramp, so it waits for as long as the speed falls.
     """
-    fall = _Fall()
+    fall = _Deceleration()
     while True:
         drive.stop()
         status, now = drive.read(), time.monotonic()
-        if status.stands or fall.still_s(status, now) > STILL_S or now > until:
+        if status.at_rest or fall.update(status, now) > STEADY_S or now > until:
             return status
         time.sleep(0.1)
 
 
 def stop_drive(
-    placed: Placed, *, driver: int | None = None, timeout_s: float = 0.5
+    endpoint: Endpoint, *, driver: int | None = None, timeout_s: float = 0.5
 ) -> DriveStatus:
-    """Stop a drive after its driver has died; blocks while its speed falls, `LEAVE_S` at most.
+    """Stop a drive after its driver has died; blocks for `REST_LIMIT_S` at most.
 
     The lock keeps other drivers off meanwhile. It is not required: a hung driver still holds it,
-    and stopping is safe if it cannot be taken or its holder is unknown.
+    and stopping is safe if it cannot be acquired or its holder is unknown.
 
     Args:
-        placed: the drive.
+        endpoint: the drive.
         driver: process id of that driver, which may hold the lock; None if there is none.
         timeout_s: longest wait for each answer (s).
 
@@ -644,27 +646,27 @@ def stop_drive(
         DriveInUseError: another process runs it, and nothing was sent.
         DriveError: three attempts to write *stop* and read the drive failed; the message says why.
     """
-    only = DriveLock(placed)
+    only = DriveLock(endpoint)
     try:
-        only.take()
+        only.acquire()
     except DriveInUseError as error:
         if error.holder not in (None, driver):
             raise
     except DriveError:
         pass
     try:
-        return _stop(placed, timeout_s)
+        return _stop(endpoint, timeout_s)
     finally:
         only.release()
 
 
-def _stop(placed: Placed, timeout_s: float) -> DriveStatus:
-    attempts, until = 3, time.monotonic() + LEAVE_S
+def _stop(endpoint: Endpoint, timeout_s: float) -> DriveStatus:
+    attempts, until = 3, time.monotonic() + REST_LIMIT_S
     while True:
-        drive = placed.connection(timeout_s)
+        drive = endpoint.connection(timeout_s)
         try:
             drive.line.connect()
-            return _stand(drive, until)
+            return _stop_until_at_rest(drive, until)
         except DriveError:
             attempts -= 1
             if not attempts:

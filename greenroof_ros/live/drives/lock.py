@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import socket
 
-from greenroof_ros.common.processes import LockedError, take_name
+from greenroof_ros.common.processes import LockedError, acquire_name_lock
+from greenroof_ros.live.drives.endpoint import Endpoint
 from greenroof_ros.live.drives.modbus_line import DriveError
-from greenroof_ros.live.drives.placed import Placed
 
 
 class DriveInUseError(DriveError):
@@ -28,8 +28,8 @@ class DriveLock:
     on another computer, or in a container with its own network.
     """
 
-    def __init__(self, drive: Placed) -> None:
-        """Prepare the lock without taking it."""
+    def __init__(self, drive: Endpoint) -> None:
+        """Prepare the lock without acquiring it."""
         self._drive = drive
         self._lock: socket.socket | None = None
 
@@ -38,16 +38,16 @@ class DriveLock:
         """Whether this object holds the lock."""
         return self._lock is not None
 
-    def take(self) -> None:
-        """Take the lock; may block while a host name is resolved.
+    def acquire(self) -> None:
+        """Acquire the lock; may block while a host name is resolved.
 
         Raises:
             DriveInUseError: another process has it.
             DriveError: the system refuses the lock, or the host is unknown.
         """
-        place = self._place()
+        place = self._name()
         try:
-            self._lock = take_name(f"drive-{place}")
+            self._lock = acquire_name_lock(f"drive-{place}")
         except LockedError as error:
             raise DriveInUseError(
                 f"{self._drive}: process {error.holder or 'unknown'} on this machine already runs "
@@ -57,24 +57,24 @@ class DriveLock:
         except OSError as error:
             raise DriveError(
                 "drive",
-                f"{self._drive}: its lock cannot be taken ({error.strerror}); without it two "
+                f"{self._drive}: its lock cannot be acquired ({error.strerror}); without it two "
                 "programs could run the same drive",
             ) from error
 
     def release(self) -> None:
-        """Release the lock, if it was taken."""
+        """Release the lock, if it was acquired."""
         if self._lock is not None:
             self._lock.close()
             self._lock = None
 
-    def _place(self) -> str:
-        """Return the place of the drive, which does not depend on how the address is written.
+    def _name(self) -> str:
+        """Return the name of the lock, which does not depend on how the address is written.
 
         Raises:
             DriveError: the host is unknown.
         """
         try:
-            return self._drive.place_of_lock()
+            return self._drive.lock_name()
         except OSError as error:
             raise DriveError(
                 "connection",

@@ -122,7 +122,7 @@ class Address:
         return "serial" if self.line or self.gateway else "tcp"
 
     @property
-    def is_here(self) -> bool:
+    def is_on_this_machine(self) -> bool:
         """Whether it is at loopback or a pseudo-terminal; may block while the host is resolved."""
         if self.line:
             return _is_pseudo(self.line)
@@ -136,7 +136,7 @@ class Address:
             Path(self.line).resolve() == Path(other.line).resolve()
         )
 
-    def place(self, port: int) -> str:
+    def canonical_name(self, port: int) -> str:
         """Return a name for the host or line that is the same however the address is written.
 
         It does not include the device id. May block while the host name is resolved.
@@ -195,10 +195,10 @@ def parse_drive_address(text: str, key: str) -> Address:
     Raises:
         ConfigurationError: it is none of these.
     """
-    place, comma, device_id = text.rpartition(",")
+    canonical_name, comma, device_id = text.rpartition(",")
     if not comma:
         return parse_address(text, key)
-    address = parse_address(place, key)
+    address = parse_address(canonical_name, key)
     low, high = (0, 255) if address.interface == "tcp" else (1, 247)
     if not re.fullmatch(r"[0-9]{1,3}", device_id) or not low <= int(device_id) <= high:
         raise ConfigurationError(
@@ -235,26 +235,26 @@ def check_installed() -> None:
 
 @dataclass
 class _Request:
-    """A request, and the bytes that have come since.
+    """A request, and the bytes received since.
 
     Attributes:
-        copies: how often its bytes may come.
+        copies: how often its bytes may be received.
         sent: its bytes.
-        came: all bytes since it was sent.
+        received: all bytes since it was sent.
     """
 
     copies: int
     sent: bytes = b""
-    came: bytes = b""
+    received: bytes = b""
 
     @property
     def echoed(self) -> bool:
-        """Whether its bytes have come more often than a device sends them."""
-        return bool(self.sent) and self.came.count(self.sent) > self.copies
+        """Whether its bytes were received more often than a device sends them."""
+        return bool(self.sent) and self.received.count(self.sent) > self.copies
 
 
 class ModbusLine:
-    """A connection to one device; :meth:`to` reaches the others on the same line."""
+    """A connection to one device; :meth:`for_device` reaches the others on the same line."""
 
     def __init__(
         self, address: Address, *, port: int, device_id: int, serial: Serial | None = None,
@@ -289,7 +289,7 @@ class ModbusLine:
             )
         self._client.recv = partial(self._receive, self._client.recv)  # type: ignore[method-assign]
 
-    def to(self, device_id: int) -> ModbusLine:
+    def for_device(self, device_id: int) -> ModbusLine:
         """Return this same connection, for requests to another device on it."""
         other = copy.copy(self)
         other._device_id = device_id
@@ -332,10 +332,10 @@ class ModbusLine:
         action = f"reading register {address}"
         client = self._client
         read = client.read_input_registers if inputs else client.read_holding_registers
-        answer = self._ask(action, 4 if inputs else 3, read, address, count=count)
+        answer = self._request(action, 4 if inputs else 3, read, address, count=count)
         if len(answer.registers) != count:
-            came = len(answer.registers)
-            raise self.error("answer", f"{action}: {came} registers, not {count}")
+            received = len(answer.registers)
+            raise self.error("answer", f"{action}: {received} registers, not {count}")
         return list(answer.registers)
 
     def write(self, address: int, word: int) -> None:
@@ -345,7 +345,7 @@ class ModbusLine:
             DriveError: no answer, or one that does not confirm the write.
         """
         action = f"writing 0x{word:04X} to register {address}"
-        answer = self._ask(action, _WRITE, self._client.write_register, address, word)
+        answer = self._request(action, _WRITE, self._client.write_register, address, word)
         if answer.address != address or list(answer.registers) != [word]:
             raise self.error(
                 "answer",
@@ -358,12 +358,13 @@ class ModbusLine:
         Raises:
             DriveError: no answer or a wrong one.
         """
-        answer = self._ask("reading its identification", 43, self._client.read_device_information)
+        read = self._client.read_device_information
+        answer = self._request("reading its identification", 43, read)
         objects = getattr(answer, "information", {})
         maker, product = (bytes(objects.get(number, b"")).decode("latin-1") for number in (0, 1))
         return maker, product
 
-    def _ask(
+    def _request(
         self, action: str, function: int, request: Callable[..., ModbusPDU], *values: int,
         **options: int,
     ) -> ModbusPDU:
@@ -391,16 +392,16 @@ class ModbusLine:
         return answer
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
-        """Note the bytes of the request."""
+        """Record the bytes of the request."""
         if sending:
             self._recent[-1].sent = data
         return data
 
     def _receive(self, receive: Callable[[int | None], bytes], size: int | None) -> bytes:
-        """Note each byte that comes: an echo may come in pieces, or behind noise."""
+        """Record each byte received: an echo may come in pieces, or behind noise."""
         data = receive(size)
         for request in self._recent:
-            request.came += data
+            request.received += data
         return data
 
     def _refuse_echo(self, action: str) -> None:
@@ -506,7 +507,7 @@ def encode(value: float, kind: str, word_order: str = "") -> list[int]:
 
 
 @dataclass(frozen=True)
-class Known:
+class DeviceSnapshot:
     """What is known about a device at one moment.
 
     Attributes:
@@ -518,17 +519,17 @@ class Known:
     problem: str = "not yet connected"
 
 
-K = TypeVar("K", bound=Known)
+S = TypeVar("S", bound=DeviceSnapshot)
 
 
-class DeviceThread(ABC, Generic[K]):
+class DeviceThread(ABC, Generic[S]):
     """Carries out steps with a device, one after another, until it is closed.
 
     A failed step does not end the thread. Nothing here raises into the caller: `snapshot` has the
     problem.
     """
 
-    def __init__(self, name: str, snapshot: K) -> None:
+    def __init__(self, name: str, snapshot: S) -> None:
         """Prepare the thread.
 
         Args:
@@ -541,7 +542,7 @@ class DeviceThread(ABC, Generic[K]):
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
 
     @property
-    def snapshot(self) -> K:
+    def snapshot(self) -> S:
         """What is known now."""
         return self._snapshot
 
@@ -549,8 +550,8 @@ class DeviceThread(ABC, Generic[K]):
         """Start the thread."""
         self._thread.start()
 
-    def _end(self, within_s: float) -> bool:
-        """Ask the thread to end; tell whether it has ended within this time (s)."""
+    def _stop_thread(self, within_s: float) -> bool:
+        """Stop the thread; return whether it has ended within this time (s)."""
         self._closing = True
         self._wake.set()
         if self._thread.ident is not None:
@@ -568,7 +569,7 @@ class DeviceThread(ABC, Generic[K]):
         """
 
     @abstractmethod
-    def _lost(self, error: Exception, problem: str) -> None:
+    def _handle_failure(self, error: Exception, problem: str) -> None:
         """Handle a failed step, and close the connection."""
 
     def _work(self) -> None:
@@ -577,10 +578,10 @@ class DeviceThread(ABC, Generic[K]):
                 try:
                     self._step()
                 except DriveError as error:
-                    self._lost(error, str(error))
+                    self._handle_failure(error, str(error))
                 except Exception as error:  # any error: the next step follows
                     logging.getLogger(__name__).exception("%s failed", self._name)
-                    self._lost(error, f"{self._name} failed: {error!r}")
+                    self._handle_failure(error, f"{self._name} failed: {error!r}")
             except Exception as error:
                 self._update(problem=f"{self._name} failed: {error!r}")
 
@@ -594,10 +595,10 @@ class DeviceThread(ABC, Generic[K]):
         self._wake.clear()
 
     def _pause_until(self, due: float) -> None:
-        """Wait until a time (s, `time.monotonic`), or until `_hurried`."""
-        while not self._hurried() and (remaining := due - time.monotonic()) > 0:
+        """Wait until a time (s, `time.monotonic`), or until `_must_not_wait`."""
+        while not self._must_not_wait() and (remaining := due - time.monotonic()) > 0:
             self._pause(remaining)
 
-    def _hurried(self) -> bool:
+    def _must_not_wait(self) -> bool:
         """Whether a wait for the next attempt must end now."""
         return self._closing

@@ -7,9 +7,9 @@ import threading
 import time
 
 from greenroof_ros.live.drives.modbus_line import (
+    DeviceSnapshot,
     DeviceThread,
     DriveError,
-    Known,
     ModbusLine,
     decode,
 )
@@ -22,7 +22,7 @@ _TIMEOUT_S = 0.5
 _TIMEOUTS = 3
 
 
-class SensorLine(DeviceThread[Known]):
+class SensorLine(DeviceThread[DeviceSnapshot]):
     """Reads the sensors on one line, each once per period; the one that has waited longest first.
 
     It connects if needed, and again after every failure. A sensor that is absent, hangs or sends
@@ -38,7 +38,7 @@ class SensorLine(DeviceThread[Known]):
         Args:
             name: its address, for messages.
         """
-        super().__init__(f"{name}: reading", Known())
+        super().__init__(f"{name}: reading", DeviceSnapshot())
         self.readers: list[ModbusReader] = []
 
     def start(self) -> None:
@@ -55,7 +55,7 @@ class SensorLine(DeviceThread[Known]):
 
     def close(self) -> None:
         """End the thread; wait up to four timeouts for it to close the connection."""
-        self._end(4 * _TIMEOUT_S)
+        self._stop_thread(4 * _TIMEOUT_S)
 
     # --- in the thread ----------------------------------------------------------------------------
 
@@ -67,15 +67,15 @@ class SensorLine(DeviceThread[Known]):
             self._line.close()
             return
         try:
-            reader.read(self._line.to(reader.sensor.device_id))
+            reader.read(self._line.for_device(reader.sensor.device_id))
         finally:
             # Missed readings are not made up for: a sensor that takes longer than its period is
             # read again after the others that wait.
             now, period = time.monotonic(), reader.sensor.period
             reader.due = reader.due + period if reader.due + period > now else now + period
 
-    def _lost(self, error: Exception, problem: str) -> None:
-        self._reader.lose(problem)
+    def _handle_failure(self, error: Exception, problem: str) -> None:
+        self._reader.report_failure(problem)
         if not isinstance(error, DriveError):  # `read` has closed it after a DriveError
             self._line.close()
 
@@ -115,7 +115,7 @@ class ModbusReader:
     def snapshot(self) -> Reading:
         """What is known now."""
         with self._lock:
-            self._reading = self._readings.now(self._reading)
+            self._reading = self._readings.current(self._reading)
             return self._reading
 
     def start(self) -> None:
@@ -134,20 +134,20 @@ class ModbusReader:
         Raises:
             DriveError: no answer, a wrong one, or a value out of range.
         """
-        self._readings.forget_after_suspend()
-        value = self._value(line)
-        self._keep(Reading(time.monotonic(), "", value))
+        self._readings.clear_after_suspend()
+        value = self._read_quantity(line)
+        self._set_reading(Reading(time.monotonic(), "", value))
 
-    def lose(self, problem: str) -> None:
-        """Note that a reading failed, and why."""
+    def report_failure(self, problem: str) -> None:
+        """Report that a reading failed, and why."""
         self._readings.clear()
-        self._keep(Reading(time.monotonic(), problem))
+        self._set_reading(Reading(time.monotonic(), problem))
 
-    def _keep(self, reading: Reading) -> None:
+    def _set_reading(self, reading: Reading) -> None:
         with self._lock:
             self._reading = reading
 
-    def _value(self, line: ModbusLine) -> float | None:
+    def _read_quantity(self, line: ModbusLine) -> float | None:
         """Return the filtered quantity after another reading."""
         sensor = self.sensor
         try:

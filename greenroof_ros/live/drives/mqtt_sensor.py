@@ -17,7 +17,7 @@ from greenroof_ros.live.drives.sensor_file import MqttSensor
 # Longest message of a sensor that is accepted (bytes).
 _LONGEST = 65_536
 # Messages are refused for this long after a suspend (s): they may have been waiting.
-_DEAF_S = 1.0
+_IGNORING_S = 1.0
 # A number as text, which need not be JSON: "317.3988", 00317.3988, +5.0 or .5.
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*", re.ASCII | re.IGNORECASE)
 _WHOLE = re.compile(r"\s*[+-]?\d+\s*", re.ASCII)
@@ -82,7 +82,7 @@ class MqttReader:
         self._reading = Reading(problem=f"{sensor.address}: not yet connected", code="broker_lost")
         self._lock = threading.Lock()
         self._online = not sensor.available
-        self._deaf_until = 0.0
+        self._ignoring_until = 0.0
         self._client = make_client(
             broker, f"greenroof_{name}_{uuid.uuid4().hex[:8]}",
             self._on_connect, self._on_message, self._on_disconnect,
@@ -94,8 +94,8 @@ class MqttReader:
         with self._lock:
             age = time.monotonic() - self._reading.read_at
             if not self._reading.problem and age > self._sensor.max_age:
-                self._lose(f"has sent nothing for {self._sensor.max_age:g} s")
-            self._reading = self._readings.now(self._reading)
+                self._report_failure(f"has sent nothing for {self._sensor.max_age:g} s")
+            self._reading = self._readings.current(self._reading)
             return self._reading
 
     def start(self) -> None:
@@ -110,36 +110,36 @@ class MqttReader:
 
     def _on_connect(self) -> None:
         with self._lock:
-            self._lose("has sent nothing yet")
+            self._report_failure("has sent nothing yet")
         for topic in filter(None, (self._topic, self._sensor.available)):
             self._client.subscribe(topic)
 
     def _on_disconnect(self, why: str) -> None:
         with self._lock:
             self._online = not self._sensor.available
-            self._lose(f"no connection to the broker: {why}", "broker_lost")
+            self._report_failure(f"no connection to the broker: {why}", "broker_lost")
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         with self._lock:
             try:
                 if topic == self._sensor.available:
-                    self._hear_availability(payload)
+                    self._receive_availability(payload)
                 else:
-                    self._take(payload, retained)
+                    self._receive_reading(payload, retained)
             except ValueError as error:
-                self._lose(str(error))
+                self._report_failure(str(error))
             except Exception as error:  # any error: the next message is still read
                 logging.getLogger(__name__).exception("%s failed", self._sensor.address)
-                self._lose(f"reading failed: {error!r}")
+                self._report_failure(f"reading failed: {error!r}")
 
-    def _hear_availability(self, payload: bytes) -> None:
-        came, self._online = not self._online, payload == self._sensor.online.encode()
+    def _receive_availability(self, payload: bytes) -> None:
+        was_offline, self._online = not self._online, payload == self._sensor.online.encode()
         if not self._online:
             raise ValueError(f"is offline: {self._sensor.available} says {payload[:40]!r}")
-        if came:
+        if was_offline:
             raise ValueError("is online, but has not sent a reading yet")
 
-    def _take(self, payload: bytes, retained: bool) -> None:
+    def _receive_reading(self, payload: bytes, retained: bool) -> None:
         now = time.monotonic()
         if retained:
             raise ValueError("has sent nothing yet; the retained message may be old")
@@ -147,13 +147,13 @@ class MqttReader:
             raise ValueError(
                 f"is offline: {self._sensor.available} has not said {self._sensor.online!r}"
             )
-        if self._readings.forget_after_suspend():
-            self._deaf_until = now + _DEAF_S
-        if now < self._deaf_until:
+        if self._readings.clear_after_suspend():
+            self._ignoring_until = now + _IGNORING_S
+        if now < self._ignoring_until:
             raise ValueError("this message may be from before the suspend")
         value = self._readings.add(read_number(payload, self._sensor))
         self._reading = Reading(now, "", value)
 
-    def _lose(self, why: str, code: str = "sensor_lost") -> None:
+    def _report_failure(self, why: str, code: str = "sensor_lost") -> None:
         self._readings.clear()
         self._reading = Reading(time.monotonic(), f"{self._sensor.address}: {why}", code=code)

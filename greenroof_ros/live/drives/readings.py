@@ -8,7 +8,7 @@ from collections import deque
 from dataclasses import dataclass, replace
 
 from greenroof_ros.common.times import suspended_time
-from greenroof_ros.live.drives.modbus_line import Known
+from greenroof_ros.live.drives.modbus_line import DeviceSnapshot
 from greenroof_ros.live.drives.sensor_file import Sensor
 from greenroof_ros.live.drives.total import Total
 
@@ -17,7 +17,7 @@ _SUSPEND_S = 1.0
 
 
 @dataclass(frozen=True)
-class Reading(Known):
+class Reading(DeviceSnapshot):
     """What is known about a quantity.
 
     Attributes:
@@ -59,10 +59,10 @@ class Readings:
         """
         self._values.clear()
         if self._total is not None:
-            self._total.lose()
+            self._total.sensor_lost()
 
-    def forget_after_suspend(self) -> bool:
-        """Forget all if the machine was suspended since the last call; tell whether it was."""
+    def clear_after_suspend(self) -> bool:
+        """Forget all if the machine was suspended since the last call; return whether it was."""
         before, self._suspended = self._suspended, suspended_time()
         if self._suspended - before <= _SUSPEND_S:
             return False
@@ -93,7 +93,7 @@ class Readings:
         self._values.append(value)
         return statistics.median_low(self._values)
 
-    def now(self, reading: Reading) -> Reading:
+    def current(self, reading: Reading) -> Reading:
         """Return a reading with its present value: a total's changes between two readings, too."""
         if self._total is None or (rate := self._total.rate()) == reading.value:
             return reading

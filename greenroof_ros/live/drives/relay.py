@@ -23,20 +23,20 @@ from typing import Any
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.modbus_line import SIMULATOR, Address, DriveError
-from greenroof_ros.live.drives.relay_file import Message, RelayFile, Timer, Value
+from greenroof_ros.live.drives.relay_file import RelayFile, RelayMessage, Timer, Value
 
 # Longest wait for the broker (s).
 _CONNECT_S = 3.0
 # How long the relay may take to be on after *on*, and the interval of the questions (s).
-_ON_S, _LOOK_S = 2.0, 0.1
+_ON_S, _POLL_S = 2.0, 0.1
 # An *on* is renewed after this share of the timer.
 _RENEWED = 1 / 3
 # Characters shown of an invalid answer, and the greatest number of messages that wait.
-_SHOWN, _KEPT = 120, 1000
+_SHOWN, _MOST_WAITING = 120, 1000
 
 
 @dataclass(frozen=True)
-class PlacedRelay:
+class RelayEndpoint:
     """A make of relay at an address.
 
     Attributes:
@@ -63,11 +63,11 @@ class PlacedRelay:
         return self.file.timer
 
     @property
-    def is_here(self) -> bool:
+    def is_on_this_machine(self) -> bool:
         """Whether its broker is at loopback; may block while the host is resolved."""
-        return Address(self.broker.host).is_here
+        return Address(self.broker.host).is_on_this_machine
 
-    def place(self) -> str:
+    def canonical_name(self) -> str:
         """Return a name of the place that is the same however the address is written.
 
         May block while the host name is resolved.
@@ -75,21 +75,21 @@ class PlacedRelay:
         Raises:
             OSError: there is no such host, or no name server answers.
         """
-        return f"{Address(self.broker.host).place(self.broker.port)}-{self.device}"
+        return f"{Address(self.broker.host).canonical_name(self.broker.port)}-{self.device}"
 
-    def place_of_lock(self) -> str:
-        """Return the place that only one driver may use: the relay.
+    def lock_name(self) -> str:
+        """Return the name of its lock.
 
         Raises:
-            OSError: as in `place`.
+            OSError: as in `canonical_name`.
         """
-        return self.place()
+        return self.canonical_name()
 
     def connection(self, timeout_s: float = 0.5) -> Relay:
         """Return the relay on a new connection, not yet opened; it must be connected only once.
 
         Args:
-            timeout_s: longest wait for an answer (s), unless its file asks for a longer one.
+            timeout_s: longest wait for an answer (s), unless its file sets a longer one.
 
         Raises:
             ConfigurationError: there is no MQTT library, or a file for the login is wrong.
@@ -102,28 +102,28 @@ class RelayLine:
 
     Attributes:
         where: the place of the relay, for messages.
-        parting: the message to publish before the connection is closed; None for none.
+        last_message: the message to publish before the connection is closed; None for none.
     """
 
-    def __init__(self, relay: PlacedRelay, timeout_s: float) -> None:
+    def __init__(self, relay: RelayEndpoint, timeout_s: float) -> None:
         """Prepare the connection without opening it.
 
         Args:
-            relay: the relay to ask.
+            relay: the relay.
             timeout_s: longest wait for an answer (s).
 
         Raises:
             ConfigurationError: there is no MQTT library, or a file for the login is wrong.
         """
         self.where = str(relay)
-        self.parting: Message | None = None
+        self.last_message: RelayMessage | None = None
         self._file, self._timeout_s = relay.file, timeout_s
         # All connections use this name, so a broker can limit who may publish on it. If answers are
         # numbered, an answer to another connection does not count.
-        self._known = {"device": relay.device, "me": f"greenroof_ros-{relay.device}"}
+        self._placeholders = {"device": relay.device, "me": f"greenroof_ros-{relay.device}"}
         self._numbers = itertools.count(secrets.randbelow(10**9))
         self._awaited: Counter[str] = Counter()
-        self._heard: deque[tuple[str, bytes]] = deque(maxlen=_KEPT)
+        self._received: deque[tuple[str, bytes]] = deque(maxlen=_MOST_WAITING)
         self._changed = threading.Condition()
         self._connected, self._closed_by = False, ""
         self._client = make_client(
@@ -150,15 +150,15 @@ class RelayLine:
             raise self.error("connection", f"cannot connect: {why}")
 
     def close(self) -> None:
-        """Publish the parting message, and close the connection."""
-        if self.parting is not None and self.connected:
+        """Publish the last message, and close the connection."""
+        if self.last_message is not None and self.connected:
             with suppress(DriveError):  # the connection was just lost
-                self.publish(self.parting)
+                self.publish(self.last_message)
         self._closed_by = self._closed_by or "closed here"
         self._client.disconnect()
         self._client.loop_stop()
 
-    def publish(self, message: Message, **values: str) -> None:
+    def publish(self, message: RelayMessage, **values: str) -> None:
         """Publish a message once.
 
         Args:
@@ -170,20 +170,20 @@ class RelayLine:
         """
         self._publish(message.topic, message.payload, str(next(self._numbers)), values)
 
-    def ask(self, name: str) -> Any:
-        """Return the relay's answer to a question, parsed from JSON.
+    def request(self, name: str) -> Any:
+        """Request the relay's answer to a question, and return it, parsed from JSON.
 
         Raises:
             DriveError: no answer in time, or none that can be understood.
         """
         question, number = self._file.questions[name], str(next(self._numbers))
         if not self._awaited.total():
-            self._heard.clear()  # earlier messages answer no question
+            self._received.clear()  # earlier messages answer no question
         self._awaited[name] += 1
         self._publish(question.topic, question.payload, number, {})
-        topic, until = self._filled(question.answer), time.monotonic() + self._timeout_s
+        topic, until = self._fill(question.answer), time.monotonic() + self._timeout_s
         payload = b""
-        while (message := self._next(until)) is not None:
+        while (message := self._receive(until)) is not None:
             if message[0] != topic:
                 continue
             payload = message[1]
@@ -212,27 +212,27 @@ class RelayLine:
         """Return the error of a problem, with the place of the relay."""
         return DriveError(kind, f"{self.where}: {problem}")
 
-    def _next(self, until: float) -> tuple[str, bytes] | None:
-        """Return the next message; None if none comes in time, or the connection ends."""
+    def _receive(self, until: float) -> tuple[str, bytes] | None:
+        """Return the next message; None if none is received in time, or the connection ends."""
         with self._changed:
             self._changed.wait_for(
-                lambda: self._heard or self._closed_by, max(0.0, until - time.monotonic())
+                lambda: self._received or self._closed_by, max(0.0, until - time.monotonic())
             )
-            return self._heard.popleft() if self._heard else None
+            return self._received.popleft() if self._received else None
 
-    def _filled(self, text: str, **values: str) -> str:
-        return Template(text).substitute(self._known, **values)
+    def _fill(self, text: str, **values: str) -> str:
+        return Template(text).substitute(self._placeholders, **values)
 
     def _publish(self, topic: str, payload: str, number: str, values: dict[str, str]) -> None:
-        filled = self._filled(payload, id=number, **values)
-        if not self.connected or self._client.publish(self._filled(topic), filled).rc:
+        filled = self._fill(payload, id=number, **values)
+        if not self.connected or self._client.publish(self._fill(topic), filled).rc:
             raise self.error("connection", f"the connection was closed: {self._closed_by}")
 
     # --- in the client's thread -------------------------------------------------------------------
 
     def _on_connect(self) -> None:
         if not self._closed_by:  # after the end the client reconnects by itself
-            topics = {self._filled(question.answer) for question in self._file.questions.values()}
+            topics = {self._fill(question.answer) for question in self._file.questions.values()}
             self._client.subscribe([(topic, 0) for topic in sorted(topics)])
             with self._changed:
                 self._connected = True
@@ -241,7 +241,7 @@ class RelayLine:
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         if not retained:
             with self._changed:
-                self._heard.append((topic, payload))
+                self._received.append((topic, payload))
                 self._changed.notify()
 
     def _on_disconnect(self, why: str) -> None:
@@ -259,19 +259,19 @@ class Relay:
         stopped: whether the last `stop` on this connection was written; None if there was none.
     """
 
-    def __init__(self, placed: PlacedRelay, timeout_s: float) -> None:
+    def __init__(self, endpoint: RelayEndpoint, timeout_s: float) -> None:
         """Prepare the relay without opening a connection.
 
         Args:
-            placed: the relay and its address.
+            endpoint: the relay and its address.
             timeout_s: longest wait for an answer (s).
 
         Raises:
             ConfigurationError: there is no MQTT library, or a file for the login is wrong.
         """
-        self.file, self.line = placed.file, RelayLine(placed, timeout_s)
+        self.file, self.line = endpoint.file, RelayLine(endpoint, timeout_s)
         self.stopped: bool | None = None
-        self._placed = placed
+        self._endpoint = endpoint
         # The state it was last switched to, None if unknown; and the state it has reported since
         # *on* was last published, None if it has not answered.
         self._ordered: bool | None = None
@@ -298,7 +298,7 @@ class Relay:
             DriveError: it cannot be read.
         """
         answers = {
-            setting.question: self.line.ask(setting.question)
+            setting.question: self.line.request(setting.question)
             for setting in (self.file.timer, *self.file.must)
         }
         self._timer_s = None  # the earlier value was valid until now
@@ -340,15 +340,15 @@ class Relay:
         """Return False: local control of a relay cannot be seen."""
         return False
 
-    def run(self, speed: float, go_on: Callable[[], bool] = lambda: True) -> None:
+    def run(self, speed: float, may_continue: Callable[[], bool] = lambda: True) -> None:
         """Switch it on, or keep it on. The caller repeats this while the relay must be on.
 
         *On* is published again only after the relay has answered since the last *on*, and not if it
-        is off although it was switched on: see `intruder`.
+        is off although it was switched on: see `second_master`.
 
         Args:
             speed: share of rated speed, above 0; a relay always runs at 1.
-            go_on: asked before switching on and while waiting for it; False ends the call.
+            may_continue: called before switching on and while waiting; False ends the call.
 
         Raises:
             DriveError: no answer or a wrong one; its timer is not effective; it does not switch on.
@@ -365,9 +365,9 @@ class Relay:
             due = self._on_at + _RENEWED * timer_s - self.file.period
             if is_on and time.monotonic() >= due:
                 self._switch_on(timer_s)
-        elif go_on():
+        elif may_continue():
             self._switch_on(timer_s)
-            self._until_on(go_on)
+            self._wait_until_on(may_continue)
 
     def stop(self) -> None:
         """Switch it off. The caller repeats this while the relay must be off.
@@ -377,7 +377,7 @@ class Relay:
         """
         self.stopped = False
         self.line.publish(self.file.switch_off)
-        self._ordered, self.line.parting = False, None
+        self._ordered, self.line.last_message = False, None
         self.stopped = True
 
     def reset(self) -> None:
@@ -388,7 +388,7 @@ class Relay:
         """
         self.stop()
 
-    def intruder(self) -> str:
+    def second_master(self) -> str:
         """Return that its state is not the one last ordered; empty if it is, or if unknown.
 
         Its own timer, a power failure, a person or another program may have switched it.
@@ -406,7 +406,7 @@ class Relay:
             "switched it off, it was without power, or its timer has expired"
         )
 
-    def why_no_simulator(self) -> str:
+    def simulator_problem(self) -> str:
         """Return why this may not be the relay simulator; empty if it certainly is.
 
         Nothing is published to switch it. Nothing at all is sent unless the broker is at loopback.
@@ -414,7 +414,7 @@ class Relay:
         Raises:
             DriveError: of the kind ``connection``: nobody answers there.
         """
-        if not self._placed.is_here:
+        if not self._endpoint.is_on_this_machine:
             return f"the broker of {self.line.where} is not at loopback"
         try:
             named = _text(self._value(self.file.name))
@@ -439,25 +439,25 @@ class Relay:
         return self._is_on
 
     def _switch_on(self, timer_s: float) -> None:
-        self.line.parting = self.file.switch_off
+        self.line.last_message = self.file.switch_off
         self._on_at, self._is_on = time.monotonic(), None
         self.line.publish(self.file.switch_on, seconds=f"{timer_s:g}")
 
-    def _until_on(self, go_on: Callable[[], bool]) -> None:
+    def _wait_until_on(self, may_continue: Callable[[], bool]) -> None:
         self._ordered = None  # unknown until it has answered
         while not self._read():
-            if not go_on():
+            if not may_continue():
                 return
             if time.monotonic() > self._on_at + _ON_S:
                 raise self.line.error(
                     "drive", f"it was switched on, but is still off after {_ON_S:g} s"
                 )
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)
         self._ordered = True
 
     def _value(self, value: Value, answers: Mapping[str, Any] | None = None) -> Any:
-        """Return a value of an answer; without answers, ask the relay first."""
-        answer = self.line.ask(value.question) if answers is None else answers[value.question]
+        """Return a value of an answer; without answers, request one first."""
+        answer = self.line.request(value.question) if answers is None else answers[value.question]
         try:
             return value_at(answer, value.path)
         except LookupError:

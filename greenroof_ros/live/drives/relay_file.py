@@ -21,7 +21,7 @@ _ROUNDS = 6
 
 
 @dataclass(frozen=True)
-class Message:
+class RelayMessage:
     """A message to the relay."""
 
     topic: str = entry("topic on which it is published")
@@ -47,7 +47,7 @@ class Value:
 
 
 @dataclass(frozen=True)
-class State(Value):
+class RelayState(Value):
     """The state of the relay, on or off."""
 
     is_on: str = entry("the value, as in JSON, with which it is on", default="true")
@@ -104,12 +104,12 @@ class RelayFile:
         "keys of this file (such as timer) that could not be verified in the maker's documents"
     )
     questions: dict[str, Question] = entry("by name")
-    state: State = entry("whether it is on")
+    state: RelayState = entry("whether it is on")
     timer: Timer = entry("the time after which it switches itself off")
     must: tuple[Setting, ...] = entry("settings that are read with the timer")
     name: Value = entry("how it identifies itself, for people")
-    switch_on: Message = entry("published to switch it on, and again to keep it on")
-    switch_off: Message = entry("published repeatedly while it must be off")
+    switch_on: RelayMessage = entry("published to switch it on, and again to keep it on")
+    switch_off: RelayMessage = entry("published repeatedly while it must be off")
     set_up: tuple[str, ...] = entry("for people: what must be set in the relay")
     number: str = entry(
         "path of the question's $id in each answer; empty: answers have none, and come in order",

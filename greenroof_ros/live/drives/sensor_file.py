@@ -36,7 +36,7 @@ _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 _PATH = re.compile(r"([^.\[\]]+|\[\d+\])(\.[^.\[\]]+|\[\d+\])*")
 
 
-class Quantity(NamedTuple):
+class MeasuredQuantity(NamedTuple):
     """A quantity that a sensor measures.
 
     Attributes:
@@ -64,11 +64,11 @@ class Quantity(NamedTuple):
 
 # By section of the file.
 QUANTITIES = {
-    "cistern": Quantity("cistern_sensor", "/cistern/level"),
-    "roof": Quantity("roof_sensor", "/roof/level"),
-    "flow_meter": Quantity("flow_meter", "/pump/meter", _LONGEST_AFTERFLOW_S / 2),
-    "rain_gauge": Quantity("rain_gauge", "/gauge/precipitation"),
-    "thermometer": Quantity("thermometer", "/gauge/temperature"),
+    "cistern": MeasuredQuantity("cistern_sensor", "/cistern/level"),
+    "roof": MeasuredQuantity("roof_sensor", "/roof/level"),
+    "flow_meter": MeasuredQuantity("flow_meter", "/pump/meter", _LONGEST_AFTERFLOW_S / 2),
+    "rain_gauge": MeasuredQuantity("rain_gauge", "/gauge/precipitation"),
+    "thermometer": MeasuredQuantity("thermometer", "/gauge/temperature"),
 }
 
 
@@ -127,7 +127,7 @@ class ModbusSensor(Sensor):
         return f"{address.host}:{address.port or _MODBUS_PORT}"
 
     @property
-    def place(self) -> tuple[object, ...]:
+    def unique_key(self) -> tuple[object, ...]:
         """Its register: no two sensors may have the same."""
         return self.connection, self.device_id, self.kind, self.register
 
@@ -182,7 +182,7 @@ class MqttSensor(Sensor):
         return str(section.get("address")).startswith(("mqtt://", "mqtts://"))
 
     @property
-    def place(self) -> tuple[object, ...]:
+    def unique_key(self) -> tuple[object, ...]:
         """Its topic and the value's path: no two sensors may have the same."""
         try:
             broker, topic = self.broker_and_topic()
@@ -261,7 +261,7 @@ def _mistakes(
             yield f"{section}.{key}", expected
     for (first, earlier), (second, later) in combinations(sensors.by_section.items(), 2):
         of = first.replace("_", " ")
-        if earlier.place == later.place:
+        if earlier.unique_key == later.unique_key:
             key = "register" if isinstance(later, ModbusSensor) else "address"
             yield f"{second}.{key}", f"is also the {of}'s: both sensors would be the same"
         if isinstance(earlier, ModbusSensor) and isinstance(later, ModbusSensor) and parse_address(
@@ -298,7 +298,9 @@ def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
         yield "counts", "needs median: 1, because a median removes occasional pulses"
 
 
-def _late(sensor: Sensor, quantity: Quantity, interval: float) -> Iterator[tuple[str, str]]:
+def _period_mistakes(
+    sensor: Sensor, quantity: MeasuredQuantity, interval: float
+) -> Iterator[tuple[str, str]]:
     late = sensor.median // 2 * interval
     shown = late + interval
     if quantity is QUANTITIES["flow_meter"] and shown > _LONGEST_AFTERFLOW_S:
@@ -315,7 +317,7 @@ def _late(sensor: Sensor, quantity: Quantity, interval: float) -> Iterator[tuple
 
 
 def _modbus_mistakes(
-    sensor: ModbusSensor, quantity: Quantity, greatest_age: float
+    sensor: ModbusSensor, quantity: MeasuredQuantity, greatest_age: float
 ) -> Iterator[tuple[str, str]]:
     try:
         parse_address(sensor.address)
@@ -331,7 +333,7 @@ def _modbus_mistakes(
             f"cannot give {sensor.low:g} to {sensor.high:g} {unit}: {sensor.type} with offset "
             f"{sensor.offset:g} gives {ends[0]:g} to {ends[1]:g} {unit}"
         )
-    yield from _late(sensor, quantity, sensor.period)
+    yield from _period_mistakes(sensor, quantity, sensor.period)
     if sensor.period > greatest_age / 2:
         yield "period", (
             f"must be at most {greatest_age / 2:g} s, half of {quantity.limit}: older values are "
@@ -340,7 +342,7 @@ def _modbus_mistakes(
 
 
 def _mqtt_mistakes(
-    sensor: MqttSensor, quantity: Quantity, greatest_age: float
+    sensor: MqttSensor, quantity: MeasuredQuantity, greatest_age: float
 ) -> Iterator[tuple[str, str]]:
     try:
         _, topic = sensor.broker_and_topic()
@@ -357,7 +359,7 @@ def _mqtt_mistakes(
         file = getattr(sensor, key)
         if file and not Path(file).is_absolute():
             yield key, "must be an absolute path: a copy of this file is read"
-    yield from _late(sensor, quantity, sensor.max_age)
+    yield from _period_mistakes(sensor, quantity, sensor.max_age)
     if sensor.max_age > greatest_age:
         yield "max_age", (
             f"must be at most {greatest_age:g} s, {quantity.limit}: older values are not used"

@@ -13,7 +13,7 @@ from greenroof_ros.live.drives.sensor_file import Sensor
 _LATE_S = 2.0
 # A rise may exceed the greatest rate by what that rate brings in this time (s).
 _BURST_S = 60.0
-# Shortest time over which a rise is spread (s): several of the node's looks.
+# Shortest time over which a rise is spread (s): several of the node's calls.
 _SHORTEST_S = 0.5
 # Widths of the counters that roll over.
 _BITS = (16, 32, 64)
@@ -39,17 +39,17 @@ class Total:
         self._burst_s = min(_BURST_S, longest_s)
         self._lock = threading.Lock()
         self._last: float | None = None  # the last raw total
-        self._at = 0.0  # when it came (s, `boot_time`)
+        self._received_at = 0.0  # when it was received (s, `boot_time`)
         self._former: float | None = None  # the total before a fall, until the next rise
-        self._odd: tuple[float, float] | None = None  # a refused total, and when it came
+        self._odd: tuple[float, float] | None = None  # a refused total, and when it was received
         self._rises: deque[tuple[float, float]] = deque()  # recent: when, and the total before
         self._growing = False  # whether the newest total continues an earlier one
         self._rates: defaultdict[float, float] = defaultdict(float)  # by their end (s)
-        self._due = self._shown = 0.0
-        self._looked = time.monotonic()
+        self._due = self._rate = 0.0
+        self._updated_at = time.monotonic()
 
-    def lose(self) -> None:
-        """Note that the sensor is lost: no rise since the last total is known, only what is due."""
+    def sensor_lost(self) -> None:
+        """Record that the sensor is lost: after the last total only what is due is known."""
         with self._lock:
             self._growing = False
 
@@ -57,21 +57,21 @@ class Total:
         """Return the present rate; None if nothing is due and no growth is known."""
         with self._lock:
             now = time.monotonic()
-            self._due -= self._shown * (now - self._looked)
-            self._looked = now
+            self._due -= self._rate * (now - self._updated_at)
+            self._updated_at = now
             for end in [end for end in self._rates if end <= now]:
                 del self._rates[end]
             if self._due <= 0:
-                self._shown = 0.0
+                self._rate = 0.0
             else:
-                rate = sum(self._rates.values()) or self._shown
-                # What the greatest rate, or a late look, has left over.
+                rate = sum(self._rates.values()) or self._rate
+                # What the greatest rate, or a late call, has left over.
                 behind = self._due - sum(
                     part * (end - now) for end, part in self._rates.items()
                 )
                 high = self._sensor.high
-                self._shown = high if behind > _BURST_S * rate else min(rate, high)
-            return self._shown if self._shown or self._growing else None
+                self._rate = high if behind > _BURST_S * rate else min(rate, high)
+            return self._rate if self._rate or self._growing else None
 
     def add(self, raw: float) -> None:
         """Add a total.
@@ -89,10 +89,10 @@ class Total:
                 return
             while self._rises and now - self._rises[0][0] > _LATE_S:
                 self._rises.popleft()
-            gap = now - self._at
-            if self._former is not None and self._grew(self._former, raw, gap):
+            gap = now - self._received_at
+            if self._former is not None and self._is_growth(self._former, raw, gap):
                 self._last = self._former  # the fall was a single wrong or late total
-            if self._grew(self._last, raw, gap):
+            if self._is_growth(self._last, raw, gap):
                 self._rise(raw, self._sensor.scale * (raw - self._last), now)
             elif self._sensor.scale * (raw - self._last) > 0:
                 self._refuse(raw, now)
@@ -109,7 +109,7 @@ class Total:
         """Return the greatest rise in a time (s)."""
         return self._sensor.high * (self._burst_s + min(gap, self._longest_s))
 
-    def _grew(self, before: float, raw: float, gap: float) -> bool:
+    def _is_growth(self, before: float, raw: float, gap: float) -> bool:
         return 0 <= self._sensor.scale * (raw - before) <= self._allowed(gap)
 
     def _roll_over(self, raw: float, gap: float) -> float | None:
@@ -120,25 +120,26 @@ class Total:
         return next((rise for rise in rises if 0 < rise <= self._allowed(gap)), None)
 
     def _start(self, raw: float, now: float) -> None:
-        self._last, self._at, self._growing = raw, now, False
+        self._last, self._received_at, self._growing = raw, now, False
         self._former = self._odd = None
         self._rises.clear()
 
     def _rise(self, raw: float, rise: float, now: float) -> None:
-        gap, before = now - self._at, self._last
+        gap, before = now - self._received_at, self._last
         assert before is not None
-        self._last, self._at, self._growing, self._odd = raw, now, True, None
+        self._last, self._received_at, self._growing, self._odd = raw, now, True, None
         if not rise:
             return
         self._former = None
         self._rises.append((now, before))
-        began = time.monotonic()
-        end = began + min(max(gap, _SHORTEST_S), self._longest_s)
+        started_at = time.monotonic()
+        end = started_at + min(max(gap, _SHORTEST_S), self._longest_s)
         # One of several tips at once shares the time of the first.
         end = min(
-            (other for other in self._rates if end < other <= began + self._burst_s), default=end
+            (other for other in self._rates if end < other <= started_at + self._burst_s),
+            default=end,
         )
-        self._rates[end] += rise / (end - began)
+        self._rates[end] += rise / (end - started_at)
         self._due += rise
 
     def _refuse(self, raw: float, now: float) -> None:
@@ -148,7 +149,7 @@ class Total:
             ValueError: it is refused.
         """
         odd = self._odd
-        confirms = odd is not None and self._grew(odd[0], raw, now - odd[1])
+        confirms = odd is not None and self._is_growth(odd[0], raw, now - odd[1])
         if odd is not None and confirms and now - odd[1] > _LATE_S:
             self._start(raw, now)
             return
@@ -157,6 +158,7 @@ class Total:
         assert self._last is not None
         rise, amount = self._sensor.scale * (raw - self._last), self._unit.removesuffix("/s")
         raise ValueError(
-            f"says {raw:g}, a total that rose by {rise:.6g} {amount} in {now - self._at:.1f} s, "
-            f"which is faster than {self._sensor.high:g} {self._unit}"
+            f"says {raw:g}, a total that rose by {rise:.6g} {amount} in "
+            f"{now - self._received_at:.1f} s, which is faster than {self._sensor.high:g} "
+            f"{self._unit}"
         )

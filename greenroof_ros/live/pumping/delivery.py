@@ -81,7 +81,7 @@ class _Sums(NamedTuple):
     """volume, counted up to the target (m3)"""
     overfull_cistern: float = 0.0
     """volume, also above the outlet, less what upward jumps have added (m3)"""
-    kept: float = 0.0
+    retained: float = 0.0
     """share of ``least_pumped`` that the roof's soil retains at its present wetness (m3)"""
     mains: float = 0.0
     """what the mains may have let in (m3)"""
@@ -98,7 +98,7 @@ class _Balance:
     def __init__(self) -> None:
         self.rise = 0.0
         """m3"""
-        self.over = _Sums()
+        self.since_minimum = _Sums()
         """change of the sums since that minimum"""
 
     def add(self, unaccounted: float, change: _Sums, share: float | None = None) -> float:
@@ -109,11 +109,11 @@ class _Balance:
             change: of the sums.
             share: the balance cannot rise above this share of the pumped volume.
         """
-        self.rise, self.over = self.rise + unaccounted, self.over.plus(change)
+        self.rise, self.since_minimum = self.rise + unaccounted, self.since_minimum.plus(change)
         if share is not None:
-            self.rise = min(self.rise, share * self.over.least_pumped)
+            self.rise = min(self.rise, share * self.since_minimum.least_pumped)
         if self.rise <= 0:
-            self.rise, self.over = 0.0, _Sums()
+            self.rise, self.since_minimum = 0.0, _Sums()
         return self.rise
 
 
@@ -124,13 +124,13 @@ class DeliveryCheck:
         self._site, self._soil = site, soil_of(site)
         self._settings = settings
         self._loss = settings.greatest_loss * _M_PER_S
-        self._kept_share = self._soil.kept_share(site.x2_star)
-        self._share_on_roof = settings.least_delivery * self._kept_share
-        self._keeps = self._kept_share  # share retained at the last known wetness
+        self._share_at_target = self._soil.retained_share(site.x2_star)
+        self._share_on_roof = settings.least_delivery * self._share_at_target
+        self._retained_share = self._share_at_target  # share retained at the last known wetness
         self._sums = _Sums()
-        self._missing, self._lost, self._kept = _Balance(), _Balance(), _Balance()
+        self._missing, self._lost, self._not_drawn = _Balance(), _Balance(), _Balance()
         # For cistern and roof: the newest level (m), and the sums when it last changed.
-        self._still = [(math.nan, _Sums()), (math.nan, _Sums())]
+        self._last_change = [(math.nan, _Sums()), (math.nan, _Sums())]
         self._mean: _Sums | None = None
         self._watched = 0.0
         self._displaced: tuple[float, float] | None = None  # by jumps, at the first reading (m)
@@ -139,7 +139,7 @@ class DeliveryCheck:
         self._rain_on_roof = 0.0  # most since the minimum of the third balance (m3)
 
     @property
-    def watches(self) -> bool:
+    def has_mean(self) -> bool:
         """Whether there were enough readings for a mean."""
         return self._watched >= self._settings.averaging_time
 
@@ -152,7 +152,7 @@ class DeliveryCheck:
         most_pumped: float,
         displacements: tuple[float, float] = (0.0, 0.0),
     ) -> Problem | None:
-        """Take the sensors' readings, and return the fault; None if there is none.
+        """Update with the sensors' readings, and return the fault; None if there is none.
 
         Args:
             dt: time since the last step (s).
@@ -164,7 +164,7 @@ class DeliveryCheck:
         """
         site, settings = self._site, self._settings
         if roof_level is not None:
-            self._keeps = self._soil.kept_share(site.roof_volume(roof_level))
+            self._retained_share = self._soil.retained_share(site.roof_volume(roof_level))
         mains = drained = 0.0
         if site.mains_level is not None and site.mains_flow is not None and (
             cistern_level is None or cistern_level < site.mains_level + settings.level_offset
@@ -174,8 +174,8 @@ class DeliveryCheck:
             highest = site.z_o if cistern_level is None else cistern_level + settings.level_offset
             drained = low_outlet_flow(site, site.cistern_volume(highest)) * dt
         self._sums = self._sums.plus(_Sums(
-            dt, least_pumped, most_pumped, kept=self._keeps * least_pumped, mains=mains,
-            drained=drained,
+            dt, least_pumped, most_pumped, retained=self._retained_share * least_pumped,
+            mains=mains, drained=drained,
         ))
         if cistern_level is None or roof_level is None:
             return None
@@ -192,11 +192,11 @@ class DeliveryCheck:
             overfull_cistern=(cistern_level - self._raised) * site.a1,
         )
         for tank, level in enumerate((cistern_level, roof_level)):
-            if level != self._still[tank][0]:
-                self._still[tank] = level, present
-        still = self._stands_still(present)
-        if still:
-            return still
+            if level != self._last_change[tank][0]:
+                self._last_change[tank] = level, present
+        unchanged = self._check_unchanged(present)
+        if unchanged:
+            return unchanged
         change = self._change_of_mean(dt, present)
         share = settings.least_delivery
         missing = self._share_on_roof * change.least_pumped - change.roof
@@ -205,33 +205,33 @@ class DeliveryCheck:
         lost -= self._loss * site.a1 * change.elapsed
         tolerance = settings.level_tolerance * site.a2
         rise = self._missing.add(missing, change)
-        if min(rise, self._share_on_roof * self._missing.over.least_pumped) > tolerance:
-            return _missing_on_roof(self._missing.over)
+        if min(rise, self._share_on_roof * self._missing.since_minimum.least_pumped) > tolerance:
+            return _missing_on_roof(self._missing.since_minimum)
         if self._lost.add(lost, change) > settings.level_tolerance * site.a1:
-            return _lost_from_cistern(self._lost.over)
-        return self._kept_in_cistern(change)
+            return _lost_from_cistern(self._lost.since_minimum)
+        return self._check_cistern_falls(change)
 
-    def _kept_in_cistern(self, change: _Sums) -> Problem | None:
+    def _check_cistern_falls(self, change: _Sums) -> Problem | None:
         """Return the fault of a cistern that does not fall although it is pumped from."""
         site, share = self._site, self._settings.least_delivery
-        kept = share * change.least_pumped + change.overfull_cistern
-        kept -= self._loss * site.a1 * change.elapsed + change.mains
-        rise = self._kept.add(kept, change, share)
-        over = self._kept.over
-        rain_on_roof = over.roof - share * over.kept
-        rain_on_roof += self._loss * site.a2 * over.elapsed
+        not_drawn = share * change.least_pumped + change.overfull_cistern
+        not_drawn -= self._loss * site.a1 * change.elapsed + change.mains
+        rise = self._not_drawn.add(not_drawn, change, share)
+        since = self._not_drawn.since_minimum
+        rain_on_roof = since.roof - share * since.retained
+        rain_on_roof += self._loss * site.a2 * since.elapsed
         # Rain stays in the cistern even after it has drained off the roof.
         self._rain_on_roof = max(self._rain_on_roof, rain_on_roof) if rise else 0.0
-        if not self._keeps:
-            return None  # a soil that keeps nothing does not show how much it rains
-        rise -= site.a_in / site.a2 / self._keeps * self._rain_on_roof
+        if not self._retained_share:
+            return None  # a soil that retains nothing does not show how much it rains
+        rise -= site.a_in / site.a2 / self._retained_share * self._rain_on_roof
         if rise <= self._settings.level_tolerance * site.a1:
             return None
-        if over.roof < self._share_on_roof * over.least_pumped:
-            return _missing_on_roof(over)
+        if since.roof < self._share_on_roof * since.least_pumped:
+            return _missing_on_roof(since)
         return Problem.of(
-            "delivery", "cistern_stuck", pumped=over.least_pumped, minutes=over.elapsed / 60,
-            change=1000 * over.overfull_cistern / site.a1,
+            "delivery", "cistern_stuck", pumped=since.least_pumped, minutes=since.elapsed / 60,
+            change=1000 * since.overfull_cistern / site.a1,
         )
 
     def _change_of_mean(self, dt: float, present: _Sums) -> _Sums:
@@ -247,13 +247,14 @@ class DeliveryCheck:
         self._mean = before.plus(present.plus(before, -1.0), weight)
         return self._mean.plus(before, -1.0) if self._watched > averaging else _Sums()
 
-    def _stands_still(self, now: _Sums) -> Problem | None:
+    def _check_unchanged(self, now: _Sums) -> Problem | None:
         """Return the fault of a roof, or of both tanks, unchanged while water was pumped."""
         site = self._site
-        (_, cistern), (_, roof) = self._still
+        (_, cistern), (_, roof) = self._last_change
         longer = roof if roof.elapsed > cistern.elapsed else cistern
         for since, area, share, stuck in (
-            (roof, site.a2, self._kept_share, "roof_stuck"), (longer, site.a1, 1.0, "both_stuck"),
+            (roof, site.a2, self._share_at_target, "roof_stuck"),
+            (longer, site.a1, 1.0, "both_stuck"),
         ):
             unseen = share * (now.least_pumped - since.least_pumped)
             unseen -= self._loss * area * (now.elapsed - since.elapsed)
@@ -262,19 +263,19 @@ class DeliveryCheck:
         return None
 
 
-def _missing_on_roof(over: _Sums, *stuck: str) -> Problem:
-    fell = max(0.0, -over.cistern)
-    cause = "burst" if fell - over.drained > over.least_pumped / 2 else "closed"
+def _missing_on_roof(since: _Sums, *stuck: str) -> Problem:
+    fell = max(0.0, -since.cistern)
+    cause = "burst" if fell - since.drained > since.least_pumped / 2 else "closed"
     return Problem.of(
-        "delivery", "roof", cause, *stuck, pumped=over.least_pumped, minutes=over.elapsed / 60,
-        roof=over.roof, cistern=fell,
+        "delivery", "roof", cause, *stuck, pumped=since.least_pumped, minutes=since.elapsed / 60,
+        roof=since.roof, cistern=fell,
     )
 
 
-def _lost_from_cistern(over: _Sums) -> Problem:
-    fell = -over.cistern
-    by_outlet = ["outlet"] if over.drained else []
+def _lost_from_cistern(since: _Sums) -> Problem:
+    fell = -since.cistern
+    by_outlet = ["outlet"] if since.drained else []
     return Problem.of(
-        "delivery", "cistern", *by_outlet, "contactor" if over.roof > fell / 2 else "leak",
-        cistern=fell, minutes=over.elapsed / 60, pumped=over.most_pumped, drained=over.drained,
+        "delivery", "cistern", *by_outlet, "contactor" if since.roof > fell / 2 else "leak",
+        cistern=fell, minutes=since.elapsed / 60, pumped=since.most_pumped, drained=since.drained,
     )

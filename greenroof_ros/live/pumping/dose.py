@@ -1,7 +1,7 @@
 """A dose: a volume that a person requests, delivered once in place of the controller's command.
 
 Anything that would stop the pump ends the dose, and a restart of the node forgets it; the person
-must ask again. So no dose starts later than expected, and none continues unwatched.
+must request another. So no dose starts later than expected, and none continues unwatched.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _AHEAD_S = 5.0
 # Near its end a dose flows at its remaining volume per this time (s), so that it ends exactly.
 _SLOWS_S = 30.0
 # How long the end of a dose is reported (s).
-_SAID_S = 60.0
+_REPORTED_S = 60.0
 
 DONE, EXPIRED, FULL, INTERLOCK, UNSEEN = "done", "expired", "full", "interlock", "unseen"
 """How a dose ends, as machine-readable words."""
@@ -49,7 +49,7 @@ class Dose:
     cause: str = ""
 
     @property
-    def said(self) -> str:
+    def sentence(self) -> str:
         """State of the dose, as a sentence."""
         progress = f"{self.delivered:.3f} of {self.volume:g} m3"
         if not self.over:
@@ -84,7 +84,7 @@ class Doses:
             site: says whether doses are allowed, and how large they may be.
             now: system time (s since 1970).
         """
-        self._most = site.greatest_dose
+        self._largest = site.greatest_dose
         self._newest = now
         self.last: Dose | None = None
 
@@ -93,49 +93,51 @@ class Doses:
         """The dose that waits or runs; None if there is none."""
         return None if self.last is None or self.last.over else self.last
 
-    def refusal(self, against: str) -> str:
+    def refusal(self, inhibit_reason: str) -> str:
         """Return why any request would be refused now; empty if it would not.
 
         Args:
-            against: why the pump must not run now; empty if it may.
+            inhibit_reason: why the pump must not run now; empty if it may.
         """
-        if self._most is None:
+        if self._largest is None:
             return "the site file allows no dose (greatest_dose)"
         if (present := self.present) is not None:
-            return f"another dose is under way: {present.said}"
-        return against and f"the pump must not run now: {against}"
+            return f"another dose is under way: {present.sentence}"
+        return inhibit_reason and f"the pump must not run now: {inhibit_reason}"
 
-    def ask(self, request: float, volume: float, now: float, least: float, against: str) -> str:
+    def request(
+        self, requested_at: float, volume: float, now: float, least: float, inhibit_reason: str
+    ) -> str:
         """Accept a request (returns an empty string), or return why it is refused.
 
         Args:
-            request: time at which it was made (s since 1970), which is its id.
+            requested_at: time at which it was made (s since 1970), which is its id.
             volume: requested volume (m3).
             now: system time (s since 1970).
             least: smallest volume that can be delivered (m3).
-            against: why the pump must not run now; empty if it may.
+            inhibit_reason: why the pump must not run now; empty if it may.
         """
-        if self._most is None:
-            return self.refusal(against)
-        if not 0 < volume <= self._most:  # nor a NaN
-            return f"a dose must be above 0 and at most {self._most:g} m3 (greatest_dose)"
-        age = now - request
+        if self._largest is None:
+            return self.refusal(inhibit_reason)
+        if not 0 < volume <= self._largest:  # nor a NaN
+            return f"a dose must be above 0 and at most {self._largest:g} m3 (greatest_dose)"
+        age = now - requested_at
         if not -_AHEAD_S <= age <= EXPIRES_S:
             return (
                 f"the request is {age:.0f} s old, but must be at most {EXPIRES_S:g} s: ask again, "
                 "or set the clocks"
             )
-        if request <= self._newest:
+        if requested_at <= self._newest:
             return "the request was made before the last one, or before the pump node was started"
-        self._newest = request  # even if it is refused below
-        if refusal := self.refusal(against):
+        self._newest = requested_at  # even if it is refused below
+        if refusal := self.refusal(inhibit_reason):
             return refusal
         if volume < least:
             return f"a dose must be at least {least:.3f} m3, the pump's least pulse"
-        self.last = Dose(request, volume, max(0.0, age))
+        self.last = Dose(requested_at, volume, max(0.0, age))
         return ""
 
-    def pass_time(self, dt: float, delivered: float) -> None:
+    def advance(self, dt: float, delivered: float) -> None:
         """Count time and delivered volume; end the dose when it is delivered or has expired.
 
         Args:
@@ -147,7 +149,7 @@ class Doses:
             return
         dose.age += dt
         if dose.over:
-            if dose.age > _SAID_S:
+            if dose.age > _REPORTED_S:
                 self.last = None
             return
         dose.delivered += delivered

@@ -48,7 +48,7 @@ class Verdict:
 
     Attributes:
         code: of the broken rule, see ``msg_defs/conditions.yaml``; empty if it is good.
-        case: which of the code's sentences tells it; empty if there is only one.
+        case: which of the code's sentences describes it; empty if there is only one.
         values: for that sentence, which needs the topic besides.
         before: what was wrong until now, if it recovers.
     """
@@ -73,7 +73,7 @@ class Verdict:
         return Problem.of(self.code, *cases, topic=topic, **self.values, **more)
 
 
-class Reach(NamedTuple):
+class LevelBounds(NamedTuple):
     """How fast the level of a tank can change, and its highest plausible value.
 
     Attributes:
@@ -87,8 +87,8 @@ class Reach(NamedTuple):
     highest: float
 
 
-def cistern_reach(site: Site) -> Reach:
-    """Return the reach of the cistern: rain and mains fill it; pumps and outlets empty it.
+def cistern_bounds(site: Site) -> LevelBounds:
+    """Return the bounds of the cistern: rain and mains fill it; pumps and outlets empty it.
 
     All rain on the catchment counts, since a storm's runoff coefficient may be above the mean.
     """
@@ -98,17 +98,17 @@ def cistern_reach(site: Site) -> Reach:
         return _MARGIN * (maximum_pump_flow(site, volume) + outlet_flow(site, volume)) / site.a1
 
     rise = _MARGIN * (_MOST_RAIN * site.a_in + (site.mains_flow or 0.0)) / site.a1
-    return Reach(lambda level: rise, fall, site.highest_cistern_level)
+    return LevelBounds(lambda level: rise, fall, site.highest_cistern_level)
 
 
-def roof_reach(site: Site) -> Reach:
-    """Return the reach of the roof: rain and pumps; evapotranspiration and drainage."""
+def roof_bounds(site: Site) -> LevelBounds:
+    """Return the bounds of the roof: rain and pumps; evapotranspiration and drainage."""
     pump, soil = maximum_pump_flow(site, site.cistern_volume(site.z_o)) / site.a2, soil_of(site)
 
     def fall(level: float) -> float:
         return _MARGIN * (_MOST_EVAPOTRANSPIRATION + soil.fastest_fall(level))
 
-    return Reach(lambda level: _MARGIN * (_MOST_RAIN + pump), fall, site.highest_roof_level)
+    return LevelBounds(lambda level: _MARGIN * (_MOST_RAIN + pump), fall, site.highest_roof_level)
 
 
 class Movement(NamedTuple):
@@ -128,18 +128,18 @@ class Wetting:
 
     def __init__(self) -> None:
         """Begin with dry surfaces."""
-        self._held = 0.0  # m
+        self._retained = 0.0  # m
 
-    def beyond(self, rain: float, passed: float) -> float:
+    def excess(self, rain: float, passed: float) -> float:
         """Return the rain beyond what the surfaces may hold back (m/s).
 
         Args:
             rain: m/s.
             passed: for how long (s).
         """
-        held = max(0.0, self._held + (rain - _LOSS) * passed)
-        self._held = min(held, _WETTING)
-        return (held - self._held) / passed
+        retained = max(0.0, self._retained + (rain - _LOSS) * passed)
+        self._retained = min(retained, _WETTING)
+        return (retained - self._retained) / passed
 
 
 def expected_movement(
@@ -181,7 +181,7 @@ def expected_movement(
     if cistern_level >= site.z_o:
         most = 0.0
     roof = running_off + flow / site.a2 if roof_level + off < site.z_soil else 0.0
-    roof *= soil_of(site).kept_share(site.roof_volume(roof_level + off))
+    roof *= soil_of(site).retained_share(site.roof_volume(roof_level + off))
     return Movement(least - _DRIFT, most + _DRIFT), Movement(roof - _LOSS, math.inf)
 
 
@@ -201,17 +201,17 @@ class LevelRule:
             from before a jump, that jump was a spike and its displacement is undone.
     """
 
-    def __init__(self, reach: Reach, frozen_movement: float, jump_tolerance: float) -> None:
+    def __init__(self, bounds: LevelBounds, frozen_movement: float, jump_tolerance: float) -> None:
         """Begin without a value.
 
         Args:
-            reach: of the tank.
+            bounds: of the tank.
             frozen_movement: a reading that does not change although the level must have moved by
                 more than this (m) is frozen; more than the sensor's resolution.
             jump_tolerance: how far two values may be apart beyond what water can do (m).
         """
         self.displacement = 0.0
-        self._reach = reach
+        self._bounds = bounds
         self._frozen_movement = frozen_movement
         self._tolerance = jump_tolerance
         self._value = math.nan
@@ -226,17 +226,17 @@ class LevelRule:
         self._frozen = False
 
     def expect(self, movement: Movement, passed: float) -> None:
-        """Note how the level must have moved in a time (s)."""
+        """Update how the level must have moved in a time (s)."""
         self._risen = max(0.0, self._risen + movement.least * passed)
         self._fallen = max(0.0, self._fallen - movement.most * passed)
         moved = max(self._risen, self._fallen)
         self._frozen = self._frozen or moved > self._frozen_movement
 
-    def came(self, now: float, value: float) -> Verdict:
-        """Take a value (m), and judge whether water can have reached it."""
-        if value > self._reach.highest:
+    def check(self, now: float, value: float) -> Verdict:
+        """Check a new value (m): whether water can have reached it."""
+        if value > self._bounds.highest:
             return Verdict(
-                "input_refused", "absurd", {"value": value, "highest": self._reach.highest}
+                "input_refused", "absurd", {"value": value, "highest": self._bounds.highest}
             )
         if value != self._value:
             self._risen = self._fallen = 0.0
@@ -247,12 +247,12 @@ class LevelRule:
         if math.isnan(before):
             self._low, self._high = value - half, value + half
             return Verdict()
-        fall, rise = self._reach.fall(before) * passed, self._reach.rise(before) * passed
+        fall, rise = self._bounds.fall(before) * passed, self._bounds.rise(before) * passed
         low, high = self._low - fall, self._high + rise
         self._old_low, self._old_high = self._old_low - fall, self._old_high + rise
         self._low, self._high = max(low, value - half), min(high, value + half)
         if self._low <= self._high:
-            return self.stands()
+            return self.check_frozen()
         self._low, self._high = value - half, value + half
         narrow = self._old_high - self._old_low < _SPIKE * self._tolerance
         if narrow and self._old_low - half <= value <= self._old_high + half:
@@ -267,8 +267,8 @@ class LevelRule:
             "tolerance": half,
         })
 
-    def stands(self) -> Verdict:
-        """Judge whether the reading is unchanged although the level must have moved."""
+    def check_frozen(self) -> Verdict:
+        """Check whether the reading is unchanged although the level must have moved."""
         if not self._frozen:
             return Verdict()
         return Verdict("input_frozen", values={"movement": self._frozen_movement})
@@ -294,49 +294,49 @@ class InputRules:
         self._limit_name = limit_name
         self._recovery = recovery
         self.level = level
-        self._begun = now
-        self._came: float | None = None
+        self._started_at = now
+        self._received_at: float | None = None
         # Verdict on the newest value, or why there is none; and the broken rule to recover from.
         self._newest = self._broken = Verdict(_WAITING)
         self._good_since: float | None = None
 
-    def came(self, now: float, value: object, refused: Verdict | None = None) -> Verdict:
-        """Take a value.
+    def receive(self, now: float, value: object, refused: Verdict | None = None) -> Verdict:
+        """Receive a value, and check it.
 
         Args:
             now: s.
             value: the value.
             refused: why it is ignored; None if it counts.
         """
-        self.judge(now)  # the input may have been silent until now
-        self._came = now
+        self.check(now)  # the input may have been silent until now
+        self._received_at = now
         if refused:
             self._newest = refused
         elif self.level is not None and isinstance(value, float):
-            self._newest = self.level.came(now, value)
+            self._newest = self.level.check(now, value)
         else:
             self._newest = Verdict()
-        return self.judge(now)
+        return self.check(now)
 
     def refuse(self, now: float, why: str) -> Verdict:
         """Refuse the newest value, because its reader cannot use it."""
         self._newest = Verdict("input_refused", "refused", {"why": why})
-        return self.judge(now)
+        return self.check(now)
 
-    def paused(self, seconds: float) -> None:
-        """Forget all values, since this process itself was paused for this long (s)."""
-        if self._came is not None:
-            self._came = None
+    def clear(self, seconds: float) -> None:
+        """Forget all values, because this process itself was paused for this long (s)."""
+        if self._received_at is not None:
+            self._received_at = None
             self._newest = Verdict("input_paused", values={"time": seconds})
 
-    def judge(self, now: float, publishers: str = "") -> Verdict:
+    def check(self, now: float, publishers: str = "") -> Verdict:
         """Return whether the input may be acted on, and why not.
 
         Args:
             now: s.
             publishers: what is wrong with them; empty if there is only one.
         """
-        verdict = self._present(now, publishers)
+        verdict = self._broken_rule(now, publishers)
         if not verdict.good:
             self._broken, self._good_since = verdict, None
             return verdict
@@ -350,18 +350,18 @@ class InputRules:
             )
         return verdict
 
-    def _present(self, now: float, publishers: str) -> Verdict:
+    def _broken_rule(self, now: float, publishers: str) -> Verdict:
         """Return the first rule that is broken now, ignoring recovery."""
         if publishers:
             return Verdict("input_publishers", values={"problem": publishers})
-        if self._came is None:
-            if self._newest.code == _WAITING and now - self._begun > _START_S:
+        if self._received_at is None:
+            if self._newest.code == _WAITING and now - self._started_at > _START_S:
                 return Verdict("input_silent", "never")
             return self._newest
-        if now - self._came > self._limit:
+        if now - self._received_at > self._limit:
             return Verdict(
                 "input_silent", "old", {"limit": self._limit, "parameter": self._limit_name}
             )
         if self._newest.good and self.level is not None:
-            return self.level.stands()
+            return self.level.check_frozen()
         return self._newest

@@ -1,6 +1,6 @@
 """State of the pump node that must survive a restart: hold, fault, starts, the day's use.
 
-A hold keeps the pump off. It has an owner, who asked for it; a reason, which may be empty; and an
+A hold keeps the pump off. It has an owner, who requested it; a reason, which may be empty; and an
 end, or none. This is what it promises:
 
 - It is read before the pump may run. Neither a restart nor a power cut ends it.
@@ -42,8 +42,8 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.conditions import Problem
-from greenroof_ros.common.disk import DISK, PATIENCE_S, Newest
-from greenroof_ros.common.processes import LockedError, take_lock
+from greenroof_ros.common.disk import DISK, PATIENCE_S, LatestWriter
+from greenroof_ros.common.processes import LockedError, acquire_file_lock
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import to_people
 
@@ -65,7 +65,7 @@ _WAIT_S = 0.5
 
 
 @dataclass(frozen=True)
-class Record:
+class PumpRecord:
     """The state that is kept.
 
     Attributes:
@@ -118,7 +118,7 @@ class Ledger:
 
     A missing file means a fresh record, and is made at once. The first ledger of a file owns it
     until the ledger is closed or its process ends. A second ledger reads the file at its own start,
-    and writes nothing until it can take over (:meth:`take`).
+    and writes nothing until it can acquire the file (:meth:`acquire`).
 
     Attributes:
         record: the present record.
@@ -135,24 +135,24 @@ class Ledger:
         self._clock = system_clock
         self._unsaved = 0.0
         self._unseen = 0.0
-        self._only: FileIO | None = None  # the lock
-        self.record = self._at_start = Record()
+        self._file_lock: FileIO | None = None  # the lock
+        self.record = self._at_start = PumpRecord()
         if file is not None:
             self._lines = _Lines(file)
-            self._newest = Newest(self._lines.write, partial(_why, file))
+            self._writer = LatestWriter(self._lines.write, partial(_error_text, file))
             self._lock(file)
-            self._begin(file)
+            self._load(file)
 
-    def take(self) -> bool:
-        """Take over the file if another ledger had it or it could not be made; return whether so.
+    def acquire(self) -> bool:
+        """Acquire the file if another ledger had it or it could not be made; return whether so.
 
         Its present content counts, plus a hold and a fault that came here meanwhile. An earlier
         release does not apply to it, nor to its being unreadable.
         """
-        if self._file is None or self._only is not None or not self._lock(self._file):
+        if self._file is None or self._file_lock is not None or not self._lock(self._file):
             return False
         mine, before = self.record, self._at_start
-        self._begin(self._file)
+        self._load(self._file)
         if mine.hold_owner and mine.hold != before.hold:
             self.hold(*mine.hold)
         if mine.fault and mine.fault != before.fault:
@@ -164,15 +164,15 @@ class Ledger:
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             # Not a lock on the file itself, which is replaced if it is broken or removed.
-            self._only = take_lock(file.with_name(file.name + ".lock"))
+            self._file_lock = acquire_file_lock(file.with_name(file.name + ".lock"))
         except (LockedError, OSError, ValueError) as error:
-            self._newest.problem = _why(file, error)
+            self._writer.problem = _error_text(file, error)
             return False
-        self._newest.problem = ""
+        self._writer.problem = ""
         return True
 
-    def _begin(self, file: Path) -> None:
-        """Begin with the content of the file, and add the time since it was written."""
+    def _load(self, file: Path) -> None:
+        """Load the content of the file, and add the time since it was written."""
         self.record, self._lines.sequence, intact = _read(file)
         self._at_start = self.record
         down = self._clock() - self.record.written_at
@@ -180,7 +180,7 @@ class Ledger:
         if self.record.on:
             self._unseen = down if known else math.inf
         if known:
-            self._pass(down)
+            self._advance(down)
         if not intact:
             self._save()
 
@@ -189,9 +189,9 @@ class Ledger:
         """Why the file could not be written; empty if it could. Control continues regardless."""
         if self._file is None:
             return ""
-        if self._only is not None and DISK.late:
+        if self._file_lock is not None and DISK.late:
             return f"{self._file} could not be written within {PATIENCE_S:g} s"
-        return self._newest.problem
+        return self._writer.problem
 
     @property
     def now(self) -> float:
@@ -199,7 +199,7 @@ class Ledger:
         return self._clock()
 
     @property
-    def held(self) -> Problem | None:
+    def active_hold(self) -> Problem | None:
         """Who holds the pump, until when and why; None if nobody does."""
         owner, reason, until = self.record.hold
         if not owner or (until is not None and self.now >= until):
@@ -212,7 +212,7 @@ class Ledger:
 
     def hold(self, owner: str, reason: str = "", until: float | None = None) -> None:
         """Keep the pump off until a release, or until a time (s since 1970) if one is given."""
-        if self.held:
+        if self.active_hold:
             ends = until, self.record.hold_until
             until = None if None in ends else max(end for end in ends if end is not None)
         self.record = replace(
@@ -236,7 +236,7 @@ class Ledger:
         self._save()
 
     def switch(self, on: bool) -> None:
-        """Note that the pump was started or stopped."""
+        """Record that the pump was started or stopped."""
         record = self.record
         if on:
             record = replace(record, starts=(*record.starts, record.elapsed)[-_MOST_STARTS:])
@@ -245,7 +245,7 @@ class Ledger:
 
     def count(self, dt: float, run: float, volume: float) -> None:
         """Count elapsed time (s), the pump's time on in it (s), and the pumped volume (m3)."""
-        self._pass(dt)
+        self._advance(dt)
         self.record = replace(
             self.record,
             day_run=self.record.day_run + run, day_volume=self.record.day_volume + volume,
@@ -268,7 +268,7 @@ class Ledger:
             self.count(0.0, run, run * flow)
             self.switch(False)
 
-    def why_not_kept(self, within: float = _WAIT_S) -> str:
+    def flush(self, within: float = _WAIT_S) -> str:
         """Write the record, and return why it is not on the disk; empty if it is.
 
         Args:
@@ -281,13 +281,13 @@ class Ledger:
 
     def close(self) -> str:
         """Write the record and release the file; return why the record is not on the disk."""
-        problem = self.why_not_kept(PATIENCE_S)
-        if self._only is not None and DISK.wait(0.0):
-            self._only.close()
-            self._only = None
+        problem = self.flush(PATIENCE_S)
+        if self._file_lock is not None and DISK.wait(0.0):
+            self._file_lock.close()
+            self._file_lock = None
         return problem
 
-    def _pass(self, elapsed: float) -> None:
+    def _advance(self, elapsed: float) -> None:
         before, now = self.record.elapsed, self.record.elapsed + elapsed
         if now // DAY_S > before // DAY_S:
             self.record = replace(self.record, day_run=0.0, day_volume=0.0)
@@ -296,8 +296,8 @@ class Ledger:
     def _save(self) -> None:
         """Queue the record for writing, after any write in progress."""
         self._unsaved = 0.0
-        if self._only is not None:
-            self._newest.give(replace(self.record, written_at=self._clock()))
+        if self._file_lock is not None:
+            self._writer.write(replace(self.record, written_at=self._clock()))
 
 
 class _Lines:
@@ -311,17 +311,17 @@ class _Lines:
         self._file = file
         self.sequence = 0
 
-    def write(self, record: Record) -> None:
+    def write(self, record: PumpRecord) -> None:
         """Write a record, on the disk thread."""
         if self.sequence == 0 or not self._file.exists():
-            _make(self._file, record)
+            _create(self._file, record)
             self.sequence = 2
         else:
             _overwrite(self._file, self.sequence + 1, record)
             self.sequence += 1
 
 
-def _why(file: Path, error: Exception) -> str:
+def _error_text(file: Path, error: Exception) -> str:
     """Return why a file cannot be written, in words."""
     if isinstance(error, LockedError):
         return (
@@ -336,7 +336,7 @@ def _why(file: Path, error: Exception) -> str:
     )
 
 
-def _line(sequence: int, record: Record) -> bytes:
+def _line(sequence: int, record: PumpRecord) -> bytes:
     """Return a record as a line of the file."""
 
     def short(text: str, most: int = _TEXT) -> str:
@@ -355,7 +355,7 @@ def _line(sequence: int, record: Record) -> bytes:
     return line.ljust(_LINE - 1) + b"\n"
 
 
-def _make(file: Path, record: Record) -> None:
+def _create(file: Path, record: PumpRecord) -> None:
     """Write the file under another name, then rename it, which replaces a broken one at once.
 
     Raises:
@@ -377,7 +377,7 @@ def _make(file: Path, record: Record) -> None:
         os.close(directory)
 
 
-def _overwrite(file: Path, sequence: int, record: Record) -> None:
+def _overwrite(file: Path, sequence: int, record: PumpRecord) -> None:
     """Write the line whose turn it is.
 
     Raises:
@@ -391,7 +391,7 @@ def _overwrite(file: Path, sequence: int, record: Record) -> None:
         os.close(descriptor)
 
 
-def _read(file: Path) -> tuple[Record, int, bool]:
+def _read(file: Path) -> tuple[PumpRecord, int, bool]:
     """Read the file.
 
     Returns:
@@ -414,11 +414,11 @@ def _read(file: Path) -> tuple[Record, int, bool]:
     except FileNotFoundError:
         problems = _traces(file)
         if not problems:
-            return Record(), 0, False
+            return PumpRecord(), 0, False
     except (OSError, ValueError) as error:
         problems = [getattr(error, "strerror", None) or str(error)]
     # The broken line is written next, which repairs the file.
-    sequence, record = max(numbered, key=lambda pair: pair[0], default=(0, Record()))
+    sequence, record = max(numbered, key=lambda pair: pair[0], default=(0, PumpRecord()))
     if problems:
         unknown = (
             f"{file} cannot be read ({'; '.join(problems)}), so it is unknown whether there was a "
@@ -436,7 +436,7 @@ def _traces(file: Path) -> list[str]:
     return [f"it is missing, but {path.name} is there" for path in beside if os.path.lexists(path)]
 
 
-def _parse(line: bytes, number: int) -> tuple[int, Record]:
+def _parse(line: bytes, number: int) -> tuple[int, PumpRecord]:
     """Return a line's sequence number and record.
 
     Raises:
@@ -460,7 +460,7 @@ def _parse(line: bytes, number: int) -> tuple[int, Record]:
     sequence = content.pop("sequence")
     if (sequence + 1) % 2 != number:
         raise ValueError("its sequence belongs to the other line")
-    return sequence, Record(**content | {"starts": tuple(content["starts"])})
+    return sequence, PumpRecord(**content | {"starts": tuple(content["starts"])})
 
 
 _TEXT_KIND = "text", lambda value: isinstance(value, str)

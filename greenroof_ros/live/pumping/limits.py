@@ -35,7 +35,7 @@ def _volume_per_day(site: Site) -> float:
     The loss is the greatest evapotranspiration. A measured roof needs more: it keeps only a share.
     """
     evapotranspiration = _GREATEST_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
-    replaced = evapotranspiration / soil_of(site).kept_share(site.x2_star)
+    replaced = evapotranspiration / soil_of(site).retained_share(site.x2_star)
     return round(_MARGIN * (_filling(site) + replaced), 3)
 
 
@@ -166,7 +166,7 @@ def settings_for(site: Site, **changes: float) -> PumpSettings:
     } | changes)
 
 
-class Limits:
+class PumpLimits:
     """Least time off, starts per hour, longest run, a day's use, dry-run cut, frost, quiet hours.
 
     After a start of the node the pump first waits for the least time off, since it is unknown how
@@ -207,7 +207,7 @@ class Limits:
             waits.append((again, f"it starts at most {allowed} times in an hour"))
         return max(waits)
 
-    def account(self, dt: float, on: bool) -> None:
+    def count(self, dt: float, on: bool) -> None:
         """Count time during which the pump was on or off (s)."""
         if on:
             self._on_for += dt
@@ -298,7 +298,7 @@ class Pulses:
         self.clear()
 
     def least_share(self, cistern_level: float) -> float:
-        """Return the least share of the maximum flow that may be asked for at a level (m)."""
+        """Return the least share of the maximum flow that may be requested at a level (m)."""
         slowest = flow_at(self._site, self._settings.least_speed, cistern_level)
         return max(self._settings.least_flow, slowest / self._flow(1.0, cistern_level))
 
@@ -311,16 +311,16 @@ class Pulses:
         speed = speed_for(self._site, share, cistern_level)
         return min(1.0, max(self._settings.least_speed, speed))
 
-    def account(self, delivered: float, dt: float) -> None:
-        """Count what was delivered in dt (m3), and what :meth:`ask` wanted to be delivered."""
+    def count(self, delivered: float, dt: float) -> None:
+        """Count what was delivered in dt (m3), and what :meth:`update` wanted to be delivered."""
         self._set_outstanding(self.outstanding + self._wanted * dt - delivered)
 
     def clear(self) -> None:
         """Forget the outstanding volume and the demand."""
         self._wanted = self._greatest = self.outstanding = 0.0
 
-    def ask(self, command: float, cistern_level: float, on: bool, since_start: float) -> float:
-        """Return the share of the maximum flow to ask for; 0 means off.
+    def update(self, command: float, cistern_level: float, on: bool, since_start: float) -> float:
+        """Update the demand; return the share of the maximum flow to request, 0 for off.
 
         Args:
             command: share of the maximum flow, 0 to 1.

@@ -17,8 +17,8 @@ from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Dose, Doses
 from greenroof_ros.live.pumping.interlocks import evaluate
 from greenroof_ros.live.pumping.ledger import SAVE_EVERY_S, Ledger
-from greenroof_ros.live.pumping.limits import Limits, Pulses, PumpSettings
-from greenroof_ros.model.pump_speed import STANDS, flow_at
+from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
+from greenroof_ros.model.pump_speed import STANDSTILL, flow_at
 from greenroof_ros.model.site import Site
 
 # A measured flow above this multiple of the maximum flow is not believed.
@@ -80,9 +80,9 @@ class Decision:
         flow: best present estimate (m3/s).
         source: how the flow is known.
         warnings: what an operator should know although it stops nothing.
-        stands: whether the pump is at rest: reported, or certain by the drive's own timeout.
-        turns_at: reported speed, share of the rated speed, negative if backwards; None if the drive
-            is not heard or its value is implausible.
+        at_rest: whether the pump is at rest: reported, or certain by the drive's own timeout.
+        reported_speed: by the drive, share of the rated speed, negative if backwards; None if it
+            does not answer or its value is implausible.
         flow_known: whether ``flow`` is known; if not, ``flow`` is 0.
         blind_for: how long the delivery check has been unable to judge (s), because a level is
             unknown or both have not been known for long enough.
@@ -95,8 +95,8 @@ class Decision:
     flow: float
     source: str
     warnings: Sequence[Problem]
-    stands: bool
-    turns_at: float | None
+    at_rest: bool
+    reported_speed: float | None
     flow_known: bool
     blind_for: float
 
@@ -113,19 +113,20 @@ class PumpControl:
             site: the site.
             settings: the pump's limits.
             ledger: the state before this start.
-            drive_stops_after: time after which a drive that is not heard is at rest (s); infinite
-                if it may run on.
+            drive_stops_after: time after which a drive that does not answer is at rest (s);
+                infinite if it may run on.
         """
         self._site = site
         self._settings = settings
         self._ledger = ledger
         self._drive_stops_after = drive_stops_after
         ledger.count_unseen(drive_stops_after + SAVE_EVERY_S, flow_at(site, 1.0, site.z_o))
-        self._limits = Limits(site, settings, ledger)
+        self._limits = PumpLimits(site, settings, ledger)
         self._pulses = Pulses(site, settings)
         self._delivery = DeliveryCheck(site, settings)
         self._doses = Doses(site, ledger.now)
-        self._against = "it has not been checked yet"  # reason against running, at the last step
+        # Why the pump must not run, at the last step.
+        self._inhibit_reason = "it has not been checked yet"
         self._least_pulse = math.inf  # at the last level (m3)
         self._setpoint: float | None = None
         # Speed that the slowest allowed ramp has reached on the way to the requested speed (share
@@ -136,9 +137,9 @@ class PumpControl:
         self._flowed_for = 0.0
         self._unknown_for = 0.0
         self._blind_for = 0.0
-        # Highest speed that it may have had when last heard, share of the rated speed; 1 at first,
-        # since it is not known to be at rest.
-        self._turned = 1.0
+        # Highest speed that it may have had when it last answered, share of the rated speed; 1 at
+        # first, since it is not known to be at rest.
+        self._highest_speed = 1.0
 
     @property
     def dose(self) -> Dose | None:
@@ -146,24 +147,24 @@ class PumpControl:
         return self._doses.last
 
     @property
-    def no_dose(self) -> str:
+    def dose_refusal(self) -> str:
         """Why any dose would be refused now, whatever its volume; empty if it would not."""
-        return self._doses.refusal(self._against)
+        return self._doses.refusal(self._inhibit_reason)
 
     @property
     def least_dose(self) -> float:
         """The smallest volume that can be delivered (m3): the pump's least pulse."""
         return self._least_pulse
 
-    def ask_dose(self, request: float, volume: float) -> str:
+    def request_dose(self, request: float, volume: float) -> str:
         """Accept a request for a dose (returns an empty string), or return why it is refused.
 
         Args:
             request: time at which it was made (s since 1970), which is its id.
             volume: requested volume (m3).
         """
-        return self._doses.ask(
-            request, volume, self._ledger.now, self._least_pulse, self._against
+        return self._doses.request(
+            request, volume, self._ledger.now, self._least_pulse, self._inhibit_reason
         )
 
     def reset(self) -> str:
@@ -177,7 +178,7 @@ class PumpControl:
         return "; ".join(filter(None, (record.fault, record.unknown)))
 
     @property
-    def no_clear(self) -> str:
+    def clear_refusal(self) -> str:
         """Why the latched fault must not be cleared from the page; empty if it may be."""
         record = self._ledger.record
         if not record.fault:
@@ -195,22 +196,22 @@ class PumpControl:
             self._follow_error_for = self._flowed_for = 0.0
             self._failed_starts = 0
 
-    def pass_unseen(self, dt: float) -> None:
-        """Count unwatched time, such as a suspend of the machine; the pump is off after it.
+    def count_unseen(self, dt: float) -> None:
+        """Count unseen time, such as a suspend of the machine; the pump is off after it.
 
         At worst the pump ran on until the drive's own timeout stopped it. This time does not count
-        as time without an answer from the drive: whether it is at rest must be seen again.
+        as time without an answer from the drive: whether it is at rest must be read again.
 
         Args:
             dt: since the last step (s).
         """
-        self._turned = max(self._turned, self._setpoint or 0.0)
+        self._highest_speed = max(self._highest_speed, self._setpoint or 0.0)
         ran = min(dt, self._drive_stops_after - self._unknown_for)
-        if self._must_stand():
+        if self._must_be_at_rest():
             ran = 0.0
         volume = ran * self._unseen_flow(Observation())
-        self._limits.account(ran, ran > 0)
-        self._limits.account(dt - ran, ran == dt)
+        self._limits.count(ran, ran > 0)
+        self._limits.count(dt - ran, ran == dt)
         self._ledger.count(dt, ran, volume)
         self._delivery.step(dt, None, None, 0.0, volume)
         self._blind_for += dt
@@ -231,10 +232,10 @@ class PumpControl:
                 is not watched.
         """
         drive_dt = dt if drive_dt is None else drive_dt
-        heard, backwards, reported = (
+        speed_known, backwards, reported = (
             observed.speed is not None, _backwards(observed), observed.speed
         )
-        observed = _believable(observed)
+        observed = _plausible(observed)
         warnings: list[Problem] = []
         computed = None
         if observed.speed is not None and observed.cistern_level is not None:
@@ -242,21 +243,21 @@ class PumpControl:
         known_flow, source = self._flow(observed, computed, warnings)
         flow = 0.0 if known_flow is None else known_flow
         self._unknown_for = self._unknown_for + drive_dt if observed.speed is None else 0.0
-        latest = self._turned if observed.speed is None else observed.speed
-        self._turned = max(latest, self._setpoint or 0.0)
+        latest = self._highest_speed if observed.speed is None else observed.speed
+        self._highest_speed = max(latest, self._setpoint or 0.0)
         unseen = self._unseen_flow(observed)
         # A meter may show no flow while the pump runs: a valve is closed, or the meter is broken.
         least = max(flow, computed or 0.0)
-        self._account(dt, observed.speed, unseen, least)
+        self._count(dt, observed.speed, unseen, least)
         under_way = self._doses.present is not None
-        self._doses.pass_time(drive_dt, max(least, unseen) * dt)
-        self._pulses.account(flow * dt, dt)
+        self._doses.advance(drive_dt, max(least, unseen) * dt)
+        self._pulses.count(flow * dt, dt)
         undelivered = self._delivery.step(
             dt, observed.cistern_level, observed.roof_level, least * dt, max(flow, unseen) * dt,
             observed.displacements,
         )
-        sees = observed.cistern_level is not None and observed.roof_level is not None
-        self._blind_for = 0.0 if sees and self._delivery.watches else self._blind_for + dt
+        levels_known = observed.cistern_level is not None and observed.roof_level is not None
+        self._blind_for = 0.0 if levels_known and self._delivery.has_mean else self._blind_for + dt
         command, missing = observed.command, list[Problem]()
         if command is None:
             missing.append(Problem.of("command_unknown"))
@@ -291,7 +292,7 @@ class PumpControl:
             why = "; ".join(reason.sentence for reason in active.values())
             self._pulses.clear()
             self._doses.end(INTERLOCK, why, first)
-            self._against = why
+            self._inhibit_reason = why
         else:
             assert command is not None
             assert observed.cistern_level is not None
@@ -300,11 +301,11 @@ class PumpControl:
                 command = self._dose_command(observed.cistern_level)
             setpoint, why = self._follow(dt, command, full, observed.cistern_level, warnings)
             state = "off" if setpoint is None else "running"
-            self._against = "the roof is at its target" if full else ""
+            self._inhibit_reason = "the roof is at its target" if full else ""
             assert observed.roof_level is not None
             room = self._site.x2_star - self._site.roof_volume(observed.roof_level)
             if not full and room < self._least_pulse:
-                self._against = (
+                self._inhibit_reason = (
                     "the roof needs less than the pump's least pulse to reach its target"
                 )
             if (dose := self._doses.present) is not None:
@@ -314,7 +315,7 @@ class PumpControl:
             self._limits.switch(setpoint is not None)
         self._setpoint = setpoint
 
-        turning = observed.speed is not None and observed.speed > STANDS
+        turning = observed.speed is not None and observed.speed > STANDSTILL
         if state == "running" and self._has_follow_error(observed.speed):
             state = "starting"
         elif state == "off" and turning:
@@ -322,16 +323,16 @@ class PumpControl:
         elif state in ("fault", "held") and turning:
             why += f"; the pump still turns, at {observed.speed:.2f} of its speed"
         if observed.speed is None:
-            # A drive that is heard but reports an implausible speed has not timed out.
-            stands = not heard and self._must_stand()
-            if not stands and not backwards:
+            # A drive that answers but reports an implausible speed has not timed out.
+            at_rest = not speed_known and self._must_be_at_rest()
+            if not at_rest and not backwards:
                 why += "; it is not known whether the pump is at rest"
                 state = "unknown" if state == "off" else state
         else:
-            stands = setpoint is None and not turning
+            at_rest = setpoint is None and not turning
         return Decision(
-            setpoint, state, why, active, flow, source, warnings, stands,
-            reported if backwards else observed.speed, stands or known_flow is not None,
+            setpoint, state, why, active, flow, source, warnings, at_rest,
+            reported if backwards else observed.speed, at_rest or known_flow is not None,
             self._blind_for,
         )
 
@@ -351,7 +352,7 @@ class PumpControl:
             warnings: list to which warnings about implausible flows are added.
         """
         site = self._site
-        if self._setpoint is None and observed.speed is not None and observed.speed <= STANDS:
+        if self._setpoint is None and observed.speed is not None and observed.speed <= STANDSTILL:
             return 0.0, "the pump is at rest"
         level = site.z_o if observed.cistern_level is None else observed.cistern_level
         most = _GREATEST_FLOW * flow_at(site, 1.0, level)
@@ -367,21 +368,21 @@ class PumpControl:
         return computed, "unknown, taken as 0" if computed is None else "computed from the speed"
 
     def _unseen_flow(self, observed: Observation) -> float:
-        """Return the worst-case flow while the drive is not heard (m3/s); 0 once it is at rest."""
-        if observed.speed is not None or self._must_stand():
+        """Return the worst-case flow without an answer of the drive (m3/s); 0 once at rest."""
+        if observed.speed is not None or self._must_be_at_rest():
             return 0.0
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
-        return flow_at(self._site, min(1.0, self._turned), level)
+        return flow_at(self._site, min(1.0, self._highest_speed), level)
 
-    def _must_stand(self) -> bool:
+    def _must_be_at_rest(self) -> bool:
         """Whether a pump of unknown speed was at rest before, or is by the drive's timeout."""
-        return self._turned <= STANDS or self._unknown_for > self._drive_stops_after
+        return self._highest_speed <= STANDSTILL or self._unknown_for > self._drive_stops_after
 
-    def _account(self, dt: float, speed: float | None, unseen: float, measured: float) -> None:
+    def _count(self, dt: float, speed: float | None, unseen: float, measured: float) -> None:
         """Count the time since the last step as on or off, and the larger of both flows (m3/s)."""
-        turns = speed is not None and speed > STANDS
+        turns = speed is not None and speed > STANDSTILL
         on = self._setpoint is not None or turns or unseen > measured
-        self._limits.account(dt, on)
+        self._limits.count(dt, on)
         self._ledger.count(dt, dt if on else 0.0, max(measured, unseen) * dt)
 
     def _has_follow_error(self, speed: float | None) -> bool:
@@ -396,7 +397,7 @@ class PumpControl:
         requested speed. The ramp continues from the drive's speed, so that a new request counts
         from there. It begins when the pump begins to turn.
         """
-        if self._setpoint is not None and speed <= STANDS:
+        if self._setpoint is not None and speed <= STANDSTILL:
             self._ramped = speed
             return True
         setpoint, ramp, tolerance = (
@@ -417,8 +418,9 @@ class PumpControl:
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
         least = self._settings.least_flow * flow_at(self._site, 1.0, level)
         measured = max(observed.flow or 0.0, observed.drive_flow or 0.0)
-        stands = self._setpoint is None and observed.speed is not None and observed.speed <= STANDS
-        self._flowed_for = self._flowed_for + drive_dt if stands and measured > least else 0.0
+        speed = observed.speed
+        at_rest = self._setpoint is None and speed is not None and speed <= STANDSTILL
+        self._flowed_for = self._flowed_for + drive_dt if at_rest and measured > least else 0.0
         if self._flowed_for <= self._settings.follow_time:
             return None
         return Problem.of("runs_on", "flow", flow=measured, time=self._flowed_for)
@@ -437,9 +439,9 @@ class PumpControl:
         if failed_start and self._setpoint is not None:
             self._failed_starts += 1
         if observed.speed is not None:  # a short silence does not reset the timer
-            beyond = self._is_beyond_ramp(observed.speed, drive_dt)
-            self._follow_error_for = self._follow_error_for + drive_dt if beyond else 0.0
-            if self._setpoint is not None and not beyond and not failed_start:
+            follow_limit = self._is_beyond_ramp(observed.speed, drive_dt)
+            self._follow_error_for = self._follow_error_for + drive_dt if follow_limit else 0.0
+            if self._setpoint is not None and not follow_limit and not failed_start:
                 self._failed_starts = 0
         found = [undelivered, self._flows_at_rest(drive_dt, observed), backwards]
         if observed.speed is not None and self._follow_error_for > self._settings.follow_time:
@@ -466,8 +468,8 @@ class PumpControl:
         if worst:
             self._ledger.fault(latched[worst].sentence, worst)
         record = self._ledger.record
-        kept = Problem.if_any("record_unknown", record.unknown), self._ledger.held
-        reasons += [reason for reason in kept if reason is not None]
+        persistent = Problem.if_any("record_unknown", record.unknown), self._ledger.active_hold
+        reasons += [reason for reason in persistent if reason is not None]
         if record.fault:
             row = interlocks.get(record.fault_code)
             known = row is not None and row.kind == LATCHED
@@ -482,7 +484,7 @@ class PumpControl:
         pulses, on = self._pulses, self._setpoint is not None
         demanded = 0.0 if full else command
         since_start = self._limits.since_start
-        share = pulses.ask(demanded, cistern_level, on, since_start)
+        share = pulses.update(demanded, cistern_level, on, since_start)
         least, pulse = pulses.least_share(cistern_level), pulses.least_pulse(cistern_level)
         why = "as commanded"
         if demanded < least:
@@ -516,18 +518,18 @@ def drive_fault(fault: str, runs_on: bool) -> Problem:
 
 def _backwards(observed: Observation) -> Problem | None:
     """Return that the pump turns backwards, beyond noise; None if it does not."""
-    if observed.speed is None or not -_GREATEST_SPEED <= observed.speed < -STANDS:
+    if observed.speed is None or not -_GREATEST_SPEED <= observed.speed < -STANDSTILL:
         return None
     return Problem.of("turns_backwards", speed=-observed.speed)
 
 
-def _believable(observed: Observation) -> Observation:
+def _plausible(observed: Observation) -> Observation:
     """Return the observation with implausible values replaced by None."""
 
     def checked(value: float | None, least: float, most: float) -> float | None:
         return value if value is not None and least <= value <= most else None
 
-    speed = checked(observed.speed, -STANDS, _GREATEST_SPEED)
+    speed = checked(observed.speed, -STANDSTILL, _GREATEST_SPEED)
     return replace(
         observed,
         cistern_level=checked(observed.cistern_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),

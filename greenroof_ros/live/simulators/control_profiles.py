@@ -42,23 +42,23 @@ class AbbDrives(SimulatedDrive):
     INITIAL = _Abb.INHIBITED
     EXTRA: ClassVar = {"refresh": 5805}  # 58.06 Communication control
 
-    def counts(self, name: str) -> bool:
+    def restarts_timeout(self, name: str) -> bool:
         """Count any message if 58.15 is 1; otherwise only control word and reference."""
         mode = self.timeout.mode
-        only = mode is None or self.get(mode.register) != 1
+        only = mode is None or self.read_raw(mode.register) != 1
         return not only or name in ("control", "reference")
 
-    def wrote(self, name: str) -> None:
+    def on_write(self, name: str) -> None:
         """Apply the settings of group 58 only when 58.06 is set to 1."""
         if name == "control":
-            self.control(self.get(name))
-        elif name == "refresh" and self.get(name) == 1:
-            self.take_over_settings()
-            self.put(name, 0)
+            self.control(self.read_raw(name))
+        elif name == "refresh" and self.read_raw(name) == 1:
+            self.apply_settings()
+            self.write_raw(name, 0)
 
     def control(self, word: int) -> None:
         """Without bit 10 obey only bits 0 to 2, unless word and reference are both 0."""
-        if not word & 0x0400 and (word or self.get("reference")):
+        if not word & 0x0400 and (word or self.read_raw("reference")):
             word = self.word & ~0x0007 | word & 0x0007
         super().control(word)
 
@@ -139,9 +139,9 @@ class FcProfile(SimulatedDrive):
     LOSS: ClassVar = {"serial": 1 << 4}
     RESET = 0x0080
 
-    def counts(self, name: str) -> bool:
+    def restarts_timeout(self, name: str) -> bool:
         """Count only valid control words."""
-        return name == "control" and bool(self.get(name) & 0x0400)
+        return name == "control" and bool(self.read_raw(name) & 0x0400)
 
     def control(self, word: int) -> None:
         """Obey only valid control words."""
@@ -190,7 +190,7 @@ class CimProfile(SimulatedDrive):
     def power_up(self) -> None:
         """Start in local control."""
         super().power_up()
-        self.put("control_mode", self._POWER_UP_MODE)
+        self.write_raw("control_mode", self._POWER_UP_MODE)
 
     @property
     def _remote(self) -> bool:
@@ -210,7 +210,7 @@ class CimProfile(SimulatedDrive):
     @property
     def setpoint(self) -> float:
         """The set-point is a speed only in constant-frequency mode under bus control."""
-        modes = self.get("control_mode"), self.get("operation_mode")
+        modes = self.read_raw("control_mode"), self.read_raw("operation_mode")
         follows = self._remote and modes == (self._CONSTANT_FREQUENCY, 0)
         return super().setpoint if follows else self._OTHER_MODE
 

@@ -58,7 +58,7 @@ class ForecastService:
     Attributes:
         fault: the present one of :data:`FAULTS`; can be changed at any time, also by
             ``POST /fault/NAME``.
-        asked: number of requests for a forecast.
+        requests: number of requests for a forecast.
         unchanged: how many of them were answered 304 Not Modified.
     """
 
@@ -75,13 +75,13 @@ class ForecastService:
             OSError: the port cannot be opened.
         """
         self.fault = NONE
-        self.asked = self.unchanged = 0
+        self.requests = self.unchanged = 0
         self._site, self._records = site, records
-        self._moved = start - datetime.now(timezone.utc)
-        service = self
+        self._offset = start - datetime.now(timezone.utc)
+        outer = self
 
         class Handler(_Handler):
-            of = service
+            service = outer
 
         self._server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
         self._server.daemon_threads = True
@@ -135,7 +135,7 @@ class ForecastService:
 
     def _series(self, quantity: str, first: datetime, hours: int) -> NDArray[np.float64]:
         """Return values of the records, moved to the present, in the service's unit."""
-        start = round((first + self._moved - self._records.first) / HOUR)
+        start = round((first + self._offset - self._records.first) / HOUR)
         if quantity in self._records.values:
             series = self._records.values[quantity] * UNITS[quantity][0].per_ours
             index = np.arange(start, start + hours) % len(series)
@@ -151,7 +151,7 @@ class ForecastService:
 class _Handler(BaseHTTPRequestHandler):
     """One connection."""
 
-    of: ForecastService
+    service: ForecastService
     protocol_version = "HTTP/1.1"
 
     def do_GET(self) -> None:
@@ -160,8 +160,8 @@ class _Handler(BaseHTTPRequestHandler):
         if place.path not in ("/v1/forecast", "/v1/ensemble"):
             self._send(404, b'{"error":true,"reason":"Not Found"}')
             return
-        service = self.of
-        service.asked += 1
+        service = self.service
+        service.requests += 1
         fault = service.fault
         if fault == "refused":
             self.close_connection = True
@@ -192,12 +192,12 @@ class _Handler(BaseHTTPRequestHandler):
         if name not in FAULTS:
             self._send(404, f"faults are {', '.join(FAULTS)}".encode())
             return
-        self.of.fault = name
+        self.service.fault = name
         self._send(200, FAULTS[name].encode())
 
     def _send(self, code: int, body: bytes, headers: dict[str, str] | None = None) -> None:
         """Send an answer, compressed if requested, and spoiled by the present fault."""
-        fault = self.of.fault if code == 200 and self.command == "GET" else NONE
+        fault = self.service.fault if code == 200 and self.command == "GET" else NONE
         self.send_response_only(code)
         late = timedelta(days=1 if fault == "clock" else 0)
         self.send_header("Date", format_datetime(datetime.now(timezone.utc) - late, usegmt=True))

@@ -32,7 +32,7 @@ _WRITES = (5, 6, 15, 16, 22, 23)
 
 
 @dataclass
-class StandingFault:
+class ActiveFault:
     """The present fault; changed at run time.
 
     Attributes:
@@ -52,14 +52,14 @@ class Device:
     Attributes:
         read: returns all its registers, by address.
         write: takes the first address and the values of a write; returns an error code, or None.
-        hears: called for each request with its first register; returns whether to answer it.
+        on_request: called for each request with its first register; returns whether to answer it.
     """
 
     read: Callable[[], Mapping[int, int]]
     write: Callable[[int, list[int]], ExcCodes | None] = (
         lambda address, values: ExcCodes.ILLEGAL_ADDRESS
     )
-    hears: Callable[[int], bool] = lambda register: True
+    on_request: Callable[[int], bool] = lambda register: True
 
     def on_wire(self, device_id: int) -> SimDevice:
         """Return it for pymodbus: every register exists, and is read when a client asks."""
@@ -87,11 +87,11 @@ class _Connection(ServerRequestHandler):
 
     _random = random.Random(0)  # noqa: S311 - garbage, not a secret
 
-    def __init__(self, server: Any, devices: Mapping[int, Device], fault: StandingFault) -> None:
+    def __init__(self, server: Any, devices: Mapping[int, Device], fault: ActiveFault) -> None:
         super().__init__(server, None, None, None)  # type: ignore[no-untyped-call]
         self._devices, self._fault = devices, fault
         self._serial = self.comm_params.comm_type == CommType.SERIAL
-        self._began = time.monotonic()
+        self._started_at = time.monotonic()
 
     async def handle_request(self) -> None:
         """Pass a request to the device that it addresses."""
@@ -106,7 +106,7 @@ class _Connection(ServerRequestHandler):
             fault.name == "refused_writes" and request.function_code in _WRITES
         )
         lasts_s = fault.parameter if fault.name == "runs_on" else 0
-        lasted = 0 < lasts_s < time.monotonic() - self._began
+        lasted = 0 < lasts_s < time.monotonic() - self._started_at
         # 'runs_on' never ends a connection at an order: *stop* must be known to have arrived.
         if fault.name == "dropped" or (lasted and request.function_code not in _WRITES):
             if not self._serial:
@@ -114,7 +114,7 @@ class _Connection(ServerRequestHandler):
         elif device is None:
             if not self._serial:  # as a gateway does; a line may have other devices
                 self._refuse(request, ExcCodes.GATEWAY_NO_RESPONSE)
-        elif device.hears(request.address):
+        elif device.on_request(request.address):
             if refused:
                 self._refuse(request, fault.parameter)
             else:
@@ -142,17 +142,17 @@ class _Connection(ServerRequestHandler):
             case "silence":
                 return
             case "garbage":
-                self._put(self._random.randbytes(fault.parameter))
+                self._write_data(self._random.randbytes(fault.parameter))
             case "slow" | "late":
-                self.loop.call_later(fault.parameter / 1000, self._put, frame)
+                self.loop.call_later(fault.parameter / 1000, self._write_data, frame)
             case "split":
                 for number in range(len(frame)):
                     delay = number * fault.parameter / 1000
-                    self.loop.call_later(delay, self._put, frame[number:number + 1])
+                    self.loop.call_later(delay, self._write_data, frame[number:number + 1])
             case _:
-                self._put(frame)
+                self._write_data(frame)
 
-    def _put(self, data: bytes) -> None:
+    def _write_data(self, data: bytes) -> None:
         if self.transport is not None:
             self.transport.write(data)  # type: ignore[attr-defined]
 
@@ -172,11 +172,11 @@ class Server:
     address: Address
     devices: Mapping[int, Device]
     line: Serial | None = None
-    fault: StandingFault = field(default_factory=StandingFault)
+    fault: ActiveFault = field(default_factory=ActiveFault)
     identity: tuple[str, str] | None = None
     _server: ModbusTcpServer | ModbusSerialServer | None = field(default=None, init=False)
 
-    async def be_open(self, wanted: bool) -> None:
+    async def set_open(self, wanted: bool) -> None:
         """Open or close the port, if needed; a serial line is opened and then stays open.
 
         Raises:
@@ -249,13 +249,13 @@ class PseudoLine:
             os.set_blocking(master, False)
 
     def join(self) -> None:
-        """Pass on, in the running event loop, what is sent at either end."""
+        """Forward, in the running event loop, what is sent at either end."""
         loop = asyncio.get_running_loop()
         for source, target in (self._masters, self._masters[::-1]):
-            loop.add_reader(source, self._hand_on, source, target)
+            loop.add_reader(source, self._forward, source, target)
 
     @staticmethod
-    def _hand_on(source: int, target: int) -> None:
+    def _forward(source: int, target: int) -> None:
         data = os.read(source, 4096)
         with contextlib.suppress(BlockingIOError):  # nobody reads: lost, as on a real line
             os.write(target, data)
@@ -270,35 +270,36 @@ class Bench(ABC):
         servers: of the simulator itself.
     """
 
-    def __init__(self, known: Mapping[str, faults.Fault], workbench: Address) -> None:
+    def __init__(self, injectable: Mapping[str, faults.Fault], workbench: Address) -> None:
         """Prepare the simulator without opening anything.
 
         Args:
-            known: the faults that can be requested.
+            injectable: the faults that can be requested.
             workbench: TCP port of the workbench; port 0 takes a free one.
         """
-        self.fault = StandingFault()
+        self.fault = ActiveFault()
         self.registers = {faults.SPEED: 0, faults.FAULT: 0, faults.PARAMETER: faults.DEFAULT}
         self.servers: list[Server] = []
-        self._known = known
-        self._workbench = Server(workbench, {faults.DEVICE_ID: Device(self.look, self._write)})
-        self._began = time.monotonic()
+        self._faults = injectable
+        device = Device(self.read_registers, self._write)
+        self._workbench = Server(workbench, {faults.DEVICE_ID: device})
+        self._started_at = time.monotonic()
 
     @property
     @abstractmethod
-    def place(self) -> str:
+    def addresses(self) -> str:
         """The addresses of its servers, for people and for programs that start it."""
 
     @abstractmethod
     async def run(self, ended: asyncio.Event) -> None:
         """Run the simulation until the end."""
 
-    def look(self) -> Mapping[int, int]:
+    def read_registers(self) -> Mapping[int, int]:
         """Return the registers of the workbench."""
         return self.registers
 
-    def adjust(self, register: int, value: int) -> None:
-        """Do what writing a register of the workbench requests."""
+    def write_register(self, register: int, value: int) -> None:
+        """Write a register of the workbench, and do what that requests."""
         self.registers[register] = value
 
     def inject(self, name: str, parameter: int) -> bool:
@@ -311,16 +312,16 @@ class Bench(ABC):
         Returns:
             Whether the fault can have that parameter.
         """
-        fault = self._known[name]
+        fault = self._faults[name]
         self.fault.name = name
         self.fault.parameter = fault.default if parameter == faults.DEFAULT else parameter
         self.registers |= {faults.FAULT: fault.number, faults.PARAMETER: parameter}
-        self.say(f"fault {name}: {fault.meaning}")
+        self.log(f"fault {name}: {fault.meaning}")
         return True
 
-    def say(self, text: str) -> None:
-        """Print what happens, with the time."""
-        print(f"{time.monotonic() - self._began:9.2f} s  {text}", flush=True)
+    def log(self, text: str) -> None:
+        """Log what happens, with the time."""
+        print(f"{time.monotonic() - self._started_at:9.2f} s  {text}", flush=True)
 
     def serve(self, name: str, parameter: int) -> None:
         """Open all ports, print that they are ready, and run until Ctrl-C or SIGTERM.
@@ -339,9 +340,9 @@ class Bench(ABC):
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, ended.set)
         for server in (self._workbench, *self.servers):
-            await server.be_open(True)
+            await server.set_open(True)
         print(
-            f"ready: {self.place}; workbench {self._workbench.address}, "
+            f"ready: {self.addresses}; workbench {self._workbench.address}, "
             f"device {faults.DEVICE_ID}",
             flush=True,
         )
@@ -359,9 +360,9 @@ class Bench(ABC):
             return ExcCodes.ILLEGAL_ADDRESS
         for register, value in zip(addresses, values, strict=True):
             if register != faults.FAULT:
-                self.adjust(register, value)
+                self.write_register(register, value)
                 continue
-            names = [name for name, fault in self._known.items() if fault.number == value]
+            names = [name for name, fault in self._faults.items() if fault.number == value]
             if not names or not self.inject(names[0], self.registers[faults.PARAMETER]):
                 return ExcCodes.ILLEGAL_VALUE
         return None

@@ -71,7 +71,7 @@ class SimulatedDrive(ABC):
     Attributes:
         speed: of the motor (share of rated).
         flow: returns what the pump delivers at a speed (m3/s), for drives that report it.
-        say: reports what happens, for people.
+        log: reports what happens, for people.
         settings: the settings and properties.
         timeout: the communication timeout of the interface in use.
         guard: raw time and action of that timeout now in force.
@@ -115,24 +115,24 @@ class SimulatedDrive(ABC):
         Raises:
             ConfigurationError: the drive file has no timeout for that interface.
         """
-        if interface not in file.timeout.known:
+        if interface not in file.timeout.by_interface:
             raise ConfigurationError(
                 "is missing: a drive without a communication timeout cannot be simulated",
                 file=file.path, key=f"timeout.{interface}",
             )
-        self.settings, self.timeout = settings, file.timeout.known[interface]
+        self.settings, self.timeout = settings, file.timeout.by_interface[interface]
         self.flow: Callable[[float], float] = lambda speed: 0.0
-        self.say: Callable[[str], None] = lambda text: None
+        self.log: Callable[[str], None] = lambda text: None
         self.speed = 0.0
         self.local = self.lost = False
         self.word = 0
         self.loss = self.LOSS.get(interface, 0)
         self.fault = self.last_fault = 0
-        self._standing, self._parameter = faults.NONE, 0
+        self._active_fault, self._parameter = faults.NONE, 0
         self._file, self._clock = file, clock
         self._at = self._answers_from = clock()
         self._guarded_from = -math.inf
-        self._heard: float | None = None
+        self._last_request: float | None = None
         self._registers = {
             name: Register(address, address, "uint16", name, "none")
             for name, address in self.EXTRA.items()
@@ -161,25 +161,25 @@ class SimulatedDrive(ABC):
             if register.full_scale:
                 scale = self._registers[register.full_scale]
                 rated = _RATED_FREQUENCY if "Hz" in scale.meaning else _RATED_RPM
-                self.put(register.full_scale, rated / scale.scale)
+                self.write_raw(register.full_scale, rated / scale.scale)
 
     def _write_timeouts(self) -> set[str]:
         """Set the registers of all timeouts; return their names."""
         names = set()
-        for timeout in (*self._file.timeout.known.values(), self.timeout):
+        for timeout in (*self._file.timeout.by_interface.values(), self.timeout):
             when, action = self.DELIVERED
             if timeout is self.timeout and self.settings.timeout_s is not None:
                 register = self._registers[timeout.register]
                 seconds = min(self.settings.timeout_s, register.high)
                 when, action = max(1, round(seconds / register.scale)), next(iter(self.TRIPS), 0)
-            self.put(timeout.register, when)
+            self.write_raw(timeout.register, when)
             names.add(timeout.register)
             if timeout.action is not None:
                 names.add(timeout.action.register)
-                self.put(timeout.action.register, action)
+                self.write_raw(timeout.action.register, action)
             if timeout.mode is not None:
                 names.add(timeout.mode.register)
-                self.put(timeout.mode.register, min(timeout.mode.stops))
+                self.write_raw(timeout.mode.register, min(timeout.mode.stops))
         return names
 
     # --- what differs between the makes -----------------------------------------------------------
@@ -199,14 +199,14 @@ class SimulatedDrive(ABC):
     def standstill(self) -> None:  # noqa: B027 - some wait for nothing
         """Handle that the motor is at rest; called repeatedly."""
 
-    def counts(self, name: str) -> bool:
-        """Tell if writing a register restarts the timeout; for '', if every request does."""
+    def restarts_timeout(self, name: str) -> bool:
+        """Return whether writing a register restarts the timeout; for '', any request."""
         return True
 
     def control(self, word: int) -> None:
         """Obey a control word."""
         rising, self.word = word & ~self.word, word
-        if rising & self.RESET and self.fault and self._standing != "drive_fault":
+        if rising & self.RESET and self.fault and self._active_fault != "drive_fault":
             self.trip(0)
         elif not self.fault and not self.local:
             self.state = self.next_state()
@@ -223,17 +223,20 @@ class SimulatedDrive(ABC):
         """The value of the fault register."""
         return self.fault
 
-    def wrote(self, name: str) -> None:
+    def on_write(self, name: str) -> None:
         """Handle the write of a register."""
         if name == "control":
-            self.control(self.get(name))
+            self.control(self.read_raw(name))
         elif name not in self._commands:
-            self.take_over_settings()
+            self.apply_settings()
 
-    def take_over_settings(self) -> None:
+    def apply_settings(self) -> None:
         """Put the timeout's settings in force."""
         action = self.timeout.action
-        self.guard = self.get(self.timeout.register), self.get(action.register) if action else 0
+        self.guard = (
+            self.read_raw(self.timeout.register),
+            self.read_raw(action.register) if action else 0,
+        )
 
     def communication_lost(self) -> None:
         """Do what the drive is set to do after its timeout: trip, or nothing."""
@@ -243,13 +246,13 @@ class SimulatedDrive(ABC):
     def power_up(self) -> None:
         """Start with the present values of the registers."""
         self.word, self.state = 0, self.INITIAL
-        self.take_over_settings()
+        self.apply_settings()
 
     @property
     def setpoint(self) -> float:
         """The speed to which it ramps (share of rated); pumps do not turn backwards."""
         register = self._registers["reference"]
-        return min(max(self.get("reference") * self._unit(register), 0.0), 1.0)
+        return min(max(self.read_raw("reference") * self._unit(register), 0.0), 1.0)
 
     # --- time -------------------------------------------------------------------------------------
 
@@ -260,11 +263,11 @@ class SimulatedDrive(ABC):
         if loss <= now:
             self._move(loss)
             self.lost = True
-            if self._standing == "runs_on":
-                self._standing = faults.NONE
+            if self._active_fault == "runs_on":
+                self._active_fault = faults.NONE
             self.communication_lost()
-            self.say(
-                f"communication timeout: nothing for {loss - (self._heard or 0):.3g} s; "
+            self.log(
+                f"communication timeout: nothing for {loss - (self._last_request or 0):.3g} s; "
                 f"{self.motion.value}"
             )
         self._move(now)
@@ -277,10 +280,10 @@ class SimulatedDrive(ABC):
     def _loss_at(self) -> float:
         """Return when the timeout passes if nothing more arrives; infinity if it does not."""
         raw, _ = self.guard
-        if self._heard is None or self.lost or raw == 0 or raw in self.timeout.off_values:
+        if self._last_request is None or self.lost or raw == 0 or raw in self.timeout.off_values:
             return math.inf
         seconds = raw * self._registers[self.timeout.register].scale
-        return max(self._heard + seconds, self._guarded_from)
+        return max(self._last_request + seconds, self._guarded_from)
 
     def _move(self, now: float) -> None:
         """Turn the motor until this time."""
@@ -290,7 +293,7 @@ class SimulatedDrive(ABC):
         if self._ignores_stop:
             self.standstill()  # only its state machine believes so
             return
-        stays = self._standing in ("speed_stays", "stuck_running") or motion is Motion.HOLD
+        stays = self._active_fault in ("speed_stays", "stuck_running") or motion is Motion.HOLD
         if not stays:
             setpoint = self.setpoint if motion is Motion.FOLLOW else 0.0
             full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
@@ -303,7 +306,7 @@ class SimulatedDrive(ABC):
     def _ignores_stop(self) -> bool:
         """Whether it is ordered to stop and says that it is off, but runs on."""
         off = self.motion is not Motion.FOLLOW or not self.setpoint
-        return self._standing == "runs_on" and off and self._at >= self._answers_from
+        return self._active_fault == "runs_on" and off and self._at >= self._answers_from
 
     @property
     def moving(self) -> bool:
@@ -322,13 +325,13 @@ class SimulatedDrive(ABC):
 
     # --- registers --------------------------------------------------------------------------------
 
-    def get(self, name: str) -> int:
+    def read_raw(self, name: str) -> int:
         """Return a register's value (raw)."""
         register = self._registers[name]
         words = [self._words[address] for address in self._addresses(name)]
         return int(decode(words, register.type, register.word_order))
 
-    def put(self, name: str, value: float) -> None:
+    def write_raw(self, name: str, value: float) -> None:
         """Set a register's value (raw)."""
         register = self._registers[name]
         words = encode(value, register.type, register.word_order)
@@ -341,13 +344,13 @@ class SimulatedDrive(ABC):
     def registers(self) -> Mapping[int, int]:
         """Return every register's value, by address."""
         self.advance()
-        self.put("status", self.status())
-        self.put(self._file.faults.register, self.fault_register)
-        self.put("speed", self.speed / self._unit(self._registers["speed"]))
-        if self._standing == "absurd_value":
+        self.write_raw("status", self.status())
+        self.write_raw(self._file.faults.register, self.fault_register)
+        self.write_raw("speed", self.speed / self._unit(self._registers["speed"]))
+        if self._active_fault == "absurd_value":
             self._words |= dict.fromkeys(self._addresses("speed"), self._parameter)
         if "flow" in self._registers:
-            self.put("flow", self.flow(self.speed) / self._registers["flow"].scale)
+            self.write_raw("flow", self.flow(self.speed) / self._registers["flow"].scale)
         return self._words
 
     def _unit(self, register: Register) -> float:
@@ -355,13 +358,13 @@ class SimulatedDrive(ABC):
         if not register.full_scale:
             return register.scale
         scale = self._registers[register.full_scale].scale
-        return register.scale / (scale * self.get(register.full_scale))
+        return register.scale / (scale * self.read_raw(register.full_scale))
 
-    def heard(self) -> None:
+    def on_request(self) -> None:
         """Handle any request, even one with no effect: on some makes it restarts the timeout."""
         self.advance()
-        if self.counts(""):
-            self._hear()
+        if self.restarts_timeout(""):
+            self._restart_timeout()
 
     def write(self, address: int, values: list[int]) -> ExcCodes | None:
         """Write the values of a client, one register after another."""
@@ -372,19 +375,19 @@ class SimulatedDrive(ABC):
         for at, value in zip(addresses, values, strict=True):
             self._words[at] = value
             before, name = self.motion, self._writable[at]
-            self.wrote(name)
-            if self.counts(name):
-                self._hear()
+            self.on_write(name)
+            if self.restarts_timeout(name):
+                self._restart_timeout()
             if self.motion is not before:
-                self.say(f"{name} = 0x{value:04X}: {self.motion.value}")
+                self.log(f"{name} = 0x{value:04X}: {self.motion.value}")
         self._move(self._at)
         return None
 
-    def _hear(self) -> None:
+    def _restart_timeout(self) -> None:
         if self.lost:
-            self.say("hears from its client again")
+            self.log("receives requests again")
         self.lost = False
-        self._heard = self._at
+        self._last_request = self._at
 
     # --- the workbench ----------------------------------------------------------------------------
 
@@ -396,41 +399,41 @@ class SimulatedDrive(ABC):
             parameter: of it.
         """
         self.advance()
-        self._standing, self._parameter = name, parameter
+        self._active_fault, self._parameter = name, parameter
         match name:
             case "drive_fault":
                 codes = self._file.faults
                 first = next(iter(codes.texts), 1)
                 code = parameter or (1 << first if codes.kind == "bits" else first)
                 self.trip(code)
-                self.say(f"trips: {codes.text(code)}")
+                self.log(f"trips: {codes.text(code)}")
             case "stuck_running":  # as with a welded contactor
                 self.speed = parameter * faults.SPEED_UNIT or self.speed or _STUCK_AT
             case "power_cycle":
                 self.power_cycle()
             case "timeout_off":  # as somebody could at the panel
                 if self.timeout.action is not None:
-                    self.put(self.timeout.action.register, min(self.timeout.action.runs_on))
+                    self.write_raw(self.timeout.action.register, min(self.timeout.action.runs_on))
                 else:
-                    self.put(self.timeout.register, min(self.timeout.off_values, default=0))
-                self.take_over_settings()
+                    self.write_raw(self.timeout.register, min(self.timeout.off_values, default=0))
+                self.apply_settings()
 
     def power_cycle(self) -> None:
         """Lose power for a moment: the motor coasts, and nothing answers until it has booted."""
         self.advance()
         self._answers_from = self._at + self.settings.boot_s
         self._guarded_from = self._answers_from + self.UNGUARDED_S
-        self._heard = None
+        self._last_request = None
         self.lost = False
-        if self._standing != "drive_fault":
+        if self._active_fault != "drive_fault":
             self.trip(0)
         for name in self._commands:
-            self.put(name, 0)
+            self.write_raw(name, 0)
         self.power_up()
-        self.say(f"power cycle: answers again in {self.settings.boot_s:g} s")
+        self.log(f"power cycle: answers again in {self.settings.boot_s:g} s")
 
-    def take_over(self, local: bool) -> None:
-        """Take control at the panel, or return it to the bus."""
+    def set_local(self, local: bool) -> None:
+        """Set local control at the panel, or return control to the bus."""
         self.advance()
         self.local = local
 
@@ -464,11 +467,11 @@ class DriveBench(Bench):
         """
         super().__init__(faults.DRIVE_FAULTS, workbench)
         self._line = PseudoLine() if address.line == _PTY else None
-        place = address if self._line is None else Address(line=self._line.ends[0])
-        self._reached = replace(place, gateway=not place.line and file.timeout.tcp is None)
+        reached = address if self._line is None else Address(line=self._line.ends[0])
+        self._reached = replace(reached, gateway=not reached.line and file.timeout.tcp is None)
         self._device_id = file.device_id_at(self._reached)
         self.drive = make(file, settings, interface=self._reached.interface)
-        self.drive.say = self.say
+        self.drive.log = self.log
         self.drive.flow = lambda speed: flow_at(
             site, speed, self.registers[faults.CISTERN_LEVEL] * faults.LEVEL_UNIT
         )
@@ -477,13 +480,13 @@ class DriveBench(Bench):
             faults.POWER_CYCLE: 0, faults.LOCAL: 0,
             faults.CISTERN_LEVEL: round(level / faults.LEVEL_UNIT),
         }
-        device = Device(self.drive.registers, self.drive.write, self._hears)
+        device = Device(self.drive.registers, self.drive.write, self._on_request)
         self.servers.append(
-            Server(place, {self._device_id: device}, file.serial, self.fault, SIMULATOR)
+            Server(reached, {self._device_id: device}, file.serial, self.fault, SIMULATOR)
         )
 
     @property
-    def place(self) -> str:
+    def addresses(self) -> str:
         """The address of the drive, behind a gateway if it has no Ethernet port of its own."""
         address = replace(self.servers[0].address, gateway=self._reached.gateway)
         end = self._line.ends[1] if self._line is not None else address
@@ -505,28 +508,28 @@ class DriveBench(Bench):
         while not ended.is_set():
             self.drive.advance()
             # The drive's port is open while it has power and does not refuse.
-            await self.servers[0].be_open(self._answers)
+            await self.servers[0].set_open(self._answers)
             await asyncio.sleep(_STEP_S)
 
     @property
     def _answers(self) -> bool:
         return self.drive.answers and self.fault.name != "refused"
 
-    def _hears(self, register: int) -> bool:
+    def _on_request(self, register: int) -> bool:
         if self._answers:
-            self.drive.heard()
+            self.drive.on_request()
         return self._answers
 
-    def look(self) -> Mapping[int, int]:
+    def read_registers(self) -> Mapping[int, int]:
         """Return the registers of the workbench, with the true speed."""
         self.drive.advance()
         return self.registers | {faults.SPEED: round(self.drive.speed / faults.SPEED_UNIT)}
 
-    def adjust(self, register: int, value: int) -> None:
-        """Interrupt the power, or take control at the panel."""
+    def write_register(self, register: int, value: int) -> None:
+        """Write a register: interrupt the power, or set local control."""
         if register == faults.POWER_CYCLE and value:
             self.drive.power_cycle()
         elif register == faults.LOCAL:
-            self.drive.take_over(bool(value))
+            self.drive.set_local(bool(value))
         if register != faults.POWER_CYCLE:
             self.registers[register] = value

@@ -36,7 +36,7 @@ class SimulatedRelay(ABC):
         auto_on: whether it is set to switch itself on again.
         deaf: whether it ignores orders, so only its timer switches it.
         welded: whether its contact no longer opens, once it was closed.
-        say: reports what happens, for people.
+        log: reports what happens, for people.
     """
 
     TOPICS: ClassVar[tuple[str, ...]]
@@ -57,7 +57,7 @@ class SimulatedRelay(ABC):
         self.on = self.deaf = self.welded = False
         self.timer_s, self.on_after_power_up = timer_s, as_delivered
         self.auto_on = False
-        self.say: Callable[[str], None] = lambda text: None
+        self.log: Callable[[str], None] = lambda text: None
         self._device, self._clock = device, clock
         self._off_at = math.inf
         self._stuck = False
@@ -72,7 +72,7 @@ class SimulatedRelay(ABC):
         """Simulate up to now."""
         if self._clock() >= self._off_at:
             self._set(False)
-            self.say("its timer has expired: off")
+            self.log("its timer has expired: off")
         self._stuck = self.welded and (self._stuck or self.on)
 
     def switch(self, on: bool, seconds: float | None) -> None:
@@ -81,7 +81,7 @@ class SimulatedRelay(ABC):
         if self.deaf:
             return
         if on != self.on:
-            self.say("on" if on else "off")
+            self.log("on" if on else "off")
         self._set(on)
         if on and seconds is not None:
             self._off_at = self._clock() + seconds
@@ -95,8 +95,8 @@ class SimulatedRelay(ABC):
         self._off_at = self._clock() + self.timer_s if self.on and self.timer_s else math.inf
 
     @abstractmethod
-    def hear(self, topic: str, payload: str) -> Iterator[Published]:
-        """Handle a message, and yield what it publishes in return."""
+    def receive(self, topic: str, payload: str) -> Iterator[Published]:
+        """Receive a message, and yield what it publishes in return."""
 
 
 class Shelly(SimulatedRelay):
@@ -107,7 +107,7 @@ class Shelly(SimulatedRelay):
 
     TOPICS = ("{}/rpc",)
 
-    def hear(self, topic: str, payload: str) -> Iterator[Published]:
+    def receive(self, topic: str, payload: str) -> Iterator[Published]:
         """Answer a request."""
         try:
             request = json.loads(payload)
@@ -115,12 +115,12 @@ class Shelly(SimulatedRelay):
             method, params = request["method"], request.get("params", {})
         except (ValueError, TypeError, KeyError):
             return
-        result = self._call(method, params)
+        result = self._execute(method, params)
         answer |= {"error": {"code": 404, "message": f"No handler for {method}"}} \
             if result is None else {"result": result}
         yield f"{request['src']}/rpc", json.dumps(answer)
 
-    def _call(self, method: str, params: Mapping[str, Any]) -> dict[str, Any] | None:
+    def _execute(self, method: str, params: Mapping[str, Any]) -> dict[str, Any] | None:
         if method == "Shelly.GetDeviceInfo":
             return {"name": None, "id": self._device, "gen": 2, "app": " ".join(SIMULATOR)}
         if params.get("id") != 0:
@@ -152,7 +152,7 @@ class Tasmota(SimulatedRelay):
 
     TOPICS = ("cmnd/{}/+",)
 
-    def hear(self, topic: str, payload: str) -> Iterator[Published]:
+    def receive(self, topic: str, payload: str) -> Iterator[Published]:
         """Carry out a command."""
         command = topic.rpartition("/")[2].lower()
         match command, payload.lower():
@@ -233,7 +233,7 @@ class RelayBench(Bench):
         """
         super().__init__(faults.RELAY_FAULTS, workbench)
         self.relay, self._boot_s = relay, boot_s
-        relay.say = self.say
+        relay.log = self.log
         # The simulated site writes the level to every drive; a relay has no use for it.
         self.registers |= {faults.POWER_CYCLE: 0, faults.LOCAL: 0, faults.CISTERN_LEVEL: 0}
         self._broker, self._device = broker, device
@@ -245,7 +245,7 @@ class RelayBench(Bench):
         self._answers_from = -math.inf
 
     @property
-    def place(self) -> str:
+    def addresses(self) -> str:
         """The address of the relay."""
         return f"drive {self._broker}/{self._device}, relay"
 
@@ -261,19 +261,19 @@ class RelayBench(Bench):
             self._client.disconnect()
             self._client.loop_stop()
 
-    def look(self) -> Mapping[int, int]:
+    def read_registers(self) -> Mapping[int, int]:
         """Return the registers of the workbench, with the true speed."""
         speed = round(self.relay.closed / faults.SPEED_UNIT)
         return self.registers | {faults.SPEED: speed}
 
-    def adjust(self, register: int, value: int) -> None:
-        """Interrupt the power, or switch the relay by its button."""
+    def write_register(self, register: int, value: int) -> None:
+        """Write a register: interrupt the power, or switch the relay by its button."""
         if register == faults.POWER_CYCLE and value:
             self._power_cycle()
         elif register == faults.LOCAL:
             self.relay.switch(bool(value), self.relay.timer_s)
         else:
-            super().adjust(register, value)
+            super().write_register(register, value)
 
     def inject(self, name: str, parameter: int) -> bool:
         """Replace the present fault, of the connection or of the relay."""
@@ -297,7 +297,7 @@ class RelayBench(Bench):
     def _power_cycle(self) -> None:
         self._answers_from = time.monotonic() + self._boot_s
         self.relay.power_up()
-        self.say(f"power cycle: answers again in {self._boot_s:g} s")
+        self.log(f"power cycle: answers again in {self._boot_s:g} s")
 
     # --- messages ---------------------------------------------------------------------------------
 
@@ -306,13 +306,13 @@ class RelayBench(Bench):
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         """Pass a message from the client's thread to the event loop."""
-        self._loop.call_soon_threadsafe(self._hear, topic, payload)
+        self._loop.call_soon_threadsafe(self._receive, topic, payload)
 
-    def _hear(self, topic: str, payload: bytes) -> None:
+    def _receive(self, topic: str, payload: bytes) -> None:
         if time.monotonic() < self._answers_from:
             return
         late_s = self.fault.parameter / 1000 if self.fault.name == "late" else 0.0
-        for answer_topic, answer in self.relay.hear(topic, payload.decode(errors="replace")):
+        for answer_topic, answer in self.relay.receive(topic, payload.decode(errors="replace")):
             if self.fault.name == "garbage":
                 answer = secrets.token_bytes(self.fault.parameter).decode("latin-1")
             if self.fault.name != "silence":

@@ -26,7 +26,7 @@ from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 
 # Readings of the drive's speed per tick, if there is time for as many.
-_LOOKS = 20
+_POLLS = 20
 _LEAST_PAUSE_S = 0.02
 _DRIVE_ANSWERS_S = 1.0
 _PER_MINUTE = 60.0
@@ -85,22 +85,22 @@ class SiteBench(Bench):
         self._drive = None if drive is None else ModbusLine(
             drive, port=0, device_id=faults.DEVICE_ID, timeout_s=_DRIVE_ANSWERS_S
         )
-        self._drive_gone, self._output = False, output
+        self._drive_lost, self._output = False, output
         self._tick_s = site.tau / factor
         self._fault_since = 0
         self._frozen: dict[str, float] = {}
         self._random = random.Random(0)  # noqa: S311 - noise, not a secret
-        places: dict[str, dict[int, dict[str, ModbusSensor]]] = {}
+        lines: dict[str, dict[int, dict[str, ModbusSensor]]] = {}
         self._publishers = []
         for section, sensor in self._sensors.items():
             if isinstance(sensor, ModbusSensor):
-                devices = places.setdefault(sensor.address, {})
+                devices = lines.setdefault(sensor.address, {})
                 devices.setdefault(sensor.device_id, {})[section] = sensor
             else:
                 self._publishers.append(
                     SimulatedMqttSensor(section, sensor, partial(self._published, section))
                 )
-        for address, by_id in places.items():
+        for address, by_id in lines.items():
             line = next(iter(next(iter(by_id.values())).values())).serial
             self.servers.append(Server(
                 parse_address(address),
@@ -125,7 +125,7 @@ class SiteBench(Bench):
                 for register, word in zip(ranges[section], words(section, sensor), strict=True)
             }
 
-        def hears(register: int) -> bool:
+        def on_request(register: int) -> bool:
             return not any(
                 self._has_fault(section, "silent") and register in registers
                 for section, registers in ranges.items()
@@ -137,10 +137,10 @@ class SiteBench(Bench):
                 "and holding registers are the same here",
                 key="register", value=max(registers[0] for registers in ranges.values()),
             )
-        return Device(read, hears=hears)
+        return Device(read, on_request=on_request)
 
     @property
-    def place(self) -> str:
+    def addresses(self) -> str:
         """The addresses of the sensors."""
         return ", ".join(f"{name} sensor {sensor}" for name, sensor in self._sensors.items())
 
@@ -192,10 +192,10 @@ class SiteBench(Bench):
         if self._output is not None:
             print(*COLUMNS, sep=",", file=self._output, flush=True)
         publishing = [asyncio.create_task(publisher.run(ended)) for publisher in self._publishers]
-        began = time.monotonic()
+        started_at = time.monotonic()
         speed = await self._speed()
         while not ended.is_set():
-            due = began + (self.tick + 1) * self._tick_s
+            due = started_at + (self.tick + 1) * self._tick_s
             flow, speed = await self._mean_flow(speed, due)
             self._step(speed, flow)
         await asyncio.gather(*publishing)
@@ -209,7 +209,7 @@ class SiteBench(Bench):
             speed: at the beginning of the tick (share of rated).
             due: end of the tick (s, `time.monotonic`).
         """
-        pause = max(self._tick_s / _LOOKS, _LEAST_PAUSE_S)
+        pause = max(self._tick_s / _POLLS, _LEAST_PAUSE_S)
         pumped = passed = 0.0
         flow = self._flow(speed)
         at = time.monotonic()
@@ -224,9 +224,11 @@ class SiteBench(Bench):
 
     async def _speed(self) -> float:
         """Return the true speed of the drive (share of rated); 0 if it does not answer."""
-        return 0.0 if self._drive is None else await asyncio.to_thread(self._ask, self._drive)
+        if self._drive is None:
+            return 0.0
+        return await asyncio.to_thread(self._update_drive, self._drive)
 
-    def _ask(self, drive: ModbusLine) -> float:
+    def _update_drive(self, drive: ModbusLine) -> float:
         """Read the speed from the drive's workbench, and write the cistern level to it."""
         depth = round(self.plant.levels()[0] / faults.LEVEL_UNIT)
         try:
@@ -236,13 +238,13 @@ class SiteBench(Bench):
             drive.write(faults.CISTERN_LEVEL, min(max(depth, 0), 0xFFFF))
         except DriveError as error:
             drive.close()
-            if not self._drive_gone:
-                self.say(f"{error}: the pump is taken to be at rest")
-            self._drive_gone = True
+            if not self._drive_lost:
+                self.log(f"{error}: the pump is assumed to be at rest")
+            self._drive_lost = True
             return 0.0
-        if self._drive_gone:
-            self.say("the drive's workbench answers again")
-        self._drive_gone = False
+        if self._drive_lost:
+            self.log("the drive's workbench answers again")
+        self._drive_lost = False
         return speed
 
     def _flow(self, speed: float) -> float:

@@ -11,7 +11,7 @@ import pytest
 from browsers import drawn_page
 from commands import run_command
 from graphs import environment
-from places import CHECKOUT
+from places import CHECKOUT, DATA
 from refusals import refusal
 from twins import TWIN, record_rows, summed, write
 
@@ -147,7 +147,7 @@ def test_all_else_in_a_site_file_stays() -> None:
     steep = {"a_hat": (-4.1e17, "steep")}
     assert refusal(edited_site_file, PAPER, steep, []).startswith(
         f"{PAPER}: the fitted values do not make a valid site; nothing is written: "
-        "a_hat = -4.1e+17: must be a number from"
+        "a_hat = -4.1e+17: must be a number of at least -1e+09 and less than 0 s2/m5"
     )
     assert now[:2] == ["# Why.", ""]
     gone = [line for line in was if line not in now]
@@ -181,7 +181,7 @@ def test_wrong_use_ends_it_with_2(arguments: str, message: str, tmp_path: Path) 
 
 def test_a_record_without_any_runoff_has_nothing_to_fit(fitted: Path, tmp_path: Path) -> None:
     """A measured roof in dry weeks: it is not refused as a dead sensor."""
-    record = Path(__file__).parents[1] / "data" / "neubrandenburg_dry.csv"
+    record = DATA / "neubrandenburg_dry.csv"
     ended = calibrate(
         tmp_path, str(record), "--site", str(fitted / "site.yaml"), "-o", "new.yaml"
     )

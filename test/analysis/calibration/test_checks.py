@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import DATA
 from refusals import refusal
 from twins import DAY, TWIN, a_record, record_of, record_rows
 
@@ -19,8 +20,8 @@ from greenroof_ros.analysis.calibration.checks import (
     level_sensor,
 )
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.analysis.calibration.record import Record, in_months
-from greenroof_ros.analysis.calibration.scores import Scores, score
+from greenroof_ros.analysis.calibration.record import RoofRecord, in_months
+from greenroof_ros.analysis.calibration.scores import FitScores, score
 from greenroof_ros.analysis.calibration.simulation import simulate
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.quality import Severity, accept
@@ -31,7 +32,7 @@ Change = Callable[[np.ndarray, int], np.ndarray]
 
 
 @cache
-def twin(days: int, hours: int = 0, *, gaps: bool = False) -> Record:
+def twin(days: int, hours: int = 0, *, gaps: bool = False) -> RoofRecord:
     """Return the record of a twin; with hours, its sums over this many hours."""
     return record_of(record_rows(TWIN, days, 1, gaps=gaps), hours)
 
@@ -57,12 +58,12 @@ def sparse(values: np.ndarray, day: int) -> np.ndarray:
     return np.where(np.arange(len(values)) % 3, np.nan, values)
 
 
-def changed(record: Record, column: str, change: Change) -> Record:
+def changed(record: RoofRecord, column: str, change: Change) -> RoofRecord:
     day = round(86400 / record.step_s)
     return replace(record, **{column: change(getattr(record, column), day)})
 
 
-def cases(record: Record) -> list[tuple[str, ...]]:
+def cases(record: RoofRecord) -> list[tuple[str, ...]]:
     """Return what the checks find: code, case, column, and for a clock whether it is early."""
     return [
         (finding.code, finding.case, finding.about, str(finding.figures.get("side", "")))
@@ -148,7 +149,7 @@ def test_a_measured_roof_in_dry_weeks_is_right() -> None:
     With three times the rain, 116 mm, the soil of 108 mm could not hold it.
     """
     site = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml")
-    file = Path(__file__).parents[1] / "data" / "neubrandenburg_dry.csv"
+    file = DATA / "neubrandenburg_dry.csv"
     record = read_csv_record(file, replace(site, utc_offset=1.0))
     assert np.nansum(record.rain) == pytest.approx(38.61)
     assert np.nansum(record.runoff) == 0
@@ -173,7 +174,7 @@ def test_gaps_do_not_hide_a_dead_flow_meter() -> None:
 # --- roofs that are watered -----------------------------------------------------------------------
 
 
-def kept_roof(days: int, mm_a_day: float = 4.25) -> Record:
+def watered_roof(days: int, mm_a_day: float = 4.25) -> RoofRecord:
     """A roof in a dry July, watered each morning with its evapotranspiration, 0.85 of 5 mm.
 
     Two showers of 4 and 6 mm; the meter shows no flow below 0.06 mm in 5 min.
@@ -194,8 +195,8 @@ def kept_roof(days: int, mm_a_day: float = 4.25) -> Record:
 
 def test_a_well_kept_roof_off_which_nothing_runs_is_right() -> None:
     """27 days, 125 mm on 100 mm of soil, and no runoff: a good controller does this."""
-    record = kept_roof(27)
-    assert record.came.sum() == pytest.approx(124.75)
+    record = watered_roof(27)
+    assert record.water.sum() == pytest.approx(124.75)
     assert not record.runoff.any()
     assert check_record(record, TWIN) == []
     # After one watering it rains enough: 121 mm in 60 days, in which 240 mm could evaporate.
@@ -209,7 +210,7 @@ def test_a_well_kept_roof_off_which_nothing_runs_is_right() -> None:
 
 def test_a_flow_meter_that_shows_nothing_of_too_much_water_is_dead() -> None:
     """15 mm a day exceed what a watered roof evaporates, 1.3 x 5 mm, by 230 mm in 27 days."""
-    record = kept_roof(27, 15.0)
+    record = watered_roof(27, 15.0)
     dead = replace(record, runoff=np.zeros(record.steps), level=None)
     (finding,) = check_record(dead, TWIN)
     assert (finding.code, finding.case) == ("sensor-dead", "silent")
@@ -224,7 +225,7 @@ def test_a_flow_meter_that_shows_nothing_of_too_much_water_is_dead() -> None:
 # --- evapotranspiration ---------------------------------------------------------------------------
 
 
-def of_evapotranspiration(days: int, mm_a_day: float, month: int) -> Record:
+def of_evapotranspiration(days: int, mm_a_day: float, month: int) -> RoofRecord:
     """Return a record with constant evapotranspiration."""
     wet = np.tile([2.0] + [0.0] * (DAY - 1), days)
     reference = np.full(days * DAY, mm_a_day / DAY)
@@ -232,7 +233,7 @@ def of_evapotranspiration(days: int, mm_a_day: float, month: int) -> Record:
     return replace(record, reference_column="ET")
 
 
-def of_unit(record: Record, latitude: float | None = TWIN.latitude) -> list[str]:
+def of_unit(record: RoofRecord, latitude: float | None = TWIN.latitude) -> list[str]:
     findings = check_record(record, replace(TWIN, latitude=latitude))
     return [finding.case for finding in findings if finding.about == "ET"]
 
@@ -268,8 +269,8 @@ def test_a_refusal_stands_unless_it_is_accepted() -> None:
     )
     note = FINDINGS.make("months", "counted", "months", months="4-10")
     for accepted, codes in (([], "sensor-stuck sensor-dead"), (["sensor-stuck"], "sensor-dead")):
-        said = refusal(accept, [stuck, note, dead], accepted, Path("roof.csv"))
-        *lines, way_out = said.splitlines()
+        reason = refusal(accept, [stuck, note, dead], accepted, Path("roof.csv"))
+        *lines, way_out = reason.splitlines()
         assert lines[0].startswith("roof.csv: ")
         assert way_out.endswith(f"--accept {codes}")
         assert " ".join(line.split("[")[-1].strip("]") for line in lines) == codes
@@ -286,7 +287,7 @@ GOOD, HALF_MORE = 0.9 * MEASURED, 1.6 * MEASURED
 OPPOSITE = 2 * MEASURED.mean() - MEASURED
 
 
-def row(part: str, simulated: np.ndarray, step_s: float = 3600.0) -> Scores:
+def row(part: str, simulated: np.ndarray, step_s: float = 3600.0) -> FitScores:
     seconds = (step_s * np.arange(len(MEASURED))).astype(np.int64)
     return score("runoff", part, simulated, MEASURED, seconds, step_s)
 

@@ -14,7 +14,7 @@ from refusals import refusal
 from twins import TWIN
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.analysis.calibration.record import Record
+from greenroof_ros.analysis.calibration.record import RoofRecord
 from greenroof_ros.model.site import Site
 
 ROWS = 120
@@ -46,7 +46,7 @@ def text_of(
     return "\n".join([f"time,{header}", *rows, ""])
 
 
-def read(file: Path, text: str, site: Site = TWIN, months: str | None = None) -> Record:
+def read(file: Path, text: str, site: Site = TWIN, months: str | None = None) -> RoofRecord:
     """Write a record's file and read it."""
     file.write_text(text)
     return read_csv_record(file, site, months)
@@ -96,7 +96,7 @@ def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(file: Path) ->
     assert record.cistern[8:] == pytest.approx(np.full(112, 3.0))
     assert np.flatnonzero(np.isnan(record.pumped)).tolist() == [3, 7]
     assert record.pumped[5] == 0
-    assert np.flatnonzero(~record.known).tolist() == [2, 3, 4, 6, 7, 8]
+    assert np.flatnonzero(~record.complete).tolist() == [2, 3, 4, 6, 7, 8]
 
 
 RAIN, RUNOFF, LEVEL = "rain [mm]", "runoff [mm]", "level [m]"
@@ -120,7 +120,7 @@ def test_missing_rows_and_empty_cells_are_gaps(file: Path) -> None:
     assert np.flatnonzero(np.isnan(record.rain)).tolist() == list(range(60, 70))
     assert np.flatnonzero(np.isnan(record.runoff)).tolist() == [20, *range(60, 70)]
     # A sensor that failed has often missed a part of the neighbouring steps.
-    assert np.flatnonzero(~record.known).tolist() == [19, 20, 21, *range(59, 71)]
+    assert np.flatnonzero(~record.complete).tolist() == [19, 20, 21, *range(59, 71)]
 
 
 # A text of the file, its replacement, and the message.
@@ -154,8 +154,8 @@ WRONG = {
 def test_wrong_files_are_refused(name: str, file: Path) -> None:
     was, now, message = WRONG[name]
     assert was in TEXT
-    said = refusal(read, file, TEXT.replace(was, now, 1))
-    assert said.startswith(str(file)) and message in said
+    reason = refusal(read, file, TEXT.replace(was, now, 1))
+    assert reason.startswith(str(file)) and message in reason
 
 
 # --- rows and steps -------------------------------------------------------------------------------
@@ -223,7 +223,7 @@ def test_an_hour_may_be_missing_and_no_more(what: str, file: Path) -> None:
     """It grows by 0.01 mm/day from row to row, and also through the gap."""
     values = 2 + 0.01 * np.arange(ROWS)
 
-    def without(missing: int) -> Record:
+    def without(missing: int) -> RoofRecord:
         cells = of_reference(f"{value:.2f}" for value in values)
         cells[30:30 + missing] = of_reference([""] * missing)
         kept = [row for row in range(ROWS) if what == EMPTY or not 30 <= row < 30 + missing]
@@ -363,7 +363,7 @@ def test_a_clock_with_daylight_saving(
 ) -> None:
     """It is recognised, and its zone can be given; then each step has a row."""
     text = on_a_clock(datetime.fromisoformat(f"{day}T12:00"), ZoneInfo(zone), minutes)
-    assert what in (said := refusal(read, file, text)) and "give its zone, --time-zone" in said
+    assert what in (reason := refusal(read, file, text)) and "give its zone, --time-zone" in reason
     record = read_csv_record(file, TWIN, zone=ZoneInfo(zone))
     assert record.steps == 200 and not np.isnan(record.rain).any()
     site = replace(TWIN, time_zone=zone)

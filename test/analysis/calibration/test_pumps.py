@@ -10,7 +10,7 @@ import pytest
 from twins import DAY, NOISE_M, STEP_S, TWIN, a_record, storms
 
 from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
-from greenroof_ros.analysis.calibration.record import Record
+from greenroof_ros.analysis.calibration.record import RoofRecord
 from greenroof_ros.common.quality import Severity
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site
@@ -23,7 +23,7 @@ SITE = replace(TWIN, a_in=1000.0)
 @cache
 def twin(
     site: Site, days: int, seed: int = 1, *, refills: bool = False, shortest: bool = False
-) -> Record:
+) -> RoofRecord:
     """A cistern with pumps that run twice a day: ten minutes at full command, twenty at half.
 
     The shortest runs are five minutes at full command. With refills, once a week 1 to 5 m3 come
@@ -56,7 +56,7 @@ def twin(
     return a_record(rain, float(STEP_S), cistern=cistern, command=command)
 
 
-def later(record: Record, steps: int) -> Record:
+def later(record: RoofRecord, steps: int) -> RoofRecord:
     """Return a record with a pump state that is late by some steps; the pumps stand at its ends."""
     return replace(record, command=np.roll(record.command, steps))
 
@@ -86,7 +86,7 @@ def test_the_flow_of_worn_pumps_is_found() -> None:
     assert figures["half"] < 0.01 * figures["flow"]
     shape, height = pumps.parameters
     assert (shape.name, shape.value, shape.interval) == ("a_hat", SITE.a_hat, "")
-    assert shape.words == "the data cannot tell it apart from c_hat"
+    assert shape.reason == "the data cannot tell it apart from c_hat"
     assert height.name == "c_hat"
     assert height.low <= 48.0 <= height.high
     assert pumps.site == replace(SITE, c_hat=height.value)
@@ -129,7 +129,7 @@ def test_of_pumps_with_little_head_the_whole_curve_is_found() -> None:
     for fitted in pumps.parameters:
         assert fitted.low <= getattr(low, fitted.name) <= fitted.high
         assert fitted.value == pytest.approx(getattr(low, fitted.name), rel=0.1)
-        assert fitted.words == ""
+        assert fitted.reason == ""
 
 
 def test_where_no_run_is_seen_nothing_is_said() -> None:

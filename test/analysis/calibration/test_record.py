@@ -12,7 +12,7 @@ from twins import a_record
 
 from greenroof_ros.analysis.calibration.record import (
     Outage,
-    Record,
+    RoofRecord,
     Storm,
     comparable,
     halve,
@@ -25,7 +25,7 @@ HOUR = 12
 DAY = 24 * HOUR
 
 
-def of_rain(days: int, rain: dict[int, float]) -> Record:
+def of_rain(days: int, rain: dict[int, float]) -> RoofRecord:
     """Return a record of five-minute steps with rain in some of them and without runoff."""
     depths = np.zeros(days * DAY)
     depths[list(rain)] = list(rain.values())
@@ -86,7 +86,7 @@ def test_steps_of_months() -> None:
     refusal(in_months, of_rain(20, {}), "6-10", match=r"^roof.csv: has no row in the months 6-10")
 
 
-def lost(record: Record, name: str, first: int, end: int) -> Record:
+def lost(record: RoofRecord, name: str, first: int, end: int) -> RoofRecord:
     """Return a record in which a quantity is missing in some steps."""
     series = getattr(record, name).copy()
     series[first:end] = np.nan

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from twins import TWIN, a_record, storms
 
-from greenroof_ros.analysis.calibration.record import Record
+from greenroof_ros.analysis.calibration.record import RoofRecord
 from greenroof_ros.analysis.calibration.simulation import least_reading, simulate
 from greenroof_ros.model.plant import Plant
 
 TICK_S = 5.0
 
 
-def by_the_plant(record: Record, filled: float) -> tuple[np.ndarray, np.ndarray]:
+def by_the_plant(record: RoofRecord, filled: float) -> tuple[np.ndarray, np.ndarray]:
     """Return runoff (mm) and level (m) of each step, from the plant with ticks of seconds."""
     plant = Plant(
         replace(TWIN, tau=TICK_S, z_o=1e9), 1e6,

@@ -10,11 +10,11 @@ from inputs import trajectory_of
 from paper import PAPER_SITE, paper_run, site_file
 
 from greenroof_ros.analysis.report.bags import measured, near_hours
-from greenroof_ros.analysis.report.run import Row, Run
+from greenroof_ros.analysis.report.run import ReportedRun, Row
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site
-from greenroof_ros.recording.bag_reader import Recorded
+from greenroof_ros.recording.bag_reader import RecordedTrajectory
 from greenroof_ros.recording.trajectory import Trajectory
 
 TARGET = 68.8 * 0.0457
@@ -22,7 +22,7 @@ TARGET = 68.8 * 0.0457
 
 def results_of(happened: Trajectory, site: Site = PAPER_SITE) -> Row:
     """Return the results computed from a bag."""
-    return measured(Run(site=site, row={"run": "bag"}), Recorded(happened))
+    return measured(ReportedRun(site=site, row={"run": "bag"}), RecordedTrajectory(happened))
 
 
 def test_samples_of_a_real_site() -> None:
@@ -52,7 +52,7 @@ def test_band_includes_its_edges_and_counts_time() -> None:
     assert near_hours(PAPER_SITE, run, 0.05) == pytest.approx(0.5 + 1 / 3600)
 
 
-def own_tally(*options: str) -> dict[str, float]:
+def check_tally(*options: str) -> dict[str, float]:
     """Check a run of on/off against its own tally, and return the tally."""
     run = paper_run("--controller", "onoff", *options)
     metrics = Metrics()
@@ -76,13 +76,13 @@ def test_the_simulations_own_tally(tmp_path: Path) -> None:
     a catchment and a low outlet.
     """
     mains = site_file(tmp_path, mains_level=0.8, mains_flow=0.004)
-    row = own_tally("--cistern", "10", "--roof", "0.001", "--hours", "1", "--site", str(mains))
+    row = check_tally("--cistern", "10", "--roof", "0.001", "--hours", "1", "--site", str(mains))
     assert row["mains_m3"] > 0.9 and row["limited_steps"] > 0 and row["pumped_m3"] > 0
     layer = site_file(
         tmp_path, base="site_neubrandenburg.yaml", initial_cistern=76.0, initial_roof=2.7,
         initial_layer=0.3, a_in=100.0, runoff_coefficient=0.5, low_outlet_level=2.0,
         low_outlet_radius=0.05,
     )
-    row = own_tally("--start", "2021-07-08T08:00", "--hours", "2", "--site", str(layer))
+    row = check_tally("--start", "2021-07-08T08:00", "--hours", "2", "--site", str(layer))
     assert row["outflow_m3"] > 20 and row["rain_cistern_m3"] > 0
     assert row["final_layer_m3"] < 0.3 and row["drainage_m3"] > 0.1

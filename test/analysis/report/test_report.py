@@ -444,8 +444,8 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
     (tmp_path / "figures" / "energy-2.svg").mkdir()
     (tmp_path / "figures" / "mine.svg").touch()
     (tmp_path / "notes.txt").touch()
-    said = refusal(partial(_former_report, force=True), tmp_path, is_figure)
-    assert "figures/energy-2.svg, figures/mine.svg, notes.txt does not belong to a report" in said
+    reason = refusal(partial(_former_report, force=True), tmp_path, is_figure)
+    assert "figures/energy-2.svg, figures/mine.svg, notes.txt does not belong to a report" in reason
 
 
 def test_study(tmp_path: Path) -> None:

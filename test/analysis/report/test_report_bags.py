@@ -356,8 +356,8 @@ def test_foreign_labels_leave_the_numbers(tmp_path: Path, file: str) -> None:
         report = report_of(tmp_path / "run")
         (row,), (run,) = report.single, report.runs.values()
         assert (row["run"], row["controller"], row["from"]) == ("run", "unknown", "as recorded")
-        said = f"{file} beside the bag is damaged or foreign"
-        assert any(note.text.startswith(said) for note in run.notes), text
+        reason = f"{file} beside the bag is damaged or foreign"
+        assert any(note.text.startswith(reason) for note in run.notes), text
         assert row["pumped_m3"] == pytest.approx(0.002)
 
 
@@ -370,8 +370,8 @@ def test_names_distinguish_paths(tmp_path: Path) -> None:
     names = [run.name for run in find_runs([paths[0].parent, *paths[1:3], paths[4]], None).runs]
     assert names == ["mon", "bag", "deep", "one"]
     for first, second in (paths[:2], paths[2:4]):
-        said = refusal(report_of, first, second, match=f"have one name, {first.name}: give each")
-        assert str(first) in said and str(second) in said
+        reason = refusal(report_of, first, second, match=f"have one name, {first.name}: give each")
+        assert str(first) in reason and str(second) in reason
     row = simulate("onoff", "0.5", "low-low").row
     studies = [write_study(tmp_path / place / "study", [(row, None)]) for place in ("a", "b")]
     refusal(report_of, *studies, match="a/study and .*b/study have one name, study")
@@ -542,9 +542,9 @@ def test_how_runs_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         assert len(re.findall(f'class="text( short)? warning">{ended}</td>', text)) >= 2
     assert '<th scope="row">nothing</th><td>mpc</td><td>failed: no start within 30 s' in text
     _show(report)
-    said = " ".join(capsys.readouterr().out.split())
-    assert "lossy: done, with 2 incidents; the report lists them" in said
-    assert f"broken {ending}; all results are for the recorded part" in said
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "lossy: done, with 2 incidents; the report lists them" in printed
+    assert f"broken {ending}; all results are for the recorded part" in printed
     assert incidents_of(lossy, broken) == [
         ["1", "lossy", "pump: drive", "00:02:00 (tick 120)", "00:09:48 (tick 588)", "7.8",
          "no connection to the drive"],
@@ -640,5 +640,5 @@ def test_a_new_bag_that_is_damaged_too_is_not_repaired_again(tmp_path: Path) -> 
     run = damaged_run(tmp_path / "run", "data")
     recover(run)
     (run / "bag-recovered" / "bag-recovered_0.mcap").write_bytes(b"")
-    said = refusal(report_of, run, match="bag-recovered: cannot be read as a bag")
-    assert "greenroof recover" not in str(said)
+    reason = refusal(report_of, run, match="bag-recovered: cannot be read as a bag")
+    assert "greenroof recover" not in str(reason)

@@ -139,10 +139,10 @@ def opened(browser: Any, file: Path, width: int, *, unfold: bool = True) -> Iter
     """
     page = browser.new_page(viewport={"width": width, "height": 900})
     page.set_default_timeout(120_000)
-    said: list[str] = []
+    reason: list[str] = []
     asked: list[str] = []
-    page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
-    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("console", lambda message: reason.append(f"{message.type}: {message.text}"))
+    page.on("pageerror", lambda error: reason.append(str(error)))
     page.on("request", lambda request: asked.append(request.url))
     page.goto(file.as_uri())
     page.wait_for_function("document.documentElement.dataset.drawn")
@@ -150,7 +150,7 @@ def opened(browser: Any, file: Path, width: int, *, unfold: bool = True) -> Iter
     if unfold:
         unfold_all(page)
     yield page
-    assert said == []
+    assert reason == []
     assert asked == [file.as_uri()]
     page.close()
 

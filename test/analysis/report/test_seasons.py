@@ -51,11 +51,11 @@ def deviations(*seeds: dict[int, float]) -> Deviations:
     return made
 
 
-def over_onoff(*seeds: dict[int, float]) -> Comparison:
+def relative_to_onoff(*seeds: dict[int, float]) -> Comparison:
     """Return the comparison with on/off of a controller with one seed for each of these totals."""
-    over = compare(deviations(*seeds), deviations(ONOFF))
-    assert over is not None
-    return over
+    comparison = compare(deviations(*seeds), deviations(ONOFF))
+    assert comparison is not None
+    return comparison
 
 
 # --- statistics ----------------------------------------------------------------------------------
@@ -75,28 +75,30 @@ def test_a_tenth_whatever_the_number_of_values() -> None:
 
 def test_ratios_and_what_is_said_of_them() -> None:
     """Equal in all years is certain; changing signs contain 1."""
-    over = over_onoff({year: total * 0.8 for year, total in ONOFF.items()})
-    assert over.mean == pytest.approx((0.8, 0.8, 0.8))
-    assert over.worst_weeks == pytest.approx((0.8, 0.8, 0.8))
-    assert (over.better, over.years) == (11, 11)
-    assert over.difference == pytest.approx(-30)
-    over = over_onoff({year: total + 30 for year, total in ONOFF.items()})
-    assert over.better == 0
-    assert (over.mean.value, over.difference) == pytest.approx((180 / 150, 30))
+    comparison = relative_to_onoff({year: total * 0.8 for year, total in ONOFF.items()})
+    assert comparison.mean == pytest.approx((0.8, 0.8, 0.8))
+    assert comparison.worst_weeks == pytest.approx((0.8, 0.8, 0.8))
+    assert (comparison.better, comparison.years) == (11, 11)
+    assert comparison.difference == pytest.approx(-30)
+    comparison = relative_to_onoff({year: total + 30 for year, total in ONOFF.items()})
+    assert comparison.better == 0
+    assert (comparison.mean.value, comparison.difference) == pytest.approx((180 / 150, 30))
     # Of 22 whole weeks the worst 2.2: the second weeks of 2025, 2024 and a fifth of 2023.
-    assert over.worst_weeks.value == pytest.approx(1 + 30 * 2.2 / (200 + 190 + 0.2 * 180))
-    over = over_onoff({year: total + (-1) ** year * 30 for year, total in ONOFF.items()})
-    assert over.mean.low < 1 < over.mean.high and over.better == 6  # the odd years
+    assert comparison.worst_weeks.value == pytest.approx(1 + 30 * 2.2 / (200 + 190 + 0.2 * 180))
+    alternating = {year: total + (-1) ** year * 30 for year, total in ONOFF.items()}
+    comparison = relative_to_onoff(alternating)
+    assert comparison.mean.low < 1 < comparison.mean.high
+    assert comparison.better == 6  # the odd years
     # No interval of two years is narrow, but no deviation is below 0.
     two = {2015: 1.0, 2016: 200.0}
-    over = compare(deviations(two), deviations(dict.fromkeys(two, 100.0)))
-    assert over is not None and over.mean.low == 0.0
+    comparison = compare(deviations(two), deviations(dict.fromkeys(two, 100.0)))
+    assert comparison is not None and comparison.mean.low == 0.0
     # If on/off never leaves its target, or for a single year, there is no ratio.
     assert compare(deviations(ONOFF), deviations(dict.fromkeys(YEARS, 0.0))) is None
     assert compare(deviations({2015: 1.0}), deviations(ONOFF)) is None
     # Seeds with the same mean in every year leave no uncertainty, however different they are.
     apart = [{year: total + more for year, total in ONOFF.items()} for more in (-40, 40)]
-    assert over_onoff(*apart).mean == pytest.approx((1, 1, 1))
+    assert relative_to_onoff(*apart).mean == pytest.approx((1, 1, 1))
 
 
 # Student's interval of a mean of eleven over the bootstrap's; t and z from tables.
@@ -107,7 +109,7 @@ def test_intervals_of_another_library() -> None:
     """Scipy's percentile bootstrap of the years, widened."""
     random = np.random.default_rng(7)
     own = {year: total + random.normal(-10, 20) for year, total in ONOFF.items()}
-    over = over_onoff(own)
+    comparison = relative_to_onoff(own)
 
     def worst(years: Any) -> float:
         """Return the ratio to on/off of the worst 2.2 of 22 weeks."""
@@ -120,7 +122,7 @@ def test_intervals_of_another_library() -> None:
     def mean(years: Any) -> float:
         return float(np.divide(*(sum(run[2015 + year] for year in years) for run in (own, ONOFF))))
 
-    for interval, statistic in ((over.mean, mean), (over.worst_weeks, worst)):
+    for interval, statistic in ((comparison.mean, mean), (comparison.worst_weeks, worst)):
         resampled = scipy.stats.bootstrap(
             (range(11),), statistic, method="percentile", vectorized=False, n_resamples=10_000,
             random_state=1,
@@ -180,7 +182,7 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
     report = study_of(tmp_path / "a", *lower, *full, *tenth, *rows("mpc", None, ONOFF))
     ratios = {
         row["setting"] if row["controller"] == "onoff" else "mpc": row["has"].mean.value
-        for row in report.over_onoff
+        for row in report.relative_to_onoff
     }
     assert ratios == pytest.approx(
         {"fraction 0.1, level 0.9": 0.8, "fraction 1, level 1": 1.1, "mpc": 1}
@@ -189,7 +191,7 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
     assert {row[table.header.index("over")].text for row in table.rows} == {
         "on/off fraction 0.1, level 1 perfect"
     }
-    assert not study_of(tmp_path / "b", *lower, *rows("mpc", None, ONOFF)).over_onoff
+    assert not study_of(tmp_path / "b", *lower, *rows("mpc", None, ONOFF)).relative_to_onoff
 
 
 def least(report: Report) -> list[tuple[str, str]]:
@@ -210,7 +212,7 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
         *rows("lookahead", None, lowest),
     )
     assert least(report) == [("lookahead", "errors skill real")]
-    assert [(row["controller"], row["has"].mean.value > 1) for row in report.over_least] == [
+    assert [(row["controller"], row["has"].mean.value > 1) for row in report.relative_to_least] == [
         ("mpc", True), ("onoff", True), ("lookahead", False)
     ]
     (*_, table) = make_tables(report)
@@ -253,10 +255,10 @@ def test_who_failed_in_the_worst_years_is_not_the_least(tmp_path: Path) -> None:
         failed(row) if row["weather"] > "2020" else row for row in rows("lookahead", None, more)
     ]
     report = study_of(tmp_path / "a", *onoff, *five)
-    assert least(report) == [("onoff", "perfect")] and not report.over_least
+    assert least(report) == [("onoff", "perfect")] and not report.relative_to_least
     assert "deviation of a season was 130.00 m³, 2.6 times the least possible (on/off, forecast p" \
         in sentences(report)[1]
-    (compared,) = report.over_onoff
+    (compared,) = report.relative_to_onoff
     assert compared["has"].mean.value == pytest.approx(1.02) and compared["has"].years == 5
     assert "lookahead ran in 5 of 7 years: its mean is of other years" in cautions(report)
 
@@ -286,7 +288,7 @@ def test_who_failed_in_the_worst_years_is_not_the_least(tmp_path: Path) -> None:
 
     # If no controller has all years, none is called the least; on/off is still compared with.
     report = study_of(tmp_path / "c", failed(onoff[0]), *onoff[1:], *five)
-    assert not report.least and len(report.over_onoff) == 1
+    assert not report.least and len(report.relative_to_onoff) == 1
     assert "it is open which has the least mean deviation" in sentences(report)[1]
     many = [{**row, "controller": f"mine_{n}"} for n in range(4) for row in five]
     assert cautions(study_of(tmp_path / "d", *onoff, *many))[-1] == (
@@ -298,7 +300,7 @@ def test_a_tie_between_seasons_names_all(tmp_path: Path) -> None:
     """As between single runs; of more than three seasons it is counted as shared."""
     report = study_of(tmp_path / "a", *rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF))
     assert "(MPC, forecast perfect, and on/off, forecast perfect)" in sentences(report)[1]
-    assert not report.over_least  # on/off is among them
+    assert not report.relative_to_least  # on/off is among them
     report = study_of(tmp_path / "b", *(
         {**row, "initial": "custom", "cistern_m3": volume,
          TOTAL: row[TOTAL] + (volume > 2 and row["controller"] == "mpc")}

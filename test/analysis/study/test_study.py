@@ -156,7 +156,7 @@ def test_what_decides_whether_a_run_still_counts(
     """The code behind its numbers, and the constants of skills; not the page, nor comments."""
     package = finished / "greenroof_ros"
     shutil.copytree(Path(greenroof_ros.__file__).parent, package)
-    monkeypatch.setattr(store_module, "__file__", str(package / "study" / "store.py"))
+    monkeypatch.setattr(store_module, "__file__", str(package / "analysis" / "study" / "store.py"))
     for file, text in (
         ("watch/__init__.py", "A = 1\n"), ("model/plant.py", '# a comment\n"""and words"""\n'),
     ):
@@ -189,8 +189,8 @@ def test_a_full_disk_is_named(tmp_path: Path, what: str) -> None:
     full.parent.mkdir(exist_ok=True)
     full.symlink_to("/dev/full")
     write = {
-        "outcome": lambda: store.keep(store.cases[0], Outcome({}, {}, {})),
-        "bounds": lambda: store.keep_bound(store.cases[0], 1.0),
+        "outcome": lambda: store.write_outcome(store.cases[0], Outcome({}, {}, {})),
+        "bounds": lambda: store.write_bound(store.cases[0], 1.0),
         "results": store.write_tables,
     }[what]
     with pytest.raises(OSError, match=re.escape(str(full))):

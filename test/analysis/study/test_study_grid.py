@@ -14,7 +14,7 @@ from places import DATA
 from refusals import refusal
 from studies import CONFIG, GRID, WEATHER, edited, grid, record, run_here
 
-from greenroof_ros.analysis.study.case_run import bound_case, lay_out, run_case
+from greenroof_ros.analysis.study.case_run import bound_case, run_case, write_inputs
 from greenroof_ros.analysis.study.grid import contents, read_grid
 from greenroof_ros.commands.study import show
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
@@ -29,7 +29,7 @@ WRONG = {
         re.sub("initial:.*\n", "", GRID), "initial: is missing or empty; it must be one of low-low"
     ),
     "no-controllers": (GRID[: GRID.index("controllers")], "parameters: mpc, onoff, anticipating_"),
-    "no-text": (edited("[published, fao56]", "5"), "evapotranspiration = 5: must be fao56, or pub"),
+    "no-text": (edited("[published, fao56]", "5"), "evapotranspiration = 5: must be fao56, harg"),
     "no-skill": (GRID + "forecast: {model: errors, skill: 5}\n", "must be one of much_better, "),
     "no-forecast": (GRID + "forecast: 5\n", "must be one of perfect, persistence, errors, "),
     "site-kind": (edited(SITE, "site: [10]"), "line 2: site: must be the name of a file, {file"),
@@ -74,9 +74,9 @@ WRONG = {
 def test_wrong_grid(tmp_path: Path, name: str) -> None:
     """One line that says where and what."""
     text, expected = WRONG[name]
-    said = refusal(read_grid, tmp_path / grid(tmp_path, text))
-    assert expected in said
-    assert "\n" not in said
+    reason = refusal(read_grid, tmp_path / grid(tmp_path, text))
+    assert expected in reason
+    assert "\n" not in reason
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_window_of_several_files(tmp_path: Path) -> None:
         assert len(cases) == len(whole)
         assert {case.weather_name for case in cases} == {"2 files, part-1.csv to part-2.csv"}
         assert [file.name for file in cases[-1].files] == ["site.yaml", "part-1.csv", "part-2.csv"]
-    lay_out(contents([*cases, *whole]), tmp_path)
+    write_inputs(contents([*cases, *whole]), tmp_path)
     results = [run_case(tmp_path, some[-1], None).results for some in (cases, whole)]
     assert results[0] == results[1]
 
@@ -212,7 +212,7 @@ def test_seconds_of_the_bound(tmp_path: Path) -> None:
     ten = read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 600\n"))[0]
     assert usual.identity == ten.identity and usual.problem != ten.problem
     # With larger blocks that are whole multiples it is never higher (Jensen's inequality).
-    lay_out(contents([usual]), tmp_path)
+    write_inputs(contents([usual]), tmp_path)
     assert 0 < bound_case(tmp_path, ten) <= bound_case(tmp_path, usual)
     # Less than a tick counts as no bound, and causes no division by it.
     assert read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 1.0e-10\n"))[0].bound_block == 0

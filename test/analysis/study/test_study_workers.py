@@ -281,10 +281,10 @@ def test_dask(dask: Dask, tmp_path: Path) -> None:
 
     def check_end(process: subprocess.Popen[str], what: str) -> None:
         shown, errors = process.communicate(timeout=60)
-        said = errors.splitlines()[-1]
+        reason = errors.splitlines()[-1]
         done = len(stored(tmp_path))
         assert "Traceback" not in errors
-        assert said == (
+        assert reason == (
             f"error: {what}: {done} of 12 cases are stored; run the same command again to continue"
         )
         assert (process.returncode, shown) == (1, "")

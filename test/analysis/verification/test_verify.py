@@ -101,11 +101,12 @@ def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
             pairs = [(ours[start], theirs[start]) for start in theirs if start in ours]
             row = got[day, length]
             assert (int(row["n"]), float(row["event_mm"])) == (len(pairs), event)
-            said, fell = map(np.array, zip(*pairs, strict=True))
+            predicted, fell = map(np.array, zip(*pairs, strict=True))
             for name, value in (
-                ("bias", said.sum() / fell.sum()), ("r", stats.pearsonr(said, fell).statistic),
-                ("pod", (said >= event)[fell >= event].mean()),
-                ("crps_mm", np.abs(said - fell).mean()),
+                ("bias", predicted.sum() / fell.sum()),
+                ("r", stats.pearsonr(predicted, fell).statistic),
+                ("pod", (predicted >= event)[fell >= event].mean()),
+                ("crps_mm", np.abs(predicted - fell).mean()),
             ):
                 assert float(row[name]) == pytest.approx(value, rel=1e-5, abs=1e-9), (day, name)
 
@@ -194,10 +195,10 @@ def test_models_of_the_package(tmp_path: Path) -> None:
         (rain[hour], rain[hour + lead])
         for hour in range(1, len(rain), 6) for lead in range(12) if hour + lead < len(rain)
     ]
-    said, fell = map(np.array, zip(*pairs, strict=True))
+    predicted, fell = map(np.array, zip(*pairs, strict=True))
     assert int(rows[0]["n"]) == len(pairs)
-    assert float(rows[0]["r"]) == pytest.approx(stats.pearsonr(said, fell).statistic, rel=1e-5)
-    assert float(rows[0]["bias"]) == pytest.approx(said.sum() / fell.sum(), rel=1e-5)
+    assert float(rows[0]["r"]) == pytest.approx(stats.pearsonr(predicted, fell).statistic, rel=1e-5)
+    assert float(rows[0]["bias"]) == pytest.approx(predicted.sum() / fell.sum(), rel=1e-5)
 
 
 def test_the_page_draws_everything_and_asks_for_nothing(tmp_path: Path) -> None:
@@ -222,13 +223,13 @@ def test_issues_that_are_shorter_than_the_horizon(tmp_path: Path) -> None:
     write_gauge(tmp_path / "gauge.csv", [0.0] * 240)
     write_previous_runs(tmp_path / "archive.csv", {1: [0.0] * 240, 2: [0.0] * 240})
     for horizon in (48, 49):
-        said = succeed(
+        predicted = succeed(
             tmp_path, "simulate", "--weather", "gauge.csv", "--start", "2024-03-04T00:00",
             "--hours", "1", "--controller", "lookahead", "--horizon", str(horizon),
             "--forecast", "archive.csv",
         )
         short = "FORECAST 48 h is the longest issue, the horizon 49 h: no rain is assumed after"
-        assert (short in " ".join(said.replace("│", " ").split())) is (horizon == 49)
+        assert (short in " ".join(predicted.replace("│", " ").split())) is (horizon == 49)
 
 
 # --- wrong use ------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import pytest
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.parameter import Word
-from greenroof_ros.live.drives.drive import PlacedDrive
+from greenroof_ros.live.drives.drive import DriveEndpoint
 from greenroof_ros.live.drives.drive_file import Codes, find_drive_file, read_drive_file
 from greenroof_ros.live.drives.exchange import DriveExchange
 from greenroof_ros.live.drives.modbus_line import (
@@ -190,5 +190,5 @@ def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.delitem(sys.modules, "pymodbus.client", raising=False)
     monkeypatch.setitem(sys.modules, "pymodbus", None)  # type: ignore[arg-type]
     with pytest.raises(ConfigurationError) as caught:
-        DriveExchange(PlacedDrive(read_drive_file(SHIPPED[0]), parse_address("tcp://127.0.0.1")))
+        DriveExchange(DriveEndpoint(read_drive_file(SHIPPED[0]), parse_address("tcp://127.0.0.1")))
     assert str(caught.value) == "needs pymodbus: install greenroof_ros with its extra [pump]"

@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from modbus_wire import Answer, Registers, SerialWire, Wire, acs880, over_serial
+from modbus_wire import Answer, Registers, SerialWire, Wire, acs880, rtu_server
 from places import CHECKOUT
 from simulators import until as wait
 
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.live.drives import exchange
-from greenroof_ros.live.drives.drive import DriveStatus, PlacedDrive
+from greenroof_ros.live.drives.drive import DriveEndpoint, DriveStatus
 from greenroof_ros.live.drives.drive_file import (
     DriveFile,
     Timeouts,
@@ -31,10 +31,10 @@ from greenroof_ros.live.drives.drive_file import (
 from greenroof_ros.live.drives.exchange import (
     PAUSE_S,
     DriveExchange,
-    Obedience,
+    DriveSnapshot,
+    ExchangeState,
     RunsOnError,
-    Snapshot,
-    State,
+    StopMonitor,
     stop_drive,
 )
 from greenroof_ros.live.drives.lock import DriveInUseError, DriveLock
@@ -76,7 +76,7 @@ class Bench:
         self.drive = acs880()
         self.wire = Wire(self.drive)
         self.exchange = DriveExchange(
-            PlacedDrive(file, parse_drive_address(at or self.wire.gateway, "at")),
+            DriveEndpoint(file, parse_drive_address(at or self.wire.gateway, "at")),
             **{"period_s": PERIOD, "dead_man_s": DEAD_MAN, "timeout_s": TIMEOUT, **options},
         )
         self.speed: float | None = None
@@ -86,7 +86,7 @@ class Bench:
 
     def _ask(self) -> None:
         while not self._ended.wait(0.05):
-            self.exchange.demand(None if self.now.start_failed else self.speed)
+            self.exchange.request_speed(None if self.now.start_failed else self.speed)
 
     def ask_no_more(self) -> None:
         self._ended.set()
@@ -98,7 +98,7 @@ class Bench:
         self.wire.close()
 
     @property
-    def now(self) -> Snapshot:
+    def now(self) -> DriveSnapshot:
         return self.exchange.snapshot
 
     def connect(self) -> None:
@@ -114,7 +114,7 @@ class Bench:
     def until_half(self) -> None:
         wait(lambda: self.drive.values[4] == 10000)
 
-    def until_said(self, condition: Callable[[DriveStatus], object]) -> None:
+    def until_reported(self, condition: Callable[[DriveStatus], object]) -> None:
         """Wait until the drive's status meets a condition."""
         wait(lambda: self.now.status and condition(self.now.status))
 
@@ -147,7 +147,7 @@ def test_it_stops_the_drive_first_and_reads_what_it_is(bench: Bench) -> None:
     bench.connect()
     assert bench.wire.frames[0][12:] == "01060000047e"  # the very first request
     now = bench.now
-    assert now.status is not None and now.status.stands and not now.status.running
+    assert now.status is not None and now.status.at_rest and not now.status.running
     assert now.identity.startswith("ABB ACS880") and "1234" in now.identity
     assert (now.timeout_s, now.timeout_known, now.timeout_note) == (5.0, True, "")
     assert (now.problem, now.errors) == ("", 0)
@@ -162,19 +162,19 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
 ) -> None:
     """It is also stopped by a close, which reads back the stop; nothing is written after that."""
     drive = bench.drive
-    assert bench.now.state is State.CONNECTING
+    assert bench.now.state is ExchangeState.CONNECTING
     bench.exchange.start()
-    wait(lambda: bench.now.state is State.STOPPED)
+    wait(lambda: bench.now.state is ExchangeState.STOPPED)
     bench.speed = 0.4
-    bench.until_said(lambda status: status.speed == 0.4)
+    bench.until_reported(lambda status: status.speed == 0.4)
     assert drive.written[-2:] in ([(1, 8000), RUN], [RUN, (1, 8000)])
     bench.speed = 0.6
-    bench.until_said(lambda status: status.speed == 0.6)
-    assert bench.now.state is State.RUNNING
+    bench.until_reported(lambda status: status.speed == 0.6)
+    assert bench.now.state is ExchangeState.RUNNING
     bench.speed = None
     assert wait(lambda: drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
-    bench.until_said(lambda status: status.stands)
-    assert (bench.now.state, bench.now.errors) == (State.STOPPED, 0)
+    bench.until_reported(lambda status: status.at_rest)
+    assert (bench.now.state, bench.now.errors) == (ExchangeState.STOPPED, 0)
     for nonsense in (float("nan"), 1.5):
         bench.speed = 0.5
         bench.until_half()
@@ -186,11 +186,11 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
     bench.ask_no_more()
     took = wait(lambda: drive.values[0] == 0x047E)
     assert DEAD_MAN - 0.1 < took < DEAD_MAN + 4 * PERIOD
-    bench.exchange.demand(0.5)
+    bench.exchange.request_speed(0.5)
     bench.until_half()
     bench.close_within(1.0)
-    assert drive.values[0] == 0x047E and bench.now.state is State.CONNECTING
-    assert bench.now.status is not None and bench.now.status.stands
+    assert drive.values[0] == 0x047E and bench.now.state is ExchangeState.CONNECTING
+    assert bench.now.status is not None and bench.now.status.at_rest
     count = len(drive.written)
     time.sleep(4 * PERIOD)
     assert len(drive.written) == count
@@ -201,9 +201,9 @@ def test_what_is_asked_for_waits_for_no_round_of_requests() -> None:
     with closing(Bench(period_s=20.0, dead_man_s=60.0)) as bench:
         bench.ask_no_more()
         bench.connect()
-        bench.exchange.demand(0.5)
+        bench.exchange.request_speed(0.5)
         assert wait(lambda: bench.drive.values[0] == 0x047F) < 2.0
-        bench.exchange.demand(None)
+        bench.exchange.request_speed(None)
         assert wait(lambda: bench.drive.values[0] == 0x047E) < 2.0
 
 
@@ -214,7 +214,7 @@ def test_what_was_asked_for_before_a_suspend_runs_nothing_after_it(
     with closing(Bench(dead_man_s=60.0)) as bench:
         bench.ask_no_more()
         bench.exchange.start()
-        bench.exchange.demand(0.5)
+        bench.exchange.request_speed(0.5)
         bench.until_half()
         monkeypatch.setattr(exchange, "boot_time", lambda: boot_time() + 3600)
         assert wait(lambda: bench.drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
@@ -253,7 +253,7 @@ def test_a_drive_that_closes_its_connections_for_a_moment_is_not_left_in_silence
         bench.run()
         bench.lose()
         time.sleep(1.0)
-        assert bench.now.state is State.CONNECTING
+        assert bench.now.state is ExchangeState.CONNECTING
         bench.drive.written.clear()
         bench.wire.answer = bench.drive
         assert wait(lambda: bench.now.connected) < 2.0
@@ -305,7 +305,7 @@ def test_a_fault_is_acknowledged_by_a_reset_while_it_is_seen(bench: Bench) -> No
     bench.speed = 0.5
     bench.exchange.start()
     for _ in range(2):
-        bench.until_said(lambda status: status.fault == "no text for it (code 4660, 0x1234)")
+        bench.until_reported(lambda status: status.fault == "no text for it (code 4660, 0x1234)")
         wait(lambda: "fault: no text for it (code 4660" in bench.now.problem)
         assert ACKNOWLEDGE not in bench.written_in(rounds=5)
         assert bench.now.status is not None and bench.now.status.fault
@@ -314,7 +314,7 @@ def test_a_fault_is_acknowledged_by_a_reset_while_it_is_seen(bench: Bench) -> No
         bench.wire.answer = bench.drive
     wait(lambda: bench.now.connected)
     bench.exchange.reset()
-    bench.until_said(lambda status: not status.fault)
+    bench.until_reported(lambda status: not status.fault)
     assert ACKNOWLEDGE in bench.drive.written
     bench.until_half()
     wait(lambda: bench.now.problem == "")
@@ -352,7 +352,7 @@ def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
     def ask(speed: float | None, seconds: float, until: Callable[[], object]) -> bool:
         ends = time.monotonic() + seconds
         while time.monotonic() < ends and not until():
-            bench.exchange.demand(speed)
+            bench.exchange.request_speed(speed)
             time.sleep(0.02)
         return bool(until())
 
@@ -362,7 +362,7 @@ def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
     if fails == "to start":
         bench.drive.on_write = lambda _address, _word: None
     else:
-        assert ask(0.5, 20, lambda: bench.now.state is State.RUNNING)
+        assert ask(0.5, 20, lambda: bench.now.state is ExchangeState.RUNNING)
         bench.lose()
         bench.wire.answer = bench.drive
     assert ask(0.5, 20, lambda: bench.now.connected and bench.now.start_failed)
@@ -374,16 +374,16 @@ def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
         "while it runs": "the connection was lost: ",
     }[fails])
     assert ask(None, 5, lambda: not bench.now.start_failed)
-    assert ask(0.5, 20, lambda: bench.now.state is State.RUNNING)
+    assert ask(0.5, 20, lambda: bench.now.state is ExchangeState.RUNNING)
 
 
 def test_a_serial_line_whose_plug_is_pulled() -> None:
-    with closing(SerialWire(over_serial(acs880()))) as plug, closing(
+    with closing(SerialWire(rtu_server(acs880()))) as plug, closing(
         Bench(at=plug.line)
     ) as bench:
         bench.exchange.start()
         bench.speed = 0.5
-        bench.until_said(lambda status: status.speed == 0.5)
+        bench.until_reported(lambda status: status.speed == 0.5)
         assert bench.now.connected and bench.now.errors == 0
         plug.close()
         wait(lambda: not bench.now.connected, seconds=1.0)
@@ -413,7 +413,7 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(monkeypatch: pytest.Mon
         bench.drive.refused = {0}
         wait(lambda: "so nothing is sent for 1.2 s" in bench.now.problem)
         assert "refused with exception 6" in bench.now.problem
-        assert bench.now.state is State.SILENT and bench.now.status is None
+        assert bench.now.state is ExchangeState.SILENT and bench.now.status is None
         connections = bench.wire.connections
         assert bench.drive.written[-1] == (1, 0)  # follows the refused word
         for bench.speed in (None, 0.5):  # a demand does not break the silence
@@ -422,9 +422,9 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(monkeypatch: pytest.Mon
         wait(lambda: len(silences(bench.wire)) == 2, seconds=8)
         assert min(silences(bench.wire)) >= 1.2
         assert bench.wire.connections == connections + 2  # one attempt after each silence
-        count = len(bench.wire.seen)
+        count = len(bench.wire.requests)
         bench.close_within(2.0)
-        assert len(bench.wire.seen) > count
+        assert len(bench.wire.requests) > count
         assert bench.now.status is None
 
 
@@ -442,7 +442,7 @@ def until_silent(bench: Bench, raw: int) -> None:
     wait(lambda: round(bench.now.timeout_s or 0.0, 3) == raw / 10)
     bench.drive.refused = {0}
     bench.speed = None
-    wait(lambda: bench.now.state is State.SILENT)
+    wait(lambda: bench.now.state is ExchangeState.SILENT)
 
 
 @pytest.mark.parametrize("raw", [16434, 65535, 101])
@@ -462,8 +462,11 @@ def test_a_timeout_above_the_limit_makes_no_silence_longer_than_the_limit(
 
 
 @pytest.mark.parametrize(("raw", "silence"), [(5, "1.2"), (2, "1.2"), (1, "1.1")])
-def test_no_silence_is_longer_than_the_limit(raw: int, silence: str) -> None:
+def test_no_silence_is_longer_than_the_limit(
+    raw: int, silence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Not even by the margin of 1 s that is added to the drive's own timeout, here 0.1 to 0.5 s."""
+    monkeypatch.setattr(exchange, "SETTINGS_S", 0.1)
     with closing(Bench(timeout_limit_s=1.2)) as bench:
         until_silent(bench, raw)
         assert f"so nothing is sent for {silence} s" in bench.now.problem
@@ -474,17 +477,17 @@ def test_a_requested_stop_is_tried_during_a_silence(bench: Bench) -> None:
     bench.run()
     bench.drive.refused = {0}
     bench.speed = None
-    wait(lambda: bench.now.state is State.SILENT)
+    wait(lambda: bench.now.state is ExchangeState.SILENT)
     connections = bench.wire.connections
     bench.exchange.stop()
     wait(lambda: bench.wire.connections == connections + 1, seconds=1.0)
-    wait(lambda: bench.now.state is State.SILENT)
+    wait(lambda: bench.now.state is ExchangeState.SILENT)
     time.sleep(0.5)
     assert bench.wire.connections == connections + 1
     bench.drive.refused = set()
     bench.exchange.stop()
     assert wait(lambda: bench.drive.values[0] == 0x047E) < 1.0
-    bench.until_said(lambda status: status.stands)
+    bench.until_reported(lambda status: status.at_rest)
 
 
 def test_a_stop_requested_while_connected_shortens_no_later_silence(bench: Bench) -> None:
@@ -493,10 +496,10 @@ def test_a_stop_requested_while_connected_shortens_no_later_silence(bench: Bench
     bench.written_in(2)
     bench.drive.refused = {0}
     bench.speed = None
-    wait(lambda: bench.now.state is State.SILENT)
+    wait(lambda: bench.now.state is ExchangeState.SILENT)
     connections = bench.wire.connections
     time.sleep(1.5)
-    assert (bench.now.state, bench.wire.connections) == (State.SILENT, connections)
+    assert (bench.now.state, bench.wire.connections) == (ExchangeState.SILENT, connections)
 
 
 # --- a drive that acknowledges *stop* and runs on -------------------------------------------------
@@ -509,15 +512,15 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
 
     Its own timeout, 58.16, is 1 s; the margin is 0.2 s here instead of 1 s.
     """
-    for name, seconds in (("RUNS_ON_S", 0.5), ("SEEN_S", 0.5), ("SILENCE_MARGIN_S", 0.2)):
+    for name, seconds in (("RUNS_ON_S", 0.5), ("VISIBLE_S", 0.5), ("SILENCE_MARGIN_S", 0.2)):
         monkeypatch.setattr(exchange, name, seconds)
     bench.drive.values[5815] = 10
     bench.run()
     bench.wire.times.clear()
     bench.drive.on_write = lambda _address, _word: bench.drive.values.update({3: 0x1231, 4: 10_000})
     bench.speed = None
-    bench.until_said(lambda status: status.runs_on and "acknowledges *stop*" in status.fault)
-    assert bench.now.state is State.STOPPING  # the fault is seen before the silence
+    bench.until_reported(lambda status: status.runs_on and "acknowledges *stop*" in status.fault)
+    assert bench.now.state is ExchangeState.STOPPING  # the fault is seen before the silence
     wait(lambda: re.search(
         r"its speed has not fallen .* \(it is 50.0%\).*so nothing is sent for 1.2 s",
         bench.now.problem,
@@ -528,7 +531,7 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
     bench.drive.written.clear()
     # It obeys again.
     bench.drive.on_write = lambda _address, _word: bench.drive.values.update({3: 0x1231, 4: 0})
-    bench.until_said(lambda status: status.stands and not status.fault)
+    bench.until_reported(lambda status: status.at_rest and not status.fault)
     assert bench.drive.written[0] == OFF
     assert silences(bench.wire)[-1] >= 1.2
 
@@ -544,7 +547,7 @@ def test_one_in_local_control_is_not_left_in_silence(
     wait(lambda: not bench.now.connected)
     until = time.monotonic() + 2.0
     while time.monotonic() < until:
-        assert bench.now.state is not State.SILENT
+        assert bench.now.state is not ExchangeState.SILENT
         time.sleep(0.01)
 
 
@@ -555,7 +558,7 @@ class Stopping:
     """Writes *stop* ten times a second, and judges what the drive reports."""
 
     def __init__(self) -> None:
-        self.now, self.obedience, self.faults = 0.0, Obedience("there"), set[str]()
+        self.now, self.monitor, self.faults = 0.0, StopMonitor("there"), set[str]()
         # When and why it was left each time; a silence lasts 6 s.
         self.left: list[tuple[float, str]] = []
 
@@ -566,22 +569,22 @@ class Stopping:
         until = self.now + seconds
         while self.now < until:
             self.now += 0.1
-            self.obedience.stop_written(self.now)
+            self.monitor.stop_written(self.now)
             read = speed(self.now)
             try:
                 if read is None:
                     self.lose()
                 else:
-                    self.obedience.heard()
+                    self.monitor.speed_read()
                     status = DriveStatus(True, True, "", "", read, None, remote)
-                    self.faults.add(self.obedience.judge(status, self.now).fault)
+                    self.faults.add(self.monitor.check(status, self.now).fault)
             except RunsOnError as error:
-                self.obedience.lost(True, self.now)
+                self.monitor.connection_lost(True, self.now)
                 self.leave(str(error))
 
     def lose(self) -> None:
         """Lose a connection; the next one comes after 1 s."""
-        why = self.obedience.lost(True, self.now)
+        why = self.monitor.connection_lost(True, self.now)
         self.now += 1.0
         if why is not None:
             self.leave(why)
@@ -589,7 +592,7 @@ class Stopping:
     def leave(self, why: str) -> None:
         self.left.append((self.now, why))
         self.now += 6.0
-        self.obedience.left(self.now)
+        self.monitor.silence_started(self.now)
 
 
 @pytest.mark.parametrize(
@@ -630,7 +633,7 @@ def test_one_that_stood_or_was_run_or_is_a_persons_begins_again(way: str) -> Non
     stopping = Stopping()
     stopping.listen(9.5, lambda _now: 0.5)
     if way == "was run":
-        stopping.obedience.forget()
+        stopping.monitor.order_changed()
     else:
         stopping.listen(0.1, lambda _now: 0.0 if way == "stood" else 0.5, remote=way == "stood")
     stopping.lose()
@@ -641,8 +644,11 @@ def test_one_that_stood_or_was_run_or_is_a_persons_begins_again(way: str) -> Non
 
 def test_a_stop_that_is_refused_on_two_connections_one_after_the_other() -> None:
     """A connection on which nothing could be sent counts neither way."""
-    obedience = Obedience("there")
-    ends = [obedience.lost(stopped, 0.0) for stopped in (False, True, False, None, False, False)]
+    monitor = StopMonitor("there")
+    ends = [
+        monitor.connection_lost(stopped, 0.0)
+        for stopped in (False, True, False, None, False, False)
+    ]
     assert [bool(why) for why in ends] == [False, False, False, False, True, True]
 
 
@@ -671,15 +677,15 @@ def test_what_somebody_changes_at_the_panel_is_noticed(
 def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Schneider: 725 rpm is half of a rated speed of 1450 rpm, and a quarter of 2900 rpm."""
     monkeypatch.setattr(exchange, "SETTINGS_S", 0.2)
-    monkeypatch.setattr(exchange, "STILL_S", 0.2)
+    monkeypatch.setattr(exchange, "STEADY_S", 0.2)
     with closing(Bench(read_drive_file(find_drive_file("schneider_atv630")))) as bench:
         bench.wire.answer = drive = Registers({
             8501: 0, 8602: 0, 3201: 0x0233, 8604: 725, 7121: 0, 9604: 1450, 6005: 50, 7010: 1,
         })
         bench.exchange.start()
-        bench.until_said(lambda status: status.speed == pytest.approx(0.5))
+        bench.until_reported(lambda status: status.speed == pytest.approx(0.5))
         drive.values[9604] = 2900
-        bench.until_said(lambda status: status.speed == pytest.approx(0.25))
+        bench.until_reported(lambda status: status.speed == pytest.approx(0.25))
 
 
 # --- not at real time -----------------------------------------------------------------------------
@@ -706,7 +712,7 @@ def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so
 
     bench.wire.answer = answer
     if simulated:
-        bench.exchange.only_simulator()
+        bench.exchange.require_simulator()
     bench.run()
     if simulated:
         assert bench.now.no_simulator == ""
@@ -714,7 +720,7 @@ def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so
         bench.wire.drop()
         wait(lambda: "does not identify itself" in bench.now.unguarded)
     before_it = len(bench.drive.written)
-    bench.exchange.only_simulator()
+    bench.exchange.require_simulator()
     wait(lambda: bench.drive.values[0] == 0x047E)
     assert bench.drive.written[before_it:].count(RUN) <= 1
     assert RUN not in bench.written_in(rounds=3)
@@ -727,15 +733,15 @@ def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so
 def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
     """Although the first names the host differently."""
     port = bench.wire.port
-    first = DriveLock(PlacedDrive(ABB, parse_address(f"tcp://localhost:{port}")))
-    first.take()
+    first = DriveLock(DriveEndpoint(ABB, parse_address(f"tcp://localhost:{port}")))
+    first.acquire()
     bench.exchange.start()
     bench.speed = 0.5
     wait(lambda: f"process {os.getpid()} on this machine" in bench.now.problem)
     time.sleep(0.3)
     assert not bench.now.connected and bench.now.errors == 1
     # The supervisor's stop ignores the lock of its own driver.
-    at = PlacedDrive(ABB, parse_address(bench.wire.at))
+    at = DriveEndpoint(ABB, parse_address(bench.wire.at))
     with pytest.raises(DriveInUseError, match=f"process {os.getpid()} on this machine"):
         stop_drive(at, driver=1)
     assert bench.wire.connections == 0
@@ -747,14 +753,14 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
 def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
     (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
     first, second = (
-        DriveLock(PlacedDrive(ABB, parse_drive_address(f"{tmp_path}/{name}", "at")))
+        DriveLock(DriveEndpoint(ABB, parse_drive_address(f"{tmp_path}/{name}", "at")))
         for name in ("ttyUSB0,1", "by-id,2")
     )
-    first.take()
+    first.acquire()
     with pytest.raises(DriveInUseError, match=f"process {os.getpid()} on this machine"):
-        second.take()
+        second.acquire()
     first.release()
-    second.take()
+    second.acquire()
     second.release()
 
 
@@ -762,7 +768,8 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("owner", "method"), [(ModbusLine, "connect"), (ModbusLine, "close"), (Obedience, "lost")]
+    ("owner", "method"),
+    [(ModbusLine, "connect"), (ModbusLine, "close"), (StopMonitor, "connection_lost")],
 )
 def test_whatever_fails_the_next_step_begins_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, owner: type, method: str
@@ -806,34 +813,34 @@ def falls_for(drive: Registers, seconds: float) -> None:
 def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, seconds: float, stands: bool
 ) -> None:
-    """For LEAVE_S, here 2 s: longer than a drive may fail to slow down before it is left alone."""
-    monkeypatch.setattr(exchange, "LEAVE_S", 2.0)
-    monkeypatch.setattr(exchange, "STILL_S", 1.0)
+    """For REST_LIMIT_S, here 2 s: longer than a drive may fail to slow down."""
+    monkeypatch.setattr(exchange, "REST_LIMIT_S", 2.0)
+    monkeypatch.setattr(exchange, "STEADY_S", 1.0)
     second = acs880()
     with closing(Wire(second)) as second_wire, ThreadPoolExecutor() as pool:
         falls_for(bench.drive, seconds)
         bench.exchange.start()
         wait(lambda: bench.drive.written)
         falls_for(second, seconds)
-        stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(second_wire.at)))
+        stop = pool.submit(stop_drive, DriveEndpoint(ABB, parse_address(second_wire.at)))
         bench.exchange.close()
         status = stop.result()
     assert second.written[0] == OFF and RUN not in second.written
     assert bench.now.status is not None
-    assert (bench.now.status.stands, status.stands) == (stands, stands)
+    assert (bench.now.status.at_rest, status.at_rest) == (stands, stands)
 
 
 def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off_meanwhile(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By the supervisor's stop and at the exchange's end; "runs on" is judged after 1 s here."""
-    monkeypatch.setattr(exchange, "STILL_S", 1.0)
+    monkeypatch.setattr(exchange, "STEADY_S", 1.0)
     bench.drive.values.update({3: 0x1137, 4: 20000})
     bench.drive.on_write = lambda _address, _word: None
     began = time.monotonic()
     with ThreadPoolExecutor() as pool:
-        stop = pool.submit(stop_drive, PlacedDrive(ABB, parse_address(bench.wire.at)))
-        wait(lambda: bench.wire.seen)
+        stop = pool.submit(stop_drive, DriveEndpoint(ABB, parse_address(bench.wire.at)))
+        wait(lambda: bench.wire.requests)
         bench.exchange.start()
         wait(lambda: "already runs this drive" in bench.now.problem)
         at_end = stop.result()
@@ -842,14 +849,14 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
     bench.close_within(2.0)
     for status in (at_end, bench.now.status):
         assert str(status) == "speed 100.0%, running, local control"
-        assert status is not None and not status.stands
+        assert status is not None and not status.at_rest
 
 
 def test_a_stop_that_is_not_taken_is_tried_three_times(bench: Bench) -> None:
     bench.drive.silent = True
     began = time.monotonic()
     with pytest.raises(DriveError, match="no valid answer"):
-        stop_drive(PlacedDrive(ABB, parse_address(bench.wire.at)), timeout_s=TIMEOUT)
+        stop_drive(DriveEndpoint(ABB, parse_address(bench.wire.at)), timeout_s=TIMEOUT)
     assert time.monotonic() - began < 2.0
     assert bench.wire.connections == 3
 
@@ -863,9 +870,9 @@ def test_the_waits_fit_into_the_longer_ones_of_pump_control_bringup_and_service(
     from greenroof_ros.live.supervisor import ENDING_S, KILLING_S, PUMP_ENDING_S
 
     assert exchange.UNREAD_S == exchange.RUNS_ON_S + exchange.LONGEST_WAIT_S == 15
-    assert exchange.STILL_S < exchange.RUNS_ON_S < exchange.RUNS_ON_S + exchange.SEEN_S < 15
+    assert exchange.STEADY_S < exchange.RUNS_ON_S < exchange.RUNS_ON_S + exchange.VISIBLE_S < 15
     assert exchange.RUNS_ON_AGAIN_S > exchange.RUNS_ON_S
-    leave = exchange.LEAVE_S
+    leave = exchange.REST_LIMIT_S
     assert LONGEST_RAMP_S < leave < leave + exchange.LONGEST_WAIT_S < PUMP_ENDING_S
     service = (CHECKOUT / "examples/greenroof.service").read_text()
     (line,) = (line for line in service.splitlines() if line.startswith("TimeoutStopSec="))

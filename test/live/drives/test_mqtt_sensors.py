@@ -52,7 +52,7 @@ def after(reader: MqttReader, talker: Talker, *messages: str) -> list[float | st
     results: list[float | str | None] = []
     for message in messages:
         before = reader.snapshot
-        talker.say(TOPIC, message)
+        talker.publish(TOPIC, message)
         until(lambda before=before: reader.snapshot is not before, 20)
         now = reader.snapshot
         results.append(now.problem.rpartition(f"{TOPIC}: ")[2] or now.value)
@@ -64,7 +64,7 @@ def begin(reader: MqttReader, talker: Talker, message: str) -> None:
     before = reader.snapshot
 
     def is_heard() -> bool:
-        talker.say(TOPIC, message)
+        talker.publish(TOPIC, message)
         time.sleep(0.05)
         return reader.snapshot is not before
 
@@ -129,19 +129,19 @@ def test_what_a_message_says(
 def test_what_the_broker_kept_is_no_reading(shared: Mosquitto) -> None:
     """A retained message can be a year old; a live one counts, whatever its retain flag."""
     with Talker(shared) as talker:
-        talker.say(TOPIC, "1.5", retain=True)
+        talker.publish(TOPIC, "1.5", retain=True)
         with reading(shared) as reader:
             until(lambda: "the retained message may be old" in reader.snapshot.problem, 20)
             assert reader.snapshot.value is None
-            talker.say(TOPIC, "1.6", retain=True)
+            talker.publish(TOPIC, "1.6", retain=True)
             until(lambda: reader.snapshot.value == 1.6, 20)
-        talker.say(TOPIC, "", retain=True)
+        talker.publish(TOPIC, "", retain=True)
 
 
 def test_a_sensor_that_says_nothing_is_lost(shared: Mosquitto) -> None:
     with reading(shared, max_age=0.5) as reader, Talker(shared) as talker:
         begin(reader, talker, "1")
-        talker.say(TOPIC, "2")
+        talker.publish(TOPIC, "2")
         until(lambda: reader.snapshot.value == 2.0, 20)
         lasted = until(lambda: reader.snapshot.value is None, 20)
         assert 0.3 < lasted < 2.0
@@ -177,15 +177,15 @@ def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
         unknown = "is offline: roof/LWT has not said 'Online'"
         begin(reader, talker, "1")
         assert after(reader, talker, "1") == [unknown]
-        talker.say("roof/LWT", "Online", retain=True)
+        talker.publish("roof/LWT", "Online", retain=True)
         until(lambda: "is online, but has not sent a reading yet" in reader.snapshot.problem, 20)
         assert after(reader, talker, "1") == [1.0]
-        talker.say("roof/LWT", "Online", retain=True)
-        talker.say("roof/LWT", "Offline", retain=True)
+        talker.publish("roof/LWT", "Online", retain=True)
+        talker.publish("roof/LWT", "Offline", retain=True)
         until(lambda: "is offline: roof/LWT says b'Offline'" in reader.snapshot.problem, 20)
         assert reader.snapshot.value is None
         assert after(reader, talker, "2") == [unknown]
-        talker.say("roof/LWT", "Online", retain=True)
+        talker.publish("roof/LWT", "Online", retain=True)
         until(lambda: "is online, but" in reader.snapshot.problem, 20)
         assert after(reader, talker, "2") == [2.0]  # not the lower median of 1 and 2
     with reading(shared, **lwt) as reader, Talker(shared) as talker:
@@ -200,7 +200,7 @@ def test_a_broker_that_is_killed_or_stops_answering_comes_back_by_itself(tmp_pat
         def talk(message: str) -> None:
             with Talker(broker) as talker:
                 begin(reader, talker, message)
-                talker.say(TOPIC, message)
+                talker.publish(TOPIC, message)
                 until(lambda: reader.snapshot.value == float(message), 20)
 
         talk("1")
@@ -213,7 +213,7 @@ def test_a_broker_that_is_killed_or_stops_answering_comes_back_by_itself(tmp_pat
         broker.pause()
         until(lambda: "has sent nothing for 1 s" in reader.snapshot.problem, 5)
         until(lambda: reader.snapshot.code == "broker_lost" and reader.snapshot.problem, 15)
-        broker.go_on()
+        broker.resume()
         until(lambda: reader.snapshot.code == "sensor_lost", 20)
         talk("3")
 
@@ -298,7 +298,7 @@ def test_all_water_of_a_total_arrives_through_copies_and_a_restart_of_the_broker
         def say(*totals: str, pause: float = 0.6) -> None:
             for text in totals:
                 for _ in range(3):
-                    talker.say(TOPIC, text)
+                    talker.publish(TOPIC, text)
                     time.sleep(0.04)
                 time.sleep(pause)
 
@@ -313,7 +313,7 @@ def test_all_water_of_a_total_arrives_through_copies_and_a_restart_of_the_broker
         until(lambda: "has sent nothing yet" in reader.snapshot.problem, 20)
         with Talker(broker) as talker:
             begin(reader, talker, "no JSON")
-            talker.say(TOPIC, "3.0", retain=True)  # a device that starts at its stored total
+            talker.publish(TOPIC, "3.0", retain=True)  # a device that starts at its stored total
             say("3.0", "3.4", "3.8", "4.2")
         until(lambda: reader.snapshot.value == 0.0, 30)
         assert sum(sums) == pytest.approx(1.0e-3 + 1.2e-3, rel=0.02)

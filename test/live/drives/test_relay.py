@@ -22,10 +22,15 @@ from simulators import until as wait
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.drives.drive_file import find_drive_file
-from greenroof_ros.live.drives.exchange import DriveExchange, Snapshot, State, stop_drive
+from greenroof_ros.live.drives.endpoint import read_endpoint
+from greenroof_ros.live.drives.exchange import (
+    DriveExchange,
+    DriveSnapshot,
+    ExchangeState,
+    stop_drive,
+)
 from greenroof_ros.live.drives.modbus_line import DriveError
-from greenroof_ros.live.drives.placed import place_drive
-from greenroof_ros.live.drives.relay import PlacedRelay
+from greenroof_ros.live.drives.relay import RelayEndpoint
 from greenroof_ros.live.drives.relay_file import read_relay_file
 
 pytestmark = needs_mosquitto
@@ -36,16 +41,16 @@ TIMER_S = 3.0
 SLACK_S = 1.0
 
 
-def placed(make: str, address: str) -> PlacedRelay:
-    drive = place_drive(find_drive_file(make), address, "at")
-    assert isinstance(drive, PlacedRelay)
+def endpoint(make: str, address: str) -> RelayEndpoint:
+    drive = read_endpoint(find_drive_file(make), address, "at")
+    assert isinstance(drive, RelayEndpoint)
     return drive
 
 
 def switched(tap: Talker, on: bool) -> list[float]:
     """Return when *on* or *off* was ordered."""
     return [
-        at for at, topic, payload, _ in tap.heard
+        at for at, topic, payload, _ in tap.received
         if (topic.endswith("/Power1") and payload == ("ON" if on else "OFF"))
         or (topic.endswith("/rpc") and '"Switch.Set"' in payload
             and json.loads(payload)["params"]["on"] is on)
@@ -60,7 +65,7 @@ class Bench:
         **special: float,
     ) -> None:
         self.broker = Mosquitto(directory, *broker)
-        self.at = placed(make, f"{self.broker.address}/roof")
+        self.at = endpoint(make, f"{self.broker.address}/roof")
         self.relay = Simulator(
             "drive_simulator", "--drive", make, "--at", str(self.at), "--workbench", "0",
             "--boot", "0.5", "--timeout", f"{TIMER_S:g}", *options,
@@ -73,10 +78,10 @@ class Bench:
 
     def _ask(self) -> None:
         while not self._ended.wait(0.05):
-            self.exchange.demand(None if self.now.start_failed else self.speed)
+            self.exchange.request_speed(None if self.now.start_failed else self.speed)
 
     @property
-    def now(self) -> Snapshot:
+    def now(self) -> DriveSnapshot:
         return self.exchange.snapshot
 
     @property
@@ -91,7 +96,7 @@ class Bench:
     def run(self) -> None:
         self.connect()
         self.speed = 1.0
-        wait(lambda: self.closed and self.now.state is State.RUNNING, 20)
+        wait(lambda: self.closed and self.now.state is ExchangeState.RUNNING, 20)
 
     def ask_no_more(self) -> None:
         self._ended.set()
@@ -99,7 +104,7 @@ class Bench:
 
     def close(self) -> None:
         self.ask_no_more()
-        self.broker.go_on()
+        self.broker.resume()
         self.exchange.close()
         self.relay.end()
         self.broker.kill()
@@ -126,14 +131,14 @@ def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
     ) as tap:
         bench.connect()
         now = bench.now
-        assert now.status is not None and now.status.stands and now.problem == ""
+        assert now.status is not None and now.status.at_rest and now.problem == ""
         assert (now.timeout_s, now.timeout_known, now.timeout_note) == (TIMER_S, True, "")
         assert "greenroof_ros drive simulator" in now.identity
         wait(lambda: switched(tap, on=False), 5)
         assert not switched(tap, on=True)
         bench.speed = 1.0
         wait(lambda: bench.now.status and bench.now.status.speed == 1.0, 5)
-        assert bench.now.state is State.RUNNING and bench.closed
+        assert bench.now.state is ExchangeState.RUNNING and bench.closed
         time.sleep(3 * TIMER_S)
         assert bench.closed and bench.now.errors == 0
         renewals = switched(tap, on=True)
@@ -147,11 +152,11 @@ def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
         bench.ask_no_more()  # like a node that hangs
         assert wait(lambda: not bench.closed) < 1.0 + SLACK_S
         bench.exchange.close()
-        assert bench.now.status is not None and bench.now.status.stands
-        assert not any(retained for *_, retained in tap.heard)
+        assert bench.now.status is not None and bench.now.status.at_rest
+        assert not any(retained for *_, retained in tap.received)
         with Talker(bench.broker) as late:
             time.sleep(0.5)
-            assert late.heard == []
+            assert late.received == []
 
 
 @pytest.mark.parametrize(
@@ -201,7 +206,7 @@ def test_a_broker_that_stalls_is_given_up_and_delivers_no_on_afterwards(bench: B
     wait(lambda: not bench.now.connected, 10)
     bench.speed = None
     time.sleep(2.0)
-    bench.broker.go_on()
+    bench.broker.resume()
     assert closed_for(bench, 6.0) < 0.3
     wait(lambda: bench.now.connected, 20)
 
@@ -223,12 +228,12 @@ def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Be
         relay.line.connect()
         bench.exchange.close()
         bench.broker.pause()
-        relay.line.parting = relay.file.switch_off
+        relay.line.last_message = relay.file.switch_off
         relay.line.publish(relay.file.switch_on, seconds=f"{TIMER_S:g}")
         relay.line.close()
         time.sleep(1.0)
         resumed = time.monotonic()
-        bench.broker.go_on()
+        bench.broker.resume()
         assert closed_for(bench, 2.0) < 0.3
         (on,) = (at for at in switched(tap, on=True) if at > resumed)
         assert any(on < at < on + 0.3 for at in switched(tap, on=False))
@@ -264,11 +269,11 @@ def test_one_that_does_not_switch_on_says_so_and_is_not_switched_again(bench: Be
         bench.connect()
         bench.relay.inject("deaf")
         bench.ask_no_more()
-        wait(lambda: bench.exchange.demand(1.0) or bench.now.start_failed, 10)
+        wait(lambda: bench.exchange.request_speed(1.0) or bench.now.start_failed, 10)
         assert "is still off after 2 s" in bench.now.start_failed
         assert bench.now.status is not None and not bench.now.status.running
         ends = time.monotonic() + 4.0
-        wait(lambda: bench.exchange.demand(1.0) or time.monotonic() > ends, 10)
+        wait(lambda: bench.exchange.request_speed(1.0) or time.monotonic() > ends, 10)
         assert len(switched(tap, on=True)) == 1
 
 
@@ -295,7 +300,7 @@ def test_the_topics_that_the_broker_must_let_through(make: str, tmp_path: Path) 
 def test_a_retained_message_is_no_answer(tmp_path: Path) -> None:
     """Whoever retained it: a Tasmota with PowerRetain, or an old bridge."""
     with bench_of("tasmota", tmp_path) as bench, Talker(bench.broker) as tap:
-        tap.say("stat/roof/STATUS11", '{"StatusSTS": {"POWER": "ON"}}', retain=True)
+        tap.publish("stat/roof/STATUS11", '{"StatusSTS": {"POWER": "ON"}}', retain=True)
         bench.relay.inject("silence")
         bench.exchange.start()
         wait(lambda: "no answer to the question 'state' within 1 s" in bench.now.problem, 10)
@@ -314,23 +319,23 @@ def test_only_the_simulator_at_loopback_is_one(bench: Bench) -> None:
     relay = bench.at.connection()
     try:
         relay.line.connect()
-        assert relay.why_no_simulator() == ""
+        assert relay.simulator_problem() == ""
     finally:
         relay.line.close()
-    remote = placed("tasmota", "mqtt://192.0.2.1/roof")
-    assert "not at loopback" in remote.connection().why_no_simulator()
+    remote = endpoint("tasmota", "mqtt://192.0.2.1/roof")
+    assert "not at loopback" in remote.connection().simulator_problem()
 
 
 def test_another_relay_is_none(tmp_path: Path) -> None:
     """It answers like a real relay, with its release."""
     with mosquitto(tmp_path) as broker, Talker(broker) as tap:
-        relay = placed("tasmota", f"{broker.address}/roof").connection()
+        relay = endpoint("tasmota", f"{broker.address}/roof").connection()
         try:
             relay.line.connect()
-            answer = threading.Timer(0.3, lambda: tap.say(
+            answer = threading.Timer(0.3, lambda: tap.publish(
                 "stat/roof/STATUS2", '{"StatusFWR": {"Version": "14.2.0(release-tasmota)"}}'))
             answer.start()
-            assert "identifies itself as '14.2.0(release-tasmota)'" in relay.why_no_simulator()
+            assert "identifies itself as '14.2.0(release-tasmota)'" in relay.simulator_problem()
         finally:
             relay.line.close()
 
@@ -340,7 +345,7 @@ def test_nobody_there_or_nobody_let_in(tmp_path: Path) -> None:
         port = free.getsockname()[1]
 
     def failure(at: str) -> str:
-        relay = placed("tasmota", at).connection()
+        relay = endpoint("tasmota", at).connection()
         try:
             with pytest.raises(DriveError) as caught:
                 relay.line.connect()
@@ -395,14 +400,14 @@ def test_pulse_times_as_tasmota_documents_them(raw: float, seconds: float | None
 
 def test_addresses_and_logins(tmp_path: Path) -> None:
     file = find_drive_file("tasmota")
-    assert str(place_drive(file, "mqtts://broker/roof/a", "at")) == "mqtts://broker:8883/roof/a"
+    assert str(read_endpoint(file, "mqtts://broker/roof/a", "at")) == "mqtts://broker:8883/roof/a"
     with pytest.raises(ConfigurationError, match=r"must be mqtt://HOST\[:PORT\]/TOPIC"):
-        place_drive(file, "tcp://127.0.0.1:502", "at")
+        read_endpoint(file, "tcp://127.0.0.1:502", "at")
     with pytest.raises(ConfigurationError, match=r"must be tcp://HOST"):
-        place_drive(find_drive_file("abb_acs880"), "mqtt://127.0.0.1/roof", "at")
+        read_endpoint(find_drive_file("abb_acs880"), "mqtt://127.0.0.1/roof", "at")
     with pytest.raises(ConfigurationError, match="has no broker to log in to"):
-        place_drive(find_drive_file("abb_acs880"), "tcp://127.0.0.1", "at", "login.yaml")
+        read_endpoint(find_drive_file("abb_acs880"), "tcp://127.0.0.1", "at", "login.yaml")
     (tmp_path / "login.yaml").write_text("username: roof\n")
-    wrong = place_drive(file, "mqtt://127.0.0.1/roof", "at", str(tmp_path / "login.yaml"))
+    wrong = read_endpoint(file, "mqtt://127.0.0.1/roof", "at", str(tmp_path / "login.yaml"))
     with pytest.raises(ConfigurationError, match=r"login.yaml.*password: must be text"):
         DriveExchange(wrong)

@@ -50,10 +50,10 @@ def published(
             Clock.slept = suspended if len(waiting) == 1 else 0.0
             _, raw = waiting.pop(0)
             try:
-                gauge.lose() if raw is None else gauge.add(raw)
+                gauge.sensor_lost() if raw is None else gauge.add(raw)
             except ValueError as error:
                 refused.append(str(error))
-                gauge.lose()
+                gauge.sensor_lost()
         rate = gauge.rate() or 0.0
         highest = max(highest, rate)
     assert not waiting

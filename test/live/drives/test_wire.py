@@ -22,7 +22,7 @@ from modbus_wire import (
     acs880,
     crc,
     frame,
-    over_serial,
+    rtu_server,
     script,
 )
 from simulators import until
@@ -227,7 +227,7 @@ def test_another_ones_run_is_noticed(name: str, register: str, runs: str, stops:
 
     def stop_and_look(drive: Drive) -> list[str]:
         drive.stop()
-        return [drive.intruder() for _ in range(3)]
+        return [drive.second_master() for _ in range(3)]
 
     results = follow(name, STOPS[name].rstrip() + read_back, stop_and_look)
     assert results[:2] == ["", ""] and f"word is 0x{runs}, but 0x{stops} was" in results[2]
@@ -256,17 +256,17 @@ READS: list[tuple[str, str, dict[str, Any]]] = [
     ("abb_acs880", """
 400004        : 03 0003 0001 -> 03 02 1231
 400005        : 03 0004 0001 -> 03 02 FE70 : -400
-""", {"speed": 0.0, "fault": "", "stands": True}),
+""", {"speed": 0.0, "fault": "", "at_rest": True}),
     ("abb_acs880", """
 400004        : 03 0003 0001 -> 03 02 1231
 400005        : 03 0004 0001 -> 03 02 E0C0 : -8000
-""", {"speed": -0.4, "fault": "the pump turns backwards (speed -40.0%)", "stands": False}),
+""", {"speed": -0.4, "fault": "the pump turns backwards (speed -40.0%)", "at_rest": False}),
     # The alarm word bit by bit, high word first; there is another fault besides the timeout.
     ("danfoss_fc202", """
 50200         : 03 C417 0001 -> 03 02 060B : trip
 16-90         : 03 4203 0002 -> 03 04 4000 0010 : bits 4 and 30
 50210         : 03 C421 0001 -> 03 02 FFFF : -1 of 16384
-""", {"fault": "control word timeout, safe stop", "timed_out": False, "stands": True}),
+""", {"fault": "control word timeout, safe stop", "timed_out": False, "at_rest": True}),
     # 45.0 Hz of 50.0 Hz; 12.3 m3/h are 12.3 / 3600 m3/s.
     ("grundfos_cim500", """
 00201         : 03 00C8 0001 -> 03 02 0340 : bits 6 8 9
@@ -301,7 +301,7 @@ def test_another_product_is_no_simulator() -> None:
     why = follow("abb_acs880", (
         "who? : 2B 0E 01 00 -> 2B 0E 01 01 00 00 02 00 0D" + b"greenroof_ros".hex() + "01 02"
         + b"PM".hex()
-    ), Drive.why_no_simulator)
+    ), Drive.simulator_problem)
     assert why.endswith(" identifies itself as 'greenroof_ros', 'PM'")
 
 
@@ -363,7 +363,7 @@ def test_start_on_a_serial_line() -> None:
 
     with closing(SerialWire(over_line)) as wire:
         talk("abb_acs880", wire.line, run)
-        assert wire.seen == [request[6:] + crc(request[6:]) for request in requests]
+        assert wire.requests == [request[6:] + crc(request[6:]) for request in requests]
 
 
 def test_a_frame_with_a_wrong_check_is_no_answer() -> None:
@@ -409,7 +409,7 @@ def test_wrong_answers_have_a_name_and_a_time(
         assert time.monotonic() - began < 1.0
         assert raised.value.kind == kind and message in str(raised.value)
         assert f":{wire.port}, device 1: reading register 3" in str(raised.value)
-        assert len(wire.seen) == 1  # no request is repeated
+        assert len(wire.requests) == 1  # no request is repeated
 
 
 def test_a_late_answer_is_not_taken_for_the_next() -> None:
@@ -450,7 +450,7 @@ def test_an_echo_confirms_no_stop(name: str) -> None:
         with closing(drive.line), pytest.raises(DriveError, match=ECHO):
             drive.stop()
         assert drive.stopped is False
-        assert len(wire.seen) > 1  # the stop was written all the same
+        assert len(wire.requests) > 1  # the stop was written all the same
 
 
 @pytest.mark.parametrize("name", DRIVES)
@@ -470,7 +470,7 @@ def test_an_echo_is_recognised_in_pieces_and_twice(
 
 
 def test_an_echo_before_the_drives_answer_is_recognised_too() -> None:
-    drive = over_serial(acs880())
+    drive = rtu_server(acs880())
     with (
         closing(SerialWire(lambda request: request + drive(request))) as wire,
         pytest.raises(DriveError, match=ECHO),

@@ -28,7 +28,7 @@ def ready(rig: Rig) -> Rig:
 
 
 def ask(rig: Rig, volume: float = 0.2, age: float = 0.0) -> str:
-    return rig.control.ask_dose(time.time() - age, volume)
+    return rig.control.request_dose(time.time() - age, volume)
 
 
 def end(rig: Rig) -> tuple[str, str]:
@@ -84,7 +84,7 @@ def test_what_is_refused(rig: Rig, volume: float, age: float, words: str) -> Non
 
 def test_a_site_that_does_not_allow_it_gives_none() -> None:
     rig = ready(Rig(x2=0.5))
-    assert ask(rig) == rig.control.no_dose == "the site file allows no dose (greatest_dose)"
+    assert ask(rig) == rig.control.dose_refusal == "the site file allows no dose (greatest_dose)"
     assert rig.run(30, 0.0).speed is None
 
 
@@ -95,14 +95,14 @@ def test_before_anything_is_known_none_is_given() -> None:
 def test_a_request_counts_once(rig: Rig) -> None:
     """Neither a repeated request counts nor an older one, even if the newer one was refused."""
     now = time.time()
-    assert rig.control.ask_dose(now, 0.1) == ""
+    assert rig.control.request_dose(now, 0.1) == ""
     rig.run(5, 0.0)
-    assert "another dose is under way: a dose: 0.0" in rig.control.ask_dose(now + 0.1, 0.3)
+    assert "another dose is under way: a dose: 0.0" in rig.control.request_dose(now + 0.1, 0.3)
     rig.run(100, 0.0)
-    assert "made before the last one" in rig.control.ask_dose(now, 0.1)
-    assert "made before the last one" in rig.control.ask_dose(now - 0.001, 0.1)
-    assert "at least" in rig.control.ask_dose(now + 1, 0.001)
-    assert "made before the last one" in rig.control.ask_dose(now + 1, 0.1)
+    assert "made before the last one" in rig.control.request_dose(now, 0.1)
+    assert "made before the last one" in rig.control.request_dose(now - 0.001, 0.1)
+    assert "at least" in rig.control.request_dose(now + 1, 0.001)
+    assert "made before the last one" in rig.control.request_dose(now + 1, 0.1)
 
 
 def test_what_cannot_begin_within_a_minute_expires() -> None:
@@ -152,7 +152,7 @@ def test_it_ends_at_the_roofs_target() -> None:
     rig.run(200, 0.0, until=lambda decision: "dose" not in decision.why)
     assert end(rig)[0] == "full"
     assert rig.plant.x2 < SITE.x2_star + 0.06  # what the pump still delivers until it stands
-    assert "the roof is at its target" in rig.control.no_dose
+    assert "the roof is at its target" in rig.control.dose_refusal
     assert "the roof is at its target" in ask(rig, 0.1)
 
 

@@ -15,19 +15,19 @@ from places import CHECKOUT
 
 from greenroof_ros.live.pumping.input_rules import (
     InputRules,
+    LevelBounds,
     LevelRule,
     Movement,
-    Reach,
     Verdict,
     Wetting,
-    cistern_reach,
+    cistern_bounds,
     expected_movement,
-    roof_reach,
+    roof_bounds,
 )
 from greenroof_ros.model.site import Site, read_site
 
 # A tank with water that rises by at most 1 mm/s and falls by at most 2 mm/s.
-TANK = Reach(lambda level: 0.001, lambda level: 0.002, math.inf)
+TANK = LevelBounds(lambda level: 0.001, lambda level: 0.002, math.inf)
 
 
 def level_rule(frozen: float = 0.01, tolerance: float = 0.02) -> LevelRule:
@@ -41,22 +41,22 @@ def rule(verdict: Verdict) -> str:
 
 def rules_of(values: dict[float, float], rules: InputRules) -> list[str]:
     """Return the rule that each value breaks, by the time at which it comes."""
-    return [rule(rules.came(now, value)) for now, value in values.items()]
+    return [rule(rules.receive(now, value)) for now, value in values.items()]
 
 
 def test_a_level_in_another_unit_is_refused() -> None:
     """81 cm is not accepted as 81 m, nor 457 mm on the roof; plausible values continue."""
-    cistern = InputRules(0.0, 5.0, 0.0, level=LevelRule(cistern_reach(PAPER_SITE), 0.01, 0.02))
+    cistern = InputRules(0.0, 5.0, 0.0, level=LevelRule(cistern_bounds(PAPER_SITE), 0.01, 0.02))
     assert rules_of({0.0: 81.0, 1.0: 0.81, 2.0: 81.0, 3.0: 0.81}, cistern) == [
         "refused", "", "refused", "",
     ]
-    problem = cistern.came(4.0, 81.0).problem("/cistern/level")
+    problem = cistern.receive(4.0, 81.0).problem("/cistern/level")
     assert problem is not None and problem.sentence == (
         "/cistern/level is 81 m, but no level here is above 9 m: is its unit wrong?"
     )
-    roof = LevelRule(roof_reach(PAPER_SITE), 0.01, 0.02)
-    assert rule(roof.came(0.0, 45.7)) == "refused"
-    assert roof.came(1.0, 0.0457).good
+    roof = LevelRule(roof_bounds(PAPER_SITE), 0.01, 0.02)
+    assert rule(roof.check(0.0, 45.7)) == "refused"
+    assert roof.check(1.0, 0.0457).good
     assert roof.displacement == 0.0
 
 
@@ -94,13 +94,13 @@ def test_courses_of_an_input(name: str) -> None:
     rules = InputRules(0.0, limit=5.0, recovery=3.0, limit_name="level_limit")
     for now, event, broken in COURSES[name]:
         if event == "pause":
-            rules.paused(7.0)
+            rules.clear(7.0)
         if event in ("a value", "nan"):
-            verdict = rules.came(now, 1.0, NAN if event == "nan" else None)
+            verdict = rules.receive(now, 1.0, NAN if event == "nan" else None)
         elif event == "unusable":
             verdict = rules.refuse(now, "it is too short")
         else:
-            verdict = rules.judge(now, "has 2 publishers" if event == "2 publishers" else "")
+            verdict = rules.check(now, "has 2 publishers" if event == "2 publishers" else "")
         assert (rule(verdict), verdict.good) == (broken, not broken), now
 
 
@@ -111,7 +111,7 @@ def test_what_is_said_until_it_is_used() -> None:
     for now, words in (
         (1.0, "/x received"), (20.0, "/x is older than 5 s (level_limit); now good"),
     ):
-        problem = rules.came(now, 1.0).problem("/x")
+        problem = rules.receive(now, 1.0).problem("/x")
         assert problem is not None and problem.sentence == f"{words}{rest}"
 
 
@@ -123,15 +123,15 @@ def test_frozen() -> None:
     level = level_rule(frozen=0.01)
     rules = InputRules(0.0, limit=5.0, recovery=0.0, level=level)
     for second in range(5):
-        assert rules.came(float(second), 1.5).good
+        assert rules.receive(float(second), 1.5).good
         level.expect(Movement(0.0, 0.0), 1.0)
         level.expect(Movement(-0.003, -0.002), 1.0)
-    assert rules.came(5.0, 1.5).good  # 1 cm is not more than 1 cm
+    assert rules.receive(5.0, 1.5).good  # 1 cm is not more than 1 cm
     level.expect(Movement(-0.0002, -0.0001), 1.0)
-    verdict = rules.came(6.0, 1.5)
+    verdict = rules.receive(6.0, 1.5)
     assert (rule(verdict), verdict.values["movement"]) == ("frozen", 0.01)
-    assert rule(rules.came(7.0, 1.5)) == "frozen"  # the pump now stands, and so does the level
-    assert rules.came(8.0, 1.4999).good
+    assert rule(rules.receive(7.0, 1.5)) == "frozen"  # the pump now stands, and so does the level
+    assert rules.receive(8.0, 1.4999).good
 
 
 HOUR_S, DAY_S = 3600.0, 86400.0
@@ -156,16 +156,16 @@ def frozen_after(
     levels, wetting, step = [level_rule(), level_rule()], Wetting(), 10.0
     found: list[float | None] = [None, None]
     for level, value in zip(levels, (cistern, roof), strict=True):
-        level.came(0.0, value)
+        level.check(0.0, value)
     for number in range(round(hours * HOUR_S / step)):
         now = number * step
         fallen = rain(now) * MM_PER_HOUR
         movements = expected_movement(
-            site, flow(now), fallen, wetting.beyond(fallen, step), cistern, roof, 0.01
+            site, flow(now), fallen, wetting.excess(fallen, step), cistern, roof, 0.01
         )
         for tank, (level, movement) in enumerate(zip(levels, movements, strict=True)):
             level.expect(movement, step)
-            if found[tank] is None and not level.stands().good:
+            if found[tank] is None and not level.check_frozen().good:
                 found[tank] = (now + step) / HOUR_S
     return found
 
@@ -274,8 +274,8 @@ def test_jump() -> None:
     rules_hit = rules_of({step * 0.01: 1.0 + step * 0.001 for step in range(40)}, rules)
     assert rules_hit.index("jump") <= 23
     level = level_rule()
-    level.came(0.0, 0.5)
-    assert rule(level.came(10.0, 0.459)) == "jump"  # water can be at 0.47 m, give or take 0.01 m
+    level.check(0.0, 0.5)
+    assert rule(level.check(10.0, 0.459)) == "jump"  # water can be at 0.47 m, give or take 0.01 m
 
 
 def test_what_jumps_have_moved_the_readings_by() -> None:
@@ -290,7 +290,7 @@ def test_what_jumps_have_moved_the_readings_by() -> None:
     ):
         level = level_rule()
         for now, value in values.items():
-            level.came(now, value)
+            level.check(now, value)
         assert level.displacement == pytest.approx(moved), values
 
 
@@ -306,11 +306,11 @@ def test_true_water_with_noise_never_jumps(
     """Any water within its speeds, read with an error of less than half the tolerance."""
     rules = InputRules(0.0, 1e9, 0.0, level=level_rule(frozen=1e9))
     now, level = 0.0, start
-    assert rules.came(now, level).good
+    assert rules.receive(now, level).good
     for passed, share, error in steps:
         now += passed
         level += passed * (0.001 if share > 0 else 0.002) * share
-        assert rules.came(now, level + 0.0099 * error).good
+        assert rules.receive(now, level + 0.0099 * error).good
 
 
 def test_speeds_of_the_paper_s_site() -> None:
@@ -321,7 +321,7 @@ def test_speeds_of_the_paper_s_site() -> None:
     578,000: sqrt(42.2 / 594,945) = 0.008422 m3/s. Over 25 m2 0.3369 mm/s, over 68.8 m2 0.1224 mm/s.
     500 mm/h are 0.13889 mm/s.
     """
-    cistern, roof = cistern_reach(PAPER_SITE), roof_reach(PAPER_SITE)
+    cistern, roof = cistern_bounds(PAPER_SITE), roof_bounds(PAPER_SITE)
     assert cistern.fall(3.0) == pytest.approx(1.5 * 0.3369e-3, rel=1e-3)
     assert cistern.rise(1.0) == pytest.approx(1.5 * 0.13889e-3 * 0.29225 / 25, rel=1e-3)
     assert roof.rise(0.0) == pytest.approx(1.5 * (0.13889e-3 + 0.1224e-3), rel=1e-3)
@@ -354,7 +354,7 @@ def test_wetting() -> None:
     for rain, hours, ran_off in (
         (7.0, 1.0, 1.0), (7.0, 1.0, 6.0), (0.0, 4.0, 0.0), (6.0, 1.0, 1.0),
     ):
-        beyond = wetting.beyond(rain * MM_PER_HOUR, hours * HOUR_S)
+        beyond = wetting.excess(rain * MM_PER_HOUR, hours * HOUR_S)
         assert beyond * hours == pytest.approx(ran_off * MM_PER_HOUR), (rain, hours)
 
 
@@ -370,7 +370,7 @@ def test_a_measured_roof_rises_by_what_it_keeps() -> None:
     _, roof = expected_movement(site, 0.005, 1e-5, 1e-5, 2.0, 0.04)
     assert roof.least == pytest.approx(0.75 * (0.0726744e-3 + 1e-5) - LOSS, rel=1e-5)
     assert expected_movement(site, 0.005, 1e-5, 1e-5, 2.0, 0.06)[1].least == -LOSS
-    fall = roof_reach(site).fall
+    fall = roof_bounds(site).fall
     assert fall(0.05) == pytest.approx(1.5 * 0.5787e-6, rel=1e-3)
     assert fall(0.07) == pytest.approx(1.5 * (0.5787e-6 + 0.01), rel=1e-3)
 
@@ -381,8 +381,8 @@ def test_mains_may_raise_the_cistern() -> None:
     for level, most in ((1.4, 0.04e-3), (1.5, 0.0)):
         cistern, _ = expected_movement(site, 0.0, 0.0, 0.0, level, 0.03)
         assert cistern == pytest.approx((-DRIFT, most + DRIFT))
-    without = cistern_reach(PAPER_SITE).rise(1.4)
-    assert cistern_reach(site).rise(1.4) - without == pytest.approx(1.5 * 0.04e-3, rel=1e-9)
+    without = cistern_bounds(PAPER_SITE).rise(1.4)
+    assert cistern_bounds(site).rise(1.4) - without == pytest.approx(1.5 * 0.04e-3, rel=1e-9)
 
 
 def test_a_low_outlet_lets_the_cistern_fall_and_stand() -> None:
@@ -404,7 +404,7 @@ def test_a_low_outlet_lets_the_cistern_fall_and_stand() -> None:
         computed = expected_movement(site, flow, rain, rain, level, 0.03)[0]
         due = (least / 25 - DRIFT, most / 25 + DRIFT)
         assert computed == pytest.approx(due, rel=1e-12), (flow, rain, level)
-    without = cistern_reach(PAPER_SITE).fall(2.0)
-    assert cistern_reach(site).fall(2.0) - without == pytest.approx(1.5 * outflow / 25, rel=1e-9)
+    without = cistern_bounds(PAPER_SITE).fall(2.0)
+    assert cistern_bounds(site).fall(2.0) - without == pytest.approx(1.5 * outflow / 25, rel=1e-9)
     # A cloudburst runs off completely: 500 mm/h on 50 m2.
-    assert cistern_reach(site).rise(2.0) == pytest.approx(1.5 * 0.5 / 3600 * 50 / 25, rel=1e-9)
+    assert cistern_bounds(site).rise(2.0) == pytest.approx(1.5 * 0.5 / 3600 * 50 / 25, rel=1e-9)

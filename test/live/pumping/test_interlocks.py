@@ -208,13 +208,13 @@ def test_a_fault_of_delivery_or_drive_needs_a_person_at_the_pump(code: str) -> N
     """A speed that was not followed does not, however often."""
     rig = Rig(x2=0.5)
     rig.run(2, 0.0)
-    assert rig.control.no_clear == "there is no fault"
+    assert rig.control.clear_refusal == "there is no fault"
     for _ in range(3):
         rig.ledger.fault("why", code)
         if code != "speed_not_followed":
-            assert "somebody who has checked the pump" in rig.control.no_clear
+            assert "somebody who has checked the pump" in rig.control.clear_refusal
             return
-        assert rig.control.no_clear == ""
+        assert rig.control.clear_refusal == ""
         rig.control.clear()
         assert rig.ledger.record.fault == ""
 
@@ -306,13 +306,13 @@ def test_what_the_page_may_clear_hides_nothing_that_it_may_not(
     rig.stuck_speed = 0.05
     decision = rig.run(60, 0.5, until=lambda decision: bool(decision.interlocks))
     assert codes(decision) == ["speed_not_followed"]
-    assert rig.control.no_clear == ""
+    assert rig.control.clear_refusal == ""
     rig.stuck_speed, rig.change = 0.0, change
     rig.step(0.5)
     rig.change = {}
     assert rig.step(0.5).state == "fault"
     assert rig.ledger.record.fault_code == worse
-    assert rig.control.no_clear
+    assert rig.control.clear_refusal
     rig.stuck_speed = 0.05
     rig.run(60, 0.5)
     assert rig.ledger.record.fault_code == worse

@@ -24,7 +24,7 @@ from paper import PAPER_SITE
 from pump_rig import Rig
 
 from greenroof_ros.common.times import to_people
-from greenroof_ros.live.pumping.ledger import Ledger, Record, state_directory
+from greenroof_ros.live.pumping.ledger import Ledger, PumpRecord, state_directory
 from greenroof_ros.live.pumping.limits import settings_for
 from greenroof_ros.live.pumping.pump_control import PumpControl
 
@@ -57,7 +57,7 @@ def written(file: Path) -> dict[str, Any]:
     return wait_for(newest, 30, "the file")  # type: ignore[no-any-return]
 
 
-def read(file: Path, clock: Callable[[], float]) -> Record:
+def read(file: Path, clock: Callable[[], float]) -> PumpRecord:
     """Return what a new ledger reads, and release the file."""
     return Ledger(file, clock).record
 
@@ -79,7 +79,7 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
     """
     file = tmp_path / "greenroof" / "state" / "pump.json"
     ledger = Ledger(file, clock)
-    assert (ledger.record, ledger.why_not_kept(20.0)) == (Record(), "")
+    assert (ledger.record, ledger.flush(20.0)) == (PumpRecord(), "")
     assert file.stat().st_size == 8192
     ledger.count(1e8 + 0.5, 0.0, 0.0)
     ledger.record = replace(ledger.record, starts=(0.0,) * 3600)  # one a second in an hour
@@ -89,7 +89,7 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
     ledger.fault(text, "delivery")
     ledger.hold(text, text, clock.now + 60.5)
     ledger.record = replace(ledger.record, unknown=text)
-    assert ledger.why_not_kept(20.0) == ""
+    assert ledger.flush(20.0) == ""
     again = read(file, clock)
     assert (again.fault, again.hold_reason, again.unknown) == (expected, expected, expected)
     assert expected.startswith(again.hold_owner) and again.hold_owner
@@ -106,15 +106,15 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     file = tmp_path / "pump.json"
     first = Ledger(file, clock)
     first.switch(True)
-    assert first.why_not_kept() == ""
+    assert first.flush() == ""
     second, third = Ledger(file, clock), Ledger(file, clock)
-    assert not second.take()
+    assert not second.acquire()
     second.count_unseen(25.0, 0.001)
     first.fault("burst pipe", "delivery")
     first.hold("the operator", "a leak")
     first.switch(False)
-    assert first.why_not_kept() == ""
-    problem = second.why_not_kept()
+    assert first.flush() == ""
+    problem = second.flush()
     assert problem.startswith(
         f"{file} cannot be written: process {os.getpid()} already uses it; end that process"
     )
@@ -124,11 +124,11 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     third.hold("the page", until=clock.now + 60.0)
     third.fault("overload", "drive_fault")
     assert first.close() == ""
-    assert second.take() and not second.take()
+    assert second.acquire() and not second.acquire()
     assert (second.record.fault, second.record.fault_code) == ("burst pipe", "delivery")
     assert second.record.hold == ("the operator", "a leak", None)
     assert (second.record.day_volume, second.close()) == (0, "")
-    assert third.take()
+    assert third.acquire()
     assert (third.record.fault, third.record.fault_code) == ("overload", "drive_fault")
     assert third.record.hold == ("the page", "", None)  # the operator's has no end
     assert third.close() == ""
@@ -141,14 +141,14 @@ def test_use_of_the_day(tmp_path: Path, clock: Clock) -> None:
     """
     file = tmp_path / "pump.json"
     ledger = Ledger(file, clock)
-    ledger.why_not_kept()
+    ledger.flush()
     for _ in range(19):
         ledger.count(1.0, 0.5, 0.01)
     wait_for(lambda: written(file)["day_volume"] > 0, 60, "a record")
     assert written(file)["day_volume"] == pytest.approx(0.1)
     for _ in range(81):
         ledger.count(1.0, 0.5, 0.01)
-    ledger.why_not_kept()
+    ledger.flush()
     began, clock.now = clock.now, 0.0
     assert (read(file, clock).day_elapsed, read(file, clock).day_run) == pytest.approx((100, 50))
     clock.now = began + 3600
@@ -204,7 +204,7 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
         unknown = again.record.unknown
         assert f"{file} cannot be read (line {torn + 1}: its checksum is wrong)" in unknown
         assert before - 0.5 <= again.record.day_volume <= before
-        assert again.why_not_kept() == ""
+        assert again.flush() == ""
         assert read(file, clock).unknown == unknown
         again.release()
         assert again.record.unknown  # only a reset accepts that
@@ -329,12 +329,12 @@ def test_a_file_of_another_owner_is_an_unknown_state() -> None:
         file.write_bytes(lines_of(hold_owner="the operator"))
         file.chmod(0o600)
         Path(directory).chmod(0o755)
-        said = subprocess.run(
+        shown = subprocess.run(
             [sys.executable, "-c", _READS, str(file)], check=True, text=True,
             stdout=subprocess.PIPE,
         ).stdout.splitlines()
-        assert said[0].startswith(f"{file} cannot be read (Permission denied)")
-        assert said[1].startswith(f"{file} cannot be written: ")
+        assert shown[0].startswith(f"{file} cannot be read (Permission denied)")
+        assert shown[1].startswith(f"{file} cannot be written: ")
 
 
 _READS = """
@@ -344,7 +344,7 @@ from greenroof_ros.live.pumping.ledger import Ledger
 os.setuid(65534)  # nobody
 ledger = Ledger(Path(sys.argv[1]), time.time)
 print(ledger.record.unknown)
-print(ledger.why_not_kept(20.0))
+print(ledger.flush(20.0))
 """
 
 
@@ -359,7 +359,7 @@ def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
     assert decision.why.startswith(f"{file} cannot be read (")
     assert ("it must be 8192 bytes long" in decision.why) == (len(content) != 8192)
     assert decision.why.endswith("check the pump, then reset it")
-    assert rig.ledger.why_not_kept() == ""
+    assert rig.ledger.flush() == ""
     assert {path.name for path in tmp_path.iterdir()} == {"pump.json", "pump.json.lock"}
     assert Rig(file=file).run(30, 1.0).state == "fault"
     rig.ledger.hold("the operator")
@@ -373,7 +373,7 @@ def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
     # A directory in place of the file is left there.
     ledger = Ledger(tmp_path, time.time)
     assert "cannot be read (it is not a file)" in ledger.record.unknown
-    assert "not a file" in ledger.why_not_kept()
+    assert "not a file" in ledger.flush()
 
 
 def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
@@ -385,13 +385,13 @@ def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
     disk = tmp_path / "disk"
     with small_disk(disk, "64k"):
         ledger = Ledger(disk / "before.json", clock)
-        assert ledger.why_not_kept() == ""
+        assert ledger.flush() == ""
         with pytest.raises(OSError, match="No space left"):
             (disk / "rubbish").write_bytes(b"x" * 100_000)
         for number in range(3):
             ledger.hold("the page", f"reason {number}")
             ledger.fault(f"fault {number}", "delivery")
-            assert ledger.why_not_kept() == ""
+            assert ledger.flush() == ""
             again = read(disk / "before.json", clock)
             assert (again.hold_reason, again.fault) == (f"reason {number}", f"fault {number}")
         file = disk / "pump.json"
@@ -399,7 +399,7 @@ def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
         rig.ledger.hold("the operator")
         assert rig.step(1.0).state == "held"
         rig.ledger.release()
-        assert rig.ledger.why_not_kept().startswith(
+        assert rig.ledger.flush().startswith(
             f"{file} cannot be written: No space left on device; a restart would not know"
         )
         assert rig.run(30, 1.0).state == "running"
@@ -419,7 +419,7 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
         "ledger = Ledger(Path(sys.argv[1]), time.time)\n"
         "while True:\n"
         "    ledger.hold('the page', 'x' * 350)\n"
-        "    ledger.why_not_kept()\n"
+        "    ledger.flush()\n"
     )
     before = 0
     for attempt in range(3):
@@ -448,10 +448,10 @@ def die(event, arguments):
             os.kill(os.getpid(), signal.SIGKILL)
 sys.addaudithook(die)
 ledger = Ledger(Path(sys.argv[1]), time.time)
-ledger.why_not_kept(20.0)
+ledger.flush(20.0)
 if sys.argv[3:]:
     ledger.hold(sys.argv[3])
-    ledger.why_not_kept(20.0)
+    ledger.flush(20.0)
 ledger.close()
 """
 
@@ -493,7 +493,7 @@ def test_killed_at_each_step_of_its_first_start(tmp_path: Path, clock: Clock) ->
         record = read(file, clock)
         if not killed:
             break
-        assert (record == Record()) or record.unknown or record.written_at
+        assert (record == PumpRecord()) or record.unknown or record.written_at
     assert number > 3 and record.hold_owner == "the page"
 
 
@@ -501,7 +501,7 @@ def test_a_hold_ends_at_its_end_or_when_it_is_released(tmp_path: Path, clock: Cl
     """By the system clock, even while nobody runs; a reset does not end it."""
     file = tmp_path / "state.json"
     ledger = Ledger(file, clock)
-    assert ledger.held is None
+    assert ledger.active_hold is None
     ledger.hold("the command line", "painting", clock.now + 3600)
     ledger.fault("", "")
     ledger.clear_unknown()
@@ -509,17 +509,17 @@ def test_a_hold_ends_at_its_end_or_when_it_is_released(tmp_path: Path, clock: Cl
     clock.now += 3599
     ledger = Ledger(file, clock)
     end = to_people(datetime.fromtimestamp(clock.now + 1).astimezone())
-    assert ledger.held is not None
-    assert ledger.held.sentence == f"a hold by the command line until {end}: painting"
+    assert ledger.active_hold is not None
+    assert ledger.active_hold.sentence == f"a hold by the command line until {end}: painting"
     clock.now += 1
-    assert ledger.held is None
+    assert ledger.active_hold is None
     # If a second ledger gets the file later, its own hold counts.
     later = Ledger(file, clock)
     later.hold("the page", until=clock.now + 60)
     assert ledger.close() == ""
-    assert later.take() and later.held
+    assert later.acquire() and later.active_hold
     later.release()
-    assert (later.held, later.close()) == (None, "")
+    assert (later.active_hold, later.close()) == (None, "")
     assert written(file)["hold_owner"] == ""
 
 
@@ -540,19 +540,19 @@ def test_a_later_request_never_shortens_a_hold(
     ledger.hold("the page", "", at(second))
     assert ledger.record.hold == ("the page", "", at(end))
     clock.now += 1e6
-    assert bool(ledger.held) == (end is None)
+    assert bool(ledger.active_hold) == (end is None)
 
 
 def test_a_slow_disk_stops_nothing(tmp_path: Path) -> None:
     """With a pipe that nobody reads in place of the file: reported soon, and later an alarm."""
     rig = Rig(file=tmp_path / "pump.json")
-    assert rig.ledger.why_not_kept(20.0) == ""
+    assert rig.ledger.flush(20.0) == ""
     os.mkfifo(tmp_path / "pump.json.new")
     (tmp_path / "pump.json").unlink()  # it is made again
     rig.run(30, 1.0)
     assert rig.decisions[-1].state == "running"
     began = time.monotonic()
-    assert rig.ledger.why_not_kept() in (
+    assert rig.ledger.flush() in (
         f"{tmp_path}/pump.json is not yet on the disk; writing continues",
         f"{tmp_path}/pump.json could not be written within 2 s",  # on a busy machine
     )

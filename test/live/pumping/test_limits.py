@@ -15,7 +15,7 @@ from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.live.pumping.ledger import Ledger
-from greenroof_ros.live.pumping.limits import Limits, Pulses, PumpSettings, settings_for
+from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings, settings_for
 from greenroof_ros.model.plant import maximum_pump_flow, pump_flow
 
 # A fifth of the maximum flow at 3 m, 0.00842205 m3/s, for 10 s.
@@ -62,7 +62,7 @@ def test_as_many_starts_in_any_hour_as_are_allowed(times: list[int], allowed: in
     """With starts wanted at any times: never more, and no start waits longer than necessary."""
     ledger = Ledger(None, lambda: 0.0)
     settings = settings_for(PAPER_SITE, starts_per_hour=allowed, least_off=0.0)
-    limits = Limits(PAPER_SITE, settings, ledger)
+    limits = PumpLimits(PAPER_SITE, settings, ledger)
     starts: list[float] = []
     for passed in times:
         ledger.count(passed, 0.0, 0.0)
@@ -216,11 +216,11 @@ def test_pulses_by_hand() -> None:
     pulse = pulses()
     on, began, ended = False, [], []
     for second in range(400):
-        share = pulse.ask(0.013, 3.0, on, 1e9)
+        share = pulse.update(0.013, 3.0, on, 1e9)
         if (share > 0) != on:
             (began if share else ended).append(second)
         on = share > 0
-        pulse.account(share * maximum_pump_flow(PAPER_SITE, 75.0), 1.0)
+        pulse.count(share * maximum_pump_flow(PAPER_SITE, 75.0), 1.0)
     assert began == [144, 144 + 11 + 159]
     assert ended == [144 + 11, 144 + 11 + 159 + 11]
 
@@ -232,19 +232,19 @@ def test_the_outstanding_volume_is_limited() -> None:
     """
     pulse = pulses()
     for _ in range(100):
-        assert pulse.ask(0.1, 3.0, False, 0.0) == 0
-        pulse.account(0.0, 1.0)
+        assert pulse.update(0.1, 3.0, False, 0.0) == 0
+        pulse.count(0.0, 1.0)
     assert pulse.outstanding == pytest.approx(100 * 0.1 * 0.00842205, rel=1e-5)
-    assert pulse.ask(0.0, 3.0, False, 1e9) == 0
+    assert pulse.update(0.0, 3.0, False, 1e9) == 0
     assert pulse.outstanding == pytest.approx(LEAST_PULSE, rel=1e-5)
-    pulse.ask(0.19, 3.0, False, 0.0)
-    pulse.account(0.0, 3600.0)
+    pulse.update(0.19, 3.0, False, 0.0)
+    pulse.count(0.0, 3600.0)
     assert pulse.outstanding == pytest.approx(180 * 0.2 * 0.00842205, rel=1e-5)
-    pulse.ask(0.5, 3.0, True, 0.0)
+    pulse.update(0.5, 3.0, True, 0.0)
     assert pulse.outstanding == pytest.approx(LEAST_PULSE, rel=1e-5)
     pulse.clear()
     assert pulse.outstanding == 0
-    pulse.account(0.0, 3600.0)
+    pulse.count(0.0, 3600.0)
     assert pulse.outstanding == 0
 
 
@@ -259,10 +259,10 @@ def test_speeds_are_the_drives(share: float, level: float) -> None:
 def test_a_running_pump_makes_up_for_the_outstanding_volume() -> None:
     """A least pulse per minute: 0.0168441 / 60 / 0.00842205 = a thirtieth of the maximum more."""
     pulse = pulses()
-    pulse.ask(0.5, 3.0, True, 0.0)
-    pulse.account(0.0, 60.0)
-    assert pulse.ask(0.5, 3.0, True, 60.0) == pytest.approx(0.5 + 1 / 30)
-    assert pulse.ask(0.99, 3.0, True, 60.0) == 1
+    pulse.update(0.5, 3.0, True, 0.0)
+    pulse.count(0.0, 60.0)
+    assert pulse.update(0.5, 3.0, True, 60.0) == pytest.approx(0.5 + 1 / 30)
+    assert pulse.update(0.99, 3.0, True, 60.0) == 1
 
 
 @pytest.mark.parametrize("drive_ramp", [0.1, 1.0])

@@ -98,31 +98,32 @@ def test_what_is_not_known_is_said_so() -> None:
     """
     rig = Rig()
     decision = rig.step(0.0)
-    assert (decision.stands, decision.blind_for) == (True, 0.0)
+    assert (decision.at_rest, decision.blind_for) == (True, 0.0)
     decision = rig.run(15, 0.5)
-    assert (decision.stands, decision.flow_known, decision.blind_for) == (False, True, 15)
-    assert decision.turns_at is not None and decision.turns_at > 0.5
+    assert (decision.at_rest, decision.flow_known, decision.blind_for) == (False, True, 15)
+    assert decision.reported_speed is not None and decision.reported_speed > 0.5
     rig.change = {"speed": None, "reasons": [Problem("drive_lost", "connection lost")]}
     rig.run(14, 0.5)
     assert {
-        (decision.state, decision.flow, decision.flow_known, decision.turns_at, decision.stands)
+        (decision.state, decision.flow, decision.flow_known, decision.reported_speed,
+         decision.at_rest)
         for decision in rig.decisions[-14:]
     } == {("unknown", 0.0, False, None, False)}  # its topic has a number for every command
     assert rig.decisions[-1].why.endswith("; it is not known whether the pump is at rest")
     decision = rig.run(3, 0.5)
-    assert (decision.stands, decision.why) == (True, "connection lost")
+    assert (decision.at_rest, decision.why) == (True, "connection lost")
     rig.change = {"speed": 5.0}
-    assert not rig.run(60, 0.5).stands
+    assert not rig.run(60, 0.5).at_rest
     rig.change = {"speed": -0.5}  # the pump is known to turn
     decision = rig.step(0.5)
-    assert (decision.stands, decision.turns_at, decision.flow_known) == (False, -0.5, False)
+    assert (decision.at_rest, decision.reported_speed, decision.flow_known) == (False, -0.5, False)
     rig.change = {}
     rig.control.reset()
     decision = rig.run(60, 0.0)
-    assert (decision.state, decision.stands, decision.blind_for) == ("off", True, 0)
+    assert (decision.state, decision.at_rest, decision.blind_for) == ("off", True, 0)
     rig.change = {"speed": None, "roof_level": None}
     decision = rig.step(0.5)  # the pump stood when last heard
-    assert (decision.stands, decision.turns_at, decision.flow_known) == (True, None, True)
+    assert (decision.at_rest, decision.reported_speed, decision.flow_known) == (True, None, True)
     assert decision.blind_for == 1
 
 
@@ -177,7 +178,7 @@ def test_a_ramp_that_is_allowed_is_no_fault(
         rig.run(seconds, command)
     assert max(decision.speed or 0.0 for decision in rig.decisions) == pytest.approx(1.0)
     assert not [decision for decision in rig.decisions if decision.state == "fault"]
-    assert rig.decisions[-1].stands
+    assert rig.decisions[-1].at_rest
 
 
 @pytest.mark.parametrize(("runs_after", "states"), [(9, {"off", "fault"}), (2, {"off"})])
@@ -334,7 +335,7 @@ def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted
     assert after.day_volume - before.day_volume == pytest.approx(most, rel=1e-3)
     assert not after.on
     rig.change = LOST
-    assert not rig.step(0.5).stands
+    assert not rig.step(0.5).at_rest
     rig.change = {}
     rig.run(60, 0.0)
     assert rig.decisions[-1].why == "the command is 0"

@@ -20,7 +20,7 @@ from places import guarding
 from simulators import DEFAULT, Simulator, refusal, until
 
 from greenroof_ros.commands import drive_simulator
-from greenroof_ros.live.drives.drive import Drive, PlacedDrive
+from greenroof_ros.live.drives.drive import Drive, DriveEndpoint
 from greenroof_ros.live.drives.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.live.drives.exchange import DriveExchange
 from greenroof_ros.live.drives.modbus_line import (
@@ -64,7 +64,7 @@ def test_a_drive_that_reports_its_flow_follows_the_sites_curve() -> None:
     bench = DriveBench(profile_of(file.make), file, settings, free, free, PAPER_SITE)
     bench.drive.speed = 0.5
     assert bench.drive.registers()[301] == 15
-    bench.adjust(5, 30_000)
+    bench.write_register(5, 30_000)
     assert bench.drive.registers()[301] == 42
 
 
@@ -169,7 +169,7 @@ def test_faults_of_the_wire(
     with pytest.raises(DriveError, match=re.escape(error)) if error else nullcontext():
         if fault == "refused_writes":
             driver.stop()
-        assert driver.read().stands
+        assert driver.read().at_rest
     if fault == "refused":
         with pytest.raises(DriveError, match="cannot connect"):
             driver.line.connect()
@@ -214,12 +214,12 @@ def test_rtu_over_a_pseudo_terminal() -> None:
         driver = Drive(file, parse_address(drive.address), 0.2)
         with closing(driver.line):
             driver.line.connect()
-            assert driver.why_no_simulator() == ""
+            assert driver.simulator_problem() == ""
             drive.power_cycle()
             with pytest.raises(DriveError, match="no valid answer"):
                 driver.read()
             time.sleep(0.5)
-            assert driver.read().stands
+            assert driver.read().at_rest
 
 
 def test_wrong_options_are_refused_with_what_would_be_right(
@@ -254,12 +254,12 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
     with Simulator(
         "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
     ) as drive, closing(
-        DriveExchange(PlacedDrive(file, parse_address(drive.address)), period_s=0.1)
+        DriveExchange(DriveEndpoint(file, parse_address(drive.address)), period_s=0.1)
     ) as exchange:
 
         def reached(speed: float) -> bool:
             """Ask for a speed, and return whether both motor and driver show it."""
-            exchange.demand(speed or None)
+            exchange.request_speed(speed or None)
             status = exchange.snapshot.status
             return (
                 status is not None and status.speed == pytest.approx(speed, abs=2e-3)
@@ -269,7 +269,7 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
         def fault() -> str | None:
             return exchange.snapshot.status and exchange.snapshot.status.fault
 
-        exchange.only_simulator()
+        exchange.require_simulator()
         exchange.start()
         until(lambda: reached(0.6), 8)
         assert exchange.snapshot.timeout_s == timeout
@@ -278,7 +278,7 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
         drive.inject("drive_fault")
         until(lambda: fault() and drive.speed() == 0)
         drive.inject("none")
-        exchange.demand(None)
+        exchange.request_speed(None)
         exchange.reset()
         until(lambda: fault() == "")
         exchange.close()
@@ -288,4 +288,4 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
         alone.line.close()
         until(lambda: drive.speed() > 0.5)
         until(lambda: drive.speed() == 0)
-    assert f"communication timeout: nothing for {timeout} s" in drive.said
+    assert f"communication timeout: nothing for {timeout} s" in drive.output

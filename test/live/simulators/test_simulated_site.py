@@ -108,7 +108,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
             until(lambda: rows()[-1]["pump_flow_m3_per_s"] == 0)
             drive.end()
             until(lambda: rows()[-1]["speed"] == 0)
-        assert "the pump is taken to be at rest" in site.said
+        assert "the pump is assumed to be at rest" in site.output
     assert (first["time_s"], last["time_s"]) == (1, 40)
     assert first["pump_flow_m3_per_s"] == pytest.approx(6.1261e-3, rel=1e-4)
     assert last["pumped_m3"] == pytest.approx(0.2450, rel=5e-4)
@@ -172,7 +172,7 @@ def test_sensor_faults_change_what_one_sensor_says_and_no_level() -> None:
     run_to(bench, began + 60)
     assert error() == pytest.approx(10 * (bench.tick - began), abs=1)
     bench.inject("roof_silent", DEFAULT)
-    assert (cistern.hears(0), roof.hears(0)) == (True, False)
+    assert (cistern.on_request(0), roof.on_request(0)) == (True, False)
     assert cistern.read()[0] == pytest.approx(20000, abs=5)
     bench.inject("none", DEFAULT)
     assert error() == pytest.approx(0, abs=1)
@@ -185,7 +185,7 @@ def test_both_sensors_may_be_on_one_line() -> None:
     (server,) = bench.servers
     assert [server.devices[number].read()[0] for number in (1, 2)] == [20000, 500]
     bench.inject("cistern_silent", DEFAULT)
-    assert [server.devices[number].hears(0) for number in (1, 2)] == [False, True]
+    assert [server.devices[number].on_request(0) for number in (1, 2)] == [False, True]
 
 
 @needs_mosquitto

@@ -12,8 +12,8 @@ from paper import PAPER_SITE
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch.alarms import Alarm
 from greenroof_ros.watch.registry import Trouble
-from greenroof_ros.watch.store import Store
-from greenroof_ros.watch.wire import Status
+from greenroof_ros.watch.store import GraphStore
+from greenroof_ros.watch.wire import WireStatus
 
 OK, WARN, ERROR, STALE = range(4)
 SECOND = 10**9
@@ -25,7 +25,7 @@ HOLD = {"owner": "the operator", "reason": "", "until": None, "said": HELD}
 def node(
     name: str, role: str, *parts: tuple[Any, ...], process: str = "host 1",
     state: str = "ready", **values: Any,
-) -> list[Status]:
+) -> list[WireStatus]:
     """Return a node's messages: its own status, and each part's.
 
     Each part has a name, level and sentence, and optionally a code and other values.
@@ -33,9 +33,9 @@ def node(
     pairs = {"role": role, "process": process, **values}
     own = {key: json.dumps(value) for key, value in pairs.items()}
     return [
-        Status(name, OK, state, own),
+        WireStatus(name, OK, state, own),
         *(
-            Status(f"{name}: {part}", level, text, _values(*more))
+            WireStatus(f"{name}: {part}", level, text, _values(*more))
             for part, level, text, *more in parts
         ),
     ]
@@ -45,7 +45,7 @@ def _values(code: str = "", values: Mapping[str, str] | None = None) -> dict[str
     return {"code": code, **(values or {})} if code else {}
 
 
-def silent_sensor() -> list[Status]:
+def silent_sensor() -> list[WireStatus]:
     """Return what a site's nodes report while the cistern's sensor is silent."""
     old = ERROR, "/cistern/level is older than 5 s (level_limit)", "input_silent"
     held = "held: the level of the cistern is unknown"
@@ -64,18 +64,20 @@ def silent_sensor() -> list[Status]:
 
 def incident(role: str, part: str, cause: str, code: str, began: float, ended: float) -> Alarm:
     """Return an incident of a recording, with its times (s since 1970)."""
-    return Alarm(Trouble(ERROR, cause, code, role, part), began, over=ended)
+    return Alarm(Trouble(ERROR, cause, code, role, part), began, ended_at=ended)
 
 
-def store(mode: str = "simulated", site: Site = PAPER_SITE) -> Store:
+def store(mode: str = "simulated", site: Site = PAPER_SITE) -> GraphStore:
     """Return a store that knows only the site of its graph."""
-    graph = Store()
+    graph = GraphStore()
     graph.set_site(site)
     graph.set_present(mode=mode, factor=30.0, note="")
     return graph
 
 
-def hear(graph: Store, first: int, last: int, values: Mapping[str, float], every: int = 1) -> None:
+def add_values(
+    graph: GraphStore, first: int, last: int, values: Mapping[str, float], every: int = 1
+) -> None:
     """Add each topic's value from one second to another, the last one not included."""
     times = START + SECOND * np.arange(first, last, every)
     for topic, value in values.items():

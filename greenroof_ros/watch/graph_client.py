@@ -1,6 +1,6 @@
-"""Watches a graph from outside: hears the topics asked for, and can hold the pump.
+"""A client of a graph: receives the topics it is given, and can hold the pump.
 
-It can also release the pump, clear some faults and, if the site allows it, ask for a dose.
+It can also release the pump, clear some faults and, if the site allows it, request a dose.
 
 It must not delay any node. So it subscribes best effort and volatile: no publisher stores, repeats
 or waits for anything for it. It uses only UDP: with shared memory, a stopped process can hold a
@@ -15,19 +15,20 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Collection
+from itertools import islice
 from typing import Any
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.domain import TAKING_DOWN_S, join
-from greenroof_ros.graph.rclpy_internals import waiting_in
+from greenroof_ros.graph.domain import SHUTDOWN_S, join
+from greenroof_ros.graph.rclpy_internals import waiting_messages
 
-# How many messages of a topic can wait for the next look: 1 s at 60 times real time.
+# How many messages of a topic can wait for the next poll: 1 s at 60 times real time.
 _DEPTH = 64
 
 DIAGNOSTICS = "/diagnostics"
 
 
-class StopFailedError(Exception):
+class PumpRequestError(Exception):
     """The pump node did not confirm a request; the message says why.
 
     Attributes:
@@ -39,13 +40,13 @@ class StopFailedError(Exception):
         self.answered = answered
 
 
-class Looker:
+class GraphClient:
     """A separate node with a separate context, to be used by one thread."""
 
     def __init__(
         self, namespace: str, on_message: Callable[[str, bytes, int | None, int], None]
     ) -> None:
-        """Join the graph's domain, and listen to /diagnostics.
+        """Join the graph's domain, and subscribe to /diagnostics.
 
         Args:
             namespace: the graph's namespace, such as ``/site1``; empty for none.
@@ -82,9 +83,9 @@ class Looker:
         self._interface = read_topics()
         self._subscriptions: dict[str, Any] = {}
         self._wake = threading.Event()
-        self.listen(())
+        self.subscribe(())
 
-    def listen(self, topics: Collection[str]) -> None:
+    def subscribe(self, topics: Collection[str]) -> None:
         """Subscribe to these topics of the interface and /diagnostics, and to no others."""
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
@@ -104,13 +105,13 @@ class Looker:
                 raw=True,
             )
 
-    def look(self, wait_s: float) -> None:
-        """Wait, unless woken, and hand over all messages that have come; /diagnostics first."""
+    def receive(self, wait_s: float) -> None:
+        """Wait, unless woken, and pass on all messages that have arrived; /diagnostics first."""
         self._wake.wait(wait_s)
         self._wake.clear()
         for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
             subscription = self._subscriptions[name]
-            for _, (message, info) in zip(range(_DEPTH), waiting_in(subscription), strict=False):
+            for message, info in islice(waiting_messages(subscription), _DEPTH):
                 number = info["publication_sequence_number"]
                 self._on_message(name, message, number, info["received_timestamp"])
 
@@ -118,7 +119,7 @@ class Looker:
         """End the present wait, from another thread."""
         self._wake.set()
 
-    def prepare_stop(self, pump_node: str | None) -> None:
+    def connect_pump(self, pump_node: str | None) -> None:
         """Open clients for the services of a pump node, so that a call finds them at once.
 
         Args:
@@ -140,7 +141,7 @@ class Looker:
         """Hold the pump until somebody releases it, or until a time.
 
         Args:
-            owner: who asks for it.
+            owner: who requests it.
             reason: why; may be empty.
             until: its end (s since 1970); None if it has none.
             timeout_s: longest wait for the answer (s).
@@ -149,51 +150,51 @@ class Looker:
             The pump node's answer.
 
         Raises:
-            StopFailedError: the pump node did not confirm it.
+            PumpRequestError: the pump node did not confirm it.
         """
         end = {} if until is None else {"until": until}
-        return self._set("hold", timeout_s, owner=owner, reason=reason, **end)
+        return self._set_parameters("hold", timeout_s, owner=owner, reason=reason, **end)
 
     def release_pump(self, timeout_s: float = 3.0) -> str:
         """End the hold, whoever made it; returns and raises likewise."""
-        return self._call("stop", timeout_s, data=False)
+        return self._request("stop", timeout_s, data=False)
 
     def clear_fault(self, timeout_s: float = 3.0) -> str:
         """Clear the pump's latched fault if nobody must see it; returns and raises likewise."""
-        return self._call("clear", timeout_s)
+        return self._request("clear", timeout_s)
 
-    def give_dose(self, volume: float, asked_at: float, timeout_s: float = 3.0) -> str:
-        """Ask for a dose.
+    def request_dose(self, volume: float, requested_at: float, timeout_s: float = 3.0) -> str:
+        """Request a dose.
 
         Args:
             volume: the dose (m3).
-            asked_at: when the user asked for it, by the system clock (s since 1970).
+            requested_at: when the user requested it, by the system clock (s since 1970).
             timeout_s: longest wait for the answer (s).
 
         Returns:
             The pump node's answer.
 
         Raises:
-            StopFailedError: it was refused, or there was no answer.
+            PumpRequestError: it was refused, or there was no answer.
         """
-        return self._set("dose", timeout_s, volume=volume, asked_at=asked_at)
+        return self._set_parameters("dose", timeout_s, volume=volume, asked_at=requested_at)
 
-    def _set(self, service: str, timeout_s: float, **values: float | str) -> str:
+    def _set_parameters(self, service: str, timeout_s: float, **values: float | str) -> str:
         from rclpy.parameter import Parameter
 
         parameters = [
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
         ]
-        return self._call(service, timeout_s, parameters=parameters)
+        return self._request(service, timeout_s, parameters=parameters)
 
-    def _call(self, service: str, timeout_s: float, **request: Any) -> str:
+    def _request(self, service: str, timeout_s: float, **request: Any) -> str:
         if self._pump is None:
-            raise StopFailedError("There is no pump node that could be stopped from here.")
+            raise PumpRequestError("There is no pump node that could be stopped from here.")
         name, client = self._pump, self._services[service]
         until = time.monotonic() + timeout_s
         while not client.service_is_ready():
             if time.monotonic() > until:
-                raise StopFailedError(
+                raise PumpRequestError(
                     f"{name} does not answer: nothing provides its service {service}. Start its "
                     "graph first, in the same ROS_DOMAIN_ID and with the same "
                     "ROS_AUTOMATIC_DISCOVERY_RANGE."
@@ -203,7 +204,7 @@ class Looker:
         self._executor.spin_until_future_complete(answer, max(0.0, until - time.monotonic()))
         if not answer.done():
             client.remove_pending_request(answer)
-            raise StopFailedError(
+            raise PumpRequestError(
                 f"{name} did not answer within {timeout_s:g} s: it may or may not have done that."
             )
         result = answer.result()
@@ -213,12 +214,12 @@ class Looker:
             ok, message = result.success, result.message
         if not ok:
             # A hold with this answer may be in force, but would not survive a restart.
-            raise StopFailedError(str(message), answered=True)
+            raise PumpRequestError(str(message), answered=True)
         return str(message)
 
     def close(self) -> None:
         """Leave the domain."""
-        before = signal.alarm(TAKING_DOWN_S)
+        before = signal.alarm(SHUTDOWN_S)
         self._executor.shutdown(timeout_sec=1)
         self._node.destroy_node()
         self._caller.destroy_node()

@@ -1,4 +1,4 @@
-"""A watcher beside a run: a separate process; a run neither waits for it nor fails with it."""
+"""A page of a run, served by a process of its own; a run neither waits for it nor fails with it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from greenroof_ros.common.processes import asked_to_end_with_this
-from greenroof_ros.common.standard_error import say
+from greenroof_ros.common.processes import child_environment
+from greenroof_ros.common.standard_error import print_line
 
 # How long the watcher may take to end (s); then it is killed.
 _ENDING_S = 3.0
@@ -34,11 +34,11 @@ def watcher(namespace: str, site_file: Path) -> Iterator[None]:
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         errors="replace",
         start_new_session=True,  # Ctrl-C is for the run, which ends the watcher
-        env=asked_to_end_with_this(),
+        env=child_environment(),
     )
     ending = threading.Event()
-    said = threading.Thread(target=_hand_on, args=(process, ending), daemon=True)
-    said.start()
+    printer = threading.Thread(target=_print_output, args=(process, ending), daemon=True)
+    printer.start()
     try:
         yield
     finally:
@@ -48,16 +48,16 @@ def watcher(namespace: str, site_file: Path) -> Iterator[None]:
             process.wait(_ENDING_S)
         except subprocess.TimeoutExpired:
             process.kill()
-        said.join(_ENDING_S)
+        printer.join(_ENDING_S)
 
 
-def _hand_on(process: subprocess.Popen[str], ending: threading.Event) -> None:
+def _print_output(process: subprocess.Popen[str], ending: threading.Event) -> None:
     """Print a watcher's output, and a line if it ended without being asked to."""
     assert process.stdout is not None
     for line in process.stdout:
         if not ending.is_set():
-            say(f"watch: {line.rstrip()}")
+            print_line(f"watch: {line.rstrip()}")
     code = process.wait()
     if not ending.is_set():
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-        say(f"watch: the page has ended ({how}); the run goes on")
+        print_line(f"watch: the page has ended ({how}); the run goes on")

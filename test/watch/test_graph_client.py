@@ -1,4 +1,4 @@
-"""A graph's pump is stopped from outside; for what is heard see watch/test_feed.py."""
+"""A graph's pump is stopped from outside; for what is received see watch/test_feed.py."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from lookers import Peer, in_domain
+from peers import Peer, in_domain
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
@@ -16,7 +16,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
 
-from greenroof_ros.graph.looker import Looker, StopFailedError
+from greenroof_ros.watch.graph_client import GraphClient, PumpRequestError
 
 
 @pytest.fixture
@@ -32,11 +32,11 @@ class Pump(Peer):
     def __init__(self, domain: int) -> None:
         super().__init__(domain, "pump")
         self.requests: list[dict[str, Any]] = []
-        self.success, self.words, self.answers_after = True, "held: a hold by the page", 0.0
+        self.success, self.answer, self.answers_after = True, "held: a hold by the page", 0.0
         self.node.create_service(SetParametersAtomically, "~/hold", self._on_hold)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
-        self._over = False
+        self._closed = False
         self._thread = threading.Thread(target=self._spin)
         self._thread.start()
 
@@ -46,36 +46,36 @@ class Pump(Peer):
             for parameter in request.parameters
         })
         time.sleep(self.answers_after)
-        response.result.successful, response.result.reason = self.success, self.words
+        response.result.successful, response.result.reason = self.success, self.answer
         return response
 
     def _spin(self) -> None:
-        while not self._over:
+        while not self._closed:
             self._executor.spin_once(timeout_sec=0.05)
 
     def close(self) -> None:
-        self._over = True
+        self._closed = True
         self._thread.join()
         super().close()
 
 
 def test_hold(place: int) -> None:
     """The pump node's message is returned; if it does not say that it holds, that is an error."""
-    looker = Looker("", lambda *_: None)
-    looker.prepare_stop("/pump")
+    client = GraphClient("", lambda *_: None)
+    client.connect_pump("/pump")
     pump = Pump(place)
-    assert looker.hold_pump("the page", timeout_s=20) == "held: a hold by the page"
-    assert looker.hold_pump("MQTT", "frost", 4e9, timeout_s=20)
+    assert client.hold_pump("the page", timeout_s=20) == "held: a hold by the page"
+    assert client.hold_pump("MQTT", "frost", 4e9, timeout_s=20)
     assert pump.requests == [
         {"owner": "the page", "reason": ""}, {"owner": "MQTT", "reason": "frost", "until": 4e9},
     ]
-    pump.success, pump.words = False, "held: a hold by the page; but the disk is full"
-    with pytest.raises(StopFailedError, match="the disk is full"):
-        looker.hold_pump("the page", timeout_s=20)
+    pump.success, pump.answer = False, "held: a hold by the page; but the disk is full"
+    with pytest.raises(PumpRequestError, match="the disk is full"):
+        client.hold_pump("the page", timeout_s=20)
     pump.answers_after = 2.0
     began = time.monotonic()
-    with pytest.raises(StopFailedError, match=r"did not answer within 0\.5 s"):
-        looker.hold_pump("the page", timeout_s=0.5)
+    with pytest.raises(PumpRequestError, match=r"did not answer within 0\.5 s"):
+        client.hold_pump("the page", timeout_s=0.5)
     assert time.monotonic() - began < 2
-    looker.close()
+    client.close()
     pump.close()

@@ -1,4 +1,4 @@
-"""A drive at an address, of either kind: a drive on Modbus, or a relay on MQTT."""
+"""A drive and its address, of either kind: a drive on Modbus, or a relay on MQTT."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from typing import TypeAlias
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.mqtt import parse_topic
-from greenroof_ros.live.drives.drive import Drive, PlacedDrive
+from greenroof_ros.live.drives.drive import Drive, DriveEndpoint
 from greenroof_ros.live.drives.drive_file import read_drive_file
 from greenroof_ros.live.drives.modbus_line import parse_drive_address
-from greenroof_ros.live.drives.relay import PlacedRelay, Relay
+from greenroof_ros.live.drives.relay import Relay, RelayEndpoint
 from greenroof_ros.live.drives.relay_file import read_relay_file
 
-Placed: TypeAlias = PlacedDrive | PlacedRelay
+Endpoint: TypeAlias = DriveEndpoint | RelayEndpoint
 Connection: TypeAlias = Drive | Relay
 
 
-def place_drive(
+def read_endpoint(
     file: Path, at: str, key: str, login: str = "", authority: str = ""
-) -> Placed:
-    """Return the drive of a file at an address; a file with the key ``protocol`` is a relay's.
+) -> Endpoint:
+    """Read a drive file, or with the key ``protocol`` a relay file, and return it with its address.
 
     Args:
         file: the drive file or relay file.
@@ -35,10 +35,10 @@ def place_drive(
         ConfigurationError: the file or the address is wrong.
     """
     if "protocol" in read_yaml(file):
-        return PlacedRelay(read_relay_file(file), *parse_topic(at, key, login, authority))
+        return RelayEndpoint(read_relay_file(file), *parse_topic(at, key, login, authority))
     if login or authority:
         raise ConfigurationError(
             "has no broker to log in to: login and certificates are for a relay on MQTT",
             key=key, value=at,
         )
-    return PlacedDrive(read_drive_file(file), parse_drive_address(at, key))
+    return DriveEndpoint(read_drive_file(file), parse_drive_address(at, key))

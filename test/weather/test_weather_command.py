@@ -1,0 +1,188 @@
+"""``greenroof weather``: what a file is, and the same weather as one CSV."""
+
+from __future__ import annotations
+
+import json
+import os
+from datetime import datetime, timedelta
+from pathlib import Path
+from subprocess import CompletedProcess
+
+import numpy as np
+import pytest
+from commands import run_command
+from paper import site_file
+from places import CONFIG, DATA
+
+from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.reading import read_weather
+
+TORONTO = read_site(CONFIG / "site.yaml")
+JULY, DECEMBER = DATA / "en_climate_hourly_07-2021.csv", DATA / "en_climate_hourly_12-2015.csv"
+PACKAGED = CONFIG / "weather" / "toronto_2021-07.csv"
+
+
+def weather(directory: Path, *arguments: str | Path) -> CompletedProcess[str]:
+    return run_command(
+        "weather_file", *map(str, arguments), cwd=directory, env={**os.environ, "COLUMNS": "160"}
+    )
+
+
+def about(directory: Path, *arguments: str | Path) -> dict:
+    done = weather(directory, *arguments, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    return json.loads(done.stdout)
+
+
+def open_meteo(file: Path, latitude: float = 43.62) -> Path:
+    """Write an answer of the archive in Fahrenheit, with gaps and a code."""
+    first = datetime(2021, 7, 7)  # noqa: DTZ001 - in the zone of the answer
+    count = 96
+    hourly = {
+        "time": [f"{first + timedelta(hours=hour):%Y-%m-%dT%H:%M}" for hour in range(count)],
+        "temperature_2m": [60 + hour % 24 for hour in range(count)],
+        "relative_humidity_2m": [50.5 + hour % 7 for hour in range(count)],
+        "precipitation": [0.1 * (hour % 5) for hour in range(count)],
+        "wind_speed_10m": [7.3] * count, "surface_pressure": [1003.7] * count,
+        "shortwave_radiation": [max(0, 33.3 * (12 - abs(hour % 24 - 12))) for hour in range(count)],
+    }
+    hourly["temperature_2m"][30] = None
+    hourly["precipitation"][40] = -999
+    units = {"temperature_2m": "°F", "relative_humidity_2m": "%", "precipitation": "mm",
+             "wind_speed_10m": "m/s", "surface_pressure": "hPa", "shortwave_radiation": "W/m²"}
+    file.write_text(json.dumps({
+        "latitude": latitude, "longitude": -79.41, "elevation": 77.0, "utc_offset_seconds": -18000,
+        "timezone": "America/Toronto", "hourly_units": units, "hourly": hourly,
+    }))
+    return file
+
+
+def logger(file: Path) -> Path:
+    """Write two days of a rain gauge, in rows of five minutes without an offset from UTC."""
+    first = datetime(2021, 7, 7, 14, 3)  # noqa: DTZ001 - on the clock of the site
+    file.write_text("\n".join(["time,rain [mm]", *(
+        f"{first + timedelta(minutes=5 * row)},{row % 3 / 10}" for row in range(576)
+    )]))
+    return file
+
+
+@pytest.mark.parametrize("name", ["eccc", "frost", "open-meteo", "packaged", "logger"])
+def test_a_run_has_the_same_numbers_with_the_csv(tmp_path: Path, name: str) -> None:
+    """Every hour's values are equal in each bit, and so are all metrics of a run."""
+    file = {
+        "eccc": lambda: JULY, "frost": lambda: DECEMBER, "packaged": lambda: PACKAGED,
+        "open-meteo": lambda: open_meteo(tmp_path / "answer.json"),
+        "logger": lambda: logger(tmp_path / "logger.csv"),
+    }[name]()
+    place = site_file(tmp_path, time_zone="America/Toronto", wind_height=2.0)
+    done = weather(tmp_path, file, "--output", "own.csv", "--site", place)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.endswith("written: own.csv\n")
+    site = read_site(place)
+    given, own = (read_weather([each], site) for each in (file, tmp_path / "own.csv"))
+    for quantity, series in given.values.items():
+        assert own.values[quantity].tobytes() == series.tobytes(), quantity
+    for each in ("first", "method", "rain_late", "hours"):
+        assert getattr(own, each) == getattr(given, each)
+    assert [*own.places.values()] == [*given.places.values()]
+    start = (given.first + timedelta(hours=3)).isoformat()
+    summaries = []
+    for number, each in enumerate((file, "own.csv")):
+        run = run_command(
+            "simulate", "--weather", str(each), "--site", str(place), "--controller", "onoff",
+            "--start", start, "--hours", "12", "--output", f"run{number}", "--json",
+            cwd=tmp_path, env=dict(os.environ),
+        )
+        assert run.returncode == 0, run.stderr
+        summaries.append(json.loads(run.stdout))
+    its_own = {"weather", "weather_notes", "wall_s", "times_real_time"}
+    first, second = (
+        {key: value for key, value in summary.items() if key not in its_own}
+        for summary in summaries
+    )
+    assert first == second
+
+
+def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
+    """July 2021 at Toronto City Centre, as the file itself has it."""
+    said = about(tmp_path, JULY)
+    assert said["format"] == "Environment and Climate Change Canada"
+    assert (said["places"], said["km_from_site"]) == ([[43.63, -79.4]], [0.0])
+    assert (said["first_hour"], said["hours"]) == ("2021-07-01T00:00:00-05:00", 744)
+    assert said["last_hour"] == "2021-07-31T23:00:00-05:00"
+    # The sum of its column of precipitation.
+    assert said["rain_mm"] == {"2021-07": {"sum": 112.3, "hours": 744, "missing_hours": 0}}
+    assert said["rain_late_h"] == 1
+    assert said["missing"] == {}
+    assert said["interpolated"]["temperature"] == [
+        "2021-07-20T13:00-05:00 to 2021-07-20T17:00-05:00 (5 hours)", "2021-07-21T11:00-05:00",
+    ]
+    assert said["columns"]["temperature"]["missing_hours"] == 6
+    assert said["evapotranspiration"]["method"] == "fao56"
+    (suspicious,) = about(tmp_path, DECEMBER)["suspicious"]
+    assert suspicious.startswith("79.2 mm at 2015-12-29T02:00-05:00")
+    table = weather(tmp_path, JULY).stdout
+    for words in ("43.63 N, 79.40 W", "112.3 mm", "2021-07, 744 hours", "fao56"):
+        assert words in table
+
+
+def test_what_a_file_of_elsewhere_is(tmp_path: Path) -> None:
+    """A run refuses it; here its distance is said: a degree of latitude is 111.2 km."""
+    file = open_meteo(tmp_path / "answer.json", latitude=44.63)
+    said = about(tmp_path, file)
+    assert said["format"] == "Open-Meteo"
+    assert said["km_from_site"] == [pytest.approx(111.2, abs=0.1)]
+    assert "111 km from the site, 43.63 N, 79.40 W (--site)" in weather(tmp_path, file).stdout
+    assert any("precipitation (mm) of -999 at 2021-07-08T16:00" in note for note in said["notes"])
+    assert said["missing"] == {"precipitation": ["2021-07-08T15:00-05:00"]}
+
+
+def test_what_a_rain_gauges_file_is(tmp_path: Path) -> None:
+    """Its zone is the site's; without monthly means it is said what is lacking."""
+    file = logger(tmp_path / "logger.csv")
+    place = site_file(tmp_path, time_zone="America/Toronto")
+    said = about(tmp_path, file, "--site", place)
+    assert (said["format"], said["places"]) == ("own CSV", [])
+    assert said["first_hour"] == "2021-07-07T14:00:00-04:00"
+    # 576 rows of 0, 0.1 and 0.2 mm, less the last three, in the last hour.
+    assert said["rain_mm"]["2021-07"]["sum"] == pytest.approx(192 * 0.3, abs=0.11)
+    assert said["evapotranspiration"]["method"] == "monthly"
+    assert said["evapotranspiration"]["mean_mm_per_day"] == pytest.approx(4.02)
+    climateless = tmp_path / "climateless.yaml"
+    climateless.write_text("".join(
+        line for line in (CONFIG / "site.yaml").read_text().splitlines(keepends=True)
+        if not line.startswith("monthly_evapotranspiration")
+    ) + "time_zone: America/Toronto\n")
+    lacking = about(tmp_path, file, "--site", climateless)["evapotranspiration"]
+    assert lacking["method"] is None
+    assert "give the site file monthly_evapotranspiration" in lacking["reason"]
+    assert "EVAPOTRANSPIRATION" in weather(tmp_path, file, "--site", climateless).stdout
+
+
+def test_years_are_summed(tmp_path: Path) -> None:
+    """A millimetre an hour for three years: 8760 or 8784 mm."""
+    hours = np.arange("2019-01-01", "2022-01-01", dtype="datetime64[h]")
+    file = tmp_path / "years.csv"
+    file.write_text("\n".join(["time,rain [mm]", *(f"{hour}:00Z,1" for hour in hours)]))
+    assert {year: rain["sum"] for year, rain in about(tmp_path, file)["rain_mm"].items()} == {
+        "2019": 8760.0, "2020": 8784.0, "2021": 8760.0,
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "output", "message"),
+    [
+        ("time,rain_mm\n2021-07-01T00:00Z,1\n", None, "rain.csv, line 1: 'rain_mm': a column must"),
+        ("time,rain [mm]\n2021-07-01 00:00,1\n", None,
+         "rain.csv, line 2: time = '2021-07-01 00:00': must say its offset from UTC"),
+        ("time,rain [mm]\n2021-07-01T00:00Z,1\n", "rain.csv", "--output = 'rain.csv': exists"),
+        ("time,rain [mm]\n2021-07-01T00:00Z,1\n", "rain.txt", "--output = 'rain.txt': must be"),
+    ],
+)
+def test_what_is_wrong_is_said(
+    tmp_path: Path, text: str, output: str | None, message: str
+) -> None:
+    (tmp_path / "rain.csv").write_text(text)
+    done = weather(tmp_path, "rain.csv", *([] if output is None else ["--output", output]))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"error: {message}")
