@@ -11,39 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from greenroof_ros.analysis.api import gym
-    from greenroof_ros.analysis.api.control import ForecastSteps, SiteState
     from greenroof_ros.analysis.api.environment import Environment
     from greenroof_ros.analysis.api.inputs import read_site
     from greenroof_ros.analysis.api.result import Result, read_bag
-    from greenroof_ros.analysis.api.simulate import Comparison, compare, simulate
-    from greenroof_ros.common.errors import ConfigurationError
-    from greenroof_ros.common.parameter import Parameter
-    from greenroof_ros.forecast.choice import ForecastChoice
-    from greenroof_ros.model.site import Site
+    from greenroof_ros.analysis.api.simulate import compare, simulate
 
 __version__ = "1.0.0"
 
-__all__ = [
-    "Comparison", "ConfigurationError", "Environment", "ForecastChoice", "ForecastSteps",
-    "Parameter", "Result", "Site", "SiteState", "compare", "gym", "read_bag", "read_site",
-    "simulate",
-]
+__all__ = ["Environment", "Result", "compare", "gym", "read_bag", "read_site", "simulate"]
 
-# The module of each of these names.
+# The module of each of these names in analysis/api; gym is itself one.
 _MODULES = {
-    "Comparison": "analysis.api.simulate",
-    "ConfigurationError": "common.errors",
-    "Environment": "analysis.api.environment",
-    "ForecastChoice": "forecast.choice",
-    "ForecastSteps": "analysis.api.control",
-    "Parameter": "common.parameter",
-    "Result": "analysis.api.result",
-    "Site": "model.site",
-    "SiteState": "analysis.api.control",
-    "compare": "analysis.api.simulate",
-    "read_bag": "analysis.api.result",
-    "read_site": "analysis.api.inputs",
-    "simulate": "analysis.api.simulate",
+    "Environment": "environment", "Result": "result", "compare": "simulate",
+    "read_bag": "result", "read_site": "inputs", "simulate": "simulate",
 }
 
 
@@ -51,10 +31,11 @@ if not TYPE_CHECKING:  # or every name would be right
 
     def __getattr__(name: str) -> Any:
         """Load a name of ``__all__``."""
+        api = f"{__name__}.analysis.api"
         if name == "gym":
-            return importlib.import_module(f"{__name__}.analysis.api.gym")
+            return importlib.import_module(f"{api}.gym")
         if name in _MODULES:
-            return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
+            return getattr(importlib.import_module(f"{api}.{_MODULES[name]}"), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -15,6 +15,7 @@ import greenroof_ros as gr
 from examples.rain_wait import RainWait
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.model.site import Site
 
 EXAMPLE = "examples.rain_wait:RainWait"
 
@@ -67,7 +68,7 @@ def test_ends_are_set_for_a_class_that_takes_them() -> None:
     class NextTicks(RainWait):
         parameters = RainWait.parameters[1:]
 
-        def __init__(self, site: gr.Site, command_on: float) -> None:
+        def __init__(self, site: Site, command_on: float) -> None:
             super().__init__(site, 0.0, command_on)
 
     own = NextTicks(PAPER_SITE, 1.0)

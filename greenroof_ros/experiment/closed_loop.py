@@ -60,8 +60,6 @@ class TickInputs(NamedTuple):
     """m"""
     roof_level: float
     """m, as the sensor reads it"""
-    allowed: bool
-    """whether the pump may run: neither frost nor quiet hours"""
 
 
 def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[Tick]:
@@ -97,9 +95,8 @@ def _ticks(
         x1, x2, layer = plant.x1, plant.x2, plant.layer
         metrics.observe(site, x1, x2, layer)
         if controller is None:
-            allowed = not (frost or quiet)
-            command = yield TickInputs(k, cistern_level, roof_level, allowed)
-            command = command if allowed else 0.0
+            command = yield TickInputs(k, cistern_level, roof_level)
+            command = 0.0 if frost or quiet else command
         else:
             command = decide(
                 controller, not frost, cistern_level, roof_level,

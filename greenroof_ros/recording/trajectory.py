@@ -1,4 +1,4 @@
-"""The trajectory of a run, sample by sample, and its parquet file, which is exact to the bit."""
+"""The trajectory of a run, sample by sample, and its files, which are exact to the bit."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 Samples = NDArray[np.float64]
 
-TRAJECTORY = "trajectory.parquet"
-"""The file's name in the directory of a run."""
+TRAJECTORY, CSV = "trajectory.parquet", "trajectory.csv"
+"""The file's name in the directory of a run: of a study or of Python, and of the command."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class Trajectory:
         })
 
     def to_parquet(self) -> bytes:
-        """Return the content of a file for :func:`read_parquet`.
+        """Return the content of a file for :func:`read_trajectory`.
 
         Raises:
             ConfigurationError: polars is not installed.
@@ -98,8 +98,8 @@ def _zone_name(time: datetime) -> str:
     return f"Etc/GMT{-hours:+g}" if hours and hours.is_integer() else "UTC"
 
 
-def read_parquet(path: Path) -> Trajectory:
-    """Read a trajectory.
+def read_trajectory(path: Path) -> Trajectory:
+    """Read a trajectory, a parquet file or the command's CSV.
 
     Raises:
         ConfigurationError: the file cannot be read, is damaged or is not a trajectory, or polars is
@@ -111,13 +111,28 @@ def read_parquet(path: Path) -> Trajectory:
         content = path.read_bytes()
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
+    columns = list(_COLUMNS.values())
     try:
-        start = datetime.fromisoformat(polars.read_parquet_metadata(io.BytesIO(content))["start"])
-        table = polars.read_parquet(io.BytesIO(content), columns=list(_COLUMNS.values()))
-        if start.utcoffset() is None or table.is_empty() or set(table.dtypes) != {polars.Float64}:
+        if path.suffix == ".csv":
+            numbers = dict.fromkeys(columns, polars.Float64)
+            table = polars.read_csv(
+                content, columns=["time", *columns], schema_overrides=numbers
+            )
+            start = datetime.fromisoformat(table["time"][0])
+        else:
+            start = datetime.fromisoformat(
+                polars.read_parquet_metadata(io.BytesIO(content))["start"]
+            )
+            table = polars.read_parquet(io.BytesIO(content), columns=columns)
+        table = table.select(columns)
+        if (
+            start.utcoffset() is None or table.is_empty()
+            or set(table.dtypes) != {polars.Float64} or any(table.null_count().row(0))
+        ):
             raise ValueError
     except (
-        polars.exceptions.PolarsError, polars.exceptions.PanicException, KeyError, ValueError
+        polars.exceptions.PolarsError, polars.exceptions.PanicException, KeyError, IndexError,
+        TypeError, ValueError,
     ) as error:
         raise ConfigurationError(
             "is empty, truncated or not a trajectory; repeat the run", file=path

@@ -13,16 +13,10 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice, choice_of, find_controller
-from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON
 from greenroof_ros.model.site import Site
 
 Values = NDArray[np.float64]
-
-HORIZON = Parameter(
-    "horizon", 24.0, "h", 0.1, LONGEST_HORIZON, "how far the forecast reaches, in growing steps"
-)
-"""of a function's forecast, and of an environment's"""
 
 
 class SiteState(NamedTuple):
@@ -67,7 +61,9 @@ Function = Callable[[SiteState, ForecastSteps], float]
 class FunctionController:
     """A controller that calls a function; a subclass has the function."""
 
-    parameters: ClassVar[tuple[Parameter, ...]] = (HORIZON,)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter(
+        "horizon", 24.0, "h", 0.1, LONGEST_HORIZON, "how far the forecast reaches, in growing steps"
+    ),)
     function: ClassVar[Function]
     forecast_ends: Values
 
@@ -75,8 +71,8 @@ class FunctionController:
         self._site = site
         self._tick = -1
         self.forecast_ends = np.empty(0)
-        self.start: datetime | None = None
-        """of the run"""
+        self.start: datetime
+        """of the run; is set before it"""
 
     def command(
         self,
@@ -87,7 +83,6 @@ class FunctionController:
     ) -> float:
         """Return what the function returns, as a number if it is one."""
         self._tick += 1
-        assert self.start is not None, "start_controller is called first"
         time = self.start + timedelta(seconds=self._tick * self._site.tau)
         value = type(self).function(
             SiteState(time, cistern_level, roof_level, self._site),
@@ -149,10 +144,3 @@ def parameters_of(instance: Controller, choice: ControllerChoice) -> dict[str, f
             "known; or give the class, and horizon=", key=f"an instance of {choice.name}",
         )
     return values
-
-
-def start_controller(controller: Controller, run: Run) -> Controller:
-    """Give a function the start of its run, and return its controller."""
-    if isinstance(controller, FunctionController):
-        controller.start = run.start
-    return controller

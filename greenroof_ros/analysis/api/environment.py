@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
 
-from greenroof_ros.analysis.api.control import (
-    HORIZON,
-    ForecastSteps,
-    FunctionController,
-    SiteState,
-)
-from greenroof_ros.analysis.api.inputs import PathText, make_run
+from greenroof_ros.analysis.api.control import ForecastSteps, FunctionController, SiteState
+from greenroof_ros.analysis.api.inputs import make_run
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import choice_of
 from greenroof_ros.experiment.closed_loop import Tick, open_loop
-from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.site import Site
 
 
 class Environment:
@@ -50,42 +42,19 @@ class Environment:
     state: SiteState
     done: bool
 
-    def __init__(
-        self,
-        *,
-        site: PathText | Site | None = None,
-        weather: Any = None,
-        start: str | datetime | None = None,
-        hours: float | None = None,
-        forecast: PathText | ForecastChoice = "perfect",
-        initial: str | Sequence[float] | None = None,
-        evapotranspiration: str | None = None,
-        gaps: str = "refuse",
-        horizon: float = HORIZON.default,
-    ) -> None:
-        """Take the inputs of :func:`.simulate`, and begin.
+    def __init__(self, **inputs: Any) -> None:
+        """Begin a run.
 
         Args:
-            site: see there, as for the others.
-            weather: weather.
-            start: time of the first tick.
-            hours: length (h).
-            forecast: which forecasts.
-            initial: initial state.
-            evapotranspiration: its method.
-            gaps: what to do about them.
-            horizon: how far the forecasts reach (h).
+            inputs: of :func:`.simulate`, without the controller; and ``horizon``, how far the
+                forecasts reach (h).
 
         Raises:
             ConfigurationError: an input is wrong.
         """
-        self._run = make_run(
-            choice_of(FunctionController), None, {"horizon": horizon}, site=site, weather=weather,
-            start=start, hours=hours, forecast=forecast, initial=initial,
-            evapotranspiration=evapotranspiration, gaps=gaps,
-        )
+        self._run = make_run(choice_of(FunctionController), **inputs)
         self.site = self._run.site
-        self._ends = look_ahead_ends(self.site, horizon)
+        self._ends = look_ahead_ends(self.site, self._run.parameters["horizon"])
         self.reset()
 
     def reset(self, seed: int | None = None) -> SiteState:
@@ -127,7 +96,7 @@ class Environment:
 
     def _next(self) -> None:
         """See what the next tick begins with; the last one has only this."""
-        self._k, cistern, roof, _ = next(self._loop)
+        self._k, cistern, roof = next(self._loop)
         time = self._run.start + timedelta(seconds=self._k * self.site.tau)
         self.state = SiteState(time, cistern, roof, self.site)
         self.done = self._k == self._run.steps

@@ -29,13 +29,14 @@ from greenroof_ros.model.initial_state import (
 )
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
+from greenroof_ros.weather.series import REFUSE
 
 PathText: TypeAlias = "str | os.PathLike[str]"
 
-INPUTS = (
+# The names of a run's inputs besides its controller.
+_INPUTS = (
     "site", "weather", "start", "hours", "forecast", "initial", "evapotranspiration", "gaps",
 )
-"""the names of a run's inputs besides its controller"""
 
 
 @functools.cache
@@ -156,7 +157,7 @@ def check_parameters(
         if name not in known:
             raise ConfigurationError(
                 f"is neither an input nor a parameter of {choice.name}; "
-                f"{did_you_mean(name, [*INPUTS, *known])}", key=name, value=value,
+                f"{did_you_mean(name, [*_INPUTS, *known])}", key=name, value=value,
             )
         try:
             values[name] = known[name].range.check(value)
@@ -167,8 +168,7 @@ def check_parameters(
 
 def make_run(
     choice: ControllerChoice,
-    parameters: Mapping[str, float] | None,
-    given: Mapping[str, float],
+    own: Mapping[str, float] | None = None,
     *,
     site: PathText | Site | None = None,
     weather: Any = None,
@@ -177,14 +177,14 @@ def make_run(
     forecast: PathText | ForecastChoice = "perfect",
     initial: str | Sequence[float] | None = None,
     evapotranspiration: str | None = None,
-    gaps: str = "refuse",
+    gaps: str = REFUSE,
+    **parameters: Any,
 ) -> Run:
-    """Build and check a run; its inputs are as in :func:`.simulate`.
+    """Build and check a run; its inputs are those of :func:`.simulate`.
 
     Args:
         choice: its controller.
-        parameters: all of the controller's; None for those given and the defaults.
-        given: parameters of the controller.
+        own: all parameters of an instance; None for those given, and defaults.
         site: see there, as for the others.
         weather: weather.
         start: time of tick 0.
@@ -193,19 +193,19 @@ def make_run(
         initial: initial state.
         evapotranspiration: its method.
         gaps: what to do about them.
+        parameters: of the controller.
 
     Raises:
         ConfigurationError: an input is wrong.
     """
     file = file_of_site(site)
     site = site_file.read_site(file)
-    if parameters is None:
-        parameters = check_parameters(choice, site, given)
+    values = check_parameters(choice, site, parameters) if own is None else dict(own)
     name, volumes = _initial(site, initial)
     check_volumes(site, *volumes, keys=("initial, cistern", "initial, roof"))
     begin = start.isoformat() if isinstance(start, datetime) else start
     return build_run(
         file, site, read_weather(_weather_files(weather), site, evapotranspiration, gaps),
-        begin or DEFAULT_START, count_ticks(site, hours, "hours"), choice, dict(parameters), name,
-        volumes, _forecast(forecast),
+        begin or DEFAULT_START, count_ticks(site, hours, "hours"), choice, values, name, volumes,
+        _forecast(forecast),
     )

@@ -102,7 +102,7 @@ class Result:
             4
         """
         with in_extra("study"):
-            from greenroof_ros.analysis.api.chart import overlaid
+            from greenroof_ros.analysis.report.trajectories import overlaid
         return overlaid(self.run.site, {self.run.controller.name: self.ticks})
 
     def save(self, directory: PathText) -> Path:
@@ -177,5 +177,6 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
     run = read_run(bag, bag.name, None if site is None else file_of_site(site))
     if isinstance(run, dict):
         raise ConfigurationError(run["error"], file=bag)
-    assert run.load is not None, "a run with a bag has a trajectory"
+    if run.load is None:
+        raise ConfigurationError("has no trajectory; repeat the run with --trajectory", file=bag)
     return table(run.site, run.load().trajectory)

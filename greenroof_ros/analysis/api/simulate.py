@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -10,19 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.analysis.api.control import (
     Function,
+    FunctionController,
     choose_controller,
     parameters_of,
-    start_controller,
 )
 from greenroof_ros.analysis.api.inputs import PathText, make_run
 from greenroof_ros.analysis.api.result import Result
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.controllers.protocol import Controller, set_forecast_ends
-from greenroof_ros.experiment import summary
-from greenroof_ros.experiment.closed_loop import closed_loop, record
+from greenroof_ros.experiment.closed_loop import record
+from greenroof_ros.experiment.simulation import Simulation
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.look_ahead import look_ahead_ends
-from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site
 
 if TYPE_CHECKING:
@@ -84,28 +82,26 @@ def simulate(
         2
     """
     choice, instance = choose_controller(controller)
-    if instance is not None and parameters:
+    own = None if instance is None else parameters_of(instance, choice)
+    if own is not None and parameters:
         raise ConfigurationError(
             f"cannot be given with an instance of {choice.name}, which has its own",
             key=", ".join(parameters),
         )
     run = make_run(
-        choice, None if instance is None else parameters_of(instance, choice), parameters,
-        site=site, weather=weather, start=start, hours=hours, forecast=forecast, initial=initial,
-        evapotranspiration=evapotranspiration, gaps=gaps,
+        choice, own, site=site, weather=weather, start=start, hours=hours, forecast=forecast,
+        initial=initial, evapotranspiration=evapotranspiration, gaps=gaps, **parameters,
     )
     if instance is None:
         instance = run.make_controller()
     else:
         ends = look_ahead_ends(run.site, run.parameters.get("horizon", 0.0))
         set_forecast_ends(instance, ends)
-    start_controller(instance, run)
-    metrics, began = Metrics(), time.monotonic()
-    ticks = record(run, closed_loop(run, instance, metrics))
-    return Result(run, summary.build(
-        run, metrics.results(), metrics.weekly_deviations(), wall_s=time.monotonic() - began,
-        solver=instance.statistics(),
-    ), ticks)
+    if isinstance(instance, FunctionController):
+        instance.start = run.start
+    simulation = Simulation(run, instance)
+    ticks = record(run, simulation.ticks())
+    return Result(run, simulation.summary(), ticks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +134,7 @@ class Comparison:
             ConfigurationError: altair is not installed.
         """
         with in_extra("study"):
-            from greenroof_ros.analysis.api.chart import overlaid
+            from greenroof_ros.analysis.report.trajectories import overlaid
         first = next(iter(self.results.values()))
         return overlaid(
             first.run.site, {name: result.ticks for name, result in self.results.items()}

@@ -9,12 +9,13 @@ from datetime import datetime, timezone
 import pytest
 
 import greenroof_ros as gr
+from greenroof_ros.analysis.api.simulate import Comparison
 
 NAMES = {"on/off": "onoff", "MPC": "mpc"}
 
 
 @pytest.fixture(scope="module")
-def compared() -> gr.Comparison:
+def compared() -> Comparison:
     return gr.compare(NAMES, hours=3)
 
 
@@ -26,7 +27,7 @@ def points(chart: object, panel: int) -> list[dict[str, object]]:
     return list(described["datasets"][layer.get("data", view.get("data"))["name"]])
 
 
-def test_panels(compared: gr.Comparison) -> None:
+def test_panels(compared: Comparison) -> None:
     """Each controller has its line in each panel but the rain's, with its extremes."""
     chart = compared.plot()
     for panel, (column, factor) in enumerate(
@@ -45,7 +46,7 @@ def test_panels(compared: gr.Comparison) -> None:
     assert max(row["v"] for row in points(chart, 0)) == pytest.approx(3.0)  # mm/h
 
 
-def test_the_axis_has_the_sites_time(compared: gr.Comparison) -> None:
+def test_the_axis_has_the_sites_time(compared: Comparison) -> None:
     """Its times are local times, drawn as if they were UTC: the same in every browser."""
     times = [row["t"] for row in points(compared.plot(), 1)]
     local = [datetime.fromtimestamp(t / 1000, timezone.utc) for t in (min(times), max(times))]
@@ -55,7 +56,7 @@ def test_the_axis_has_the_sites_time(compared: gr.Comparison) -> None:
     assert bottom["title"] == "from 7 July 2021, 02:00 on, local time (UTC-05:00)"
 
 
-def test_a_picture(compared: gr.Comparison) -> None:
+def test_a_picture(compared: Comparison) -> None:
     """It can be drawn without a browser; a single run has no legend."""
     stream = io.BytesIO()
     compared.plot().save(stream, format="png")
@@ -66,7 +67,7 @@ def test_a_picture(compared: gr.Comparison) -> None:
     assert alone["encoding"]["color"]["legend"] is None
 
 
-def test_table(compared: gr.Comparison) -> None:
+def test_table(compared: Comparison) -> None:
     """A row for each; results are taken as they are."""
     table = compared.table
     assert table["controller"].to_list() == list(NAMES)

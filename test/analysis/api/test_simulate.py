@@ -19,6 +19,7 @@ from places import CHECKOUT, CONFIG, DATA
 from refusals import refusal
 
 import greenroof_ros as gr
+from greenroof_ros.analysis.api.control import ForecastSteps, SiteState
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.onoff import OnOff
@@ -93,7 +94,7 @@ def test_every_kind_of_controller() -> None:
     named = gr.simulate("onoff", hours=1)
     site = gr.read_site()
 
-    def by_levels(state: gr.SiteState, forecast: gr.ForecastSteps) -> bool:
+    def by_levels(state: SiteState, forecast: ForecastSteps) -> bool:
         return state.roof_level < site.z_veg and state.cistern_level >= site.suction_level
 
     for other in (OnOff, OnOff(site, 1.0), by_levels):
@@ -114,7 +115,7 @@ def test_what_a_function_gets() -> None:
     """
     seen = []
 
-    def never(state: gr.SiteState, forecast: gr.ForecastSteps) -> float:
+    def never(state: SiteState, forecast: ForecastSteps) -> float:
         seen.append((state, forecast))
         return 0.0
 

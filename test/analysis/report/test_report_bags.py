@@ -51,7 +51,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.recording.bag_writer import BagWriter
-from greenroof_ros.recording.trajectory import Trajectory, read_parquet
+from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
 
 TOTAL = "total_deviation_m3"
 
@@ -68,19 +68,19 @@ def test_parquet(tmp_path: Path) -> None:
     written = Trajectory(start=START, **dict(zip(NAMES, columns, strict=True)))
     whole = written.to_parquet()
     file.write_bytes(whole)
-    again = read_parquet(file)
+    again = read_trajectory(file)
     assert again.start.isoformat() == START.isoformat()
     for name in NAMES:
         bits = (getattr(some, name).view(np.int64) for some in (again, written))
         np.testing.assert_array_equal(*bits)
     # Empty, cut anywhere, without samples, another table, without a start.
     contents = [b"", whole[:100], whole[:-1], trajectory_of([]).to_parquet()]
-    for table in (polars.DataFrame({"time_s": [1.0], "frost": [1]}), polars.read_parquet(whole)):
+    for table in (polars.DataFrame({"time_s": [1.0], "frost": [1]}), polars.read_trajectory(whole)):
         table.write_parquet(file)
         contents.append(file.read_bytes())
     for content in contents:
         file.write_bytes(content)
-        refusal(read_parquet, file, match="is empty, truncated or not a trajectory")
+        refusal(read_trajectory, file, match="is empty, truncated or not a trajectory")
 
 
 # --- foreign bags --------------------------------------------------------------------------------
