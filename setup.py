@@ -148,6 +148,9 @@ setup(
             "gymnasium>=1,<2",  # whether its checks pass the environment
             "pandas>=2",  # weather in its data frames, and trajectories as such
             "pyarrow>=15",  # what polars needs for that
+            "nbclient>=0.10",  # runs the notebook in examples/
+            "nbformat>=5.9",
+            "ipykernel>=6",
             "playwright>=1.40",  # reads the report's page in the system's Chromium
             # A new minor release of a linter brings new rules; they are taken in on purpose.
             "ruff~=0.17.0",

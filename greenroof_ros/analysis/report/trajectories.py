@@ -51,9 +51,9 @@ def overlaid(site: Site, trajectories: Mapping[str, Trajectory]) -> alt.VConcatC
     charts: list[Any] = [_rained(alt.InlineData(rain), x.title(None), down).properties(
         width=_WIDTH, height=_RAIN_HEIGHT)]
     series = distinct("controller", names, "")
+    legend = alt.Legend(symbolType="stroke", symbolSize=600, columns=4)
     for channel in series.values():
-        channel.legend.columns = 4
-        channel.legend = channel.legend if len(names) > 1 else None
+        channel.legend = legend if len(names) > 1 else None
     for quantity, axis, factor in (
         ("roof", "roof level (mm)", 1000 / site.a2), ("cistern", "cistern level (m)", 1 / site.a1),
         ("pump_flow", "pump flow (L/s)", 1000.0),

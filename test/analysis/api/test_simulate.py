@@ -231,6 +231,38 @@ def test_a_saved_run_is_read_by_the_report(tmp_path: Path) -> None:
     assert "on/off" in (tmp_path / "report" / "report.html").read_text()
 
 
+@pytest.mark.parametrize("kept", [(), ("--trajectory",)])
+def test_the_commands_run_is_read_by_the_report(tmp_path: Path, kept: tuple[str, ...]) -> None:
+    """With its results; with its trajectory if it was kept, digit for digit."""
+    options = ("--controller", "onoff", "--hours", "0.3", "--trajectory-every", "10")
+    of_command(tmp_path, *options[:4], *(("--trajectory", *options[4:]) if kept else ()))
+    expected = gr.simulate("onoff", hours=0.3)
+    (run,) = find_runs([tmp_path / "out"], None).runs
+    assert run.row["total_deviation_m3"] == expected.metrics["total_deviation_m3"]
+    assert (run.row["from"], run.row["length"]) == ("low-low", "0.3 h")
+    if kept:
+        frame = gr.read_bag(tmp_path / "out")
+        assert frame.equals(expected.trajectory[::10])
+    else:
+        refusal(gr.read_bag, tmp_path / "out", match="has no trajectory")
+    done = run_command("report", "out", cwd=tmp_path, env=environment(0))
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("name", "begins"), [
+    ("run.png", b"\x89PNG"), ("run.svg", b"<svg"), ("run.html", b"<!DOCTYPE html>"),
+])
+def test_the_commands_picture(tmp_path: Path, name: str, begins: bytes) -> None:
+    """Of each kind; a page needs no network; an older picture is kept."""
+    of_command(tmp_path, "--hours", "0.3", "--controller", "onoff", "--plot", name)
+    content = (tmp_path / name).read_bytes()
+    assert content.startswith(begins)
+    assert b"roof level (mm)" in content or name == "run.png"
+    assert b"src=" not in content or name != "run.html"
+    done = run_command("simulate", "--plot", name, cwd=tmp_path, env=environment(0))
+    assert (done.returncode, "exists already" in done.stderr) == (2, True)
+
+
 def test_a_run_that_failed_has_no_trajectory(tmp_path: Path) -> None:
     """It is refused, with its reason."""
     directory = gr.simulate("onoff", hours=0.1).save(tmp_path / "mine")
