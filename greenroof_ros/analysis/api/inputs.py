@@ -54,7 +54,7 @@ def _kept(text: str, name: str) -> Path:
     return file
 
 
-def read_site(path: PathText | None = None, **changes: float) -> Site:
+def read_site(path: PathText | None = None, **changes: float | str) -> Site:
     """Read a site file; without one the paper's site.
 
     Volumes that follow from changed values follow them, such as the target volume ``x2_star`` from

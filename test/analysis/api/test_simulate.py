@@ -174,6 +174,7 @@ def test_sites(tmp_path: Path) -> None:
     assert expected.run.site.x2_star == pytest.approx(68.8 * 0.04)
     for site in (gr.read_site(tmp_path / "low.yaml"), gr.read_site(z_veg=0.04)):
         assert gr.simulate("onoff", site=site, hours=1).metrics == expected.metrics
+    assert str(gr.read_site(time_zone="America/Toronto").time_zone) == "America/Toronto"
     refusal(lambda: gr.read_site(z_vegg=0.04), match="did you mean z_veg")
 
 

@@ -75,7 +75,7 @@ def test_parquet(tmp_path: Path) -> None:
         np.testing.assert_array_equal(*bits)
     # Empty, cut anywhere, without samples, another table, without a start.
     contents = [b"", whole[:100], whole[:-1], trajectory_of([]).to_parquet()]
-    for table in (polars.DataFrame({"time_s": [1.0], "frost": [1]}), polars.read_trajectory(whole)):
+    for table in (polars.DataFrame({"time_s": [1.0], "frost": [1]}), polars.read_parquet(whole)):
         table.write_parquet(file)
         contents.append(file.read_bytes())
     for content in contents:
