@@ -62,6 +62,12 @@ class Environment:
 
         Args:
             seed: of the errors of forecasts that have errors; as before if None.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> roof = gr.Environment(hours=1)
+            >>> roof.step(0.0) and roof.reset().time.isoformat()
+            '2021-07-07T02:00:00-05:00'
         """
         if seed is not None:
             run = self._run
@@ -83,6 +89,12 @@ class Environment:
 
         Raises:
             ConfigurationError: the command is wrong, or the run has ended.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> tick = gr.Environment(hours=1).step(0.5)
+            >>> tick.k, tick.command, round(1000 * tick.flows.pump, 2)
+            (0, 0.5, 4.18)
         """
         if self.done:
             raise ConfigurationError("has ended; reset() begins it again", key="the run")
@@ -103,7 +115,15 @@ class Environment:
 
     @property
     def forecast(self) -> ForecastSteps:
-        """What is known now of the weather that comes."""
+        """What is known now of the weather that comes.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> forecast = gr.Environment(hours=1, horizon=3).forecast
+            >>> lengths = forecast.ends[1:] - forecast.ends[:-1]
+            >>> print(f"{1000 * forecast.rain @ lengths:.1f} mm of rain in 3 h")
+            3.2 mm of rain in 3 h
+        """
         forecast = self._run.forecast
         return ForecastSteps(
             np.asarray(forecast.precipitation(self._k)),
@@ -112,5 +132,13 @@ class Environment:
 
     @property
     def metrics(self) -> dict[str, float]:
-        """The metrics until now, by their names in ``summary.json``."""
+        """The metrics until now, by their names in ``summary.json``.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> roof = gr.Environment(hours=1)
+            >>> _ = roof.step(1.0)
+            >>> roof.metrics["pump_starts"]
+            1
+        """
         return self._metrics.results()

@@ -54,7 +54,13 @@ class Result:
 
     @cached_property
     def metrics(self) -> dict[str, float]:
-        """The metrics by their names in ``summary.json``, which end with their unit."""
+        """The metrics by their names in ``summary.json``, which end with their unit.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> gr.simulate("onoff", hours=1).metrics["pump_starts"]
+            2
+        """
         return {
             metric.name: self.summary[metric.name]
             for metric in METRICS if metric.name in self.summary
@@ -83,6 +89,12 @@ class Result:
 
         Raises:
             ConfigurationError: polars is not installed.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> frame = gr.simulate("onoff", hours=1).trajectory
+            >>> frame["time", "command"].row(0)[1], frame.height
+            (1.0, 3601)
         """
         return table(self.run.site, self.ticks)
 

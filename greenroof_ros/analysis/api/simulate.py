@@ -47,10 +47,11 @@ def simulate(
         controller: ``"mpc"``, ``"onoff"``, ``"anticipating_onoff"``, ``"lookahead"`` or another
             registered name, ``"package.module:Class"``; a class as "Your controller" in the
             documentation describes it; an instance, which goes on with what it has learned; or a
-            function of (state, forecast), see :class:`.SiteState` and :class:`.ForecastSteps`, that
-            returns the command, the share of the pumps' maximum flow. The parameter ``horizon`` of
-            a function (h, 24 by default) says how far its forecast reaches.
-        site: a site file or what :func:`.read_site` returns; by default the paper's.
+            function of (state, forecast) that returns the command, the share of the pumps' maximum
+            flow. ``state`` has time, cistern_level and roof_level (m), cistern and roof (m3), and
+            the site. ``forecast`` has rain (m/s), evapotranspiration (m3/s) and the ends of its
+            steps (s); a function's parameter ``horizon`` (h, 24 by default) is its length.
+        site: a site file or what ``gr.read_site`` returns; by default the paper's.
         weather: a file, a pattern or several of them, or a data frame of polars or pandas with
             hourly rows and the columns of such a file: ``time`` (or an index of times),
             ``precipitation [mm/h]`` and others. By default the paper's.
@@ -58,11 +59,13 @@ def simulate(
             the weather's time zone. By default the paper's window, 2021-07-07T02:00-05:00.
         hours: length of the run (h); by default N of the site file, 12 h.
         forecast: ``"perfect"``, ``"persistence"``, ``"errors"``, ``"ensemble"``, the path of
-            archived forecasts, or a :class:`.ForecastChoice`, which also has a seed and a skill.
+            archived forecasts, or a ``ForecastChoice`` (``greenroof_ros.forecast.choice``), which
+            also has a seed and a skill.
         initial: ``"low-low"``, ``"high-low"`` or ``"high-high"``, Table II of the paper, or the
             volumes in cistern and on the roof (m3). By default from the site file, or low-low.
-        evapotranspiration: ``"fao56"`` to compute it, or the name of the weather file's own
-            column; by default the file's own, ``"fao56"`` if it has none.
+        evapotranspiration: ``"fao56"``, ``"hargreaves"``, ``"monthly"``, or the name of the weather
+            file's own column; by default the file's own, otherwise the first of these three for
+            which it has what is needed.
         gaps: ``"refuse"``, or ``"fill"`` to fill long gaps of the weather.
         parameters: of the controller, such as ``weight=0.01``.
 
@@ -120,6 +123,12 @@ class Comparison:
 
         Raises:
             ConfigurationError: polars is not installed.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> table = gr.compare({"on/off": "onoff", "MPC": "mpc"}, hours=0.1).table
+            >>> table["controller", "pump_starts"].rows()
+            [('on/off', 1), ('MPC', 1)]
         """
         with in_extra("study"):
             import polars
@@ -132,6 +141,12 @@ class Comparison:
 
         Raises:
             ConfigurationError: altair is not installed.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> chart = gr.compare({"on/off": "onoff", "MPC": "mpc"}, hours=0.1).plot()
+            >>> len(chart.vconcat)
+            4
         """
         with in_extra("study"):
             from greenroof_ros.analysis.report.trajectories import overlaid
