@@ -180,7 +180,7 @@ def make_run(
     gaps: str = REFUSE,
     **parameters: Any,
 ) -> Run:
-    """Build and check a run; its inputs are those of :func:`.simulate`.
+    """Build and check a run from the inputs of :func:`.simulate`.
 
     Args:
         choice: its controller.
