@@ -104,13 +104,17 @@ class FoxgloveServer:
             self._server.stop()
 
     def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
-        """Receive a message, and find its time; before the first clock of a run it has none."""
+        """Receive a message, and find its time.
+
+        Before a run's second clock it has none. If its number is no tick's, as of a pump driver
+        that was restarted, it has the newest time.
+        """
         if name == DIAGNOSTICS and (received := wire.statuses(message)) is not None:
             self._update_run(*received)
         if name == _CLOCK and (time_ns := wire.clock(message)) is not None:
             self._ticks.clock(number, time_ns)
         tick_ns = self._ticks.time(number) if self._topics[name].per_tick else None
-        time_ns = arrived_ns if self._live else tick_ns or self._ticks.newest_ns
+        time_ns = arrived_ns if self._live else tick_ns or self._ticks.time(None)
         if time_ns:
             self._waiting.append((time_ns, name, message))
 
