@@ -10,7 +10,6 @@ from pathlib import Path
 
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.watch.foxglove_server import refuse_unusable
 from greenroof_ros.watch.page_process import watcher
 
 
@@ -31,6 +30,8 @@ def bring_up(
     """
     watchers = {"watch": ("--site", str(site_file))} if arguments.watch else {}
     if arguments.foxglove is not None:
+        from greenroof_ros.watch.foxglove_server import refuse_unusable  # not needed otherwise
+
         refuse_unusable(arguments.foxglove)
         watchers["foxglove"] = "--foxglove", str(arguments.foxglove)
     try:
