@@ -10,6 +10,7 @@ import signal
 import socket
 import struct
 import threading
+import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
@@ -24,9 +25,15 @@ from test_watch_command import end, tcp_addresses_of
 
 from greenroof_ros.common.interface import read_topics
 
-aiohttp = pytest.importorskip("aiohttp", reason="the client uses it")
+pytest.importorskip("aiohttp", reason="the client uses it")
 pytest.importorskip("foxglove", reason="serves Foxglove")
 pytest.importorskip("rclpy", reason="nodes need ROS 2")
+
+import aiohttp
+from diagnostic_msgs.msg import DiagnosticArray
+from ros_rig import Observer
+from std_msgs.msg import Float64
+from test_feed import node
 
 LEVEL = "/roof/level"
 URL = re.compile(r"ws://127\.0\.0\.1:(\d+)\n")
@@ -152,6 +159,33 @@ def test_a_client_receives_the_roofs_level_as_in_the_bag(
     values = {time_ns: struct.unpack("<4xd", data)[0] for time_ns, data in messages.items()}
     assert [value for _, value in found] == [values[time_ns] for time_ns, _ in found]
     assert len({time_ns for time_ns, _ in found}) == 40
+
+
+def test_at_a_live_site_a_value_has_its_time_of_arrival(
+    observer: Observer, domain: int, tmp_path: Path
+) -> None:
+    """A sensor and a node that has no ticks are such a site."""
+    level, diagnostics = observer.publisher(LEVEL), observer.publisher("/diagnostics")
+    viewer = Process(domain, "watch", "--foxglove", "0", cwd=tmp_path)
+    port, done = port_of(viewer.stdout), threading.Event()
+
+    def publish() -> None:
+        while not done.wait(0.05):
+            diagnostics.publish(DiagnosticArray(status=[node("controller", name="/onoff")]))
+            level.publish(Float64(data=0.0321))
+
+    thread = threading.Thread(target=publish)
+    began = time.time_ns()
+    thread.start()
+    try:
+        _, found = receive(port, LEVEL, 10)
+    finally:
+        done.set()
+        thread.join()
+    assert {value for _, value in found} == {0.0321}
+    times = [time_ns for time_ns, _ in found]
+    assert times == sorted(times) and began < times[0] and times[-1] < time.time_ns()
+    end(viewer)
 
 
 def test_a_run_in_foxglove_is_the_same_run(domain: int, tmp_path: Path) -> None:
