@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import namespace, within
+from greenroof_ros.common.command_line import add_foxglove, namespace, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.experiment.run_directory import writable
@@ -205,6 +205,10 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         help="show the graph on a page in a browser, whose address is printed. The page ends with "
         "the graph; the graph does not need it. The page of greenroof watch stays. Needs "
         "the extra [watch]",
+    )
+    add_foxglove(
+        group, "serve the graph to Foxglove or Lichtblick on this machine, at the address that is "
+        "printed, until the graph ends; the graph does not need it.",
     )
     group = parser.add_argument_group(
         "the drive",
