@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.watch.page_process import watcher
 
 
 def bring_up(
@@ -25,8 +24,13 @@ def bring_up(
         start: runs the graph and returns the exit code.
         stopped: the exit code if a signal comes before any node was started.
     """
+    page: AbstractContextManager[None] = nullcontext()
+    if arguments.watch:
+        from greenroof_ros.watch.page_process import watcher
+
+        page = watcher(arguments.namespace, site_file)
     try:
-        with watcher(arguments.namespace, site_file) if arguments.watch else nullcontext():
+        with page:
             return start(Signals())
     except InterruptedRun as error:  # before any node was started
         print(error, file=sys.stderr)
