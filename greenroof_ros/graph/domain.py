@@ -185,7 +185,7 @@ def make_executor() -> Any:
     """Return the fastest executor of this rclpy, for nodes without publisher events.
 
     ``rclpy.experimental.EventsExecutor`` takes a third of the processor time. Publisher events can
-    lock it up (rmw_fastrtps, pull request 890). A live node has them, and time for the slow one.
+    lock it up (rmw_fastrtps, pull request 890).
     """
     try:
         from rclpy.experimental import EventsExecutor

@@ -22,7 +22,10 @@ from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.lockstep import CLOCK, RUN, Lockstep
 from greenroof_ros.graph.messages import LockstepError, decoder, qos_profile
+from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
 from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
+from greenroof_ros.graph.rclpy_internals import NoClockSubscription
+from greenroof_ros.graph.reports import Reports
 from greenroof_ros.graph.states import FINISHED, PLANT, READY, ROLES
 
 # How often publishers are counted and the node's state is reported (s of wall time): counting takes
@@ -30,7 +33,7 @@ from greenroof_ros.graph.states import FINISHED, PLANT, READY, ROLES
 _CHECK_S = 0.25
 
 
-class SimulationNode(GraphNode):
+class SimulationNode(NoClockSubscription, GraphNode):
     """A node of a simulated graph.
 
     A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, by their names in
@@ -42,18 +45,20 @@ class SimulationNode(GraphNode):
         result: what it has added to the run's summary; empty before the run is over.
     """
 
-    def __init__(self, name: str, role: str) -> None:
+    def __init__(self, name: str, role: str, reports: type[Reports] = Reports) -> None:
         """Join the graph.
 
         Args:
             name: the node's name.
             role: its role in the interface: its name, or ``controller``.
+            reports: reports the node's state.
 
         Raises:
             ConfigurationError: ROS arguments or a parameter file are wrong.
         """
         self._now_ns = 0  # 0: not set yet
-        super().__init__(name, role, read_topics(), simulated=True)
+        super().__init__(name, role, read_topics(), reports)
+        fix(self, USE_SIM_TIME, True, "must be true: this node is in a simulated graph")
         self.lockstep = Lockstep(self.on_inputs, self.finish)
         self.result: dict[str, Any] = {}
         self._waits_for: list[Publishers] = []
@@ -166,7 +171,7 @@ class SimulationNode(GraphNode):
             OSError: the node cannot go on, for instance on a full disk.
         """
         self.on_timer(now)
-        if now - self._checked < _CHECK_S and not self.reports.urgent:
+        if now - self._checked < _CHECK_S:
             return
         self._checked = now
         if not self.finished:
@@ -247,12 +252,10 @@ class SimulationNode(GraphNode):
         now = Duration()
         return all(publisher.wait_for_all_acked(now) for publisher in self._outputs.values())
 
-    def report_state(self, **values: Any) -> dict[str, Any]:
-        """Report the node's state, with N, and return all values of the report."""
+    def report_state(self, **values: Any) -> None:
+        """Report the node's state, with N."""
         run = self.lockstep.run
-        return super().report_state(
-            run_length=None if run is None else round(run.last_tick), **values
-        )
+        super().report_state(run_length=None if run is None else round(run.last_tick), **values)
 
 
 def _required(topic: Topic) -> Qos:

@@ -13,7 +13,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
@@ -22,6 +27,7 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.parameter import Parameter, no_such_parameter
 from greenroof_ros.model.site import Site, read_site
 
+USE_SIM_TIME = "use_sim_time"  # rclpy's name
 # The name of each Python type in ROS 2.
 _KINDS = {float: "double", int: "integer", bool: "bool", str: "string", list: "string array"}
 _TEXTS = {bool: "true or false", str: "text", list: "a list of texts"}
@@ -117,6 +123,19 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     else:
         descriptor.floating_point_range = [FloatingPointRange(**limits)]
     return descriptor
+
+
+def fix(node: Node, name: str, value: Any, reason: str) -> None:
+    """Set a parameter of a node, and refuse every later change for a reason, in words."""
+    node.set_parameters([RosParameter(name, value=value)])
+
+    def refuse_change(changes: list[RosParameter]) -> SetParametersResult:
+        changed = any(change.name == name and change.value != value for change in changes)
+        return SetParametersResult(
+            successful=not changed, reason=f"{name} {reason}" if changed else ""
+        )
+
+    node.add_on_set_parameters_callback(refuse_change)
 
 
 # --- unknown parameters -----------------------------------------------------------------------

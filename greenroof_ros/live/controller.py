@@ -31,10 +31,10 @@ from greenroof_ros.controllers.protocol import (
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.node_controller import NodeController, controller_help
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.reports import WARN
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
-from greenroof_ros.live.executable import live_command
+from greenroof_ros.live.executable import live_command, live_help
 from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.reports import WARN
 from greenroof_ros.model.plant import pump_flow
 
 # The inputs; without the forecasts, the flow or the gauge it still commands.
@@ -282,7 +282,10 @@ class LiveControllerNode(LiveNode):
         return {**self._chosen.changes(), **self._values}
 
 
-_help = partial(controller_help, purpose=__doc__, common=parameters(None), live=True)
+_help = partial(
+    controller_help, module="live.controller", purpose=__doc__, common=parameters(None),
+    help_of=live_help,
+)
 main = live_command(LiveControllerNode, _help, "--controller")
 
 

@@ -30,9 +30,9 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.common.conditions import Problem, joined, read_interlocks
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
+from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.parameters import site_file
-from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, DriveSnapshot
@@ -46,7 +46,6 @@ from greenroof_ros.live.lifecycle import (
     RefusedError,
     transition,
 )
-from greenroof_ros.live.node import SupervisedNode
 from greenroof_ros.live.pump_drive import PumpDrive
 from greenroof_ros.live.pumping.dose import DONE
 from greenroof_ros.live.pumping.inputs import INPUTS
@@ -58,6 +57,7 @@ from greenroof_ros.live.pumping.pump_control import (
     PumpControl,
     drive_fault,
 )
+from greenroof_ros.live.reports import ERROR, OK, STALE, WARN, LiveReports
 from greenroof_ros.model.site import Site
 
 COMMAND_LIMIT = LIMITS["/pump/command"]
@@ -115,8 +115,10 @@ def common_parameters(site: Site) -> list[Parameter]:
     return [site_file(), *_OWN, *pump_parameters(site)]
 
 
-class PumpBehaviour(Lifecycle, SupervisedNode):
+class PumpBehaviour(Lifecycle, GraphNode):
     """Runs the pump as commanded, unless an interlock is active; a subclass says when to act."""
+
+    reports: LiveReports
 
     def __init__(
         self, site: Site, values: Mapping[str, Any], inputs: Mapping[str, Input], *,

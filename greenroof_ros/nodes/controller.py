@@ -78,7 +78,9 @@ class ControllerNode(SimulationNode):
         return {"solver": self._chosen.controller.statistics()}
 
 
-_help = partial(controller_help, purpose=__doc__, common=parameters(None))
+_help = partial(
+    controller_help, module="nodes.controller", purpose=__doc__, common=parameters(None)
+)
 _executable = partial(node_command, ControllerNode, _help, "--controller")
 main = _executable()
 # The executables of this package's controllers.
