@@ -138,7 +138,7 @@ class Composition:
             self._progress.warn(node.warnings)
         plant = self._nodes["plant"]
         if not plant.acted:
-            missing = ", ".join(map(plant.name_of, plant.absent()))
+            missing = ", ".join(map(plant.peers.name_of, plant.absent()))
             self._progress.waiting(f"waiting for {missing}" if missing else "starting")
             return
         shown = plant.progress()

@@ -225,7 +225,7 @@ class _Alone:
 
     def _log_missing(self, now: float) -> None:
         """Log which nodes are missing: after 2 s, then every 5 s."""
-        missing = sorted(map(self._node.name_of, self._node.absent()))
+        missing = sorted(map(self._node.peers.name_of, self._node.absent()))
         if missing != self._missing:
             self._missing, self._log_at = missing, now + _PATIENCE_S
         if now > self._log_at:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -164,25 +164,7 @@ class GraphNode(Node):
 
     def absent(self) -> dict[str, list[str]]:
         """Return the inputs without a compatible publisher, by missing role."""
-        return self.by_role(
-            [name for name, entry in self.inputs.items() if not entry.publishers.compatible]
-        )
-
-    def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
-        """Return some of the inputs, by the role that should publish them.
-
-        If the interface names two roles (plant or pump driver), it is the first that publishes none
-        of this node's other inputs, or else the last.
-        """
-        present = {self.role} | {
-            entry.topic.publishers[0] for name, entry in self.inputs.items() if name not in names
-        }
-        roles: dict[str, list[str]] = {}
-        for name in names:
-            candidates = self.inputs[name].topic.publishers
-            role = next((role for role in candidates if role not in present), candidates[-1])
-            roles.setdefault(role, []).append(name)
-        return roles
+        raise NotImplementedError
 
     # --- ending -----------------------------------------------------------------------------
 

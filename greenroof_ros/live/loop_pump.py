@@ -46,7 +46,8 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
             for row in IN_LOOP
         }
         self.listen(CLOCK, self.set_time)
-        PumpBehaviour.__init__(self, site, values, inputs, simulated=True)
+        commanders = self.peers.publishers["/pump/command"]
+        PumpBehaviour.__init__(self, site, values, inputs, commanders, simulated=True)
 
     def on_inputs(self) -> None:
         """Decide on the inputs of a tick, and publish the flow."""

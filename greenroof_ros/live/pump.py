@@ -65,7 +65,7 @@ class PumpNode(PumpBehaviour, LiveNode):
             for row in INPUTS if row.name not in inputs and row.is_at(values)
         }
         self._own_flow = self.subscribe("/pump/flow", optional=True)
-        PumpBehaviour.__init__(self, site, values, inputs, simulated=False)
+        PumpBehaviour.__init__(self, site, values, inputs, command.publishers, simulated=False)
 
     def _on_command(self, value: float) -> None:
         self._commanded_at = boot_time()
@@ -93,7 +93,7 @@ class PumpNode(PumpBehaviour, LiveNode):
 
     def second_pump(self) -> Problem | None:
         """Return that another node publishes a flow; None if none does."""
-        return second_publisher(self._own_flow, "two_pumps")
+        return second_publisher(self._own_flow.publishers, "two_pumps")
 
 
 main = live_command(PumpNode, partial(

@@ -33,6 +33,7 @@ from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.parameters import site_file
+from greenroof_ros.graph.publishers import Publishers
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, DriveSnapshot
@@ -121,8 +122,8 @@ class PumpBehaviour(Lifecycle, GraphNode):
     reports: LiveReports
 
     def __init__(
-        self, site: Site, values: Mapping[str, Any], inputs: Mapping[str, Input], *,
-        simulated: bool,
+        self, site: Site, values: Mapping[str, Any], inputs: Mapping[str, Input],
+        commanders: Publishers, *, simulated: bool,
     ) -> None:
         """Open topics and services; the node itself must be initialised already.
 
@@ -130,6 +131,7 @@ class PumpBehaviour(Lifecycle, GraphNode):
             site: the site.
             values: values of the node's parameters.
             inputs: the node's inputs, by their names in :mod:`greenroof_ros.live.pumping.inputs`.
+            commanders: the publishers of the command.
             simulated: whether the plant is simulated.
 
         Raises:
@@ -163,7 +165,7 @@ class PumpBehaviour(Lifecycle, GraphNode):
         self._tried_at = self._reported_at = -math.inf
         self._commanded_at, self._timed_at = -math.inf, boot_time()
         self._suspended, self._suspended_at = suspended_time(), -math.inf
-        self._inputs, self._values = inputs, values
+        self._inputs, self._values, self._commanders = inputs, values, commanders
         self.open_outputs("/pump/flow", "/pump/state")
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
@@ -442,7 +444,7 @@ class PumpBehaviour(Lifecycle, GraphNode):
                 self.missing_run(),
             ))
         yield from filter(None, (
-            second_publisher(self._inputs["command"], "two_controllers"),
+            second_publisher(self._commanders, "two_controllers"),
             # Another pump node may have the same drive: then neither runs it.
             self.second_pump(), self._missing_command(),
         ))
@@ -614,7 +616,7 @@ class PumpBehaviour(Lifecycle, GraphNode):
 
     def _diagnose_command(self) -> None:
         command, silence = self._inputs["command"], self._missing_command()
-        problem = command.problem or second_publisher(command, "two_controllers")
+        problem = command.problem or second_publisher(self._commanders, "two_controllers")
         if silence and self.acted and problem is None:
             self.reports.diagnose("command", silence, level=STALE)
         else:
@@ -662,15 +664,17 @@ class PumpBehaviour(Lifecycle, GraphNode):
         self.reports.diagnose("drive timeout", problem, well, level)
 
 
-def second_publisher(entry: Input, code: str) -> Problem | None:
-    """Return that an input has a second publisher, under this code; None if it has none.
+def second_publisher(publishers: Publishers, code: str) -> Problem | None:
+    """Return that a topic has a second publisher, under this code; None if it has none.
 
     If one of them is incompatible, it is named: it may be trying to stop the pump.
     """
-    second = entry.publishers.second()
+    second = publishers.second()
     if not second:
         return None
-    return Problem.of(code, topic=entry.name, problem=entry.publishers.incompatible() or second)
+    return Problem.of(
+        code, topic=publishers.full_name, problem=publishers.incompatible() or second
+    )
 
 
 def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:
