@@ -104,7 +104,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         self._open(name, self.lockstep.receiver(entry, tolerates_second=tolerates_second))
         return entry
 
-    def listen(self, name: str, callback: Callable[[Any], None]) -> Input:
+    def listen(self, name: str, callback: Callable[[Any], None]) -> None:
         """Open an input that the node does not wait for: each value is passed to a callback."""
         entry = self._input(name)
 
@@ -113,7 +113,6 @@ class SimulationNode(NoClockSubscription, GraphNode):
             callback(entry.value)
 
         self._open(name, receive)
-        return entry
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
         """Pass each serialised message of a topic of any type to a callback."""

@@ -10,8 +10,8 @@ from typing import NoReturn
 from rclpy.executors import SingleThreadedExecutor
 
 from greenroof_ros.common.interface import read_live_topics
-from greenroof_ros.graph.domain import start_receiving
 from greenroof_ros.graph.executable import node_command, node_help
+from greenroof_ros.graph.spin import start_receiving
 from greenroof_ros.live.node import LiveNode
 
 
