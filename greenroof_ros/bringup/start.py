@@ -10,7 +10,6 @@ from pathlib import Path
 
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.watch.page_process import watcher
 
 
 def bring_up(
@@ -30,14 +29,17 @@ def bring_up(
     """
     watchers = {"watch": ("--site", str(site_file))} if arguments.watch else {}
     if arguments.foxglove is not None:
-        from greenroof_ros.watch.foxglove_server import refuse_unusable  # not needed otherwise
+        from greenroof_ros.watch.foxglove_server import refuse_unusable
 
         refuse_unusable(arguments.foxglove)
         watchers["foxglove"] = "--foxglove", str(arguments.foxglove)
     try:
         with ExitStack() as stack:
-            for name, options in watchers.items():
-                stack.enter_context(watcher(name, arguments.namespace, *options))
+            if watchers:
+                from greenroof_ros.watch.page_process import watcher
+
+                for name, options in watchers.items():
+                    stack.enter_context(watcher(name, arguments.namespace, *options))
             return start(Signals())
     except InterruptedRun as error:  # before any node was started
         print(error, file=sys.stderr)

@@ -251,6 +251,20 @@ def within(
     return parse
 
 
+def refuse(*rules: tuple[bool, str, object, str]) -> None:
+    """Refuse a command line if it breaks a rule; report the first one that it breaks.
+
+    Args:
+        rules: each is (whether it is broken, the option, its value, what is expected).
+
+    Raises:
+        ConfigurationError: a rule is broken.
+    """
+    for broken, option, value, expected in rules:
+        if broken:
+            raise ConfigurationError(expected, key=option, value=value)
+
+
 def namespace(text: str) -> str:
     """Return a namespace as ROS writes it, ``/site1``; empty if there is none."""
     name = text.strip("/")
