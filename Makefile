@@ -20,18 +20,18 @@ ROS := wheels
 endif
 ifeq ($(ROS),sourced)
 VENV_OPTIONS := --system-site-packages
-RUN_EXTRAS := [pump,mqtt,watch,fetch]
+RUN_EXTRAS := [pump,mqtt,watch,foxglove,fetch]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [pump,mqtt,watch,fetch,study,netcdf,dask,completion,test]
+TEST_EXTRAS := [pump,mqtt,watch,foxglove,fetch,study,netcdf,dask,completion,test]
 BENCH_EXTRAS := [study,bench]
-DOCS_EXTRAS := [pump,mqtt,watch,fetch,study,docs]
+DOCS_EXTRAS := [pump,mqtt,watch,foxglove,fetch,study,docs]
 else
 VENV_OPTIONS :=
-RUN_EXTRAS := [ros,pump,mqtt,watch,fetch]
+RUN_EXTRAS := [ros,pump,mqtt,watch,foxglove,fetch]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [ros,pump,mqtt,watch,fetch,study,netcdf,dask,completion,test]
+TEST_EXTRAS := [ros,pump,mqtt,watch,foxglove,fetch,study,netcdf,dask,completion,test]
 BENCH_EXTRAS := [ros,study,bench]
-DOCS_EXTRAS := [ros,pump,mqtt,watch,fetch,study,docs]
+DOCS_EXTRAS := [ros,pump,mqtt,watch,foxglove,fetch,study,docs]
 endif
 
 # Stamp files: the environment was made; what a target needs was installed into it.
@@ -70,10 +70,15 @@ study: $(FOR_STUDY)
 	    $(BIN)/python -m greenroof_ros report studies/paper --force && exit $$code
 
 # Without ARGS every test, four processes more than there are cores, since graphs mostly wait.
-# Which tests may run side by side, test/conftest.py says.
+# Which tests may run side by side, test/conftest.py says. What failed runs once more, one at a time:
+# a live site's limits are of real time, which a busy machine exceeds. What fails again, fails.
 test: $(FOR_TEST)
 ifeq ($(ARGS),)
-	@$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 4)) --dist loadgroup --no-loadscope-reorder
+	@$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 4)) --dist loadgroup \
+	    --no-loadscope-reorder; code=$$?; [ $$code -eq 1 ] || exit $$code; \
+	    echo "Once more, one at a time, what failed:"; \
+	    $(BIN)/python -m pytest --numprocesses 1 --dist loadgroup --exitfirst \
+	        --last-failed --last-failed-no-failures none
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif
@@ -89,7 +94,7 @@ test-kilted: $(KILTED)/.made
 $(KILTED)/.made: setup.py
 	$(PYTHON) -m venv $(KILTED)
 	$(KILTED)/bin/python -m pip --disable-pip-version-check install $(KILTED_WHEELS) \
-	    --editable ".[pump,mqtt,watch,fetch,study,netcdf,dask,test]"
+	    --editable ".[pump,mqtt,watch,foxglove,fetch,study,netcdf,dask,test]"
 	@touch $@
 
 lint: $(FOR_TEST)

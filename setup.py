@@ -129,6 +129,8 @@ setup(
             # Jazzy's Ubuntu has 3.9
             "aiohttp>=3.9.1,<4",
         ],
+        # The graph for Foxglove and Lichtblick: their protocol, from its makers.
+        "foxglove": ["foxglove-sdk>=0.30,<0.31"],  # its minor releases change the interface
         # The forecast of the internet; the same library as the page's.
         "fetch": ["aiohttp>=3.9.1,<4"],
         # Completes greenroof's commands and options in bash and zsh; 3.1 is in ROS 2 Jazzy's

@@ -538,6 +538,15 @@ def test_version_is_the_same_everywhere(manifest, setup_options):
     assert versions == {greenroof_ros.__version__}
 
 
+def test_citation_is_what_package_xml_says(manifest):
+    citation = yaml.safe_load((CHECKOUT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert (citation["title"], citation["version"]) == (manifest.name, manifest.version)
+    assert [citation["license"]] == [str(text) for text in manifest.licenses]
+    assert [author["name"] for author in citation["authors"]] == [
+        person.name for person in manifest.maintainers
+    ]
+
+
 def test_package_xml_names_every_requirement(manifest, setup_options):
     """By rosdep keys, and nothing else; a comment lists the requirements without a key."""
     extras = setup_options["extras_require"]

@@ -111,13 +111,12 @@ class LiveInput(Input):
     """An input with the rules that its values must keep.
 
     Attributes:
+        publishers: the topic's publishers.
         rules: the rules.
         verdict: which rule is broken, if any.
         received: whether any message was received.
         optional: whether the node acts without it.
     """
-
-    publishers: LivePublishers
 
     def __init__(self, publishers: LivePublishers, rules: InputRules, *, optional: bool) -> None:
         """Start without a value.
@@ -127,7 +126,8 @@ class LiveInput(Input):
             rules: the rules.
             optional: whether the node acts without it.
         """
-        super().__init__(publishers)
+        super().__init__(publishers.topic, publishers.full_name)
+        self.publishers = publishers
         self.rules = rules
         self.received = self._unknown = False
         self.optional = optional

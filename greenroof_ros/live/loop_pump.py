@@ -19,6 +19,7 @@ from greenroof_ros.live import pump_behaviour
 from greenroof_ros.live.drives.drive import real_time_error
 from greenroof_ros.live.pump_behaviour import COMMAND_LIMIT, PumpBehaviour, common_parameters
 from greenroof_ros.live.pumping.inputs import IN_LOOP
+from greenroof_ros.live.reports import LiveReports
 from greenroof_ros.model.site import Site
 
 
@@ -36,7 +37,7 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
         Raises:
             ConfigurationError: a parameter, or the drive file, is wrong.
         """
-        SimulationNode.__init__(self, "pump", "pump")
+        SimulationNode.__init__(self, "pump", "pump", LiveReports)
         site = self.declare_site()
         values = declare(self, parameters(site))
         self._simulated = self._stepped = 0.0  # simulated time (s), counted from 0
@@ -45,7 +46,8 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
             for row in IN_LOOP
         }
         self.listen(CLOCK, self.set_time)
-        PumpBehaviour.__init__(self, site, values, inputs, simulated=True)
+        commanders = self.peers.publishers["/pump/command"]
+        PumpBehaviour.__init__(self, site, values, inputs, commanders, simulated=True)
 
     def on_inputs(self) -> None:
         """Decide on the inputs of a tick, and publish the flow."""
@@ -56,9 +58,11 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
         self.publish("/pump/flow", self._decision.flow)
 
     def on_timer(self, now: float) -> None:
-        """Check the speed of the run, and what every pump node checks."""
+        """Check the speed of the run, and what every pump node checks; report a change at once."""
         self._refuse_other_speed()
         super().on_timer(now)
+        if self.reports.urgent:
+            self.report_state()
 
     def elapsed(self, now: float) -> float:
         """Return the simulated time since the last call (s)."""

@@ -12,11 +12,10 @@ from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live import pump_behaviour
 from greenroof_ros.live.engine import PAUSE_S, Levels, live_parameters
-from greenroof_ros.live.executable import live_command
+from greenroof_ros.live.executable import live_command, live_help
 from greenroof_ros.live.node import LiveNode
 from greenroof_ros.live.pump_behaviour import (
     COMMAND_LIMIT,
@@ -66,7 +65,7 @@ class PumpNode(PumpBehaviour, LiveNode):
             for row in INPUTS if row.name not in inputs and row.is_at(values)
         }
         self._own_flow = self.subscribe("/pump/flow", optional=True)
-        PumpBehaviour.__init__(self, site, values, inputs, simulated=False)
+        PumpBehaviour.__init__(self, site, values, inputs, command.publishers, simulated=False)
 
     def _on_command(self, value: float) -> None:
         self._commanded_at = boot_time()
@@ -94,13 +93,12 @@ class PumpNode(PumpBehaviour, LiveNode):
 
     def second_pump(self) -> Problem | None:
         """Return that another node publishes a flow; None if none does."""
-        return second_publisher(self._own_flow, "two_pumps")
+        return second_publisher(self._own_flow.publishers, "two_pumps")
 
 
 main = live_command(PumpNode, partial(
-    node_help, "live.pump", "pump", f"{__doc__}\n{pump_behaviour.__doc__}", parameters,
+    live_help, "live.pump", "pump", f"{__doc__}\n{pump_behaviour.__doc__}", parameters,
     "--ros-args -p drive:=danfoss_fc202 -p address:=gateway://127.0.0.1:5020 -p autostart:=true",
-    live=True,
 ))
 
 

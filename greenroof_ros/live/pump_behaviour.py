@@ -30,9 +30,10 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.common.conditions import Problem, joined, read_interlocks
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
+from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.parameters import site_file
-from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
+from greenroof_ros.graph.publishers import Publishers
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, DriveSnapshot
@@ -46,7 +47,6 @@ from greenroof_ros.live.lifecycle import (
     RefusedError,
     transition,
 )
-from greenroof_ros.live.node import SupervisedNode
 from greenroof_ros.live.pump_drive import PumpDrive
 from greenroof_ros.live.pumping.dose import DONE
 from greenroof_ros.live.pumping.inputs import INPUTS
@@ -58,6 +58,7 @@ from greenroof_ros.live.pumping.pump_control import (
     PumpControl,
     drive_fault,
 )
+from greenroof_ros.live.reports import ERROR, OK, STALE, WARN, LiveReports
 from greenroof_ros.model.site import Site
 
 COMMAND_LIMIT = LIMITS["/pump/command"]
@@ -115,12 +116,14 @@ def common_parameters(site: Site) -> list[Parameter]:
     return [site_file(), *_OWN, *pump_parameters(site)]
 
 
-class PumpBehaviour(Lifecycle, SupervisedNode):
+class PumpBehaviour(Lifecycle, GraphNode):
     """Runs the pump as commanded, unless an interlock is active; a subclass says when to act."""
 
+    reports: LiveReports
+
     def __init__(
-        self, site: Site, values: Mapping[str, Any], inputs: Mapping[str, Input], *,
-        simulated: bool,
+        self, site: Site, values: Mapping[str, Any], inputs: Mapping[str, Input],
+        commanders: Publishers, *, simulated: bool,
     ) -> None:
         """Open topics and services; the node itself must be initialised already.
 
@@ -128,6 +131,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             site: the site.
             values: values of the node's parameters.
             inputs: the node's inputs, by their names in :mod:`greenroof_ros.live.pumping.inputs`.
+            commanders: the publishers of the command.
             simulated: whether the plant is simulated.
 
         Raises:
@@ -161,7 +165,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         self._tried_at = self._reported_at = -math.inf
         self._commanded_at, self._timed_at = -math.inf, boot_time()
         self._suspended, self._suspended_at = suspended_time(), -math.inf
-        self._inputs, self._values = inputs, values
+        self._inputs, self._values, self._commanders = inputs, values, commanders
         self.open_outputs("/pump/flow", "/pump/state")
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
@@ -440,7 +444,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
                 self.missing_run(),
             ))
         yield from filter(None, (
-            second_publisher(self._inputs["command"], "two_controllers"),
+            second_publisher(self._commanders, "two_controllers"),
             # Another pump node may have the same drive: then neither runs it.
             self.second_pump(), self._missing_command(),
         ))
@@ -612,7 +616,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
     def _diagnose_command(self) -> None:
         command, silence = self._inputs["command"], self._missing_command()
-        problem = command.problem or second_publisher(command, "two_controllers")
+        problem = command.problem or second_publisher(self._commanders, "two_controllers")
         if silence and self.acted and problem is None:
             self.reports.diagnose("command", silence, level=STALE)
         else:
@@ -660,15 +664,17 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         self.reports.diagnose("drive timeout", problem, well, level)
 
 
-def second_publisher(entry: Input, code: str) -> Problem | None:
-    """Return that an input has a second publisher, under this code; None if it has none.
+def second_publisher(publishers: Publishers, code: str) -> Problem | None:
+    """Return that a topic has a second publisher, under this code; None if it has none.
 
     If one of them is incompatible, it is named: it may be trying to stop the pump.
     """
-    second = entry.publishers.second()
+    second = publishers.second()
     if not second:
         return None
-    return Problem.of(code, topic=entry.name, problem=entry.publishers.incompatible() or second)
+    return Problem.of(
+        code, topic=publishers.full_name, problem=publishers.incompatible() or second
+    )
 
 
 def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:

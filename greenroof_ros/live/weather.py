@@ -32,14 +32,13 @@ from greenroof_ros.forecast.service import (
     Fetcher,
     Service,
 )
-from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.messages import WithFront
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.reports import ERROR, WARN
 from greenroof_ros.live.engine import live_parameters
-from greenroof_ros.live.executable import live_command
+from greenroof_ros.live.executable import live_command, live_help
 from greenroof_ros.live.inputs import LiveInput
 from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.reports import ERROR, WARN
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON, look_ahead_ends
 from greenroof_ros.model.site import Site
 
@@ -279,8 +278,8 @@ class LiveWeatherNode(LiveNode):
 
 
 main = live_command(LiveWeatherNode, partial(
-    node_help, "live.weather", "weather", __doc__, parameters,
-    "--ros-args -p forecast:=forecast.csv", live=True,
+    live_help, "live.weather", "weather", __doc__, parameters,
+    "--ros-args -p forecast:=forecast.csv",
 ))
 
 

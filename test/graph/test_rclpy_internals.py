@@ -23,13 +23,13 @@ from rclpy.serialization import deserialize_message, serialize_message  # noqa: 
 from std_msgs.msg import Float64  # noqa: E402
 
 from greenroof_ros.common.interface import read_topics  # noqa: E402
-from greenroof_ros.graph.domain import start_receiving  # noqa: E402
 from greenroof_ros.graph.messages import qos_profile  # noqa: E402
 from greenroof_ros.graph.rclpy_internals import (  # noqa: E402
     NoClockSubscription,
     raw_publish,
     waiting_messages,
 )
+from greenroof_ros.graph.spin import start_receiving  # noqa: E402
 from greenroof_ros.live.lifecycle import (  # noqa: E402
     INACTIVE,
     UNCONFIGURED,

@@ -260,7 +260,7 @@ def test_a_page_beside_a_run_ends_with_it_and_never_the_other_way(
 
     process, page = start("failed", 0.05)
     os.kill(page, signal.SIGKILL)
-    process.until_printed("the page has ended (SIGKILL)")
+    process.until_printed("the watcher has ended (SIGKILL)")
     assert process.wait(120) == 0
     assert summary_of(tmp_path / "failed")["status"] == "done"
     process, page = start("killed", 1)
@@ -304,7 +304,7 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         assert "stopped" not in tile()["why"]
         page = _watcher_of(process)
     assert page and not alive(page)
-    assert "the page has ended" not in process.stderr()
+    assert "the watcher has ended" not in process.stderr()
     viewer, port = watcher(domain, tmp_path, "--bag", str(tmp_path / "run" / "bag"))
     shown = wait_for(
         lambda: (now := document(port))["alarms"] and now["account"]["since_text"] and now, 60,
