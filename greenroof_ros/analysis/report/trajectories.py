@@ -137,6 +137,7 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
     )
 
 
+_UTC = alt.Scale(type="utc")
 _WHEN = alt.Tooltip(
     "t:T", title="time", timeUnit="utcyearmonthdatehoursminutesseconds", format="%Y-%m-%d %H:%M:%S"
 )
@@ -203,7 +204,8 @@ def _incidents(report: Report, rows: Sequence[Row], start: datetime) -> list[alt
             })
     return [
         alt.Chart(alt.InlineData(areas)).mark_rect(color="#a30000", opacity=0.2, clip=True).encode(
-            x=alt.X("from:T"), x2=alt.X2("to:T"), tooltip=pointed("run:N", "part:N", "cause:N"),
+            x=alt.X("from:T", scale=_UTC), x2=alt.X2("to:T"),
+            tooltip=pointed("run:N", "part:N", "cause:N"),
         )
     ] if areas else []
 
@@ -332,7 +334,7 @@ def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
         alt.Chart(alt.InlineData([
             {"from": origin + low * 1000, "to": origin + high * 1000} for low, high in frozen
         ])).mark_rect(color="#999999", opacity=0.3).encode(
-            x=alt.X("from:T"), x2=alt.X2("to:T")
+            x=alt.X("from:T", scale=_UTC), x2=alt.X2("to:T")
         )
     ] if frozen else []
     rained = _rained(alt.NamedData(f"rain-{number}"), x, alt.Scale(domain=[0, top]))
