@@ -233,6 +233,8 @@ def _axis(
         # On the logarithmic axis this leaves room for the text above the line.
         top = max(2.5 * high, 0.002)
         domain, references = [0.0, top], {_FULL_FLOW: 1.0} if top > 1.5 else {}
+    elif quantity == "pump_flow":
+        domain, references = [0.0, 1.3 * high or 1.0], {}  # from 0, or no power of ten may be in it
     else:
         domain, references = _around(site, quantity, low, high, factor)
     scaled = alt.Scale(domain=domain, **scale)
