@@ -18,7 +18,7 @@ from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live import pump_behaviour
 from greenroof_ros.live.drives.drive import real_time_error
 from greenroof_ros.live.pump_behaviour import COMMAND_LIMIT, PumpBehaviour, common_parameters
-from greenroof_ros.live.pumping.inputs import IN_LOOP
+from greenroof_ros.live.pumping.inputs import INPUTS
 from greenroof_ros.model.site import Site
 
 
@@ -42,7 +42,7 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
         self._simulated = self._stepped = 0.0  # simulated time (s), counted from 0
         inputs = {
             row.name: self.subscribe(row.topic, tolerates_second=row.name == "command")
-            for row in IN_LOOP
+            for row in INPUTS if row.unknown  # the simulation has no flow meter
         }
         self.listen(CLOCK, self.set_time)
         PumpBehaviour.__init__(self, site, values, inputs, simulated=True)

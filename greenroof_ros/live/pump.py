@@ -30,10 +30,7 @@ from greenroof_ros.model.site import Site
 
 def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
-    return [
-        *common_parameters(site), *live_parameters(row.topic for row in INPUTS),
-        *(parameter for row in INPUTS for parameter in row.parameters),
-    ]
+    return [*common_parameters(site), *live_parameters(row.topic for row in INPUTS)]
 
 
 class PumpNode(PumpBehaviour, LiveNode):
@@ -63,7 +60,7 @@ class PumpNode(PumpBehaviour, LiveNode):
         }
         inputs |= {
             row.name: self.subscribe(row.topic, optional=not row.unknown)
-            for row in INPUTS if row.name not in inputs and row.is_at(values)
+            for row in INPUTS if row.name not in inputs
         }
         self._own_flow = self.subscribe("/pump/flow", optional=True)
         PumpBehaviour.__init__(self, site, values, inputs, simulated=False)

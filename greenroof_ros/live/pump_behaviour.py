@@ -49,12 +49,11 @@ from greenroof_ros.live.lifecycle import (
 from greenroof_ros.live.node import SupervisedNode
 from greenroof_ros.live.pump_drive import PumpDrive
 from greenroof_ros.live.pumping.dose import DONE
-from greenroof_ros.live.pumping.inputs import INPUTS
+from greenroof_ros.live.pumping.inputs import INPUTS, Observation
 from greenroof_ros.live.pumping.ledger import MOST, Ledger, state_directory
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import (
     Decision,
-    Observation,
     PumpControl,
     drive_fault,
 )
@@ -161,7 +160,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         self._tried_at = self._reported_at = -math.inf
         self._commanded_at, self._timed_at = -math.inf, boot_time()
         self._suspended, self._suspended_at = suspended_time(), -math.inf
-        self._inputs, self._values = inputs, values
+        self._inputs = inputs
         self.open_outputs("/pump/flow", "/pump/state")
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
@@ -413,14 +412,6 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
     def _reasons_against(self, now: float) -> Iterator[Problem]:
         """Yield this node's own reasons against running the pump."""
-        for row in INPUTS:
-            if row.rule is not None and row.name in self._inputs:
-                value = self._value(row.name)
-                reason = Problem.of(row.unknown) if value is None else row.rule(
-                    value, self._values, self._decision.interlocks
-                )
-                if reason is not None:
-                    yield reason
         snapshot, absence = self._drive.snapshot, self._drive.absence(now)
         if absence is not None:
             yield absence
@@ -475,7 +466,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         self._check_suspend(now)
         status = self._drive.status(now)
         observation = Observation(
-            **{row.name: self._value(row.name) for row in INPUTS if row.rule is None},
+            **{row.name: self._value(row.name) for row in INPUTS},
             displacements=self.displacements(),
             time_ns=self.get_clock().now().nanoseconds or None,  # 0 until a plant publishes it
             speed=None if status is None else status.speed,
