@@ -71,7 +71,7 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
         Levels without a plant are invented and may change at any speed. Only the drive simulator,
         once it is known to be that, may run on them.
         """
-        why = self._drive.snapshot.no_simulator
+        why = self._exchange.snapshot.no_simulator
         if self.lockstep.run is not None or why == "":
             return None
         return Problem.of(
@@ -86,8 +86,8 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
         """
         run = self.lockstep.run
         if run is not None and run.speed != 1:
-            self._drive.exchange.require_simulator()
-            if why := self._drive.snapshot.no_simulator:
+            self._exchange.require_simulator()
+            if why := self._exchange.snapshot.no_simulator:
                 raise real_time_error(why, "the plant's speed", run.speed)
 
 

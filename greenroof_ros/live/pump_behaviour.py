@@ -20,6 +20,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +29,16 @@ from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.conditions import Problem, joined, read_interlocks
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.parameters import site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
 from greenroof_ros.live.drives.drive import DriveStatus
-from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
-from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, DriveSnapshot
+from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S, find_drive_file
+from greenroof_ros.live.drives.endpoint import Endpoint, read_endpoint
+from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, DriveExchange, DriveSnapshot
 from greenroof_ros.live.engine import LIMITS, PAUSE_S
 from greenroof_ros.live.inputs import bad_inputs
 from greenroof_ros.live.lifecycle import (
@@ -47,7 +50,6 @@ from greenroof_ros.live.lifecycle import (
     transition,
 )
 from greenroof_ros.live.node import SupervisedNode
-from greenroof_ros.live.pump_drive import PumpDrive
 from greenroof_ros.live.pumping.dose import DONE
 from greenroof_ros.live.pumping.inputs import INPUTS, Observation
 from greenroof_ros.live.pumping.ledger import MOST, Ledger, state_directory
@@ -133,12 +135,18 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             ConfigurationError: a parameter, or the drive file, is wrong.
         """
         self._site = site
-        self._drive = PumpDrive(values, self.get_name(), checks_simulator=simulated)
+        endpoint = _read_endpoint(values, self.get_name())
+        self._make_exchange = partial(
+            DriveExchange, endpoint, values["exchange_period"],
+            timeout_limit_s=values["drive_timeout_limit"],
+            stops_locally=values["local_settings_stop_the_pump"], checks_simulator=simulated,
+        )
+        self._exchange = self._make_exchange()
         self._without_timeout: bool = values["activate_without_drive_timeout"]
         self._autostart: bool = values["autostart"]
         self._command_limit: float = values[COMMAND_LIMIT.name]
         settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
-        least_speed = self._drive.endpoint.file.least_speed
+        least_speed = self._exchange.endpoint.file.least_speed
         settings["least_speed"] = max(settings["least_speed"], least_speed)
         self._settings = PumpSettings(**settings)
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
@@ -215,29 +223,29 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     @transition
     def on_configure(self) -> None:
         """Connect to the drive, and read its nameplate."""
-        self._drive.connect()
+        self._connect()
         until = boot_time() + _WAIT_S
-        while absence := self._drive.absence(boot_time()):
+        while absence := self._exchange.absence(boot_time()):
             if boot_time() > until:
                 # The exchange keeps trying: a drive that appears is stopped.
                 raise RefusedError(
                     f"not configured: {absence.sentence}; still trying, ask again"
                 )
             time.sleep(0.02)
-        self.reports.hardware = self._drive.snapshot.identity
+        self.reports.hardware = self._exchange.snapshot.identity
 
     @transition
     def on_activate(self) -> None:
         """Let the pump run, unless the drive would run on unattended or a stop cannot be saved."""
-        problem = self._drive.absence(boot_time())
+        problem = self._exchange.absence(boot_time())
         if problem is None and not self._without_timeout:
-            problem = self._drive.timeout_problem(self._drive.snapshot)
+            problem = self._exchange.timeout_problem(self._exchange.snapshot)
         if problem is None:
             self._acquire_state()
             problem = Problem.if_any("state_not_kept", self._ledger.flush())
         if problem is not None:
             raise RefusedError(f"not activated: {problem.sentence}")
-        file = self._drive.endpoint.file
+        file = self._exchange.endpoint.file
         unverified = file.unverified_and_vital
         if unverified:
             self.reports.diagnose("drive file", Problem.of(
@@ -276,18 +284,36 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             if problem:
                 self.get_logger().error(problem)
 
+    def _connect(self) -> None:
+        """Start the exchange, which keeps the drive stopped; a closing one must end first."""
+        if self._exchange.closing and self._exchange.close(0.0):
+            self._exchange = self._make_exchange()
+        self._exchange.start()
+
     def _disconnect(self, within: float) -> None:
-        message = self._drive.disconnect(within)
-        if message:
-            self.get_logger().info(message)
+        """Stop the drive and disconnect.
+
+        Args:
+            within: longest wait (s); the longest ramp plus a few seconds is enough for any drive.
+
+        Raises:
+            RefusedError: it takes longer; stopping continues.
+            OSError: the drive did not answer at the end, or is not at rest.
+        """
+        if not self._exchange.started:
+            return
+        if not self._exchange.close(within):
+            raise RefusedError("the drive is still slowing down, or does not answer; ask again")
+        ended, self._exchange = self._exchange, self._make_exchange()
+        self.get_logger().info(ended.outcome())
 
     def _try_autostart(self, now: float) -> None:
         """Try to become *active*; called repeatedly."""
         if now - self._tried_at < _AGAIN_S or self.lifecycle_state == ACTIVE:
             return
         self._tried_at = now
-        self._drive.connect()
-        if self._drive.absence(now):
+        self._connect()
+        if self._exchange.absence(now):
             return
         if self.lifecycle_state == UNCONFIGURED:
             self.trigger_configure()
@@ -306,7 +332,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             self._ledger.release()
         self._step(boot_time())
         if request.data:
-            self._drive.exchange.stop()
+            self._exchange.stop()
         response.success, response.message = self._service_result(self._state)
         return response
 
@@ -321,7 +347,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             result.successful, result.reason = False, str(error)
         else:
             self._step(boot_time())
-            self._drive.exchange.stop()
+            self._exchange.stop()
             result.successful, result.reason = self._service_result(self._state)
         self.get_logger().info(f"hold requested: {result.reason}")
         return response
@@ -331,7 +357,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     ) -> Trigger.Response:
         self._acquire_state()
         cleared = self._control.reset()
-        self._drive.exchange.reset()
+        self._exchange.reset()
         self._resetting_until = boot_time() + RESET_S
         response.success, response.message = self._service_result(
             f"cleared: {cleared}" if cleared else "there was no fault"
@@ -378,7 +404,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         """Decide again if the reasons against running change, even if no commands arrive."""
         now = boot_time()
         self._check_suspend(now)
-        status = self._drive.status(now)
+        status = self._exchange.status(now)
         reasons = (
             [*self._reasons_against(now)], _fault(status),
             status is not None and status.at_rest,
@@ -390,7 +416,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             self._step(now)
         self._timed_at = boot_time()
         # Again and again: a request expires in a second.
-        self._drive.exchange.request_speed(self._decision.speed)
+        self._exchange.request_speed(self._decision.speed)
         if self._autostart:
             self._try_autostart(now)
         if now - self._reported_at > _REPORT_S:
@@ -412,14 +438,14 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
     def _reasons_against(self, now: float) -> Iterator[Problem]:
         """Yield this node's own reasons against running the pump."""
-        snapshot, absence = self._drive.snapshot, self._drive.absence(now)
+        snapshot, absence = self._exchange.snapshot, self._exchange.absence(now)
         if absence is not None:
             yield absence
         if self.lifecycle_state != ACTIVE:
             # While the drive is not heard, the refusal may be out of date.
             yield self._not_active("inactive", "" if absence else self.refusal)
             return
-        status = self._drive.status(now)
+        status = self._exchange.status(now)
         if status is not None:
             if not status.remote:
                 yield Problem.of("drive_local", "local")
@@ -427,7 +453,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
                 Problem.if_any("second_master", snapshot.second_master),
                 Problem.if_any("start_failed", snapshot.start_failed),
                 Problem.if_any("drive_guards_later", snapshot.unguarded),
-                None if self._without_timeout else self._drive.timeout_problem(snapshot),
+                None if self._without_timeout else self._exchange.timeout_problem(snapshot),
                 self.missing_run(),
             ))
         yield from filter(None, (
@@ -464,7 +490,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             now: steady clock (s).
         """
         self._check_suspend(now)
-        status = self._drive.status(now)
+        status = self._exchange.status(now)
         observation = Observation(
             **{row.name: self._value(row.name) for row in INPUTS},
             displacements=self.displacements(),
@@ -482,7 +508,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         drive_dt, self._watched = awake - self._watched, awake
         decided, decision = self._decision, self._control.step(dt, observation, drive_dt)
         self._decision = decision
-        self._drive.exchange.request_speed(decision.speed)
+        self._exchange.request_speed(decision.speed)
         state = f"{decision.state}: {decision.why}"
         before, self._state = self._state, state
         if state != before:
@@ -503,7 +529,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             "stands": decision.at_rest,
             "speed": decision.reported_speed,
             "flow": decision.flow if decision.flow_known else None,
-            "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
+            "active": self.lifecycle_state == ACTIVE and not self._exchange.snapshot.unguarded,
             "fault": record.fault,
             "no_clear": self._control.clear_refusal,
             "unknown": record.unknown,
@@ -579,7 +605,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             "command": {"command": known["command"]},
             "levels": {name: known[name] for name in ("cistern_level", "roof_level")},
             "delivery": {"blind_for_s": decision.blind_for},
-            "drive timeout": {"timeout_s": self._drive.snapshot.timeout_s},
+            "drive timeout": {"timeout_s": self._exchange.snapshot.timeout_s},
         }
 
     def _cause(self, code: str) -> str:
@@ -615,9 +641,9 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             why = self._not_active("unconfigured", self.refusal)
             self.reports.diagnose("drive", why, level=WARN)
             return
-        snapshot, status = self._drive.snapshot, self._drive.status(now)
+        snapshot, status = self._exchange.snapshot, self._exchange.status(now)
         if status is None:
-            absence, lost = self._drive.absence(now), bool(snapshot.errors)
+            absence, lost = self._exchange.absence(now), bool(snapshot.errors)
             if absence is not None and not lost:
                 absence = replace(absence, code="drive_awaited")
             self.reports.diagnose("drive", absence, level=ERROR if lost else WARN)
@@ -639,16 +665,34 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
     def _diagnose_timeout(self, snapshot: DriveSnapshot) -> None:
         """Report whether the drive's own communication timeout stops the pump."""
-        guard = self._drive.endpoint.guard
+        guard = self._exchange.endpoint.guard
         well = f"without this machine the drive stops after {snapshot.timeout_s or 0:g} s"
         if guard is not None and guard.traps:
             well += f"; beware: {guard.traps}"
-        problem, level = self._drive.timeout_problem(snapshot), ERROR
+        problem, level = self._exchange.timeout_problem(snapshot), ERROR
         if problem is None:
             problem, level = Problem.if_any("drive_guards_later", snapshot.unguarded), WARN
         elif self._without_timeout:
             problem, level = replace(problem, code="drive_timeout_waived"), WARN
         self.reports.diagnose("drive timeout", problem, well, level)
+
+
+def _read_endpoint(values: Mapping[str, Any], node_name: str) -> Endpoint:
+    """Return the drive that a node's parameters choose.
+
+    Raises:
+        ConfigurationError: a parameter or the drive file is wrong.
+    """
+    key = f"parameter {{}} of {node_name}"
+    if not values["drive"]:
+        raise ConfigurationError(
+            "must be given: the make of the drive, as a file of config/drives without .yaml, or "
+            "the path of your own file", key=key.format("drive"),
+        )
+    return read_endpoint(
+        find_drive_file(values["drive"]), values["address"], key.format("address"),
+        values["broker_login"], values["broker_authority"],
+    )
 
 
 def second_publisher(entry: Input, code: str) -> Problem | None:

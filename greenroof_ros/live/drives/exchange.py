@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import Any
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
@@ -41,6 +42,9 @@ PAUSE_S = 2.0
 SECOND_MASTER_PAUSE_S = 10.0
 # Within this time the drive must acknowledge its fault; after it the fault counts again (s).
 RESET_S = 5.0
+# Greatest age of the drive's status (s). During a start none comes for some seconds; a lost
+# connection is noticed sooner.
+STATUS_AGE_S = 10.0
 # Interval at which the drive's safety-relevant settings are read again (s).
 SETTINGS_S = 30.0
 # A silence is longer than the drive's own communication timeout by this much (s).
@@ -235,8 +239,11 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     caller, which counts starts and waits between them, decides on the next. During a silence
     nothing is sent for longer than the drive's own timeout, which then stops it: it may count any
     order as a sign of life. A timeout above the limit is not relied on, and `stop` ends a silence
-    early. `close` works in every state and leaves the drive stopped. From the first connection to
-    `close` no other program on this machine can use the drive.
+    early. `close` works in every state and leaves the drive stopped; a new exchange can then be
+    made. From the first connection to `close` no other program on this machine can use the drive.
+
+    Attributes:
+        endpoint: the drive.
     """
 
     def __init__(
@@ -247,6 +254,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         *,
         timeout_s: float = 0.5,
         timeout_limit_s: float = 10.0,
+        stops_locally: bool = False,
         checks_simulator: bool = False,
     ) -> None:
         """Prepare the exchange.
@@ -258,18 +266,20 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             timeout_s: longest wait for each answer (s).
             timeout_limit_s: longest usable communication timeout of the drive (s). A silence lasts
                 this long if the timeout is longer, unknown or off.
+            stops_locally: whether somebody has confirmed that the drive's own settings stop the
+                pump, if they cannot be read.
             checks_simulator: whether to find out if it is the drive simulator.
 
         Raises:
             ConfigurationError: its library is missing, or a file for the login is wrong.
         """
         super().__init__("talking to the drive", DriveSnapshot())
-        self._endpoint = endpoint
+        self.endpoint = endpoint
         self._drive: Connection = endpoint.connection(timeout_s)
         self._drive_lock = DriveLock(endpoint)
         self._period_s = max(period_s, endpoint.period)
         self._dead_man_s, self._timeout_s = dead_man_s, timeout_s
-        self._timeout_limit_s = timeout_limit_s
+        self._timeout_limit_s, self._stops_locally = timeout_limit_s, stops_locally
         # Read and written as a whole, so no lock is needed.
         self._requested: tuple[float | None, float] = (None, -math.inf)
         # Until this time a fault may be acknowledged.
@@ -312,6 +322,65 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._update(state=ExchangeState.CONNECTING, status=None)
         self._fail("could not confirm that the pump is at rest: the connection hangs")
         return True
+
+    @property
+    def closing(self) -> bool:
+        """Whether `close` was called."""
+        return self._closing
+
+    def outcome(self) -> str:
+        """Return, after `close`, how the drive was released.
+
+        Raises:
+            OSError: it did not answer at the end, or is not at rest.
+        """
+        snapshot = self.snapshot
+        status = snapshot.status
+        problem = f"the drive is not at rest at the end: {status}"
+        if status is None or snapshot.connected:
+            # If still connected, the thread has not read that the drive is at rest.
+            why = snapshot.problem or "no last answer"
+            problem = f"the drive did not answer at the end ({why})"
+        elif status.at_rest:
+            return f"released the drive: {status}"
+        timeout = "off" if snapshot.timeout_known else "not known"
+        ending = f"only its own panel can stop it now: its communication timeout is {timeout}"
+        if snapshot.timeout_s is not None:
+            ending = f"its own timeout of {snapshot.timeout_s:g} s must stop it"
+        raise OSError(f"{problem}; {ending}")
+
+    def status(self, now: float) -> DriveStatus | None:
+        """Return the drive's last status; None if too old."""
+        snapshot = self.snapshot
+        return snapshot.status if now - snapshot.read_at < STATUS_AGE_S else None
+
+    def absence(self, now: float) -> Problem | None:
+        """Return why the drive does not answer; None if it does."""
+        if self._closing:
+            return Problem.of("drive_lost", "released")
+        if self.status(now) is not None:
+            return None
+        if problem := self.snapshot.problem:
+            return Problem.of("drive_lost", "problem", problem=problem)
+        return Problem.of("drive_lost", "silent", time=STATUS_AGE_S)
+
+    def timeout_problem(self, snapshot: DriveSnapshot) -> Problem | None:
+        """Return what is wrong with the drive's own communication timeout; None if nothing is."""
+        guard, seconds, limit_s = self.endpoint.guard, snapshot.timeout_s, self._timeout_limit_s
+        values: dict[str, float | str] = {}
+        if not snapshot.timeout_known:
+            case, values["note"] = "unread", snapshot.timeout_note
+        elif seconds is None:
+            case, values["note"] = "none", snapshot.timeout_note
+        elif seconds > limit_s:
+            case, values = "long", {"timeout": seconds, "limit": limit_s}
+        elif guard is not None and guard.local_settings_decide and not self._stops_locally:
+            case = "local"
+        else:
+            return None
+        more = {} if guard is None else {"repair": guard.how_to_set, "traps": guard.traps}
+        cases = [name for name, text in more.items() if text]
+        return Problem.of("drive_timeout", case, *cases, **values, **more)
 
     def request_speed(self, speed: float | None) -> None:
         """Request a speed (share of rated speed), or off (None); valid for `dead_man_s`.
@@ -445,7 +514,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         if not self._drive_lock.locked:
             self._acquire_lock()
             return
-        self._drive = drive = self._endpoint.connection(self._timeout_s)
+        self._drive = drive = self.endpoint.connection(self._timeout_s)
         self._last_attempt, self._unanswered = self._closing, 0
         self._update(no_simulator=None)
         drive.line.connect()
