@@ -23,23 +23,8 @@ _CHECK_S = 0.05
 _REPORT_S = 0.25
 
 
-class SupervisedNode(GraphNode):
-    """A node that also reports to the process that started it, if any."""
-
-    def report_state(self, **values: Any) -> dict[str, Any]:
-        """Report the node's state, and return all values of the report."""
-        report = super().report_state(**values)
-        supervisor_socket().report({"node": self.get_name(), **report})
-        return report
-
-    def end(self, failure: str | None) -> None:
-        """Report that the node ends, and wait until its readers have everything; see the base."""
-        super().end(failure)
-        supervisor_socket().flush(FLUSH_S)
-
-
-class LiveNode(SupervisedNode):
-    """A node of a live site.
+class LiveNode(GraphNode):
+    """A node of a live site. It also reports to the process that started it, if any.
 
     A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, by their names in
     the interface. It overrides :meth:`on_inputs` and, as needed, the other ``on_`` methods and
@@ -172,3 +157,14 @@ class LiveNode(SupervisedNode):
         for sentence in self.warnings:
             if sentence not in before:
                 self.get_logger().warning(sentence)
+
+    def report_state(self, **values: Any) -> dict[str, Any]:
+        """Report the node's state, and return all values of the report."""
+        report = super().report_state(**values)
+        supervisor_socket().report({"node": self.get_name(), **report})
+        return report
+
+    def end(self, failure: str | None) -> None:
+        """Report that the node ends, and wait until its readers have everything; see the base."""
+        super().end(failure)
+        supervisor_socket().flush(FLUSH_S)
