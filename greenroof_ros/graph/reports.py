@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock
 from rclpy.node import Node
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Problem, Value
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.states import STARTING
@@ -47,7 +47,7 @@ class Diagnosis:
     code: str
     cause: str
     since: float
-    values: Mapping[str, float | str] = field(default_factory=dict)
+    values: Mapping[str, Value] = field(default_factory=dict)
 
     def for_programs(self) -> dict[str, str]:
         """Return its code, the start of that code (ISO 8601), and its cause; each can be empty."""
@@ -186,7 +186,7 @@ def _dated(
 def _values(diagnosis: Diagnosis, numbers: Mapping[str, float | None]) -> list[KeyValue]:
     """Return the values in the status of a part: its numbers, code, start and cause."""
     values = {
-        key: value if isinstance(value, str) else f"{value:.6g}"
+        key: f"{value:.6g}" if isinstance(value, (float, int)) else str(value)
         for key, value in {**diagnosis.values, **numbers}.items() if value is not None
     }
     values |= diagnosis.for_programs()

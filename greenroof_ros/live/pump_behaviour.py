@@ -564,7 +564,7 @@ class PumpBehaviour:
         first = next(iter(decision.interlocks.values()), None)
         wrong = first is not None and first.code != "quiet_hours"  # these are as intended
         diagnose(
-            "pump", first and replace(first, sentence=self._state), self._state,
+            "pump", first and replace(first, text=self._state), self._state,
             ERROR if decision.state == "fault" else WARN if wrong else OK,
             self._cause(first.code) if first else "", log=False,
         )
@@ -603,7 +603,7 @@ class PumpBehaviour:
                     if part in read_interlocks()[code].explained_by
                 ), None)
             elif part == "frost":
-                level, problem = WARN, replace(problem, code=self._cause("frost_unknown"))
+                level, problem = WARN, problem.under(self._cause("frost_unknown"))
             well = " and ".join(name.replace("_", " ") for name in names)
             self._reports.diagnose(part, problem, f"known: {well}", level)
 
@@ -658,7 +658,7 @@ class PumpBehaviour:
         if status is None:
             absence, lost = self._exchange.absence(now), bool(snapshot.errors)
             if absence is not None and not lost:
-                absence = replace(absence, code="drive_awaited")
+                absence = absence.under("drive_awaited")
             self._reports.diagnose("drive", absence, level=ERROR if lost else WARN)
             return
         self._reports.hardware = snapshot.identity
@@ -686,7 +686,7 @@ class PumpBehaviour:
         if problem is None:
             problem, level = Problem.if_any("drive_guards_later", snapshot.unguarded), WARN
         elif self._without_timeout:
-            problem, level = replace(problem, code="drive_timeout_waived"), WARN
+            problem, level = problem.under("drive_timeout_waived"), WARN
         self._reports.diagnose("drive timeout", problem, well, level)
 
 

@@ -261,6 +261,8 @@ def check_problem(call: ast.Call) -> set[str]:
     given = {keyword.arg for keyword in call.keywords} | {
         "why" for _ in cases if ast.unparse(call.func) == "Problem.if_any"
     }
+    if code.value.startswith("input_"):
+        given |= {"topic"}  # the rules of the input add it
     needed = {name for text in templates for _, name, *_ in Formatter().parse(text) if name}
     assert needed <= given or None in given, (code.value, needed, given)
     return {code.value}
