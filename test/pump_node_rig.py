@@ -15,6 +15,8 @@ from rosgraph_msgs.msg import Clock
 from simulators import Simulator
 from std_msgs.msg import Float64
 
+from greenroof_ros.graph.states import PumpState
+
 # Ten ticks of 1 s per second, and a drive that ramps ten times as fast as in real time.
 PERIOD_S = 0.1
 PACE = ("--speed", "10", "--boot", "0.1", "--timeout", "1.5")
@@ -30,7 +32,9 @@ class PumpRig:
         self._nodes = 0
         self.node = observer.node
         self.flows: list[float] = observer.collect("/pump/flow")
-        self.states: list[str] = observer.collect("/pump/state")
+        self.states: list[str] = observer.collect(
+            "/pump/state", lambda message: str(PumpState.read(message.data))
+        )
         self._ticks = 0
         self._volumes = [75.0, 0.3]
         self._publishers: dict[str, Any] = {}

@@ -11,7 +11,7 @@ a ``reason`` and an end, ``until`` (s since 1970), if they are given. ``~/reset`
 site file allows it, ``~/dose`` (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and
 ``asked_at``, the present time in s since 1970) delivers a volume once, or says why not. /pump/flow
 is published once per tick in every state. In between, the drive can be stopped by wall time.
-/pump/state says why the pump is at rest.
+/pump/state says what the pump does, and why.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.parameters import site_file
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
+from greenroof_ros.graph.states import PumpState
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S, find_drive_file
 from greenroof_ros.live.drives.endpoint import Endpoint, read_endpoint
@@ -177,7 +178,7 @@ class PumpBehaviour:
             None, "off", "not started", {}, 0.0, "", (), at_rest=False, reported_speed=None,
             flow_known=False, blind_for=0.0,
         )
-        self._state = ""
+        self._state = PumpState()
         self._reasons: tuple[object, ...] = ()  # as `check` last saw them
         self._watched = time.monotonic()
         self._resetting_until = 0.0
@@ -317,7 +318,7 @@ class PumpBehaviour:
         self.step(boot_time())
         if request.data:
             self._exchange.stop()
-        response.success, response.message = self._service_result(self._state)
+        response.success, response.message = self._service_result(str(self._state))
         return response
 
     def _on_hold_request(
@@ -332,7 +333,7 @@ class PumpBehaviour:
         else:
             self.step(boot_time())
             self._exchange.stop()
-            result.successful, result.reason = self._service_result(self._state)
+            result.successful, result.reason = self._service_result(str(self._state))
         self._log.info(f"hold requested: {result.reason}")
         return response
 
@@ -358,7 +359,7 @@ class PumpBehaviour:
             return response
         self._control.clear()
         self.step(boot_time())
-        response.success, response.message = self._service_result(self._state)
+        response.success, response.message = self._service_result(str(self._state))
         self._log.info(f"fault cleared: {response.message}")
         return response
 
@@ -373,7 +374,7 @@ class PumpBehaviour:
             refusal = self._control.request_dose(fields["asked_at"], fields["volume"])
         self.step(boot_time())
         response.result.successful = not refusal
-        response.result.reason = refusal or self._state
+        response.result.reason = refusal or str(self._state)
         self._log.info(f"dose requested: {response.result.reason}")
         return response
 
@@ -511,14 +512,14 @@ class PumpBehaviour:
         decided, decision = self._decision, self._control.step(dt, observation, drive_dt)
         self._decision = decision
         self._exchange.request_speed(decision.speed)
-        state = f"{decision.state}: {decision.why}"
+        state = PumpState(decision.state, decision.why, tuple(decision.interlocks))
         before, self._state = self._state, state
         if state != before:
-            self._node.publish("/pump/state", state)
+            self._node.publish("/pump/state", state.message())
             # Not at every change of the words: they have numbers.
             logged = (decided.state, decided.at_rest, *decided.interlocks)
             if (decision.state, decision.at_rest, *decision.interlocks) != logged:
-                self._log.info(state)
+                self._log.info(str(state))
         return decision
 
     def _elapsed(self) -> float:
@@ -538,7 +539,7 @@ class PumpBehaviour:
         record, decision, dose = self._ledger.record, self._decision, self._control.dose
         active_hold = self._ledger.active_hold
         return {
-            "pump": self._state, "pump_state": decision.state,
+            "pump_state": self._state.state, "pump_why": self._state.why,
             "stands": decision.at_rest,
             "speed": decision.reported_speed,
             "flow": decision.flow if decision.flow_known else None,
@@ -564,7 +565,7 @@ class PumpBehaviour:
         first = next(iter(decision.interlocks.values()), None)
         wrong = first is not None and first.code != "quiet_hours"  # these are as intended
         diagnose(
-            "pump", first and replace(first, text=self._state), self._state,
+            "pump", first and replace(first, text=str(self._state)), str(self._state),
             ERROR if decision.state == "fault" else WARN if wrong else OK,
             self._cause(first.code) if first else "", log=False,
         )
