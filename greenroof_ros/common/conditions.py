@@ -159,6 +159,10 @@ class Problem:
         """Return it under another code, with the same sentence and values."""
         return replace(self, code=code, text=self.sentence)
 
+    def plus(self, case: str, **values: Value) -> Problem:
+        """Return it with one more of its sentences."""
+        return Problem.of(self.code, str(self.values["case"]), case, **{**self.values, **values})
+
     @classmethod
     def if_any(cls, code: str, why: str) -> Problem | None:
         """Return a condition whose only value is a reason; None if there is no reason."""

@@ -439,9 +439,7 @@ class PumpBehaviour:
             if not status.remote:
                 yield Problem.of("drive_local", "local")
             yield from filter(None, (
-                Problem.if_any("second_master", snapshot.second_master),
-                Problem.if_any("start_failed", snapshot.start_failed),
-                Problem.if_any("drive_guards_later", snapshot.unguarded),
+                snapshot.second_master, snapshot.start_failed, snapshot.unguarded,
                 None if self._without_timeout else self._exchange.timeout_problem(snapshot),
                 self._missing_run(),
             ))
@@ -671,7 +669,7 @@ class PumpBehaviour:
             more = {"problem": trouble} if trouble else {}
             problem = Problem.of("drive_local", "local", *more, **more)
         elif snapshot.second_master:
-            problem = Problem.of("second_master", why=snapshot.second_master)
+            problem = snapshot.second_master
         elif trouble:
             problem = Problem.of("drive_warning", warning=trouble)
         self._reports.diagnose("drive", problem, f"connected to {snapshot.identity}", level)
@@ -685,7 +683,7 @@ class PumpBehaviour:
             well += f"; beware: {guard.traps}"
         problem, level = self._exchange.timeout_problem(snapshot), ERROR
         if problem is None:
-            problem, level = Problem.if_any("drive_guards_later", snapshot.unguarded), WARN
+            problem, level = snapshot.unguarded, WARN
         elif self._without_timeout:
             problem, level = problem.under("drive_timeout_waived"), WARN
         self._reports.diagnose("drive timeout", problem, well, level)

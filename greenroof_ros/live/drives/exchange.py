@@ -79,11 +79,11 @@ class DriveSnapshot(DeviceSnapshot):
         timeout_known: the timeout could be read.
         timeout_note: why it counts as off, or could not be read.
         unguarded: why the connected drive is kept off: its own timeout may not guard yet, or it
-            must be the simulator and may not be; empty if neither.
+            must be the simulator and may not be; None if neither.
         no_simulator: why it may not be the drive simulator; empty if it is, None if unknown.
-        second_master: that somebody else writes to the drive, which is therefore kept off; empty
+        second_master: that somebody else writes to the drive, which is therefore kept off; None
             if nobody does.
-        start_failed: why it was stopped although it was to run; empty once *off* is requested.
+        start_failed: why it was stopped although it was to run; None once *off* is requested.
         errors: number of failures so far.
     """
 
@@ -93,10 +93,10 @@ class DriveSnapshot(DeviceSnapshot):
     timeout_s: float | None = None
     timeout_known: bool = False
     timeout_note: str = ""
-    unguarded: str = ""
+    unguarded: Problem | None = None
     no_simulator: str | None = None
-    second_master: str = ""
-    start_failed: str = ""
+    second_master: Problem | None = None
+    start_failed: Problem | None = None
     errors: int = 0
 
     @property
@@ -276,7 +276,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         super().__init__("talking to the drive", DriveSnapshot())
         self.endpoint = endpoint
         self._drive: Connection = endpoint.connection(timeout_s)
-        self._drive_lock = DriveLock(endpoint)
+        self._drive_lock, self._waits_for_lock = DriveLock(endpoint), False
         self._period_s = max(period_s, endpoint.period)
         self._dead_man_s, self._timeout_s = dead_man_s, timeout_s
         self._timeout_limit_s, self._stops_locally = timeout_limit_s, stops_locally
@@ -430,21 +430,20 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     def _target_speed(self) -> float | None:
         speed, at = self._requested
         fresh = boot_time() - at <= self._dead_man_s  # a suspend counts
-        return speed if fresh and not self._closing and not self._unguarded() else None
+        return speed if fresh and not self._closing and self._unguarded() is None else None
 
-    def _unguarded(self) -> str:
-        """Return why the drive must not run although it is connected.
+    def _unguarded(self) -> Problem | None:
+        """Return why the drive must not run although it is connected; None if it may.
 
         It may have lost power since the last connection; a cut cable looks the same.
         """
         if self._requires_simulator and (why := self._snapshot.no_simulator) != "":
-            return why or "it is not known yet whether it is the drive simulator"
+            if why is None:
+                return Problem.of("drive_guards_later", "unknown")
+            return Problem.of("drive_guards_later", "another", why=why)
         if time.monotonic() >= self._guarded_from:
-            return ""
-        return (
-            f"its own communication timeout is not effective for {self._unguarded_s:g} s after "
-            "power-up, so the drive is kept off for this long after connecting"
-        )
+            return None
+        return Problem.of("drive_guards_later", "power_up", time=self._unguarded_s)
 
     def _step(self) -> None:
         """Do what the present state requires."""
@@ -462,7 +461,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         """Close the connection; then stay silent, connect again after a while, or end."""
         now, drive = time.monotonic(), self._drive
         if self._requested[0] is not None:
-            self._update(start_failed=f"the connection was lost: {problem}")
+            self._update(start_failed=Problem.of("start_failed", "lost", problem=problem))
         why = self._stop_monitor.connection_lost(drive.stopped, now)
         if isinstance(error, RunsOnError):
             why = ""  # the error already gives the reason
@@ -550,9 +549,11 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         if not self._done:
             try:
                 self._drive_lock.acquire()
+                self._waits_for_lock = False
             except DriveError as error:
-                if self._snapshot.problem != str(error):
-                    self._fail(str(error))
+                report = self._update if self._waits_for_lock else self._fail
+                report(problem=str(error))
+                self._waits_for_lock = True
                 self._connect_at = time.monotonic() + LOCK_WAIT_S
 
     def _read_settings(self) -> None:
@@ -636,21 +637,21 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         pause_s = PAUSE_S
         try:
             other = self._drive.second_master()
-            if other:
+            if other is not None:
                 pause_s = SECOND_MASTER_PAUSE_S
                 self._stop_monitor.order_changed()  # the drive may obey the other writer
-                why = f"{other}; stopped until {pause_s:g} s after the last such word"
-                self._update(second_master=why)
-                raise DriveError("drive", why)
+                other = other.plus("pause", pause=pause_s)
+                self._update(second_master=other)
+                raise DriveError("drive", other.sentence)
             if self._snapshot.second_master and time.monotonic() >= self._paused_until:
-                self._update(second_master="")
+                self._update(second_master=None)
             if time.monotonic() < self._reset_until:
                 self._reset_until = -math.inf
                 self._paused_until = -math.inf
                 self._drive.reset()
             speed = self._target_speed()
             if self._requested[0] is None:
-                self._update(start_failed="")
+                self._update(start_failed=None)
             kept_off = self._snapshot.start_failed or time.monotonic() < self._paused_until
             if speed is None or kept_off:
                 self._stop()
@@ -670,7 +671,8 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._drive.run(speed, lambda: self._target_speed() is not None)
         except DriveError as error:
             if error.kind == "drive":
-                self._update(start_failed=f"the drive failed to start: {error}")
+                failed = Problem.of("start_failed", "failed", problem=str(error))
+                self._update(start_failed=failed)
             else:
                 self._stop_monitor.order_changed()  # it may obey although the answer was lost
             raise

@@ -396,9 +396,9 @@ class PumpControl:
 
         Also the other reasons that the ledger keeps: a hold, and an unreadable record.
         """
-        failed_start = next((
-            reason.sentence for reason in observed.reasons if reason.code == "start_failed"
-        ), "")
+        failed_start = next(
+            (reason for reason in observed.reasons if reason.code == "start_failed"), None
+        )
         if failed_start and self._setpoint is not None:
             self._failed_starts += 1
         if observed.speed is not None:  # a short silence does not reset the timer
@@ -415,7 +415,7 @@ class PumpControl:
             ))
         if self._failed_starts >= _FAILED_STARTS:
             found.append(Problem.of(
-                "speed_not_followed", "starts", starts=self._failed_starts, why=failed_start
+                "speed_not_followed", "starts", starts=self._failed_starts, why=failed_start or ""
             ))
         if observed.drive_fault:
             found.append(drive_fault(observed.drive_fault, observed.runs_on))

@@ -273,10 +273,10 @@ def test_after_each_connection_the_drive_is_off_while_it_may_not_guard() -> None
         bench.exchange.start()
         for _ in range(2):
             wait(lambda: bench.now.connected)
-            assert "is not effective for 0.6 s after power-up" in bench.now.unguarded
+            assert "is not effective for 0.6 s after power-up" in str(bench.now.unguarded)
             wait(lambda: RUN in bench.drive.written)
             assert time.monotonic() - began > 0.6
-            wait(lambda: bench.now.unguarded == "" and bench.drive.values[4] == 10000)
+            wait(lambda: bench.now.unguarded is None and bench.drive.values[4] == 10000)
             assert bench.now.problem == ""
             began = time.monotonic()
             bench.wire.drop()
@@ -335,7 +335,7 @@ def test_a_reset_that_could_not_be_done_in_time_is_forgotten(
 
     bench.drive.on_write = overwrite
     wait(lambda: "somebody else writes to the drive" in bench.now.problem)
-    assert "somebody else writes to the drive" in bench.now.second_master
+    assert "somebody else writes to the drive" in str(bench.now.second_master)
     bench.exchange.reset()
     time.sleep(0.4)
     bench.drive.on_write = lambda _address, _word: None
@@ -369,7 +369,7 @@ def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
     bench.drive.on_write = answer
     bench.drive.written.clear()
     assert not ask(0.5, PAUSE_S + 1.0, lambda: RUN in bench.drive.written)
-    assert bench.now.start_failed.startswith({
+    assert str(bench.now.start_failed).startswith({
         "to start": "the drive failed to start: ",
         "while it runs": "the connection was lost: ",
     }[fails])
@@ -718,7 +718,7 @@ def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so
         assert bench.now.no_simulator == ""
         bench.wire.answer = bench.drive
         bench.wire.drop()
-        wait(lambda: "does not identify itself" in bench.now.unguarded)
+        wait(lambda: "does not identify itself" in str(bench.now.unguarded))
     before_it = len(bench.drive.written)
     bench.exchange.require_simulator()
     wait(lambda: bench.drive.values[0] == 0x047E)
