@@ -15,20 +15,18 @@ from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.live.drives.endpoint import Connection, Endpoint
 from greenroof_ros.live.drives.lock import DriveInUseError, DriveLock
 from greenroof_ros.live.drives.modbus_line import DeviceSnapshot, DeviceThread, DriveError
+from greenroof_ros.live.drives.stop_monitor import (
+    RUNS_ON_S,
+    Deceleration,
+    RunsOnError,
+    StopMonitor,
+)
 
 # Wait before a new attempt to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
 # A drive being stopped must not keep its speed for longer than this (s), or it counts
-# as one that does not stop; and the least decrease that counts (share of rated speed).
-STEADY_S, SLOWER = 3.0, 0.005
-# A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), longer
-# than a drive needs to begin its ramp. It is left in silence once the fault was visible for
-# VISIBLE_S (s), longer than the caller's tick, even if a connection breaks meanwhile. Together they
-# are not longer than pump control by default waits for a speed to follow beyond the ramp
-# (follow_time).
-RUNS_ON_S, VISIBLE_S = 10.0, 2.0
-# Least time from a silence that did not help to the next (s): the fault may need a person.
-RUNS_ON_AGAIN_S = 60.0
+# as one that does not stop.
+STEADY_S = 3.0
 # A drive whose speed cannot be read may still get orders for this long (s); then follows the
 # silence in which its own timeout can pass.
 UNREAD_S = RUNS_ON_S + LONGEST_WAIT_S
@@ -103,113 +101,6 @@ class DriveSnapshot(DeviceSnapshot):
     def connected(self) -> bool:
         """Whether there is a connection that gives answers."""
         return self.state in (ExchangeState.STOPPED, ExchangeState.RUNNING, ExchangeState.STOPPING)
-
-
-class RunsOnError(DriveError):
-    """A drive runs on after *stop*, and must now be left in silence."""
-
-
-class _Deceleration:
-    """The fall of a drive's speed after *stop*."""
-
-    def __init__(self) -> None:
-        self._lowest, self._fell_at = math.inf, -math.inf
-
-    def update(self, status: DriveStatus, now: float) -> float:
-        """Update with a drive's report; return for how long its speed has not fallen (s)."""
-        if abs(status.speed) < self._lowest - SLOWER:
-            self._lowest, self._fell_at = abs(status.speed), now
-        return now - self._fell_at
-
-
-class StopMonitor:
-    """Monitors whether a drive obeys *stop*, across connections that break.
-
-    A drive obeys if its speed falls, however slowly. A drive in local control is left to the
-    person at its panel. All times are of `time.monotonic` (s).
-    """
-
-    def __init__(self, where: str) -> None:
-        """Start without any knowledge of the drive.
-
-        Args:
-            where: the place of the drive, for messages.
-        """
-        self._where = where
-        # The fall since *stop* became the last order; None if the drive runs or is at rest.
-        self._fall: _Deceleration | None = None
-        # For how long reports have shown that the speed does not fall, and the time of the last
-        # such report on this connection.
-        self._visible_s, self._reported_at = 0.0, math.inf
-        # Since when *stop* has been written without any speed being read.
-        self._unread_from = math.inf
-        # The number of consecutive connections on which the last *stop* could not be written.
-        self._refusals = 0
-        # End of the last silence because the drive ran on or its speed could not be read; reset
-        # when it comes to rest or runs.
-        self._silent_until = -math.inf
-
-    def stop_written(self, now: float) -> None:
-        """Record that *stop* was written, and is the last order."""
-        self._fall = self._fall or _Deceleration()
-        self._unread_from = min(self._unread_from, now)
-
-    def order_changed(self) -> None:
-        """Record that the last order is not *stop*, or may be somebody else's."""
-        self._fall = None
-
-    def speed_read(self) -> None:
-        """Record that the speed was read, or that a person at the panel watches the drive."""
-        self._unread_from = math.inf
-
-    def check(self, status: DriveStatus, now: float) -> DriveStatus:
-        """Return a drive's report, with a fault added if it runs on after *stop*.
-
-        Raises:
-            RunsOnError: the fault has been visible for long enough.
-        """
-        fall, reported_at, self._reported_at = self._fall, self._reported_at, math.inf
-        if fall is None or status.at_rest or not status.remote:
-            self._fall, self._silent_until = None, -math.inf
-            return status
-        steady_s = fall.update(status, now)
-        if steady_s <= RUNS_ON_S:
-            self._visible_s = 0.0
-            return status
-        self._reported_at, self._visible_s = now, self._visible_s + max(0.0, now - reported_at)
-        problem = f"it acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
-        if self._visible_s > VISIBLE_S and now - self._silent_until > RUNS_ON_AGAIN_S:
-            raise RunsOnError("drive", f"{self._where}: {problem} (it is {status.speed:.1%})")
-        fault = "; ".join(filter(None, (status.fault, problem)))
-        return replace(status, fault=fault, timed_out=False, runs_on=True)
-
-    def connection_lost(self, stopped: bool | None, now: float) -> str | None:
-        """Record that the connection was lost.
-
-        Args:
-            stopped: whether the last *stop* was written; None if none was attempted.
-            now: the time.
-
-        Returns:
-            Why the drive must be left in silence, to be added to the problem; None if it need not.
-        """
-        self._reported_at = math.inf
-        if stopped is not None:
-            self._refusals = 0 if stopped else self._refusals + 1
-        unread = now - self._unread_from > RUNS_ON_S
-        if stopped and unread and now - self._silent_until > RUNS_ON_AGAIN_S:
-            return (
-                f"; its speed cannot be read, and for {RUNS_ON_S:g} s it has been unknown whether "
-                "it is at rest, although *stop* is written"
-            )
-        if self._refusals > 1:
-            return "; *stop* could not be written on two successive connections"
-        return None
-
-    def silence_started(self, until: float) -> None:
-        """Record that a silence has started, and when it ends."""
-        if not self._refusals:
-            self._silent_until = until
 
 
 class DriveExchange(DeviceThread[DriveSnapshot]):
@@ -688,7 +579,7 @@ def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
 
     Drive files do not give the length of the ramp, so it waits for as long as the speed falls.
     """
-    fall = _Deceleration()
+    fall = Deceleration()
     while True:
         drive.stop()
         status, now = drive.read(), time.monotonic()

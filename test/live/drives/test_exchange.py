@@ -20,7 +20,7 @@ from places import CHECKOUT
 from simulators import until as wait
 
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.live.drives import exchange
+from greenroof_ros.live.drives import exchange, stop_monitor
 from greenroof_ros.live.drives.drive import DriveEndpoint, DriveStatus
 from greenroof_ros.live.drives.drive_file import (
     DriveFile,
@@ -33,8 +33,6 @@ from greenroof_ros.live.drives.exchange import (
     DriveExchange,
     DriveSnapshot,
     ExchangeState,
-    RunsOnError,
-    StopMonitor,
     stop_drive,
 )
 from greenroof_ros.live.drives.lock import DriveInUseError, DriveLock
@@ -44,6 +42,7 @@ from greenroof_ros.live.drives.modbus_line import (
     parse_address,
     parse_drive_address,
 )
+from greenroof_ros.live.drives.stop_monitor import RunsOnError, StopMonitor
 
 PERIOD, DEAD_MAN, TIMEOUT = 0.05, 0.3, 0.2
 OFF, RUN, ACKNOWLEDGE = (0, 0x047E), (0, 0x047F), (0, 0x04FE)
@@ -512,8 +511,9 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
 
     Its own timeout, 58.16, is 1 s; the margin is 0.2 s here instead of 1 s.
     """
-    for name, seconds in (("RUNS_ON_S", 0.5), ("VISIBLE_S", 0.5), ("SILENCE_MARGIN_S", 0.2)):
-        monkeypatch.setattr(exchange, name, seconds)
+    for name in ("RUNS_ON_S", "VISIBLE_S"):
+        monkeypatch.setattr(stop_monitor, name, 0.5)
+    monkeypatch.setattr(exchange, "SILENCE_MARGIN_S", 0.2)
     bench.drive.values[5815] = 10
     bench.run()
     bench.wire.times.clear()
@@ -540,7 +540,7 @@ def test_one_in_local_control_is_not_left_in_silence(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A person at its panel is responsible for it, whether its speed can be read or not."""
-    monkeypatch.setattr(exchange, "RUNS_ON_S", 0.5)
+    monkeypatch.setattr(stop_monitor, "RUNS_ON_S", 0.5)
     bench.run()
     bench.drive.on_write = lambda _address, _word: bench.drive.values.update({3: 0x1031, 4: 0x8000})
     bench.speed = None
@@ -869,9 +869,10 @@ def test_the_waits_fit_into_the_longer_ones_of_pump_control_bringup_and_service(
     from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
     from greenroof_ros.live.supervisor import ENDING_S, KILLING_S, PUMP_ENDING_S
 
-    assert exchange.UNREAD_S == exchange.RUNS_ON_S + exchange.LONGEST_WAIT_S == 15
-    assert exchange.STEADY_S < exchange.RUNS_ON_S < exchange.RUNS_ON_S + exchange.VISIBLE_S < 15
-    assert exchange.RUNS_ON_AGAIN_S > exchange.RUNS_ON_S
+    runs_on_s = stop_monitor.RUNS_ON_S
+    assert exchange.UNREAD_S == runs_on_s + exchange.LONGEST_WAIT_S == 15
+    assert exchange.STEADY_S < runs_on_s < runs_on_s + stop_monitor.VISIBLE_S < 15
+    assert runs_on_s < stop_monitor.RUNS_ON_AGAIN_S
     leave = exchange.REST_LIMIT_S
     assert LONGEST_RAMP_S < leave < leave + exchange.LONGEST_WAIT_S < PUMP_ENDING_S
     service = (CHECKOUT / "examples/greenroof.service").read_text()
