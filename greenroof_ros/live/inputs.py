@@ -118,7 +118,7 @@ class LiveInput(Input):
     """
 
     publishers: LivePublishers
-    problem: Problem | None = None
+    problem: Problem | None = Problem("input_waiting")
 
     def __init__(self, publishers: LivePublishers, rules: InputRules, *, optional: bool) -> None:
         """Start without a value.
