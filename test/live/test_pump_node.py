@@ -24,7 +24,7 @@ import pytest
 from graphs import Process, free_ports, wait_for
 from modbus_wire import Wire, acs880
 from places import CONFIG
-from pump_node_rig import PumpRig
+from pump_node_rig import PumpRig, state_in
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -318,7 +318,7 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     answer = rig.call(Trigger, "reset")
     assert answer.success and "the drive reports" in answer.message
     rig.run()
-    late = rig.observer.collect("/pump/state")  # as by ros2 topic echo --once
+    late = rig.observer.collect("/pump/state", state_in)  # as by ros2 topic echo --once
     rig.observer.until(lambda: late, LATE, "a state")
     assert late == [rig.state]
 
