@@ -43,8 +43,8 @@ def stop_of(store: GraphStore) -> dict[str, Any]:
             "Stop was accepted, but the pump still turns, or it is not known whether it is at "
             "rest. Stop it at its drive's panel if it is not at rest within seconds."
         )
-    state = "" if node is None else (store.pump_report or "").partition(": ")[0]
-    off = state in ("off", "held", "fault") and at_rest
+    report = store.pump_report
+    off = report is not None and report.state in ("off", "held", "fault") and at_rest
     return {
         "possible": node is not None, "stopped": stopped, "node": node and node.name,
         "label": "The pump is held off" if stopped

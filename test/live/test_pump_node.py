@@ -24,7 +24,7 @@ import pytest
 from graphs import Process, free_ports, wait_for
 from modbus_wire import Wire, acs880
 from places import CONFIG
-from pump_node_rig import PumpRig
+from pump_node_rig import PumpRig, state_in
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -33,8 +33,9 @@ from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.times import to_people
-from greenroof_ros.live.drives.exchange import DriveSnapshot
-from greenroof_ros.live.pump_drive import PumpDrive
+from greenroof_ros.live.drives.drive_file import find_drive_file
+from greenroof_ros.live.drives.endpoint import read_endpoint
+from greenroof_ros.live.drives.exchange import DriveExchange, DriveSnapshot
 from greenroof_ros.live.pumping.ledger import Ledger
 
 
@@ -103,31 +104,28 @@ GUARDS = DriveSnapshot(timeout_known=True, timeout_s=3.0)
 
 
 @pytest.mark.parametrize(
-    ("make", "address", "snapshot", "changes", "words"),
+    ("make", "address", "snapshot", "stops_locally", "words"),
     [
-        ("abb_acs880", "gateway://127.0.0.1", GUARDS, {}, None),
-        ("abb_acs880", "gateway://127.0.0.1", DriveSnapshot(timeout_known=True, timeout_s=10.5), {},
+        ("abb_acs880", "gateway://127.0.0.1", GUARDS, False, None),
+        ("abb_acs880", "gateway://127.0.0.1",
+         DriveSnapshot(timeout_known=True, timeout_s=10.5), False,
          "is 10.5 s, but must be at most 10 s (drive_timeout_limit); to set it: "),
         ("abb_acs880", "gateway://127.0.0.1",
-         DriveSnapshot(timeout_known=True, timeout_note="0"), {},
+         DriveSnapshot(timeout_known=True, timeout_note="0"), False,
          "is not effective (0); to set it: "),
-        ("abb_acs880", "tcp://127.0.0.1", DriveSnapshot(timeout_note="no timeout.tcp"), {},
+        ("abb_acs880", "tcp://127.0.0.1", DriveSnapshot(timeout_note="no timeout.tcp"), False,
          "could not be read (no timeout.tcp)"),
-        ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, {},
+        ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, False,
          "and confirm that (local_settings_stop_the_pump: true); to set it: "),
-        ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, {"local_settings_stop_the_pump": True},
-         None),
+        ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, True, None),
     ],
 )
 def test_a_timeout_that_does_not_guard(
-    make: str, address: str, snapshot: DriveSnapshot, changes: dict[str, object], words: str | None
+    make: str, address: str, snapshot: DriveSnapshot, stops_locally: bool, words: str | None
 ) -> None:
-    drive = PumpDrive({
-        "drive": make, "address": address, "exchange_period": 0.1, "drive_timeout_limit": 10.0,
-        "local_settings_stop_the_pump": False, "broker_login": "", "broker_authority": "",
-        **changes,
-    }, "pump", checks_simulator=False)
-    problem = drive.timeout_problem(snapshot)
+    endpoint = read_endpoint(find_drive_file(make), address, "address")
+    exchange = DriveExchange(endpoint, stops_locally=stops_locally)
+    problem = exchange.timeout_problem(snapshot)
     assert (problem is None) == (words is None)
     assert problem is None or words in problem.sentence
 
@@ -320,7 +318,7 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     answer = rig.call(Trigger, "reset")
     assert answer.success and "the drive reports" in answer.message
     rig.run()
-    late = rig.observer.collect("/pump/state")  # as by ros2 topic echo --once
+    late = rig.observer.collect("/pump/state", state_in)  # as by ros2 topic echo --once
     rig.observer.until(lambda: late, LATE, "a state")
     assert late == [rig.state]
 
