@@ -83,7 +83,7 @@ class Condition:
         """
         return self.by_role.get(role, self.advice).format(
             node=node,
-            reset=reset or f"ros2 service call {node}/reset std_srvs/srv/Trigger",
+            reset=reset or command_for(node, "reset"),
             release=command_for(node, "release"),
         )
 

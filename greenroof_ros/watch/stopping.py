@@ -57,7 +57,7 @@ def stop_of(store: GraphStore) -> dict[str, Any]:
         "call": "" if node is None or stopped else command_for(node.name, "hold"),
         "release": "" if node is None or not hold else command_for(node.name, "release"),
         "hold": None if node is None or is_silent else hold and f"{hold[0].upper()}{hold[1:]}.",
-        "clear_call": f"ros2 service call {node.name}/reset std_srvs/srv/Trigger"
+        "clear_call": command_for(node.name, "reset")
         if node is not None and node.text("fault") else "",
         **_allowed(None if is_silent or not store.allow_release else node, at_rest, store.site.a2),
     }

@@ -446,20 +446,24 @@ def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
         node.wait()
     rig.start(state_file=file)
     rig.join()
-    answer = rig.call(Trigger, "reset")
-    assert answer.success and "pump.json.broken is there" in answer.message
+    code, output = command(rig, "reset")
+    assert code == 1 and "not cleared: it was not confirmed" in output
+    assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
+    code, output = command(rig, "reset", "--yes")
+    assert code == 0 and "pump.json.broken is there" in output
     rig.run()
 
 
 def test_commands_without_a_graph_say_what_to_do(domain: int, tmp_path: Path) -> None:
     """A time in the past is refused first, since no graph would accept it."""
-    dose, release, past = (
+    dose, reset, past = (
         Process(domain, *words, cwd=tmp_path) for words in (
-            ("dose", "--volume", "0.2"), ("release",), ("hold", "--until", "2020-01-01T00:00"),
+            ("dose", "--volume", "0.2"), ("reset", "--yes"),
+            ("hold", "--until", "2020-01-01T00:00"),
         )
     )
     assert (past.wait(10), "must be in the future" in past.stderr()) == (2, True)
-    for process in (dose, release):
+    for process in (dose, reset):
         assert process.wait(60) == 1
         assert process.stderr().startswith("error: /pump does not answer: ")
         assert (
