@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from datetime import datetime
@@ -72,11 +71,9 @@ def tcp_addresses_of(pid: int) -> set[str]:
 
 
 def end(process: Process, number: signal.Signals = signal.SIGINT) -> None:
-    """End it, and check that it ends soon and well."""
-    begun = time.monotonic()
+    """End it, and check that it ends well."""
     process.process.send_signal(number)
-    assert process.wait(120) == 0, process.stderr()
-    assert time.monotonic() - begun < 20  # 2 s on an idle machine
+    assert process.wait(60) == 0, process.stderr()
     assert "Traceback" not in process.stderr()
 
 

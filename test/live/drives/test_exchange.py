@@ -844,7 +844,7 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
         bench.exchange.start()
         wait(lambda: "already runs this drive" in bench.now.problem)
         at_end = stop.result()
-    assert time.monotonic() - began < 2.0
+    assert time.monotonic() - began < exchange.RUNS_ON_S
     wait(lambda: bench.now.connected)
     bench.close_within(2.0)
     for status in (at_end, bench.now.status):
@@ -854,10 +854,8 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
 
 def test_a_stop_that_is_not_taken_is_tried_three_times(bench: Bench) -> None:
     bench.drive.silent = True
-    began = time.monotonic()
     with pytest.raises(DriveError, match="no valid answer"):
         stop_drive(DriveEndpoint(ABB, parse_address(bench.wire.at)), timeout_s=TIMEOUT)
-    assert time.monotonic() - began < 2.0
     assert bench.wire.connections == 3
 
 
