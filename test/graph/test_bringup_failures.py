@@ -89,7 +89,7 @@ def test_kill_leaves_all_but_a_chunk(domain: int, tmp_path: Path) -> None:
         levels = observer.collect("/roof/level")
         observer.until(lambda: len(levels) > 100, 60, "100 ticks")
         process.process.kill()
-        process.process.wait(60)
+        process.process.wait(300)
         for _ in range(64):  # what is on the way to a slow observer
             observer.executor.spin_once(timeout_sec=0.02)
     assert summary_of(tmp_path / "run")["status"] == "running"

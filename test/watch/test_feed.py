@@ -328,7 +328,7 @@ def test_a_stop_goes_before_what_was_asked_before_it_which_is_not_done() -> None
     for number, action in enumerate(("release", "stop", "dose", "stop", "release")):
         threading.Thread(target=ask, args=(number, action), daemon=True).start()
         wait_for(lambda a=action: feed._requests and feed._requests[-1][0] == a, 10, "the request")
-    wait_for(lambda: len(answers) == 2, 30, "the end of what came before a stop")
+    wait_for(lambda: len(answers) == 2, 60, "the end of what came before a stop")
     assert [action for action, *_ in feed._requests] == ["stop", "stop", "release"]
     assert answers.keys() == {0, 2}
     assert {*answers.values()} == {"Nothing was done: somebody is asking to stop the pump."}

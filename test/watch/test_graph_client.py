@@ -46,7 +46,7 @@ class Pump(Peer):
             parameter.name: parameter_value_to_python(parameter.value)
             for parameter in request.parameters
         })
-        self.answers.wait(60)
+        self.answers.wait(300)
         response.result.successful, response.result.reason = self.success, self.answer
         return response
 

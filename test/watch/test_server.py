@@ -251,7 +251,7 @@ def test_a_body_of_100_megabytes_is_refused_unread(port: int) -> None:
     packed = gzip.compress(bytes(5_000_000))  # this is not unpacked
     assert len(packed) < 10_000
     before = _memory()
-    with socket.create_connection((LOOPBACK, port), timeout=60) as connection:
+    with socket.create_connection((LOOPBACK, port), timeout=300) as connection:
         connection.sendall(POST + b"Transfer-Encoding: chunked\r\n\r\n")
         with suppress(ConnectionError, TimeoutError):
             for _ in range(100):
@@ -293,7 +293,7 @@ def test_broken_requests_stop_nothing(
     with ExitStack() as stack:
         connections = []
         for data in BROKEN:
-            connection = socket.create_connection((LOOPBACK, port), timeout=60)
+            connection = socket.create_connection((LOOPBACK, port), timeout=300)
             connections.append(stack.enter_context(connection))
             with suppress(ConnectionError):
                 connection.sendall(data)
@@ -316,7 +316,7 @@ def test_silent_connections_keep_nobody_away(
     with ExitStack() as stack:
         silent = []
         for number in range(3 * server._MOST_CONNECTIONS):
-            connection = socket.create_connection((LOOPBACK, port), timeout=60)
+            connection = socket.create_connection((LOOPBACK, port), timeout=300)
             silent.append(stack.enter_context(connection))
             if number % 3 == 0:
                 connection.sendall(b"GET / HT")

@@ -54,7 +54,7 @@ def written(file: Path) -> dict[str, Any]:
             return {}
         return max(records, key=lambda line: int(line["sequence"]))
 
-    return wait_for(newest, 30, "the file")  # type: ignore[no-any-return]
+    return wait_for(newest, 60, "the file")  # type: ignore[no-any-return]
 
 
 def read(file: Path, clock: Callable[[], float]) -> PumpRecord:
