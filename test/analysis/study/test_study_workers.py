@@ -155,10 +155,11 @@ class Dask:
         self.address = json.loads(file.read_text())["address"]
 
     def start_worker(self) -> None:
-        """Start another worker."""
+        """Start another worker, and wait until the scheduler has it."""
         self.workers.append(
             self._start("worker", self.address, "--nthreads", "1", "--no-nanny")
         )
+        self.wait_for_log("Register worker", len(self.workers))
 
     def _start(self, what: str, *options: str) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
