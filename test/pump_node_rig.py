@@ -120,7 +120,7 @@ class PumpRig:
         self.publish("/weather/frost", 0.0)
         self.publish("/pump/command", command)
         self._ticks += 1
-        self.observer.until(lambda: len(self.flows) > before, 10, "a flow")
+        self.observer.until(lambda: len(self.flows) > before, LATE, "a flow")
         remaining = began + PERIOD_S - time.monotonic()
         while remaining > 0:
             self.observer.executor.spin_once(timeout_sec=remaining)
@@ -155,10 +155,10 @@ class PumpRig:
         """Publish ticks until the state contains these words."""
         self.tick_until(0.5, lambda: words in self.state, seconds, words)
 
-    def until_at_rest(self, seconds: float, command: float = 0.5) -> float:
-        """Publish ticks until the motor stands and flow is 0; return how long that took (s)."""
-        return self.tick_until(
-            command, lambda: self.drive.speed() == 0.0 and self.flows[-1] == 0.0, seconds, "a stop"
+    def until_at_rest(self, command: float = 0.5) -> None:
+        """Publish ticks until the motor stands and flow is 0."""
+        self.tick_until(
+            command, lambda: self.drive.speed() == 0.0 and self.flows[-1] == 0.0, LATE, "a stop"
         )
 
     def play(

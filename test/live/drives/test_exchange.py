@@ -219,28 +219,30 @@ def test_what_was_asked_for_before_a_suspend_runs_nothing_after_it(
         assert wait(lambda: bench.drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
 
 
-def test_one_lost_answer_stops_nothing_and_a_half_open_connection_heals(bench: Bench) -> None:
-    bench.run()
-    bench.drive.written.clear()
-    lost = iter([True])
-    bench.wire.answer = lambda request: [] if next(lost, False) else bench.drive(request)
-    wait(lambda: bench.now.errors == 1)
-    wait(lambda: bench.now.problem == "")
-    assert bench.now.connected and bench.wire.connections == 1
-    assert OFF not in bench.drive.written
-    bench.drive.silent = True
-    bound = 2 * (TIMEOUT + PERIOD) + PERIOD
-    assert wait(lambda: not bench.now.connected) < bound + 0.1
-    assert bench.now.status is None
-    assert "no valid answer within 0.2 s" in bench.now.problem
-    bench.drive.written.clear()
-    bench.drive.silent = False
-    wait(lambda: bench.drive.values[4] == 10000 and bench.now.connected)
-    assert bench.drive.written[0] == OFF
-    assert bench.now.problem == ""
-    bench.drive.silent = True
-    bench.close_within(2.0)
-    assert bench.now.status is None and not bench.now.connected
+def test_one_lost_answer_stops_nothing_and_a_half_open_connection_heals() -> None:
+    timeout_s = 1.0
+    with closing(Bench(timeout_s=timeout_s, dead_man_s=60.0)) as bench:
+        bench.run()
+        bench.drive.written.clear()
+        lost = iter([True])
+        bench.wire.answer = lambda request: [] if next(lost, False) else bench.drive(request)
+        wait(lambda: bench.now.errors == 1)
+        wait(lambda: bench.now.problem == "")
+        assert bench.now.connected and bench.wire.connections == 1
+        assert OFF not in bench.drive.written
+        bench.drive.silent = True
+        bound = 2 * (timeout_s + PERIOD) + PERIOD
+        assert wait(lambda: not bench.now.connected) < bound + timeout_s / 2
+        assert bench.now.status is None
+        assert "no valid answer within 1 s" in bench.now.problem
+        bench.drive.written.clear()
+        bench.drive.silent = False
+        wait(lambda: bench.drive.values[4] == 10000 and bench.now.connected)
+        assert bench.drive.written[0] == OFF
+        assert bench.now.problem == ""
+        bench.drive.silent = True
+        bench.exchange.close()
+        assert bench.now.status is None and not bench.now.connected
 
 
 def test_a_drive_that_closes_its_connections_for_a_moment_is_not_left_in_silence() -> None:
@@ -844,7 +846,7 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
         bench.exchange.start()
         wait(lambda: "already runs this drive" in bench.now.problem)
         at_end = stop.result()
-    assert time.monotonic() - began < 2.0
+    assert time.monotonic() - began < exchange.RUNS_ON_S
     wait(lambda: bench.now.connected)
     bench.close_within(2.0)
     for status in (at_end, bench.now.status):
@@ -854,10 +856,8 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
 
 def test_a_stop_that_is_not_taken_is_tried_three_times(bench: Bench) -> None:
     bench.drive.silent = True
-    began = time.monotonic()
     with pytest.raises(DriveError, match="no valid answer"):
         stop_drive(DriveEndpoint(ABB, parse_address(bench.wire.at)), timeout_s=TIMEOUT)
-    assert time.monotonic() - began < 2.0
     assert bench.wire.connections == 3
 
 

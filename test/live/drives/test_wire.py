@@ -7,7 +7,6 @@ header. The manual's number of each register and the meaning of each word stand 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -405,10 +404,8 @@ def test_wrong_answers_have_a_name_and_a_time(
     answers: list[tuple[float, bytes]], kind: str, message: str
 ) -> None:
     with closing(Wire(first(*answers))) as wire:
-        began = time.monotonic()
         with pytest.raises(DriveError) as raised:
             talk("abb_acs880", wire.at, Drive.read)
-        assert time.monotonic() - began < 1.0
         assert raised.value.kind == kind and message in str(raised.value)
         assert f":{wire.port}, device 1: reading register 3" in str(raised.value)
         assert len(wire.requests) == 1  # no request is repeated
