@@ -20,8 +20,8 @@ CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 # ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
 COMMANDS = (
     "simulate", "bound", "recover", "topics", "check_controller", "check_pump", "drive_simulator",
-    "site_simulator", "forecast_simulator", "fetch_forecast", "hold", "release", "dose", "status",
-    "calibrate", "weather_file", "verify", "bridge", "study", "report", "watch",
+    "site_simulator", "forecast_simulator", "fetch_forecast", "hold", "release", "reset", "dose",
+    "status", "calibrate", "weather_file", "verify", "bridge", "study", "report", "watch",
 )
 # Colcon calls one of these, and setup.cfg says where executables go. Pip calls neither, and would
 # put names such as `report` and `watch` on everybody's PATH.

@@ -87,11 +87,11 @@ class LiveNode(GraphNode):
             level: the additional rule for a level; None for another input.
         """
         limit = LIMITS[name].name
+        publishers = LivePublishers(self, self.interface[name])
         rules = InputRules(
             boot_time(), self.get_parameter(limit).value, self.get_parameter(RECOVERY.name).value,
-            limit_name=limit, level=level,
+            topic=publishers.full_name, limit_name=limit, level=level,
         )
-        publishers = LivePublishers(self, self.interface[name])
         self.inputs[name] = entry = LiveInput(publishers, rules, optional=optional)
         self._open(publishers, self._engine.receiver(entry, callback))
         return entry

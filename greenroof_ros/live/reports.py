@@ -10,7 +10,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Problem, Value
 from greenroof_ros.graph.reports import Reports, iso
 from greenroof_ros.live.supervision import supervisor_socket
 
@@ -40,7 +40,7 @@ class Diagnosis:
     code: str
     cause: str
     since: float
-    values: Mapping[str, float | str] = field(default_factory=dict)
+    values: Mapping[str, Value] = field(default_factory=dict)
 
     def for_programs(self) -> dict[str, str]:
         """Return its code, the start of that code (ISO 8601), and its cause; each can be empty."""
@@ -133,7 +133,7 @@ class LiveReports(Reports):
 def _values(diagnosis: Diagnosis, numbers: Mapping[str, float | None]) -> list[KeyValue]:
     """Return the values in the status of a part: its numbers, code, start and cause."""
     values = {
-        key: value if isinstance(value, str) else f"{value:.6g}"
+        key: f"{value:.6g}" if isinstance(value, (float, int)) else str(value)
         for key, value in {**diagnosis.values, **numbers}.items() if value is not None
     }
     values |= diagnosis.for_programs()

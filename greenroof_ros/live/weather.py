@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
@@ -247,14 +246,15 @@ class LiveWeatherNode(LiveNode):
             return float(temperature <= 0)
         level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
         problem = Problem.of("temperature_unknown", case, why=why)
-        self.reports.diagnose("frost", replace(problem, code=self._temperature_code()), level=level)
+        self.reports.diagnose("frost", problem.under(self._temperature_code()), level=level)
         return self._unknown_frost
 
     def _temperature_code(self) -> str:
         """Return the code for an unknown temperature, by what the site has."""
         thermometer = self._thermometer
-        if thermometer.received and thermometer.verdict.code == "input_recovering":
-            return "input_recovering"
+        problem = thermometer.problem
+        if thermometer.received and problem is not None and problem.code == "input_recovering":
+            return problem.code
         if thermometer.received or thermometer.publishers.count:
             return "thermometer_lost"
         return "temperature_unknown" if self._fetcher is None else "temperature_not_fetched"
@@ -273,8 +273,8 @@ class LiveWeatherNode(LiveNode):
         ):
             well = problem.sentence
         elif problem is not None:
-            bad = Problem.of("gauge_bad", problem=problem.sentence, instead=instead)
-        self.reports.diagnose(part, bad, well, WARN, gauge.verdict.code)
+            bad = Problem.of("gauge_bad", problem=problem, instead=instead)
+        self.reports.diagnose(part, bad, well, WARN, problem.code if problem else "")
 
 
 main = live_command(LiveWeatherNode, partial(

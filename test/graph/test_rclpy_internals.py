@@ -34,7 +34,6 @@ from greenroof_ros.live.lifecycle import (  # noqa: E402
     INACTIVE,
     UNCONFIGURED,
     Lifecycle,
-    transition,
 )
 
 
@@ -43,15 +42,16 @@ class Small(Lifecycle, Node):
 
     def __init__(self, context: rclpy.Context) -> None:
         Node.__init__(self, "small", context=context)
-        Lifecycle.__init__(self)
+        Lifecycle.__init__(self, self)
         self.wakes = 0
 
-    @transition
-    def on_configure(self) -> None:
+    def requested(self) -> None:
+        self.wakes += 1
+
+    def configure(self) -> None:
         pass
 
-    def on_transition_request(self) -> None:
-        self.wakes += 1
+    activate = deactivate = cleanup = configure
 
 
 @pytest.fixture
