@@ -20,8 +20,8 @@ CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 # ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
 COMMANDS = (
     "simulate", "bound", "recover", "topics", "check_controller", "check_pump", "drive_simulator",
-    "site_simulator", "forecast_simulator", "fetch_forecast", "hold", "release", "dose", "status",
-    "calibrate", "weather_file", "verify", "bridge", "study", "report", "watch",
+    "site_simulator", "forecast_simulator", "fetch_forecast", "hold", "release", "reset", "dose",
+    "status", "calibrate", "weather_file", "verify", "bridge", "study", "report", "watch",
 )
 # Colcon calls one of these, and setup.cfg says where executables go. Pip calls neither, and would
 # put names such as `report` and `watch` on everybody's PATH.
@@ -73,7 +73,8 @@ setup(
         "Topic :: Scientific/Engineering :: Hydrology",
     ],
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={f"{NAME}.analysis.report": ["*.html"], f"{NAME}.watch": ["page/*"],
+    package_data={NAME: ["py.typed"],
+                  f"{NAME}.analysis.report": ["*.html"], f"{NAME}.watch": ["page/*"],
                   f"{NAME}.analysis.calibration": ["page.html", "findings.yaml"],
                   f"{NAME}.analysis.verification": ["page.html", "findings.yaml"]},
     data_files=[
@@ -128,6 +129,8 @@ setup(
             # Jazzy's Ubuntu has 3.9
             "aiohttp>=3.9.1,<4",
         ],
+        # The graph for Foxglove and Lichtblick: their protocol, from its makers.
+        "foxglove": ["foxglove-sdk>=0.30,<0.31"],  # its minor releases change the interface
         # The forecast of the internet; the same library as the page's.
         "fetch": ["aiohttp>=3.9.1,<4"],
         # Completes greenroof's commands and options in bash and zsh; 3.1 is in ROS 2 Jazzy's
@@ -136,12 +139,20 @@ setup(
         # Forecasts of CaSPAr; Unidata's own reader, while h5netcdf brings h5py and xarray pandas.
         "netcdf": ["netCDF4>=1.7,<2"],
         "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
+        # The environment GreenRoof-v0, for reinforcement learning; 0.29 has the present interface.
+        "gym": ["gymnasium>=0.29,<2"],
         "test": [
             # With 9.2, pytest-xdist 3.8 keeps no group together: fixtures are made once a worker.
             "pytest>=8,<9.2",
             "pytest-xdist>=3.8,<4",  # the tests on all cores; 3.8 is the oldest that was tried
             "pytest-timeout>=2.3,<3",  # a test that hangs fails, and the others go on
             "hypothesis>=6.100",  # properties of the plant and the controllers
+            "gymnasium>=1,<2",  # whether its checks pass the environment
+            "pandas>=2",  # weather in its data frames, and trajectories as such
+            "pyarrow>=15",  # what polars needs for that
+            "nbclient>=0.10",  # runs the notebook in examples/
+            "nbformat>=5.9",
+            "ipykernel>=6",
             "playwright>=1.40",  # reads the report's page in the system's Chromium
             # A new minor release of a linter brings new rules; they are taken in on purpose.
             "ruff~=0.17.0",
@@ -174,6 +185,8 @@ setup(
         "console_scripts": [
             f"greenroof = {NAME}.__main__:main", *(EXECUTABLES if IN_WORKSPACE else []),
         ],
+        # Gymnasium before 1.0 loads it; __root__ is a name without a namespace.
+        "gymnasium.envs": [f"__root__ = {NAME}.analysis.api:register_in_gymnasium"],
     },
     zip_safe=False,
 )

@@ -57,6 +57,6 @@ autodoc_default_options = {"members": True, "show-inheritance": True}
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
-# Without ROS 2 the nodes' pages are built with mocks.
-_ros = ("rclpy", "std_msgs", "rosgraph_msgs", "diagnostic_msgs", "rcl_interfaces")
-autodoc_mock_imports = [name for name in _ros if importlib.util.find_spec(name) is None]
+# Without ROS 2 the nodes' pages are built with mocks, likewise without Gymnasium.
+_others = ("rclpy", "std_msgs", "rosgraph_msgs", "diagnostic_msgs", "rcl_interfaces", "gymnasium")
+autodoc_mock_imports = [name for name in _others if importlib.util.find_spec(name) is None]

@@ -1,11 +1,48 @@
-"""A green roof watered from a storm cistern, as a ROS 2 node graph and as a library without ROS."""
+"""A green roof watered from a storm cistern, as a ROS 2 node graph and as a library without ROS.
 
+The names of ``__all__`` are loaded on first use, so that ``import greenroof_ros`` takes no time.
+"""
+
+import importlib
 import os
 import signal
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from greenroof_ros.analysis.api import gym
+    from greenroof_ros.analysis.api.environment import Environment
+    from greenroof_ros.analysis.api.inputs import read_site
+    from greenroof_ros.analysis.api.result import Result, read_bag
+    from greenroof_ros.analysis.api.simulate import compare, simulate
 
 __version__ = "1.0.0"
+
+__all__ = ["Environment", "Result", "compare", "gym", "read_bag", "read_site", "simulate"]
+
+# The module of each of these names in analysis/api; gym is itself one.
+_MODULES = {
+    "Environment": "environment", "Result": "result", "compare": "simulate",
+    "read_bag": "result", "read_site": "inputs", "simulate": "simulate",
+}
+
+
+if not TYPE_CHECKING:  # or every name would be right
+
+    def __getattr__(name: str) -> Any:
+        """Load a name of ``__all__``."""
+        api = f"{__name__}.analysis.api"
+        if name == "gym":
+            return importlib.import_module(f"{api}.gym")
+        if name in _MODULES:
+            return getattr(importlib.import_module(f"{api}.{_MODULES[name]}"), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Return the names that can be loaded, and the others."""
+    return sorted({*globals(), *__all__})
+
 
 # Bash's exit code after Ctrl-C.
 INTERRUPTED = 130

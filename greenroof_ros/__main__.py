@@ -39,6 +39,7 @@ GROUPS = {
         "fetch-forecast": Command("fetch_forecast", "fetch a forecast from the internet"),
         "hold": Command("hold", "keep the pump off, until a release or a time"),
         "release": Command("release", "end the hold of the pump"),
+        "reset": Command("reset", "clear a latched fault of the pump"),
         "dose": Command("dose", "pump a given volume now"),
     },
     "see what it does, or did": {

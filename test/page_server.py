@@ -106,7 +106,7 @@ class Stream:
         self.socket = socket.socket()
         if receiving is not None:
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receiving)
-        self.socket.settimeout(20)
+        self.socket.settimeout(60)
         self.socket.connect((LOOPBACK, port))
         lines = [f"GET /events?hours={hours} HTTP/1.1", "Host: localhost"]
         lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]

@@ -13,12 +13,19 @@ from places import guarding
 from ros_rig import LATE, Observer
 from rosgraph_msgs.msg import Clock
 from simulators import Simulator
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, String
+
+from greenroof_ros.graph.states import PumpState
 
 # Ten ticks of 1 s per second, and a drive that ramps ten times as fast as in real time.
 PERIOD_S = 0.1
 PACE = ("--speed", "10", "--boot", "0.1", "--timeout", "1.5")
 LEAST_TIMES = {"least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
+
+
+def state_in(message: String) -> str:
+    """Return the pump's state and the reason in a message of /pump/state."""
+    return str(PumpState.read(message.data))
 
 
 class PumpRig:
@@ -30,7 +37,7 @@ class PumpRig:
         self._nodes = 0
         self.node = observer.node
         self.flows: list[float] = observer.collect("/pump/flow")
-        self.states: list[str] = observer.collect("/pump/state")
+        self.states: list[str] = observer.collect("/pump/state", state_in)
         self._ticks = 0
         self._volumes = [75.0, 0.3]
         self._publishers: dict[str, Any] = {}
@@ -113,7 +120,7 @@ class PumpRig:
         self.publish("/weather/frost", 0.0)
         self.publish("/pump/command", command)
         self._ticks += 1
-        self.observer.until(lambda: len(self.flows) > before, 10, "a flow")
+        self.observer.until(lambda: len(self.flows) > before, LATE, "a flow")
         remaining = began + PERIOD_S - time.monotonic()
         while remaining > 0:
             self.observer.executor.spin_once(timeout_sec=remaining)
@@ -148,10 +155,10 @@ class PumpRig:
         """Publish ticks until the state contains these words."""
         self.tick_until(0.5, lambda: words in self.state, seconds, words)
 
-    def until_at_rest(self, seconds: float, command: float = 0.5) -> float:
-        """Publish ticks until the motor stands and flow is 0; return how long that took (s)."""
-        return self.tick_until(
-            command, lambda: self.drive.speed() == 0.0 and self.flows[-1] == 0.0, seconds, "a stop"
+    def until_at_rest(self, command: float = 0.5) -> None:
+        """Publish ticks until the motor stands and flow is 0."""
+        self.tick_until(
+            command, lambda: self.drive.speed() == 0.0 and self.flows[-1] == 0.0, LATE, "a stop"
         )
 
     def play(

@@ -8,12 +8,14 @@ import sys
 from places import CHECKOUT
 
 IMPORT_ALL = """
-import importlib, importlib.abc, pkgutil, sys
+import importlib, importlib.abc, importlib.util, pkgutil, sys
 
 GRAPH = (
     "greenroof_ros.nodes", "greenroof_ros.graph", "greenroof_ros.live",
     "greenroof_ros.bringup.composition", "greenroof_ros.commands.checks",
 )
+if importlib.util.find_spec("gymnasium") is None:
+    GRAPH += ("greenroof_ros.analysis.api.gym",)
 ROS = {
     "rclpy", "rcl_interfaces", "std_msgs", "std_srvs", "rosgraph_msgs", "diagnostic_msgs",
     "builtin_interfaces", "ament_index_python", "launch", "rosbag2_py",

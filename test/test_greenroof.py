@@ -178,7 +178,7 @@ def test_the_shell_completes_it(tmp_path: Path, typed: str, completed: set[str])
         '_python_argcomplete greenroof; printf "%s\\n" "${COMPREPLY[@]}"\n'
     )
     done = subprocess.run(
-        ["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        ["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=300,
         env={**os.environ, "PYTHONPATH": str(CHECKOUT), "PATH": f"{tmp_path}:{os.environ['PATH']}"},
     )
     assert {word.strip() for word in done.stdout.split()} == completed, done.stderr

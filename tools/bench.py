@@ -37,8 +37,8 @@ def echo(role: str) -> None:
     from std_msgs.msg import Float64
 
     from greenroof_ros.common.interface import read_topics
-    from greenroof_ros.graph.domain import make_executor
     from greenroof_ros.graph.messages import qos_profile
+    from greenroof_ros.graph.spin import make_executor
 
     rclpy.init(args=[])
     node = Node(role)

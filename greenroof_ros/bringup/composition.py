@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from greenroof_ros.bringup.watchdog import Watchdog
 from greenroof_ros.common.command_line import EXIT_FAILED, exit_code
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.processes import Signals
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
@@ -24,9 +23,6 @@ from greenroof_ros.nodes.controller import ControllerNode
 from greenroof_ros.nodes.plant import PlantNode
 from greenroof_ros.nodes.recorder import RecorderNode
 from greenroof_ros.nodes.weather import WeatherNode
-
-if TYPE_CHECKING:
-    from greenroof_ros.live.in_the_loop import DriveInLoop
 
 # How long messages of a node that is not composed are still received after the last tick (s): one
 # that publishes twice a tick can be found only then.
@@ -47,7 +43,7 @@ class Composition:
 
     def __init__(
         self, run: Run, parameters: Sequence[Path], namespace: str, *, record: bool,
-        external: bool, signals: Signals, progress: RunProgress,
+        external: bool, progress: RunProgress,
     ) -> None:
         """Make no node yet.
 
@@ -57,10 +53,9 @@ class Composition:
             namespace: such as ``/site1``; empty for none.
             record: whether there is a recorder.
             external: whether a node of the run is not composed here.
-            signals: end the run.
             progress: shows the run.
         """
-        self._run, self._record, self._signals = run, record, signals
+        self._run, self._record = run, record
         self._external = external
         self._progress = progress
         # rcl's own log files would grow in the user's home.
@@ -97,37 +92,30 @@ class Composition:
         """
         return end_nodes(list(self._nodes.values()), failure)
 
-    def spin(self, drive: DriveInLoop | None) -> None:
+    def spin(self, check: Callable[[int], None]) -> None:
         """Make the nodes, and run them to the end of the run.
 
         Args:
-            drive: a drive in the loop instead of the simulated pump; None for none.
+            check: called 20 times a second with the tick, -1 before the first; can raise to end the
+                run with an error.
 
         Raises:
-            InterruptedRun: a signal was received.
             LockstepError: the graph cannot go on.
             ConfigurationError: a parameter is wrong.
-            NodeFailed: the pump node ended or hangs.
             OSError: a node cannot go on, for instance on a full disk.
         """
-        with ExitStack() as ends:
-            if drive is not None:
-                ends.enter_context(drive)
-            run = self._run
-            plant = self._nodes["plant"] = PlantNode()
-            self._nodes["weather"] = WeatherNode()
-            if run.controller.reference != EXTERNAL:
-                self._nodes[run.controller.name] = ControllerNode(run.controller.reference)
-            if self._record:
-                self._nodes[RECORDER] = RecorderNode()
-
-            watchdog = ends.enter_context(Watchdog(plant.limit))
+        run = self._run
+        plant = self._nodes["plant"] = PlantNode()
+        self._nodes["weather"] = WeatherNode()
+        if run.controller.reference != EXTERNAL:
+            self._nodes[run.controller.name] = ControllerNode(run.controller.reference)
+        if self._record:
+            self._nodes[RECORDER] = RecorderNode()
+        with Watchdog(plant.limit) as watchdog:
 
             def may_end() -> bool:
                 watchdog.report()
-                self._signals.check()
-                if drive is not None:
-                    drive.check(self.tick)
+                check(self.tick)
                 self._show()
                 return self._finished()
 
@@ -150,7 +138,7 @@ class Composition:
             self._progress.warn(node.warnings)
         plant = self._nodes["plant"]
         if not plant.acted:
-            missing = ", ".join(map(plant.name_of, plant.absent()))
+            missing = ", ".join(map(plant.peers.name_of, plant.absent()))
             self._progress.waiting(f"waiting for {missing}" if missing else "starting")
             return
         shown = plant.progress()

@@ -1,12 +1,14 @@
 """Run a simulated site as a ROS 2 graph, with or without a drive in the loop: ``greenroof run``.
 
-See :mod:`greenroof_ros.live.in_the_loop` for what a drive adds.
+See :mod:`greenroof_ros.live.in_the_loop` for what a drive adds: only with a drive is anything of a
+live site imported.
 """
 
 from __future__ import annotations
 
 import argparse
 import shlex
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,33 +20,30 @@ from greenroof_ros.common.command_line import (
     EXIT_INTERRUPTED,
     Parser,
     command,
+    refuse,
 )
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.standard_error import LINES, print_line
 from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary, summary_table
+from greenroof_ros.experiment.graph_options import add_graph_arguments
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
     run_from_arguments,
 )
+from greenroof_ros.experiment.parameter_file import node_parameter_files
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other_nodes
 from greenroof_ros.graph.states import PUMP, RECORDER
-from greenroof_ros.live.drive import (
-    add_graph_arguments,
-    chosen_drive,
-    node_parameter_files,
-    refuse,
-)
-from greenroof_ros.live.in_the_loop import PUMP_NODE, DriveInLoop, drive_parameters
 from greenroof_ros.recording.bag_reader import count_ticks
 
 if TYPE_CHECKING:
     from greenroof_ros.bringup.composition import Composition
+    from greenroof_ros.live.drive import DriveChoice
 
 _NODES = "greenroof_ros.nodes"
 
@@ -105,20 +104,22 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """
     with importing_ros():
         from greenroof_ros.bringup.composition import Composition
-    drive = chosen_drive(arguments)
+    drive = _chosen_drive(arguments)
     speed = arguments.speed
     if speed is None:  # real time with a drive, otherwise as fast as possible
         speed = 0.0 if drive is None else 1.0
-    if drive is not None:
-        drive.refuse_speed(speed, signals.check)
     is_external = run.controller.reference == EXTERNAL
     modules = {
         "plant": f"{_NODES}.plant",
         "weather": f"{_NODES}.weather",
         **({} if is_external else {run.controller.name: f"{_NODES}.controller"}),
         **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
-        **({} if drive is None else {PUMP: PUMP_NODE}),
     }
+    if drive is not None:
+        from greenroof_ros.live.in_the_loop import PUMP_NODE, DriveInLoop, drive_parameters
+
+        drive.refuse_speed(speed, signals.check)
+        modules[PUMP] = PUMP_NODE
     user_files = node_parameter_files(arguments, modules, run.controller)
     with only_bringup(arguments.namespace):
         refuse_other_nodes(
@@ -143,17 +144,23 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         progress = RunProgress(run.steps, run.site.tau, LINES)
         graph = Composition(
             run, [parameters, *user_files], arguments.namespace, record=not arguments.no_record,
-            external=is_external or arguments.pump == EXTERNAL, signals=signals, progress=progress,
+            external=is_external or arguments.pump == EXTERNAL, progress=progress,
         )
         loop = DriveInLoop(
             drive, of_drive, directory, [parameters, *user_files], arguments.namespace, signals,
             progress,
         ) if drive is not None else None
+
+        def check(tick: int) -> None:
+            signals.check()
+            if loop is not None:
+                loop.check(tick)
+
         status, reason, code = summary.DONE, "", EXIT_DONE
         with graph:
             try:
-                with progress:
-                    graph.spin(loop)
+                with progress, loop or nullcontext():
+                    graph.spin(check)
             except InterruptedRun as error:
                 status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
                 print_line(reason)
@@ -169,6 +176,19 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
                 code = EXIT_FAILED
             _end(run, directory, graph, incidents, status, reason, as_json=arguments.json)
         return code or (EXIT_FAILED if incidents.count else EXIT_DONE)
+
+
+def _chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
+    """Return the drive in the loop; None for none.
+
+    Raises:
+        ConfigurationError: there is no such drive file, or the options are inconsistent.
+    """
+    if arguments.drive is None and arguments.drive_at is None:
+        return None
+    from greenroof_ros.live.drive import chosen_drive
+
+    return chosen_drive(arguments)
 
 
 def _end(

@@ -36,7 +36,7 @@ missing counts as 0, and the report says so. The pumps' efficiency is pump_effic
 
 examples:
   greenroof report studies/paper                   a study
-  greenroof report runs/a runs/b --output both     two runs, side by side
+  greenroof report runs/a runs/b --output both     runs or simulations, overlaid
   greenroof report bag --site my_site.yaml         a bag of a real site
   greenroof report runs/a --force --water-price 5  once more, with another price
 """

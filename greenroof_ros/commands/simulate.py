@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import csv
 import time
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
 from greenroof_ros.experiment import summary, summary_table
-from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.closed_loop import Tick, record
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
     run_from_arguments,
 )
 from greenroof_ros.experiment.progress import INTERVAL_S, RunProgress
+from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.experiment.simulation import Simulation
+from greenroof_ros.recording.trajectory import CSV, Trajectory
 
-# Columns of the trajectory file besides the time, with the attribute of a tick in each.
+# Columns of the trajectory file besides the times, with the attribute of a tick in each.
 _COLUMNS = {
     "cistern_m3": "x1",
     "roof_m3": "x2",
@@ -39,6 +41,7 @@ _COLUMNS = {
 }
 # The additional column for a measured roof.
 _LAYER = {"drainage_layer_m3": "layer"}
+_PICTURES = (".png", ".svg", ".html")
 
 
 def make_parser() -> Parser:
@@ -50,7 +53,7 @@ def make_parser() -> Parser:
         "without ROS. The numbers equal the node graph's (greenroof run), bit for bit.",
         epilog="examples:\n"
         "  greenroof simulate --controller lookahead --horizon 12 --trajectory run.csv\n"
-        "  greenroof simulate --start 2021-07-08T05:00 --hours 6\n"
+        "  greenroof simulate --start 2021-07-08T05:00 --hours 6 --plot run.png\n"
         "  greenroof simulate --controller lookahead --horizon 24 \\\n"
         "      --forecast errors --forecast-skill real --forecast-seed 3\n"
         "  greenroof simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
@@ -59,13 +62,18 @@ def make_parser() -> Parser:
     add_run_arguments(parser)
     group = add_output_arguments(parser)
     group.add_argument(
-        "--trajectory", type=Path, metavar="FILE.csv",
-        help="write every tick 0..N to a new CSV file; the digits are exact",
+        "--trajectory", type=Path, nargs="?", const=True, metavar="FILE.csv",
+        help="write every tick 0..N to a new CSV file; the digits are exact. Without FILE it is "
+        "trajectory.csv in the run's directory, which greenroof report draws",
     )
     group.add_argument(
         "--trajectory-every", type=within(0, 1e9), default=0.0, metavar="S",
         help="write a tick every S seconds, and the last, instead of all: at a hundred bytes per "
         "tick a year takes gigabytes",
+    )
+    group.add_argument(
+        "--plot", type=Path, metavar="FILE",
+        help="draw rain, roof, cistern and pump over time to a new .png, .svg or .html file",
     )
     return parser
 
@@ -75,52 +83,85 @@ def main() -> int:
     """Simulate the run that the command line asks for."""
     arguments = make_parser().parse_args()
     run = run_from_arguments(arguments)
-    tau = run.site.tau
-    if arguments.trajectory_every and arguments.trajectory is None:
-        raise ConfigurationError("needs --trajectory", key="--trajectory-every")
-    every = max(1, round(arguments.trajectory_every / tau))
-    with ExitStack() as stack:
-        directory = make_run_directory(arguments.output, run.controller.name)
-        write_configuration(directory, run, {})
-        rows: Any = None
-        columns = {**_COLUMNS, **(_LAYER if run.site.drainage_storage is not None else {})}
-        values = attrgetter(*columns.values())
-        if arguments.trajectory is not None:
-            stack.enter_context(naming(arguments.trajectory))
-            try:
-                stream = stack.enter_context(arguments.trajectory.open("x", newline=""))
-            except OSError as error:
-                raise ConfigurationError(
-                    f"cannot be written: {error.strerror}",
-                    key="--trajectory", value=str(arguments.trajectory),
-                ) from error
-            rows = csv.writer(stream)
-            rows.writerow(("time_s", *columns))
-        controller = run.make_controller()
-        metrics = Metrics()
-        progress = stack.enter_context(RunProgress(run.steps, tau))
-        began = shown = time.monotonic()
-        for tick in closed_loop(run, controller, metrics):
-            if rows is not None and (tick.k % every == 0 or tick.k == run.steps):
-                rows.writerow((tick.k * tau, *values(tick)))
-            now = time.monotonic()
-            if arguments.speed:
-                due = began + tick.k * tau / arguments.speed
-                time.sleep(max(0.0, due - now))
-            if now - shown > INTERVAL_S or tick.k == run.steps:
-                shown = now
-                progress.show(tick.k, tick.cistern_level, tick.roof_level, tick.command)
-        wall = time.monotonic() - began
-    result = summary.build(
-        run,
-        metrics.results(),
-        metrics.weekly_deviations(),
-        wall_s=wall,
-        solver=controller.statistics(),
-    )
+    if arguments.trajectory_every and not (arguments.trajectory or arguments.plot):
+        raise ConfigurationError("needs --trajectory or --plot", key="--trajectory-every")
+    every = max(1, round(arguments.trajectory_every / run.site.tau))
+    plot = None if arguments.plot is None else _plotter(arguments.plot, run)
+    directory = make_run_directory(arguments.output, run.controller.name)
+    write_configuration(directory, run, {})
+    simulation = Simulation(run)
+    with RunProgress(run.steps, run.site.tau) as progress:
+        ticks = _paced(run, simulation.ticks(), arguments.speed, progress)
+        if arguments.trajectory:
+            own = arguments.trajectory is True
+            ticks = _written(run, ticks, every, directory / CSV if own else arguments.trajectory)
+        if plot is not None:
+            plot(record(run, ticks, every))
+        for _ in ticks:
+            pass
+    result = simulation.summary()
     summary.write(result, directory)
     summary_table.show(result, directory, as_json=arguments.json)
     return EXIT_DONE
+
+
+def _paced(
+    run: Run, ticks: Iterator[Tick], speed: float, progress: RunProgress
+) -> Iterator[Tick]:
+    """Yield the ticks, at a speed if it is not 0, and show the progress."""
+    began = shown = time.monotonic()
+    for tick in ticks:
+        yield tick
+        now = time.monotonic()
+        if speed:
+            time.sleep(max(0.0, began + tick.k * run.site.tau / speed - now))
+        if now - shown > INTERVAL_S or tick.k == run.steps:
+            shown = now
+            progress.show(tick.k, tick.cistern_level, tick.roof_level, tick.command)
+
+
+def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterator[Tick]:
+    """Yield the ticks, and write the first of so many, and the last, to a new file."""
+    columns = {**_COLUMNS, **(_LAYER if run.site.drainage_storage is not None else {})}
+    values = attrgetter(*columns.values())
+    try:
+        stream = file.open("x", newline="")
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be written: {error.strerror}", key="--trajectory", value=str(file)
+        ) from error
+    with naming(file), stream:
+        rows = csv.writer(stream)
+        rows.writerow(("time", "time_s", *columns))
+        for tick in ticks:
+            if tick.k % every == 0 or tick.k == run.steps:
+                seconds = tick.k * run.site.tau
+                time_of = run.start + timedelta(seconds=seconds)
+                rows.writerow((time_of.isoformat(), seconds, *values(tick)))
+            yield tick
+
+
+def _plotter(file: Path, run: Run) -> Callable[[Trajectory], None]:
+    """Return what draws a run's trajectory to a new file.
+
+    Raises:
+        ConfigurationError: it is not a file for a picture, or exists, or Altair is not installed.
+    """
+    if file.suffix not in _PICTURES:
+        raise ConfigurationError(
+            f"must end with {', '.join(_PICTURES)}", key="--plot", value=str(file)
+        )
+    if file.exists():
+        raise ConfigurationError("exists already", key="--plot", value=str(file))
+    with in_extra("study"):
+        from greenroof_ros.analysis.report.trajectories import overlaid
+
+    def draw(trajectory: Trajectory) -> None:
+        chart = overlaid(run.site, {run.controller.name: trajectory})
+        with naming(file):
+            chart.save(file, scale_factor=2, inline=True)
+
+    return draw
 
 
 if __name__ == "__main__":

@@ -8,10 +8,18 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, add_namespace, command, within
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    Parser,
+    add_foxglove,
+    add_namespace,
+    command,
+    within,
+)
 from greenroof_ros.common.errors import ConfigurationError, with_extra
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.foxglove_server import FoxgloveServer
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback, new_token, read_token
 from greenroof_ros.watch.store import GraphStore
 
@@ -23,7 +31,7 @@ Show what the roof does, on a page in a browser: levels, pump, rain, what the co
 alarms and what to do, the water account. It shows any graph that runs in this ROS domain,
 simulated, with a drive in the loop or live, or a run that has ended. Any number of watchers may
 start and stop at any time: no run waits for them. The pump can be stopped on the page, and released
-if that was allowed.
+if that was allowed. With --foxglove there is no page: Foxglove or Lichtblick shows the graph.
 
 The address is printed. Only this machine can reach it; from another machine, use an ssh tunnel:
   ssh -L 8080:localhost:8080 NAME_OF_THIS_MACHINE
@@ -38,6 +46,7 @@ examples:
   greenroof watch --allow-release --port 8080 --token-file token
                                         with an address that can be a bookmark
   greenroof run --watch                 a run, and its page beside it
+  greenroof watch --foxglove            for Foxglove, at ws://127.0.0.1:8765
 
 When a run ends, it waits for the next one and shows it. Ctrl-C ends it.
 
@@ -54,6 +63,10 @@ def make_parser() -> Parser:
         epilog=_EPILOG,
     )
     add_namespace(parser)
+    add_foxglove(
+        parser, "instead of the page, serve the graph to Foxglove or Lichtblick on this machine, "
+        "at the address that is printed.",
+    )
     parser.add_argument(
         "--bag", type=Path, metavar="DIR",
         help="bag to read, of a run that has ended or is being recorded (default: the bag that "
@@ -97,6 +110,11 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
     Raises:
         ConfigurationError: an option is wrong.
     """
+    for option in ("bag", "site", "allow_release", "host", "port", "token_file"):
+        if arguments.foxglove is not None and getattr(arguments, option):
+            raise ConfigurationError(
+                "is for the page; omit it, or --foxglove", key=f"--{option.replace('_', '-')}"
+            )
     bag: Path | None = arguments.bag
     if bag is not None and not (bag.is_dir() and any(bag.glob("*.mcap"))):
         raise ConfigurationError(
@@ -127,6 +145,12 @@ def main() -> int:
     arguments = make_parser().parse_args()
     _refuse_wrong(arguments)
     os.nice(_NICENESS)
+    if arguments.foxglove is not None:
+        signals, server = Signals(), FoxgloveServer(arguments.namespace, arguments.foxglove)
+        print(server.url, flush=True)
+        with suppress(InterruptedRun):
+            server.run(signals)
+        return EXIT_DONE
     store = GraphStore(arguments.namespace)
     store.allow_release = arguments.allow_release
     try:

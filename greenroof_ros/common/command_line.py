@@ -251,6 +251,20 @@ def within(
     return parse
 
 
+def refuse(*rules: tuple[bool, str, object, str]) -> None:
+    """Refuse a command line if it breaks a rule; report the first one that it breaks.
+
+    Args:
+        rules: each is (whether it is broken, the option, its value, what is expected).
+
+    Raises:
+        ConfigurationError: a rule is broken.
+    """
+    for broken, option, value, expected in rules:
+        if broken:
+            raise ConfigurationError(expected, key=option, value=value)
+
+
 def namespace(text: str) -> str:
     """Return a namespace as ROS writes it, ``/site1``; empty if there is none."""
     name = text.strip("/")
@@ -268,6 +282,15 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
         help="namespace of the graph, as given to greenroof run or live (default: none)",
+    )
+
+
+def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:
+    """Add the option that serves a graph to Foxglove; its port is the one that viewers suggest."""
+    parser.add_argument(
+        "--foxglove", nargs="?", const=8765, type=within(0, 65535, int), metavar="PORT",
+        help=f"{about} PORT is 8765 unless given, and 0 means any that is free. Needs the extra "
+        "[foxglove]",
     )
 
 

@@ -1,6 +1,6 @@
 """What can be wrong, ``msg_defs/conditions.yaml``: codes, sentences, advice, and the interlocks.
 
-Codes and values travel; a sentence is made from them once, where the condition is found.
+Codes and values travel; the sentence is made from them only where people read it.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Condition:
         """
         return self.by_role.get(role, self.advice).format(
             node=node,
-            reset=reset or f"ros2 service call {node}/reset std_srvs/srv/Trigger",
+            reset=reset or command_for(node, "reset"),
             release=command_for(node, "release"),
         )
 
@@ -115,43 +115,61 @@ def read_interlocks() -> dict[str, Interlock]:
     }
 
 
-Value = float | str
-
-
 @dataclass(frozen=True)
 class Problem:
     """A condition that is present.
 
     Attributes:
         code: of the condition.
-        sentence: for people.
-        values: what the sentence is made of, for programs.
+        text: a sentence from elsewhere, such as a record; empty if the table's is the one.
+        values: what the table's sentence is made of, for programs: ``case`` has the names of its
+            sentences, if it has several; a value can be another problem.
     """
 
     code: str
-    sentence: str
+    text: str = ""
     values: Mapping[str, Value] = field(default_factory=dict)
 
     @classmethod
     def of(cls, code: str, *cases: str, **values: Value) -> Problem:
-        """Return a condition with its sentence, which is made here and nowhere else.
+        """Return a condition.
 
         Args:
             code: of the condition.
             cases: which of its sentences, one after the other, if the table has several.
             values: for the placeholders.
         """
-        condition = read_conditions()[code]
+        return cls(code, values={**values, "case": " ".join(cases)} if cases else values)
+
+    @functools.cached_property
+    def sentence(self) -> str:
+        """It for people."""
+        if self.text:
+            return self.text
+        condition = read_conditions()[self.code]
         template = condition.sentence or condition.meaning
         if not isinstance(template, str):
-            template = "".join(template[case] for case in cases)
-            values["case"] = " ".join(cases)
-        return cls(code, _FORMATTER.vformat(template, (), values), values)
+            template = "".join(template[case] for case in str(self.values["case"]).split())
+        return _FORMATTER.vformat(template, (), self.values)
+
+    def __str__(self) -> str:
+        return self.sentence
+
+    def under(self, code: str) -> Problem:
+        """Return it under another code, with the same sentence and values."""
+        return replace(self, code=code, text=self.sentence)
+
+    def plus(self, case: str, **values: Value) -> Problem:
+        """Return it with one more of its sentences."""
+        return Problem.of(self.code, str(self.values["case"]), case, **{**self.values, **values})
 
     @classmethod
     def if_any(cls, code: str, why: str) -> Problem | None:
         """Return a condition whose only value is a reason; None if there is no reason."""
         return cls.of(code, why=why) if why else None
+
+
+Value = float | str | Problem
 
 
 def joined(problems: Sequence[Problem], worst: Problem | None = None) -> Problem | None:
@@ -166,7 +184,7 @@ def joined(problems: Sequence[Problem], worst: Problem | None = None) -> Problem
     topics = {str(topic): None for each in problems if (topic := each.values.get("topic"))}
     worst = worst or problems[0]
     return replace(
-        worst, sentence="; ".join(each.sentence for each in problems),
+        worst, text="; ".join(each.sentence for each in problems),
         values={**worst.values, **({"topics": " ".join(topics)} if topics else {})},
     )
 

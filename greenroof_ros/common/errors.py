@@ -15,6 +15,7 @@ class ConfigurationError(Exception):
 
     Attributes:
         wrong: the message without file and line.
+        expected: what would be right.
     """
 
     def __init__(
@@ -32,6 +33,7 @@ class ConfigurationError(Exception):
         subject = key or ""
         if value is not None:
             subject += f" = {value!r}" if key else repr(value)
+        self.expected = expected
         self.wrong = ": ".join(part for part in (subject, expected) if part)
         super().__init__(f"{place}: {self.wrong}" if place else self.wrong)
 

@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 import re
 import types
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NewType, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -274,3 +275,13 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
     except ValueError as error:
         example = ", such as 0x047E or 1150" if kind is Word else ""
         raise _Wrong(parts, f"{error}{example}", value) from None
+
+
+def no_such_parameter(name: str, names: Iterable[str]) -> str:
+    """Return that there is no parameter of a name, and the closest of the names that there are."""
+    return f"there is no such parameter; the closest is {closest(name, names)}"
+
+
+def closest(name: str, names: Iterable[str]) -> str:
+    """Return the name that is closest to another."""
+    return get_close_matches(name, list(names), 1, 0.0)[0]

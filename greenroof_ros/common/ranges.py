@@ -46,25 +46,31 @@ class Range:
     @property
     def limits(self) -> str:
         """Its ends, as in ``0 to 1``; empty if there are none."""
+        return self._limits[1]
+
+    @property
+    def _limits(self) -> tuple[str, str]:
+        """The preposition after *a number*, and its ends; each can be empty."""
         low, high = (
             str(end) if isinstance(end, int) else f"{end:.9g}" for end in (self.low, self.high)
         )
-        above = "greater than 0" if 0 < self.low <= _TINY else f"at least {low}"
-        below = "less than 0" if -_TINY <= self.high < 0 else f"at most {high}"
+        positive, negative = 0 < self.low <= _TINY, -_TINY <= self.high < 0
+        above = ("", "greater than 0") if positive else ("of ", f"at least {low}")
+        below = ("", "less than 0") if negative else ("of ", f"at most {high}")
         if self.low <= -_GREATEST:
-            return "" if self.high >= _GREATEST else below
+            return ("", "") if self.high >= _GREATEST else below
         if self.high >= _GREATEST:
             return above
-        both = f"{above} and {below}"
-        return both if " than " in both else f"{low} to {high}"
+        if positive or negative:
+            return above[0], f"{above[1]} and {below[1]}"
+        return "from ", f"{low} to {high}"
 
     def __str__(self) -> str:
         """Return what a value must be: ``a number from 0 to 1 m``."""
         kind = "a finite" if self.high == _GREATEST else "a"
-        limits = self.limits
-        of = "of " if limits.startswith("at ") else "from " if " to " in limits else ""
+        preposition, limits = self._limits
         unit = "" if self.unit == "1" else self.unit
-        words = (kind, "whole" * self.whole, "number", of + limits, unit)
+        words = (kind, "whole" * self.whole, "number", preposition + limits, unit)
         return ", or ".join((" ".join(filter(None, words)), *self.words))
 
     def expected(self, value: object = None) -> str:

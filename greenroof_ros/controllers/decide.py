@@ -1,4 +1,4 @@
-"""Whether a controller decides in a tick, or the pumps stand still regardless."""
+"""Whether a controller decides in a tick, or the pumps stand still regardless; its forecast."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.protocol import Controller, knows_time
+from greenroof_ros.controllers.registry import ControllerChoice
 
 
 class NoCommandError(ConfigurationError):
@@ -54,3 +57,24 @@ def decide(
         "run)",
         key=f"the command of {type(controller).__name__}", value=command,
     )
+
+
+def rain_forecast(choice: ControllerChoice, rain: Any, topic: str) -> Any:
+    """Return a forecast of rain in the shape that a controller takes.
+
+    Args:
+        choice: the controller.
+        rain: the value of the topic: a row, or an array of members.
+        topic: the topic's name, for an error.
+
+    Raises:
+        ConfigurationError: it has several members, and the controller takes one.
+    """
+    if choice.ensemble:
+        return np.atleast_2d(rain)
+    if isinstance(rain, np.ndarray):
+        raise ConfigurationError(
+            f"has {len(rain)} members, but {choice.name} takes one; set all_members of the "
+            "weather node to false", key=topic,
+        )
+    return rain

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from greenroof_ros.common.parameter import Parameter
 
 
@@ -15,7 +18,7 @@ class Controller(Protocol):
     same inputs must give the same commands, at any time and on any machine. ``greenroof
     check-controller package.module:Class`` checks a class against all of these rules.
 
-    Six more attributes of the class are optional:
+    Seven more attributes of the class are optional:
 
     - ``ensemble = True``: it takes all members of an ensemble of forecasts. ``precipitation`` is
       then an array of shape (members, steps); a single forecast has one member.
@@ -30,6 +33,9 @@ class Controller(Protocol):
     - ``time_ns``: the time (ns since 1970), set before each command at a site with quiet hours. A
       class that has it is also asked in quiet hours, when its command is replaced by 0; it can plan
       with ``site.quiet``. Any other class skips these ticks.
+    - ``forecast_ends``: an array that is set when it is made: the ends of the forecasts' steps (s
+      from the present tick), the first 0, shape (steps + 1,). Entry i of a forecast is the mean
+      from ``forecast_ends[i]`` to ``forecast_ends[i + 1]``.
     - ``gauge_rain``: what the rain gauge of a live site measures (m/s; 0 without one), set before
       each command. It is the present rain if there is no forecast.
 
@@ -121,6 +127,12 @@ def set_time(controller: Any, time_ns: int) -> None:
     """Set the time (ns since 1970) of a controller that takes it."""
     if knows_time(controller):
         controller.time_ns = time_ns
+
+
+def set_forecast_ends(controller: Any, ends: NDArray[np.float64]) -> None:
+    """Set the ends of the forecasts' steps (s) in a controller that takes them."""
+    if hasattr(controller, "forecast_ends"):
+        controller.forecast_ends = ends
 
 
 def set_gauge_rain(controller: Any, rain: float) -> None:

@@ -16,7 +16,8 @@ from typing import Any, cast
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean, must_be_one_of
 from greenroof_ros.common.files import YamlMapping, read_ros_parameters, shared_directory
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.protocol import Controller, ControllerClass
+from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_forecast_ends
+from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
@@ -56,11 +57,13 @@ class ControllerChoice:
         name: of its node, of its section in a parameter file, and in results.
         reference: what the user gave: a registered name, or ``package.module:Class``.
         path: ``package.module:Class``.
+        given: the class itself, if a program gave it; None if it is to be imported.
     """
 
     name: str
     reference: str
     path: str
+    given: ControllerClass | None = None
 
     @functools.cached_property
     def kind(self) -> ControllerClass:
@@ -69,14 +72,7 @@ class ControllerChoice:
         Raises:
             ConfigurationError: it cannot be imported, or is no controller.
         """
-        module_name, _, class_name = self.path.partition(":")
-        if self.reference == self.path and "" not in sys.path and str(Path.cwd()) not in sys.path:
-            # A console script does not search the current directory; python -m does.
-            sys.path.insert(0, str(Path.cwd()))
-        try:
-            kind = getattr(importlib.import_module(module_name), class_name)
-        except Exception as error:  # whatever a user's module raises
-            raise self._not_imported(error) from error
+        kind: Any = self._imported() if self.given is None else self.given
         lacking = [
             name for name in ("parameters", "command", "skip", "statistics")
             if not hasattr(kind, name)
@@ -94,6 +90,16 @@ class ControllerChoice:
                 key="controller", value=self.reference,
             )
         return cast(ControllerClass, kind)
+
+    def _imported(self) -> Any:
+        module_name, _, class_name = self.path.partition(":")
+        if self.reference == self.path and "" not in sys.path and str(Path.cwd()) not in sys.path:
+            # A console script does not search the current directory; python -m does.
+            sys.path.insert(0, str(Path.cwd()))
+        try:
+            return getattr(importlib.import_module(module_name), class_name)
+        except Exception as error:  # whatever a user's module raises
+            raise self._not_imported(error) from error
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -135,9 +141,11 @@ class ControllerChoice:
             ConfigurationError: its solver's library cannot be imported.
         """
         try:
-            return self.kind(site, **parameters)
+            controller = self.kind(site, **parameters)
         except ImportError as error:
             raise self._not_imported(error) from error
+        set_forecast_ends(controller, look_ahead_ends(site, parameters.get("horizon", 0.0)))
+        return controller
 
     def _not_imported(self, error: Exception) -> ConfigurationError:
         return ConfigurationError(
@@ -252,6 +260,15 @@ def find_controller(reference: str) -> ControllerChoice:
             key="controller", value=reference,
         )
     return ControllerChoice(name, reference, reference)
+
+
+def choice_of(kind: Any) -> ControllerChoice:
+    """Return the choice of a class that a program gives; one of this package's by its name."""
+    path = f"{kind.__module__}:{kind.__qualname__}"
+    for name, own in BUILT_IN.items():
+        if path == own:
+            return ControllerChoice(name, name, own)
+    return ControllerChoice(_node_name(kind.__name__), path, path, kind)
 
 
 @functools.cache

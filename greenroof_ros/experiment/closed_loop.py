@@ -1,11 +1,14 @@
-"""The run in one process, without ROS: the same parts in the same order as in the node graph."""
+"""The run in one process, without ROS: the same parts in the same order as in the node graph.
+
+:func:`closed_loop` runs with a controller, :func:`open_loop` with commands from outside.
+"""
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,8 +51,35 @@ class Tick(NamedTuple):
     """m3/s; not applied in the last tick, since the run ends in its state"""
 
 
+class TickInputs(NamedTuple):
+    """What is known in a tick before its command."""
+
+    k: int
+    """index of 0..N"""
+    cistern_level: float
+    """m"""
+    roof_level: float
+    """m, as the sensor reads it"""
+
+
 def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[Tick]:
     """Run the ticks 0..N, adding to ``metrics``; each tick is yielded before its step."""
+    return _ticks(run, controller, metrics)
+
+
+def open_loop(run: Run, metrics: Metrics) -> Generator[Any, float, None]:
+    """Run the ticks 0..N, adding to ``metrics``, with commands that the caller sends.
+
+    Each tick is yielded twice: a :class:`TickInputs`, for which the caller sends the command,
+    finite and not negative, and the :class:`Tick` that follows, before its step. Where the pump may
+    not run, the command is 0.
+    """
+    return _ticks(run, None, metrics)
+
+
+def _ticks(
+    run: Run, controller: Controller | None, metrics: Metrics
+) -> Generator[Any, float, None]:
     site, series, steps, until = run.site, run.series, run.steps, 0
     plant = Plant(site, run.x1, run.x2)
     sensor, pump = RoofSensor(run.sensor_pump_errors), Pump(run.sensor_pump_errors, site.tau)
@@ -62,14 +92,18 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
         if hours is not None:
             quiet = hours.quiet_at(run.time_ns(k))
             set_time(controller, run.time_ns(k))
-        command = decide(
-            controller, not frost, cistern_level, roof_level,
-            forecast.precipitation(k), forecast.evapotranspiration(k), quiet,
-        )
-        pumped = pump.flow(plant, command, frost > 0 or quiet)
-        flows = plant.flows(precipitation, evapotranspiration, pumped)
         x1, x2, layer = plant.x1, plant.x2, plant.layer
         metrics.observe(site, x1, x2, layer)
+        if controller is None:
+            command = yield TickInputs(k, cistern_level, roof_level)
+            command = 0.0 if frost or quiet else command
+        else:
+            command = decide(
+                controller, not frost, cistern_level, roof_level,
+                forecast.precipitation(k), forecast.evapotranspiration(k), quiet,
+            )
+        pumped = pump.flow(plant, command, frost > 0 or quiet)
+        flows = plant.flows(precipitation, evapotranspiration, pumped)
         yield _new(Tick, (
             k, x1, x2, layer, cistern_level, roof_level,
             precipitation, evapotranspiration, frost, command, flows,

@@ -11,9 +11,10 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import duration, to_people
-from greenroof_ros.forecast.resampling import HourForecast, Outlook, look_ahead_ends
+from greenroof_ros.forecast.resampling import HourForecast, Outlook
 from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR, Issue
+from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 
 _HOUR_S = 3600.0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import ForecastModel, PerfectModel, make_model
-from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
@@ -250,16 +250,6 @@ class SteppedForecast:
 
 Forecast: TypeAlias = PerfectForecast | SteppedForecast
 """What was known at a tick about the steps that follow it; the first entry is now."""
-
-
-def look_ahead_ends(site: Site, horizon: float) -> Array:
-    """Return the ends of the steps of a look-ahead (s from now), the first 0, shape (steps + 1,).
-
-    Args:
-        site: gives tick and look-ahead.
-        horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
-    """
-    return growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)
 
 
 def make_forecast(

@@ -14,7 +14,6 @@ a minute to at most an hour; a refusal such as 429 can ask for a longer one (``R
 
 from __future__ import annotations
 
-import asyncio
 import re
 import threading
 import time
@@ -129,6 +128,8 @@ class Service:
         Raises:
             ServiceError: there is no usable forecast.
         """
+        import asyncio  # not needed for a forecast from a file
+
         from aiohttp import ClientError
 
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)

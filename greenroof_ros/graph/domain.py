@@ -21,7 +21,6 @@ from greenroof_ros.common.errors import ConfigurationError, OccupiedError, with_
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import LockedError, acquire_name_lock
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.graph.rclpy_internals import speed_up, waiting_messages
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 # Variable naming the profiles file; Fast DDS 3 (ROS 2 Kilted) renamed it, and warns of the old one.
@@ -179,40 +178,3 @@ def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[
     finally:
         node.destroy_node()
         context.try_shutdown()
-
-
-def make_executor() -> Any:
-    """Return the fastest executor of this rclpy, for nodes without publisher events.
-
-    ``rclpy.experimental.EventsExecutor`` takes a third of the processor time. Publisher events can
-    lock it up (rmw_fastrtps, pull request 890). A live node has them, and time for the slow one.
-    """
-    try:
-        from rclpy.experimental import EventsExecutor
-    except ImportError:
-        from rclpy.executors import SingleThreadedExecutor
-
-        return SingleThreadedExecutor()
-    return EventsExecutor()
-
-
-def start_receiving(executor: Any, node: Any) -> None:
-    """Add a node to an executor, and deliver the messages that arrived before it listened.
-
-    rmw_fastrtps counts the waiting messages and then starts to listen. A message that comes in
-    between is not noticed until the next one comes, which in lockstep never happens.
-
-    Args:
-        executor: the executor that will serve the node.
-        node: the node; callbacks of its raw subscriptions take one argument.
-    """
-    from rclpy.executors import Executor
-
-    executor.add_node(node)
-    executor.spin_once(timeout_sec=0.0)  # it begins to listen here, not in add_node
-    for subscription in node.subscriptions:
-        if subscription.raw:
-            if not isinstance(executor, Executor):
-                speed_up(subscription)
-            for message, _ in waiting_messages(subscription):
-                subscription.callback(message)

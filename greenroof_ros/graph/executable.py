@@ -7,7 +7,7 @@ import math
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NoReturn
 
@@ -21,7 +21,7 @@ from greenroof_ros.common.command_line import (
     exit_code,
 )
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import read_live_topics, read_topics
+from greenroof_ros.common.interface import Topic, read_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.graph.graph_node import GraphNode
@@ -91,8 +91,7 @@ def node_help(
     parameters: Callable[[Site], Iterable[Parameter]],
     example: str,
     outputs: Collection[str] = (),
-    *,
-    live: bool = False,
+    interface: Callable[[], Mapping[str, Topic]] = read_topics,
 ) -> str:
     """Return the text of a node's ``--help``.
 
@@ -103,10 +102,10 @@ def node_help(
         parameters: returns all parameters that it declares for a site.
         example: the arguments in the example.
         outputs: the optional topics that it publishes.
-        live: whether it is a node of a live site.
+        interface: returns every topic of its graph, by name.
     """
     start = f"python -m greenroof_ros.{module}"
-    topics = read_live_topics() if live else read_topics()
+    topics = interface()
     own = {role} if isinstance(role, str) else set(role)
     sections = {
         "parameters, after --ros-args as -p NAME:=VALUE or by --params-file FILE": [
@@ -226,7 +225,7 @@ class _Alone:
 
     def _log_missing(self, now: float) -> None:
         """Log which nodes are missing: after 2 s, then every 5 s."""
-        missing = sorted(map(self._node.name_of, self._node.absent()))
+        missing = sorted(map(self._node.peers.name_of, self._node.absent()))
         if missing != self._missing:
             self._missing, self._log_at = missing, now + _PATIENCE_S
         if now > self._log_at:

@@ -1,4 +1,4 @@
-"""A node with the topics of the interface, which reports its state; simulated or live.
+"""A node with the topics of the interface, which reports its state.
 
 ``msg_defs/topics.yaml`` defines what each node publishes and subscribes to.
 """
@@ -6,15 +6,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
@@ -29,16 +27,16 @@ from greenroof_ros.graph.messages import (
     qos_profile,
 )
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.rclpy_internals import NoClockSubscription, raw_publish
+from greenroof_ros.graph.rclpy_internals import raw_publish
 from greenroof_ros.graph.reports import Reports
 from greenroof_ros.graph.states import ENDED, STARTING
 from greenroof_ros.model.site import Site, read_site
 
 # How long an ending node waits for its readers at most (s): a killed reader stays matched.
-FLUSH_S = 1.0
+_FLUSH_S = 1.0
 
 
-class GraphNode(NoClockSubscription, Node):
+class GraphNode(Node):
     """A node with topics of the interface; a subclass makes it act.
 
     Attributes:
@@ -52,7 +50,7 @@ class GraphNode(NoClockSubscription, Node):
     """
 
     def __init__(
-        self, name: str, role: str, interface: Mapping[str, Topic], *, simulated: bool
+        self, name: str, role: str, interface: Mapping[str, Topic], reports: type[Reports]
     ) -> None:
         """Join the graph.
 
@@ -60,7 +58,7 @@ class GraphNode(NoClockSubscription, Node):
             name: the node's name.
             role: its role in the interface: its name, or ``controller``.
             interface: every topic of the graph, by name.
-            simulated: whether the graph is simulated; ``use_sim_time`` is then true.
+            reports: reports the node's state.
 
         Raises:
             ConfigurationError: ROS arguments or a parameter file are wrong.
@@ -70,44 +68,17 @@ class GraphNode(NoClockSubscription, Node):
         except RuntimeError as error:  # from rcl
             raise ConfigurationError(" ".join(str(error).split())) from error
         self.role = role
-        self._fix_time_source(simulated)
         self.failure: Exception | None = None
         self.on_failure: Callable[[], None] = lambda: None
         self.interface = interface
         self.inputs: dict[str, Input] = {}
         self.warnings: list[str] = []
-        self.reports = Reports(self, role)
+        self.reports = reports(self, role)
         # Each topic's publisher; and its method to publish, and the encoder of its messages.
         self._outputs: dict[str, Publisher] = {}
         self._publish: dict[str, tuple[Callable[[bytes], None], Callable[[Any], bytes]]] = {}
         self._final: dict[str, Any] = {}
         self._site_file: dict[str, str] = {}
-
-    def _fix_time_source(self, simulated: bool) -> None:
-        """Set ``use_sim_time`` as the kind of graph needs it, and refuse every later change.
-
-        On simulated time a live node would wait for a clock that nobody publishes.
-
-        Raises:
-            ConfigurationError: a live node was started with ``use_sim_time`` true.
-        """
-        if not simulated and self.get_parameter("use_sim_time").value:
-            raise ConfigurationError(
-                "must be false: a live site runs on the steady clock",
-                key=f"parameter use_sim_time of {self.get_name()}", value="true",
-            )
-        self.set_parameters([Parameter("use_sim_time", Parameter.Type.BOOL, simulated)])
-        kind = "simulated" if simulated else "live"
-        reason = f"use_sim_time must be {str(simulated).lower()}: this node is in a {kind} graph"
-
-        def refuse_change(changes: list[Parameter]) -> SetParametersResult:
-            changed = any(
-                change.name == "use_sim_time" and change.value is not simulated
-                for change in changes
-            )
-            return SetParametersResult(successful=not changed, reason=reason if changed else "")
-
-        self.add_on_set_parameters_callback(refuse_change)
 
     # --- to override ------------------------------------------------------------------------
 
@@ -193,25 +164,7 @@ class GraphNode(NoClockSubscription, Node):
 
     def absent(self) -> dict[str, list[str]]:
         """Return the inputs without a compatible publisher, by missing role."""
-        return self.by_role(
-            [name for name, entry in self.inputs.items() if not entry.publishers.compatible]
-        )
-
-    def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
-        """Return some of the inputs, by the role that should publish them.
-
-        If the interface names two roles (plant or pump driver), it is the first that publishes none
-        of this node's other inputs, or else the last.
-        """
-        present = {self.role} | {
-            entry.topic.publishers[0] for name, entry in self.inputs.items() if name not in names
-        }
-        roles: dict[str, list[str]] = {}
-        for name in names:
-            candidates = self.inputs[name].topic.publishers
-            role = next((role for role in candidates if role not in present), candidates[-1])
-            roles.setdefault(role, []).append(name)
-        return roles
+        raise NotImplementedError
 
     # --- ending -----------------------------------------------------------------------------
 
@@ -225,16 +178,16 @@ class GraphNode(NoClockSubscription, Node):
         if failure is not None:
             self._final["failure"] = failure
         self.report_state()
-        until = time.monotonic() + FLUSH_S
-        for publisher in (*self._outputs.values(), self.reports.publisher):
-            remaining = max(0.0, until - time.monotonic())
-            publisher.wait_for_all_acked(Duration(seconds=remaining))
+        until = time.monotonic() + _FLUSH_S
+        for publisher in self._outputs.values():
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, until - time.monotonic())))
+        self.reports.flush(max(0.0, until - time.monotonic()))
 
-    def report_state(self, **values: Any) -> dict[str, Any]:
-        """Report the node's state with further values, and return all values of the report."""
+    def report_state(self, **values: Any) -> None:
+        """Report the node's state with further values."""
         waiting = {} if self.ready else {"waiting": list(self.absent())}
         refused = {name: entry.refused for name, entry in self.inputs.items() if entry.refused}
-        return self.reports.publish({
+        self.reports.publish({
             **self._site_file, **values, **self.progress(), **waiting, "refused": refused,
             "warnings": self.warnings, **self._final,
         })

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.interface import Topic
 from greenroof_ros.graph.messages import decoder
-from greenroof_ros.graph.publishers import Publishers
 
 
 class Input:
@@ -19,7 +19,6 @@ class Input:
     the next one comes.
 
     Attributes:
-        publishers: the topic's publishers.
         topic: the topic in the interface.
         name: the topic's full name in ROS, with its namespace.
         value: the newest value: nanoseconds for a clock, otherwise a number or an array of numbers.
@@ -27,15 +26,15 @@ class Input:
         refused: how many values were refused.
     """
 
-    def __init__(self, publishers: Publishers) -> None:
+    def __init__(self, topic: Topic, name: str) -> None:
         """Start with the value 0.
 
         Args:
-            publishers: the topic's publishers.
+            topic: the topic in the interface.
+            name: the topic's full name in ROS, with its namespace.
         """
-        self.publishers = publishers
-        self.topic = publishers.topic
-        self.name = publishers.full_name
+        self.topic = topic
+        self.name = name
         self.value: Any = 0.0
         self.refusal = ""
         self.refused = 0

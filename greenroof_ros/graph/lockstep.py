@@ -32,7 +32,6 @@ from typing import NamedTuple
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import LockstepError
-from greenroof_ros.graph.publishers import DISCOVERY_S, list_nodes
 
 CLOCK, RUN = "/clock", "/run"
 
@@ -65,18 +64,22 @@ class Lockstep:
         awaited: names of the inputs without a message of this tick yet.
     """
 
-    def __init__(self, act: Callable[[], None], finish: Callable[[], None]) -> None:
+    def __init__(
+        self, act: Callable[[], None], finish: Callable[[], None],
+        publishers_of: Callable[[str], str],
+    ) -> None:
         """Begin before the run.
 
         Args:
             act: makes the node act.
             finish: called when the node has acted on the last tick.
+            publishers_of: names the nodes that publish an input, for an error.
         """
         self.run: RunIdentity | None = None
         self.tick = 0
         self.awaited: set[str] = set()
         self._of_tick: set[str] = set()  # names of the inputs that the node acts on
-        self._act, self._finish = act, finish
+        self._act, self._finish, self._publishers_of = act, finish, publishers_of
 
     def receiver(self, entry: Input, *, tolerates_second: bool) -> Callable[[bytes], None]:
         """Make the node wait for an input; return the receiver of its messages.
@@ -94,10 +97,10 @@ class Lockstep:
             second = name not in awaited
             if second and not tolerates_second:
                 kind = LockstepError if self.tick else OccupiedError
-                publishers = list_nodes(entry.publishers.names(DISCOVERY_S))
                 raise kind(
-                    f"{entry.name} has a second message in tick {self.tick} ({publishers}); "
-                    "another publisher, or nodes from an earlier run, are in this graph"
+                    f"{entry.name} has a second message in tick {self.tick} "
+                    f"({self._publishers_of(name)}); another publisher, or nodes from an earlier "
+                    "run, are in this graph"
                 )
             entry.receive(message)
             awaited.discard(name)

@@ -22,15 +22,19 @@ from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.lockstep import CLOCK, RUN, Lockstep
 from greenroof_ros.graph.messages import LockstepError, decoder, qos_profile
-from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
-from greenroof_ros.graph.states import FINISHED, PLANT, READY, ROLES
+from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
+from greenroof_ros.graph.peers import Peers
+from greenroof_ros.graph.publishers import Publishers
+from greenroof_ros.graph.rclpy_internals import NoClockSubscription
+from greenroof_ros.graph.reports import Reports
+from greenroof_ros.graph.states import FINISHED, PLANT, READY
 
 # How often publishers are counted and the node's state is reported (s of wall time): counting takes
 # at least a tenth of a millisecond.
 _CHECK_S = 0.25
 
 
-class SimulationNode(GraphNode):
+class SimulationNode(NoClockSubscription, GraphNode):
     """A node of a simulated graph.
 
     A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, by their names in
@@ -39,30 +43,31 @@ class SimulationNode(GraphNode):
 
     Attributes:
         lockstep: makes the node act.
+        peers: the nodes that publish its inputs.
         result: what it has added to the run's summary; empty before the run is over.
     """
 
-    def __init__(self, name: str, role: str) -> None:
+    def __init__(self, name: str, role: str, reports: type[Reports] = Reports) -> None:
         """Join the graph.
 
         Args:
             name: the node's name.
             role: its role in the interface: its name, or ``controller``.
+            reports: reports the node's state.
 
         Raises:
             ConfigurationError: ROS arguments or a parameter file are wrong.
         """
         self._now_ns = 0  # 0: not set yet
-        super().__init__(name, role, read_topics(), simulated=True)
-        self.lockstep = Lockstep(self.on_inputs, self.finish)
+        super().__init__(name, role, read_topics(), reports)
+        fix(self, USE_SIM_TIME, True, "must be true: this node is in a simulated graph")
+        self.peers = Peers(role)
+        self.lockstep = Lockstep(self.on_inputs, self.finish, self.peers.publishers_of)
         self.result: dict[str, Any] = {}
-        self._waits_for: list[Publishers] = []
-        self._tolerated: set[str] = set()  # topics whose second publisher the node handles
-        self._incompatible_since: dict[str, float] = {}
         self._checked = -math.inf
         if role != PLANT:
             decode = decoder(self.interface[RUN].type)
-            self._open(self.interface[RUN], lambda message: self.lockstep.join(decode(message)))
+            self._open(RUN, lambda message: self.lockstep.join(decode(message)))
 
     # --- to override ------------------------------------------------------------------------
 
@@ -93,16 +98,13 @@ class SimulationNode(GraphNode):
         Args:
             name: the topic's name in the interface.
             tolerates_second: whether a second publisher does not end the run; the node must then
-                look for one itself, in the returned input's ``publishers``.
+                look for one itself, in :attr:`peers`.
         """
-        entry = self._input(name)
-        if tolerates_second:
-            self._tolerated.add(name)
-        receive = self.lockstep.receiver(entry, tolerates_second=tolerates_second)
-        self._open(entry.topic, receive, entry.publishers)
+        entry = self._input(name, tolerates_second=tolerates_second)
+        self._open(name, self.lockstep.receiver(entry, tolerates_second=tolerates_second))
         return entry
 
-    def listen(self, name: str, callback: Callable[[Any], None]) -> Input:
+    def listen(self, name: str, callback: Callable[[Any], None]) -> None:
         """Open an input that the node does not wait for: each value is passed to a callback."""
         entry = self._input(name)
 
@@ -110,27 +112,29 @@ class SimulationNode(GraphNode):
             entry.receive(message)
             callback(entry.value)
 
-        self._open(entry.topic, receive, entry.publishers)
-        return entry
+        self._open(name, receive)
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
         """Pass each serialised message of a topic of any type to a callback."""
-        entry = self._input(name)
-        self._open(entry.topic, callback, entry.publishers)
+        self._input(name)
+        self._open(name, callback)
 
-    def _input(self, name: str) -> Input:
+    def _input(self, name: str, *, tolerates_second: bool = False) -> Input:
         topic = self.interface[name]
-        self.inputs[name] = Input(Publishers(self, topic, _required(topic)))
+        publishers = Publishers(self, topic, _required(topic))
+        self.peers.add(publishers, tolerates_second=tolerates_second)
+        self.inputs[name] = Input(topic, publishers.full_name)
         return self.inputs[name]
 
-    def _open(
-        self, topic: Topic, callback: Callable[[bytes], None], publishers: Publishers | None = None,
-    ) -> None:
-        if publishers is not None:
-            self._waits_for.append(publishers)
+    def _open(self, name: str, callback: Callable[[bytes], None]) -> None:
+        topic = self.interface[name]
         self.open_subscription(topic, callback, qos_profile(_required(topic)))
 
     # --- running ----------------------------------------------------------------------------
+
+    def absent(self) -> dict[str, list[str]]:
+        """Return the inputs without a compatible publisher, by missing role."""
+        return self.peers.absent()
 
     @property
     def acted(self) -> bool:
@@ -166,7 +170,7 @@ class SimulationNode(GraphNode):
             OSError: the node cannot go on, for instance on a full disk.
         """
         self.on_timer(now)
-        if now - self._checked < _CHECK_S and not self.reports.urgent:
+        if now - self._checked < _CHECK_S:
             return
         self._checked = now
         if not self.finished:
@@ -177,23 +181,15 @@ class SimulationNode(GraphNode):
         self.report_state()
 
     def _refuse_second(self) -> None:
-        for name, entry in self.inputs.items():
-            publishers = entry.publishers
-            if name not in self._tolerated and publishers.count > 1 and publishers.compatible > 1:
-                # Before the run it is a wrong set-up, later a failure.
-                kind = LockstepError if self.acted else OccupiedError
-                raise kind(f"{entry.name} {publishers.second(DISCOVERY_S)}")
+        if second := self.peers.second():
+            # Before the run it is a wrong set-up, later a failure.
+            raise (LockstepError if self.acted else OccupiedError)(second)
 
     def _update_warnings(self, now: float) -> None:
-        """Warn of refused values, and of publishers incompatible for the discovery time."""
-        for publishers in self._waits_for:
-            problem = "" if self.acted else publishers.incompatible()
-            name = publishers.full_name
-            since = self._incompatible_since.setdefault(name, now) if problem else math.inf
-            if not problem:
-                self._incompatible_since.pop(name, None)
-            elif now - since >= DISCOVERY_S:
-                self._warn(f"{name} {problem}")
+        """Warn of refused values and, before the run, of incompatible publishers."""
+        if not self.acted:
+            for sentence in self.peers.incompatible(now):
+                self._warn(sentence)
         for entry in self.inputs.values():
             if entry.refused:
                 self._warn(
@@ -205,21 +201,6 @@ class SimulationNode(GraphNode):
         if sentence not in self.warnings:
             self.warnings.append(sentence)
             self.get_logger().warning(sentence)
-
-    def describe(self, silent: dict[str, list[str]]) -> str:
-        """Return a text that names topics, and the nodes that should publish them."""
-        return "; ".join(
-            f"{', '.join(self.inputs[name].name for name in names)} from {self.name_of(role)}"
-            for role, names in silent.items()
-        )
-
-    def name_of(self, role: str) -> str:
-        """Return the name of the node of a role: its node name if it publishes an input here."""
-        nodes = [
-            node for entry in self.inputs.values() if role in entry.topic.publishers
-            for node in entry.publishers.names()
-        ]
-        return nodes[0] if nodes else ROLES.get(role, role)
 
     # --- ending -----------------------------------------------------------------------------
 
@@ -239,20 +220,18 @@ class SimulationNode(GraphNode):
         return self.all_arrived() and (self.role == PLANT or self._plant_ended())
 
     def _plant_ended(self) -> bool:
-        clock = self.inputs.get(CLOCK)
-        return clock is not None and clock.publishers.count == 0
+        clock = self.peers.publishers.get(CLOCK)
+        return clock is not None and clock.count == 0
 
     def all_arrived(self) -> bool:
         """Whether all subscribers have received everything that the node has published."""
         now = Duration()
         return all(publisher.wait_for_all_acked(now) for publisher in self._outputs.values())
 
-    def report_state(self, **values: Any) -> dict[str, Any]:
-        """Report the node's state, with N, and return all values of the report."""
+    def report_state(self, **values: Any) -> None:
+        """Report the node's state, with N."""
         run = self.lockstep.run
-        return super().report_state(
-            run_length=None if run is None else round(run.last_tick), **values
-        )
+        super().report_state(run_length=None if run is None else round(run.last_tick), **values)
 
 
 def _required(topic: Topic) -> Qos:

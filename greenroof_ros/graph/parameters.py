@@ -1,34 +1,36 @@
 """Node parameters: described once, declared with description and range, checked when given.
 
 rclpy silently ignores a parameter that a node has not declared, so a mistyped limit would have no
-effect. Here it is refused, on a node's command line and in parameter files.
+effect. Here it is refused on a node's command line; :mod:`greenroof_ros.experiment.parameter_file`
+refuses it in files.
 """
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from difflib import get_close_matches
-from importlib import import_module
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import YamlMapping, read_ros_parameters, shared_directory
-from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.parameter import Parameter, no_such_parameter
 from greenroof_ros.model.site import Site, read_site
 
+USE_SIM_TIME = "use_sim_time"  # rclpy's name
 # The name of each Python type in ROS 2.
 _KINDS = {float: "double", int: "integer", bool: "bool", str: "string", list: "string array"}
 _TEXTS = {bool: "true or false", str: "text", list: "a list of texts"}
-_SECTION = "ros__parameters"
 
 
 def site_file() -> Parameter:
@@ -123,6 +125,19 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
+def fix(node: Node, name: str, value: Any, reason: str) -> None:
+    """Set a parameter of a node, and refuse every later change for a reason, in words."""
+    node.set_parameters([RosParameter(name, value=value)])
+
+    def refuse_change(changes: list[RosParameter]) -> SetParametersResult:
+        changed = any(change.name == name and change.value != value for change in changes)
+        return SetParametersResult(
+            successful=not changed, reason=f"{name} {reason}" if changed else ""
+        )
+
+    node.add_on_set_parameters_callback(refuse_change)
+
+
 # --- unknown parameters -----------------------------------------------------------------------
 
 
@@ -144,92 +159,6 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
         ours = of in ("", node.get_name()) and not name.startswith("qos_overrides.")
         if option in ("-p", "--param") and ours and not node.has_parameter(name):
             raise ConfigurationError(
-                f"{_no_such(name, node.get_parameters_by_prefix(''))}; --help lists all",
+                f"{no_such_parameter(name, node.get_parameters_by_prefix(''))}; --help lists all",
                 key=f"parameter {name} of {node.get_name()}", value=value,
             )
-
-
-def refuse_unknown_in(
-    file: Path, nodes: Mapping[str, str], controller: ControllerChoice,
-    options: Mapping[str, Mapping[str, str]],
-) -> None:
-    """Refuse parameters in a file that no node of the graph has, or that only bringup may set.
-
-    In a section for several nodes, each name must be known to one of them.
-
-    Args:
-        file: a ROS 2 parameter file.
-        nodes: each node's module, by the node's name with its namespace.
-        controller: the graph's controller.
-        options: by node name (no namespace), the option of each parameter that only bringup sets.
-
-    Raises:
-        ConfigurationError: there is such a parameter, a section for no node of the graph, or one in
-            which ``ros__parameters`` is missing or not a mapping.
-    """
-    known = {name: _names(module, controller) for name, module in nodes.items()}
-    for section, line, content in _sections(file, read_ros_parameters(file)):
-        pattern = re.escape(f"/{section.removeprefix('/')}")
-        # As in rcl: ** matches any number of names, * matches one.
-        pattern = pattern.replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+")
-        matching = [node for node in known if re.fullmatch(pattern, node)]
-        last = [node.rpartition("/")[2] for node in matching or known]
-        if not matching:
-            raise ConfigurationError(
-                "bringup starts no such node; the closest is "
-                f"/**/{_closest(section.rpartition('/')[2], last)}; it starts "
-                f"{', '.join(sorted(known))}", file=file, line=line, key=section or _SECTION,
-            )
-        if not isinstance(content, YamlMapping):
-            raise ConfigurationError(
-                "must hold parameters, NAME: VALUE", file=file, line=line,
-                key=f"{section}: {_SECTION}", value=content,
-            )
-        names = set().union(*(known[node] for node in matching))
-        for name, value in content.items():
-            for node in last:
-                if name in options.get(node, ()):
-                    raise ConfigurationError(
-                        f"must not be given to the node {node} here: under bringup "
-                        f"{options[node][name]} sets it", file=file, line=content.lines[name],
-                        key=f"{section}: {name}", value=value,
-                    )
-            if name not in names and name.partition(".")[0] not in OF_EVERY_NODE:
-                raise ConfigurationError(
-                    f"{_no_such(name, sorted(names))}; --help of the node lists all", file=file,
-                    line=content.lines[name], key=f"{section}: {name}", value=value,
-                )
-
-
-def _sections(
-    file: Path, content: YamlMapping, section: str = "", line: int = 1
-) -> Iterator[tuple[str, int, object]]:
-    """Yield each group of parameters in a file: its section, line and content."""
-    for name, part in content.items():
-        nested = f"{section}/{name}" if section else name
-        if name == _SECTION:
-            yield section, line, part
-        elif isinstance(part, YamlMapping) and part:
-            yield from _sections(file, part, nested, content.lines[name])
-        else:
-            raise ConfigurationError(
-                f"has no effect here: write /**/NODE: {{{_SECTION}: {{NAME: VALUE}}}}",
-                file=file, line=content.lines[name], value=None if part == "" else part,
-                key=f"{section}: {name}" if section else name,
-            )
-
-
-def _names(module: str, controller: ControllerChoice) -> set[str]:
-    """Return the names of the parameters that a module's node declares."""
-    with in_extra("pump"):
-        node = import_module(module)
-    of = controller if module.endswith(".controller") else default_site()
-    return {parameter.name for parameter in node.parameters(of)}
-
-
-def _no_such(name: str, names: Iterable[str]) -> str:
-    return f"there is no such parameter; the closest is {_closest(name, names)}"
-
-
-def _closest(name: str, names: Iterable[str]) -> str:
-    return get_close_matches(name, list(names), 1, 0.0)[0]

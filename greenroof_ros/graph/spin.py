@@ -7,22 +7,20 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.graph.domain import (
-    SHUTDOWN_S,
-    choose_transport,
-    make_executor,
-    start_receiving,
-)
+from greenroof_ros.graph.domain import SHUTDOWN_S, choose_transport
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.node import SimulationNode
+from greenroof_ros.graph.rclpy_internals import speed_up, waiting_messages
 
 # How often the wall clock, the signals and the ends of the nodes are checked (s).
 _CHECK_S = 0.05
@@ -92,6 +90,39 @@ def spin(nodes: Sequence[SimulationNode], may_end: Callable[[], bool]) -> None:
             raise failed
         for node in nodes:
             node.check(now)
+
+
+def make_executor() -> Any:
+    """Return the fastest executor of this rclpy, for nodes without publisher events.
+
+    ``rclpy.experimental.EventsExecutor`` takes a third of the processor time. Publisher events can
+    lock it up (rmw_fastrtps, pull request 890).
+    """
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def start_receiving(executor: Any, node: Any) -> None:
+    """Add a node to an executor, and deliver the messages that arrived before it listened.
+
+    rmw_fastrtps counts the waiting messages and then starts to listen. A message that comes in
+    between is not noticed until the next one comes, which in lockstep never happens.
+
+    Args:
+        executor: the executor that will serve the node.
+        node: the node; callbacks of its raw subscriptions take one argument.
+    """
+    executor.add_node(node)
+    executor.spin_once(timeout_sec=0.0)  # it begins to listen here, not in add_node
+    for subscription in node.subscriptions:
+        if subscription.raw:
+            if not isinstance(executor, Executor):
+                speed_up(subscription)
+            for message, _ in waiting_messages(subscription):
+                subscription.callback(message)
 
 
 def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:

@@ -17,9 +17,10 @@ from typing import Any
 from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.disk import NumberFile
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import from_epoch_ns, to_people
-from greenroof_ros.controllers.decide import NoCommandError, decide
+from greenroof_ros.controllers.decide import NoCommandError, decide, rain_forecast
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import (
     knows_time,
@@ -29,12 +30,12 @@ from greenroof_ros.controllers.protocol import (
     set_time,
 )
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
-from greenroof_ros.graph.node_controller import NodeController, controller_help
+from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.reports import WARN
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
-from greenroof_ros.live.executable import live_command
+from greenroof_ros.live.executable import live_command, live_help
 from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.reports import WARN
 from greenroof_ros.model.plant import pump_flow
 
 # The inputs; without the forecasts, the flow or the gauge it still commands.
@@ -79,12 +80,14 @@ class LiveControllerNode(LiveNode):
         Raises:
             ConfigurationError: there is no such controller.
         """
-        choice = find_controller(controller)
+        self._choice = choice = find_controller(controller)
         _ = choice.kind  # fail before a node is made
         super().__init__(choice.name, "controller")
         self._site = site = self.declare_site()
         self._tick = 0
-        self._chosen = NodeController(self, choice, site, lambda: self._tick)
+        self._settings = ControllerParameters(self, choice, site, lambda: self._tick)
+        self._optional = optional_topics(choice.outputs)
+        self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
         live = declare(self, LIVE_PARAMETERS)
         self._values: dict[str, float | None] = {}
         self._levels = Levels(site, live, self.subscribe)
@@ -111,19 +114,21 @@ class LiveControllerNode(LiveNode):
         if self._site.quiet is not None:
             self._time_ns = self.get_clock().now().nanoseconds
             self._quiet = self._site.quiet.quiet_at(self._time_ns)
-            allowed = allowed and (not self._quiet or knows_time(self._chosen.controller))
+            allowed = allowed and (not self._quiet or knows_time(self._settings.controller))
         allowed = self._command(allowed)
         self._tick += 1
-        self._chosen.publish_outputs(decided=allowed)
+        for topic, attribute in self._optional:
+            value = getattr(self._settings.controller, attribute) if allowed else topic.undecided
+            self.publish(topic.name, value)
 
     def _decide(self, allowed: bool) -> float:
         usable = allowed and self._rain.good and self._evapotranspiration.good
         if self._site.quiet is not None:
-            set_time(self._chosen.controller, self._time_ns)
-        set_gauge_rain(self._chosen.controller, self._measured_rain())
+            set_time(self._settings.controller, self._time_ns)
+        set_gauge_rain(self._settings.controller, self._measured_rain())
         return decide(
-            self._chosen.controller, allowed, self._cistern.value, self._roof.value,
-            self._chosen.rain_forecast(self._rain) if usable else (),
+            self._settings.controller, allowed, self._cistern.value, self._roof.value,
+            rain_forecast(self._choice, self._rain.value, self._rain.name) if usable else (),
             self._evapotranspiration.value if usable else (), self._quiet,
         )
 
@@ -137,10 +142,10 @@ class LiveControllerNode(LiveNode):
             Whether the controller decided.
         """
         if self._without_pumped and allowed and not self._forecast_problem():
-            learned = learned_by(self._chosen.controller)
-            self._chosen.make()
+            learned = learned_by(self._settings.controller)
+            self._settings.make()
             if learned is not None:
-                set_learned(self._chosen.controller, learned)
+                set_learned(self._settings.controller, learned)
             self._without_pumped = False
         try:
             command, decides = self._decide_or_refuse(allowed)
@@ -173,13 +178,13 @@ class LiveControllerNode(LiveNode):
 
         If the file cannot be understood, the node warns and the controller begins from the start.
         """
-        if not file or learned_by(self._chosen.controller) is None:
+        if not file or learned_by(self._settings.controller) is None:
             return None
         memory = NumberFile(Path(file))
         try:
             learned = memory.read()
             if learned:
-                set_learned(self._chosen.controller, learned)
+                set_learned(self._settings.controller, learned)
         except (ConfigurationError, KeyError) as error:
             self.get_logger().warning(f"learned values are lost: {file}: {error}")
         return memory
@@ -190,7 +195,7 @@ class LiveControllerNode(LiveNode):
         if self._learned_file is None or now - self._saved_at < every:
             return
         self._saved_at = now
-        learned = learned_by(self._chosen.controller)
+        learned = learned_by(self._settings.controller)
         if self._learned_file.problem:
             why = self._learned_file.problem
             warning = f"learned values of {self.get_name()} are not saved: {why}"
@@ -241,7 +246,7 @@ class LiveControllerNode(LiveNode):
 
     def _forecast_problem(self) -> str:
         """Return what is wrong with the forecasts; empty if the controller can decide."""
-        return self._bad_forecasts() if self._chosen.choice.needs_forecast else ""
+        return self._bad_forecasts() if self._choice.needs_forecast else ""
 
     def _bad_forecasts(self) -> str:
         return "; ".join(
@@ -255,8 +260,8 @@ class LiveControllerNode(LiveNode):
         A controller that can do without a forecast continues to command; if the site never had a
         forecast, nothing is reported then.
         """
-        needs = self._chosen.choice.needs_forecast
-        if not needs and not (self._chosen.choice.uses_forecast and self._rain.received):
+        needs = self._choice.needs_forecast
+        if not needs and not (self._choice.uses_forecast and self._rain.received):
             return
         problem = self._bad_forecasts()
         if not problem:
@@ -279,10 +284,13 @@ class LiveControllerNode(LiveNode):
 
     def progress(self) -> dict[str, Any]:
         """Return the parameter changes, and the values that bringup shows."""
-        return {**self._chosen.changes(), **self._values}
+        return {**self._settings.changes(), **self._values}
 
 
-_help = partial(controller_help, purpose=__doc__, common=parameters(None), live=True)
+_help = partial(
+    controller_help, module="live.controller", purpose=__doc__, common=parameters(None),
+    help_of=live_help,
+)
 main = live_command(LiveControllerNode, _help, "--controller")
 
 

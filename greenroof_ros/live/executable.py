@@ -1,4 +1,4 @@
-"""The executable of live nodes."""
+"""The executable of live nodes, and their help."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import NoReturn
 
 from rclpy.executors import SingleThreadedExecutor
 
-from greenroof_ros.graph.domain import start_receiving
-from greenroof_ros.graph.executable import node_command
+from greenroof_ros.common.interface import read_live_topics
+from greenroof_ros.graph.executable import node_command, node_help
+from greenroof_ros.graph.spin import start_receiving
 from greenroof_ros.live.node import LiveNode
 
 
@@ -35,3 +36,4 @@ def spin(nodes: Sequence[LiveNode], check: Callable[[], None]) -> NoReturn:
 
 
 live_command = partial(node_command, spin=spin)
+live_help = partial(node_help, interface=read_live_topics)

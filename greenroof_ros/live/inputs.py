@@ -19,7 +19,7 @@ from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import LockstepError, qos_profile
 from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
-from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules, Verdict
+from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules
 
 # How many messages of a topic can wait for the recorder if it or the machine is busy.
 _RECORDED_DEPTH = 1000
@@ -111,13 +111,14 @@ class LiveInput(Input):
     """An input with the rules that its values must keep.
 
     Attributes:
+        publishers: the topic's publishers.
         rules: the rules.
-        verdict: which rule is broken, if any.
+        problem: which rule is broken; None if the newest value may be acted on.
         received: whether any message was received.
         optional: whether the node acts without it.
     """
 
-    publishers: LivePublishers
+    problem: Problem | None = Problem("input_waiting")
 
     def __init__(self, publishers: LivePublishers, rules: InputRules, *, optional: bool) -> None:
         """Start without a value.
@@ -127,7 +128,8 @@ class LiveInput(Input):
             rules: the rules.
             optional: whether the node acts without it.
         """
-        super().__init__(publishers)
+        super().__init__(publishers.topic, publishers.full_name)
+        self.publishers = publishers
         self.rules = rules
         self.received = self._unknown = False
         self.optional = optional
@@ -136,12 +138,7 @@ class LiveInput(Input):
     @property
     def good(self) -> bool:
         """Whether the newest value may be acted on."""
-        return self.verdict.good
-
-    @property
-    def problem(self) -> Problem | None:
-        """Which rule is broken, if any."""
-        return self.verdict.problem(self.name)
+        return self.problem is None
 
     def receive(self, message: bytes) -> None:
         """Receive the value of a message, or 0 if the value must be refused, and check it."""
@@ -151,14 +148,16 @@ class LiveInput(Input):
         except (LockstepError, ValueError, struct.error) as error:
             self.refused += 1
             self.refusal = str(error)
-        case = "unknown" if self._unknown else "refused"
-        refused = Verdict("input_refused", case, {"why": self.refusal})
-        self.rules.receive(boot_time(), self.value, refused if self.refusal else None)
+        refused = None
+        if self.refusal:
+            case = "unknown" if self._unknown else "refused"
+            refused = Problem.of("input_refused", case, why=self.refusal)
+        self.rules.receive(boot_time(), self.value, refused)
         self.check()
 
     def check(self) -> None:
         """Check the newest value at the present time."""
-        self.verdict: Verdict = self.rules.check(boot_time(), self.publishers.second())
+        self.problem = self.rules.check(boot_time(), self.publishers.second())
 
     def refuse(self, why: str) -> None:
         """Refuse the newest value, because the node cannot act on it.

@@ -8,8 +8,7 @@ warning; ``rclpy.lifecycle`` would end the node. If a transition fails, its reas
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import ChangeState
@@ -27,51 +26,41 @@ class RefusedError(Exception):
     """A transition is not possible now; the message says why. The node keeps its state."""
 
 
-def transition(
-    step: Callable[[Any], None],
-) -> Callable[[Any, LifecycleState], TransitionCallbackReturn]:
-    """Turn a method into a transition callback of rclpy, such as ``on_activate``.
+class Transitions(Protocol):
+    """What the transitions of a lifecycle do.
 
-    The transition is made, and logged, unless the method raises. After :class:`RefusedError` the
-    node keeps its state; any other exception leads to *unconfigured*, after ``on_cleanup``. The
+    The transition is made, and logged, unless its method raises. After :class:`RefusedError` the
+    node keeps its state; any other exception leads to *unconfigured*, after :meth:`cleanup`. The
     reason is logged if it differs from the last one.
     """
 
-    @wraps(step)
-    def on_transition(node: Lifecycle, state: LifecycleState) -> TransitionCallbackReturn:
-        log = cast(Node, node).get_logger()
-        before, node.refusal = node.refusal, ""
-        try:
-            step(node)
-        except RefusedError as error:
-            node.refusal, result = str(error), TransitionCallbackReturn.FAILURE
-        except Exception as error:  # rclpy would hide the reason
-            node.refusal = f"{type(error).__name__}: {error}"
-            result = TransitionCallbackReturn.ERROR
-        else:
-            log.info(f"{step.__name__.removeprefix('on_')}: done")
-            return TransitionCallbackReturn.SUCCESS
-        if node.refusal != before:
-            log.warning(node.refusal)
-        return result
+    def requested(self) -> None:
+        """Note that somebody requests a transition."""
 
-    return on_transition
+    def configure(self) -> None:
+        """Do what leads from *unconfigured* to *inactive*."""
+
+    def activate(self) -> None:
+        """Do what leads from *inactive* to *active*."""
+
+    def deactivate(self) -> None:
+        """Do what leads from *active* to *inactive*."""
+
+    def cleanup(self) -> None:
+        """Do what leads from *inactive* to *unconfigured*, and from any state to *finalized*."""
 
 
 class Lifecycle(LifecycleNodeMixin):
-    """Mixin of a node, beside :class:`greenroof_ros.live.node.LiveNode`.
-
-    Topics do not depend on the state: none falls silent. A node overrides ``on_configure`` and the
-    other callbacks of rclpy with a :func:`transition`.
+    """Mixin of a node, as rclpy's own. Topics do not depend on the state: none falls silent.
 
     Attributes:
         refusal: why the last transition was refused or failed; empty if it was made. A request for
             a transition that the state lacks does not change it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, transitions: Transitions) -> None:
         """Open the services; the node itself must be initialised already."""
-        self.refusal = ""
+        self.refusal, self._transitions = "", transitions
         LifecycleNodeMixin.__init__(self)
         wrap_change_state(self, self._with_answer)
 
@@ -80,8 +69,25 @@ class Lifecycle(LifecycleNodeMixin):
         """The present state: ``UNCONFIGURED``, ``INACTIVE``, ``ACTIVE``, or *finalized*."""
         return lifecycle_state(self)
 
-    def on_transition_request(self) -> None:
-        """Called when a transition is requested; for a node to override."""
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Configure."""
+        return self._make("configure", self._transitions.configure)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Activate."""
+        return self._make("activate", self._transitions.activate)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Deactivate."""
+        return self._make("deactivate", self._transitions.deactivate)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Clean up."""
+        return self._make("cleanup", self._transitions.cleanup)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Clean up, for good."""
+        return self._make("shutdown", self._transitions.cleanup)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Clean up after an error and keep its reason, even if the cleanup fails, too."""
@@ -90,11 +96,29 @@ class Lifecycle(LifecycleNodeMixin):
         self.refusal = why
         return TransitionCallbackReturn.SUCCESS
 
+    def _make(self, name: str, transition: Callable[[], None]) -> TransitionCallbackReturn:
+        """Make a transition, and keep and log why it fails."""
+        log = cast(Node, self).get_logger()
+        before, self.refusal = self.refusal, ""
+        try:
+            transition()
+        except RefusedError as error:
+            self.refusal, result = str(error), TransitionCallbackReturn.FAILURE
+        except Exception as error:  # rclpy would hide the reason
+            self.refusal = f"{type(error).__name__}: {error}"
+            result = TransitionCallbackReturn.ERROR
+        else:
+            log.info(f"{name}: done")
+            return TransitionCallbackReturn.SUCCESS
+        if self.refusal != before:
+            log.warning(self.refusal)
+        return result
+
     def _with_answer(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
         """Wrap ``change_state``, so that it answers even if the state lacks the transition."""
 
         def on_request(request: ChangeState.Request, response: ChangeState.Response) -> Any:
-            self.on_transition_request()
+            self._transitions.requested()
             try:
                 return answer(request, response)
             except RuntimeError as error:  # from rcl: no such transition

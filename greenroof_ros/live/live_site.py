@@ -7,20 +7,15 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, within
+from greenroof_ros.common.command_line import Parser, refuse, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.controllers.registry import FOR_A_SITE
+from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
+from greenroof_ros.experiment.graph_options import add_graph_arguments
 from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.graph.states import PUMP, RECORDER
-from greenroof_ros.live.drive import (
-    EXTERNAL,
-    DriveChoice,
-    add_graph_arguments,
-    chosen_drive,
-    refuse,
-)
+from greenroof_ros.live.drive import DriveChoice, chosen_drive
 from greenroof_ros.live.drives.drive import DriveEndpoint
 from greenroof_ros.live.drives.modbus_line import parse_address
 from greenroof_ros.live.drives.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors

@@ -7,6 +7,7 @@ a drive. :mod:`greenroof_ros.live.pump_behaviour` says what it does, and which s
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.parameter import Parameter
@@ -17,8 +18,10 @@ from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live import pump_behaviour
 from greenroof_ros.live.drives.drive import real_time_error
+from greenroof_ros.live.lifecycle import Lifecycle
 from greenroof_ros.live.pump_behaviour import COMMAND_LIMIT, PumpBehaviour, common_parameters
-from greenroof_ros.live.pumping.inputs import IN_LOOP
+from greenroof_ros.live.pumping.inputs import INPUTS
+from greenroof_ros.live.reports import LiveReports
 from greenroof_ros.model.site import Site
 
 
@@ -27,8 +30,10 @@ def parameters(site: Site) -> list[Parameter]:
     return [*common_parameters(site), COMMAND_LIMIT]
 
 
-class LoopPumpNode(PumpBehaviour, SimulationNode):
+class LoopPumpNode(Lifecycle, SimulationNode):
     """Runs a drive in place of the simulated pump."""
+
+    reports: LiveReports
 
     def __init__(self) -> None:
         """Declare the parameters, and open topics and services.
@@ -36,42 +41,50 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
         Raises:
             ConfigurationError: a parameter, or the drive file, is wrong.
         """
-        SimulationNode.__init__(self, "pump", "pump")
-        site = self.declare_site()
-        values = declare(self, parameters(site))
-        self._simulated = self._stepped = 0.0  # simulated time (s), counted from 0
+        SimulationNode.__init__(self, "pump", "pump", LiveReports)
+        self._site = self.declare_site()
+        values = declare(self, parameters(self._site))
+        self._simulated = 0.0  # simulated time (s), counted from 0
         inputs = {
             row.name: self.subscribe(row.topic, tolerates_second=row.name == "command")
-            for row in IN_LOOP
+            for row in INPUTS if row.unknown  # the simulation has no flow meter
         }
         self.listen(CLOCK, self.set_time)
-        PumpBehaviour.__init__(self, site, values, inputs, simulated=True)
+        self._pump = PumpBehaviour(
+            self, self._site, values, inputs, self.peers.publishers["/pump/command"],
+            clock=lambda: self._simulated, missing_run=self._missing_run, simulated=True,
+        )
+        Lifecycle.__init__(self, self._pump)
 
     def on_inputs(self) -> None:
         """Decide on the inputs of a tick, and publish the flow."""
         self._refuse_other_speed()
-        self._commanded_at = boot_time()
+        self._pump.command_received()
         self._simulated += self._site.tau
-        self._step(self._commanded_at)
-        self.publish("/pump/flow", self._decision.flow)
+        self.publish("/pump/flow", self._pump.step(boot_time()).flow)
 
     def on_timer(self, now: float) -> None:
-        """Check the speed of the run, and what every pump node checks."""
+        """Check the speed of the run, and the pump; report a change at once."""
         self._refuse_other_speed()
-        super().on_timer(now)
+        self._pump.check()
+        if self.reports.urgent:
+            self.report_state()
 
-    def elapsed(self, now: float) -> float:
-        """Return the simulated time since the last call (s)."""
-        dt, self._stepped = self._simulated - self._stepped, self._simulated
-        return dt
+    def on_stop(self) -> None:
+        """Stop the pump."""
+        self._pump.stop()
 
-    def missing_run(self) -> Problem | None:
+    def progress(self) -> dict[str, Any]:
+        """Return the values that bringup shows and waits for."""
+        return self._pump.progress()
+
+    def _missing_run(self) -> Problem | None:
         """Return why the drive must not run before /run gives the speed; None if it may.
 
         Levels without a plant are invented and may change at any speed. Only the drive simulator,
         once it is known to be that, may run on them.
         """
-        why = self._drive.snapshot.no_simulator
+        why = self._pump.drive.snapshot.no_simulator
         if self.lockstep.run is not None or why == "":
             return None
         return Problem.of(
@@ -86,8 +99,8 @@ class LoopPumpNode(PumpBehaviour, SimulationNode):
         """
         run = self.lockstep.run
         if run is not None and run.speed != 1:
-            self._drive.exchange.require_simulator()
-            if why := self._drive.snapshot.no_simulator:
+            self._pump.drive.require_simulator()
+            if why := self._pump.drive.snapshot.no_simulator:
                 raise real_time_error(why, "the plant's speed", run.speed)
 
 

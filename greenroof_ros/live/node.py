@@ -6,15 +6,18 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_live_topics
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.graph.graph_node import FLUSH_S, GraphNode
+from greenroof_ros.graph.graph_node import GraphNode
+from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
+from greenroof_ros.graph.peers import by_role
 from greenroof_ros.graph.publishers import DISCOVERY_S
 from greenroof_ros.graph.states import READY
 from greenroof_ros.live.engine import LIMITS, RECOVERY, SampleAndHold
 from greenroof_ros.live.inputs import LiveInput, LivePublishers
 from greenroof_ros.live.pumping.input_rules import InputRules, LevelRule
-from greenroof_ros.live.supervision import supervisor_socket
+from greenroof_ros.live.reports import LiveReports
 from greenroof_ros.model.site import Site
 
 # How long a node waits for messages at most before it checks its clocks and signals again (s).
@@ -23,28 +26,15 @@ _CHECK_S = 0.05
 _REPORT_S = 0.25
 
 
-class SupervisedNode(GraphNode):
-    """A node that also reports to the process that started it, if any."""
-
-    def report_state(self, **values: Any) -> dict[str, Any]:
-        """Report the node's state, and return all values of the report."""
-        report = super().report_state(**values)
-        supervisor_socket().report({"node": self.get_name(), **report})
-        return report
-
-    def end(self, failure: str | None) -> None:
-        """Report that the node ends, and wait until its readers have everything; see the base."""
-        super().end(failure)
-        supervisor_socket().flush(FLUSH_S)
-
-
-class LiveNode(SupervisedNode):
+class LiveNode(GraphNode):
     """A node of a live site.
 
     A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, by their names in
     the interface. It overrides :meth:`on_inputs` and, as needed, the other ``on_`` methods and
     ``progress``.
     """
+
+    reports: LiveReports
 
     def __init__(self, name: str, role: str) -> None:
         """Join the graph.
@@ -56,7 +46,13 @@ class LiveNode(SupervisedNode):
         Raises:
             ConfigurationError: ROS arguments or a parameter file are wrong.
         """
-        super().__init__(name, role, read_live_topics(), simulated=False)
+        super().__init__(name, role, read_live_topics(), LiveReports)
+        if self.get_parameter(USE_SIM_TIME).value:
+            raise ConfigurationError(
+                "must be false: a live site runs on the steady clock",
+                key=f"parameter {USE_SIM_TIME} of {name}", value="true",
+            )
+        fix(self, USE_SIM_TIME, False, "must be false: this node is in a live graph")
         self._engine = SampleAndHold(self.on_inputs, self.reports)
         self._subscribed: list[LivePublishers] = []
         self._checked = self._reported = self._warned = -math.inf
@@ -91,11 +87,11 @@ class LiveNode(SupervisedNode):
             level: the additional rule for a level; None for another input.
         """
         limit = LIMITS[name].name
+        publishers = LivePublishers(self, self.interface[name])
         rules = InputRules(
             boot_time(), self.get_parameter(limit).value, self.get_parameter(RECOVERY.name).value,
-            limit_name=limit, level=level,
+            topic=publishers.full_name, limit_name=limit, level=level,
         )
-        publishers = LivePublishers(self, self.interface[name])
         self.inputs[name] = entry = LiveInput(publishers, rules, optional=optional)
         self._open(publishers, self._engine.receiver(entry, callback))
         return entry
@@ -125,7 +121,8 @@ class LiveNode(SupervisedNode):
 
     def absent(self) -> dict[str, list[str]]:
         """Return the required inputs without a compatible publisher, by missing role."""
-        return self.by_role([
+        topics = {name: entry.topic for name, entry in self.inputs.items()}
+        return by_role(self.role, topics, [
             entry.topic.name for entry in self._engine.required if not entry.publishers.compatible
         ])
 

@@ -7,36 +7,28 @@ It acts every tau of the site, on the newest values, and lets the pump run only 
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
-from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live import pump_behaviour
-from greenroof_ros.live.engine import PAUSE_S, Levels, live_parameters
-from greenroof_ros.live.executable import live_command
+from greenroof_ros.live.engine import Levels, live_parameters
+from greenroof_ros.live.executable import live_command, live_help
+from greenroof_ros.live.lifecycle import Lifecycle
 from greenroof_ros.live.node import LiveNode
-from greenroof_ros.live.pump_behaviour import (
-    COMMAND_LIMIT,
-    PumpBehaviour,
-    common_parameters,
-    second_publisher,
-)
+from greenroof_ros.live.pump_behaviour import COMMAND_LIMIT, PumpBehaviour, common_parameters
 from greenroof_ros.live.pumping.inputs import INPUTS
 from greenroof_ros.model.site import Site
 
 
 def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
-    return [
-        *common_parameters(site), *live_parameters(row.topic for row in INPUTS),
-        *(parameter for row in INPUTS for parameter in row.parameters),
-    ]
+    return [*common_parameters(site), *live_parameters(row.topic for row in INPUTS)]
 
 
-class PumpNode(PumpBehaviour, LiveNode):
+class PumpNode(Lifecycle, LiveNode):
     """Runs the pump of a live site."""
 
     def __init__(self) -> None:
@@ -54,8 +46,7 @@ class PumpNode(PumpBehaviour, LiveNode):
                 "tau", key=f"parameter {COMMAND_LIMIT.name} of {self.get_name()}",
                 value=values[COMMAND_LIMIT.name],
             )
-        self._stepped = boot_time()
-        command = self.subscribe("/pump/command", self._on_command)
+        command = self.subscribe("/pump/command", lambda _: self._pump.command_received())
         self._levels = Levels(site, values, self.subscribe)
         inputs = {
             "command": command, "cistern_level": self._levels.cistern,
@@ -63,44 +54,38 @@ class PumpNode(PumpBehaviour, LiveNode):
         }
         inputs |= {
             row.name: self.subscribe(row.topic, optional=not row.unknown)
-            for row in INPUTS if row.name not in inputs and row.is_at(values)
+            for row in INPUTS if row.name not in inputs
         }
-        self._own_flow = self.subscribe("/pump/flow", optional=True)
-        PumpBehaviour.__init__(self, site, values, inputs, simulated=False)
-
-    def _on_command(self, value: float) -> None:
-        self._commanded_at = boot_time()
+        self._pump = PumpBehaviour(
+            self, site, values, inputs, command.publishers, clock=boot_time,
+            displacements=lambda: self._levels.displacements,
+            own_flow=self.subscribe("/pump/flow", optional=True).publishers,
+        )
+        Lifecycle.__init__(self, self._pump)
 
     def on_inputs(self) -> None:
         """Decide, and publish the flow."""
-        self._step(boot_time())
+        flow = self._pump.step(boot_time()).flow
         if self._levels.cistern.good and self._levels.roof.good:
-            self._levels.expect(self._decision.flow)
-        self.publish("/pump/flow", self._decision.flow)
+            self._levels.expect(flow)
+        self.publish("/pump/flow", flow)
 
-    def elapsed(self, now: float) -> float:
-        """Return the time since the last call (s); a pause counts as one tick."""
-        dt, self._stepped = now - self._stepped, now
-        tau = self._site.tau
-        if dt > tau + PAUSE_S:
-            # All ticks since the last step were missed, except the present one.
-            self._control.count_unseen(dt - tau)
-            return tau
-        return dt
+    def on_timer(self, now: float) -> None:
+        """Check the pump."""
+        self._pump.check()
 
-    def displacements(self) -> tuple[float, float]:
-        """Return how far impossible jumps have shifted both levels so far (m)."""
-        return self._levels.displacements
+    def on_stop(self) -> None:
+        """Stop the pump."""
+        self._pump.stop()
 
-    def second_pump(self) -> Problem | None:
-        """Return that another node publishes a flow; None if none does."""
-        return second_publisher(self._own_flow, "two_pumps")
+    def progress(self) -> dict[str, Any]:
+        """Return the values that bringup shows and waits for."""
+        return self._pump.progress()
 
 
 main = live_command(PumpNode, partial(
-    node_help, "live.pump", "pump", f"{__doc__}\n{pump_behaviour.__doc__}", parameters,
+    live_help, "live.pump", "pump", f"{__doc__}\n{pump_behaviour.__doc__}", parameters,
     "--ros-args -p drive:=danfoss_fc202 -p address:=gateway://127.0.0.1:5020 -p autostart:=true",
-    live=True,
 ))
 
 

@@ -11,31 +11,36 @@ a ``reason`` and an end, ``until`` (s since 1970), if they are given. ``~/reset`
 site file allows it, ``~/dose`` (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and
 ``asked_at``, the present time in s since 1970) delivers a volume once, or says why not. /pump/flow
 is published once per tick in every state. In between, the drive can be stopped by wall time.
-/pump/state says why the pump is at rest.
+/pump/state says what the pump does, and why.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.conditions import Problem, joined, read_interlocks
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
+from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.parameters import site_file
-from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
+from greenroof_ros.graph.publishers import Publishers
+from greenroof_ros.graph.states import PumpState
 from greenroof_ros.live.drives.drive import DriveStatus
-from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
-from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, DriveSnapshot
+from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S, find_drive_file
+from greenroof_ros.live.drives.endpoint import Endpoint, read_endpoint
+from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, DriveExchange, DriveSnapshot
 from greenroof_ros.live.engine import LIMITS, PAUSE_S
 from greenroof_ros.live.inputs import bad_inputs
 from greenroof_ros.live.lifecycle import (
@@ -44,20 +49,17 @@ from greenroof_ros.live.lifecycle import (
     UNCONFIGURED,
     Lifecycle,
     RefusedError,
-    transition,
 )
-from greenroof_ros.live.node import SupervisedNode
-from greenroof_ros.live.pump_drive import PumpDrive
 from greenroof_ros.live.pumping.dose import DONE
-from greenroof_ros.live.pumping.inputs import INPUTS
+from greenroof_ros.live.pumping.inputs import INPUTS, Observation
 from greenroof_ros.live.pumping.ledger import MOST, Ledger, state_directory
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import (
     Decision,
-    Observation,
     PumpControl,
     drive_fault,
 )
+from greenroof_ros.live.reports import ERROR, OK, STALE, WARN, LiveReports
 from greenroof_ros.model.site import Site
 
 COMMAND_LIMIT = LIMITS["/pump/command"]
@@ -115,34 +117,58 @@ def common_parameters(site: Site) -> list[Parameter]:
     return [site_file(), *_OWN, *pump_parameters(site)]
 
 
-class PumpBehaviour(Lifecycle, SupervisedNode):
-    """Runs the pump as commanded, unless an interlock is active; a subclass says when to act."""
+class PumpBehaviour:
+    """Runs the pump of a node as commanded, unless an interlock is active.
+
+    The node, in a live graph or in a simulated one, says when to act: it calls :meth:`step`.
+    """
 
     def __init__(
-        self, site: Site, values: Mapping[str, Any], inputs: Mapping[str, Input], *,
-        simulated: bool,
+        self, node: GraphNode, site: Site, values: Mapping[str, Any],
+        inputs: Mapping[str, Input], commanders: Publishers, *, clock: Callable[[], float],
+        displacements: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0),
+        own_flow: Publishers | None = None,
+        missing_run: Callable[[], Problem | None] = lambda: None, simulated: bool = False,
     ) -> None:
-        """Open topics and services; the node itself must be initialised already.
+        """Open the node's topics and services.
 
         Args:
+            node: the node, which also has a :class:`Lifecycle`.
             site: the site.
             values: values of the node's parameters.
             inputs: the node's inputs, by their names in :mod:`greenroof_ros.live.pumping.inputs`.
+            commanders: the publishers of the command.
+            clock: returns the time of the pump control (s).
+            displacements: returns how far impossible jumps have shifted both levels so far (m).
+            own_flow: the publishers of the flow, to notice a second pump; None if there cannot be
+                another.
+            missing_run: returns why the drive must not run on levels that may be invented; None if
+                it may.
             simulated: whether the plant is simulated.
 
         Raises:
             ConfigurationError: a parameter, or the drive file, is wrong.
         """
+        self._node, self._lifecycle = node, cast(Lifecycle, node)
+        self._reports, self._log = cast(LiveReports, node.reports), node.get_logger()
+        self._clock, self._displacements = clock, displacements
+        self._own_flow, self._missing_run = own_flow, missing_run
         self._site = site
-        self._drive = PumpDrive(values, self.get_name(), checks_simulator=simulated)
+        endpoint = _read_endpoint(values, node.get_name())
+        self._make_exchange = partial(
+            DriveExchange, endpoint, values["exchange_period"],
+            timeout_limit_s=values["drive_timeout_limit"],
+            stops_locally=values["local_settings_stop_the_pump"], checks_simulator=simulated,
+        )
+        self._exchange = self._make_exchange()
         self._without_timeout: bool = values["activate_without_drive_timeout"]
         self._autostart: bool = values["autostart"]
         self._command_limit: float = values[COMMAND_LIMIT.name]
         settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
-        least_speed = self._drive.endpoint.file.least_speed
+        least_speed = self._exchange.endpoint.file.least_speed
         settings["least_speed"] = max(settings["least_speed"], least_speed)
         self._settings = PumpSettings(**settings)
-        own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
+        own_name = node.get_fully_qualified_name().strip("/").replace("/", "-")
         self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
         # Time after which a drive that is not heard is at rest (s).
         self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
@@ -154,44 +180,21 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             None, "off", "not started", {}, 0.0, "", (), at_rest=False, reported_speed=None,
             flow_known=False, blind_for=0.0,
         )
-        self._state = ""
-        self._reasons: tuple[object, ...] = ()  # as `on_timer` last saw them
+        self._state = PumpState()
+        self._reasons: tuple[object, ...] = ()  # as `check` last saw them
         self._watched = time.monotonic()
         self._resetting_until = 0.0
         self._tried_at = self._reported_at = -math.inf
         self._commanded_at, self._timed_at = -math.inf, boot_time()
+        self._stepped = clock()
         self._suspended, self._suspended_at = suspended_time(), -math.inf
-        self._inputs, self._values = inputs, values
-        self.open_outputs("/pump/flow", "/pump/state")
-        Lifecycle.__init__(self)
-        self.create_service(SetBool, "~/stop", self._on_stop_request)
-        self.create_service(SetParametersAtomically, "~/hold", self._on_hold_request)
-        self.create_service(Trigger, "~/clear", self._on_clear_request)
-        self.create_service(Trigger, "~/reset", self._on_reset_request)
-        self.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
-        self._step(boot_time())
-
-    # --- to override ------------------------------------------------------------------------------
-
-    def elapsed(self, now: float) -> float:
-        """Return the time since the last call (s), by the clock of the pump control.
-
-        Args:
-            now: steady clock (s).
-        """
-        raise NotImplementedError
-
-    def displacements(self) -> tuple[float, float]:
-        """Return how far impossible jumps have shifted both levels so far (m)."""
-        return 0.0, 0.0
-
-    def second_pump(self) -> Problem | None:
-        """Return that another node runs a pump, too; None if none does."""
-        return None
-
-    def missing_run(self) -> Problem | None:
-        """Return why the drive must not run on levels that may be invented; None if it may."""
-        return None
+        self._inputs, self._commanders = inputs, commanders
+        node.open_outputs("/pump/flow", "/pump/state")
+        node.create_service(SetBool, "~/stop", self._on_stop_request)
+        node.create_service(SetParametersAtomically, "~/hold", self._on_hold_request)
+        node.create_service(Trigger, "~/clear", self._on_clear_request)
+        node.create_service(Trigger, "~/reset", self._on_reset_request)
+        node.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
 
     # --- state kept across restarts ---------------------------------------------------------------
 
@@ -203,7 +206,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         record = self._ledger.record
         active_hold = self._ledger.active_hold
         if why := record.fault or record.unknown or (active_hold and active_hold.sentence):
-            self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
+            self._log.warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _acquire_state(self) -> None:
         """Take over the state file, if another process had it or it could not be made."""
@@ -213,58 +216,49 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
     # --- lifecycle --------------------------------------------------------------------------------
 
-    @transition
-    def on_configure(self) -> None:
+    def configure(self) -> None:
         """Connect to the drive, and read its nameplate."""
-        self._drive.connect()
+        self._connect()
         until = boot_time() + _WAIT_S
-        while absence := self._drive.absence(boot_time()):
+        while absence := self._exchange.absence(boot_time()):
             if boot_time() > until:
                 # The exchange keeps trying: a drive that appears is stopped.
                 raise RefusedError(
                     f"not configured: {absence.sentence}; still trying, ask again"
                 )
             time.sleep(0.02)
-        self.reports.hardware = self._drive.snapshot.identity
+        self._reports.hardware = self._exchange.snapshot.identity
 
-    @transition
-    def on_activate(self) -> None:
+    def activate(self) -> None:
         """Let the pump run, unless the drive would run on unattended or a stop cannot be saved."""
-        problem = self._drive.absence(boot_time())
+        problem = self._exchange.absence(boot_time())
         if problem is None and not self._without_timeout:
-            problem = self._drive.timeout_problem(self._drive.snapshot)
+            problem = self._exchange.timeout_problem(self._exchange.snapshot)
         if problem is None:
             self._acquire_state()
             problem = Problem.if_any("state_not_kept", self._ledger.flush())
         if problem is not None:
             raise RefusedError(f"not activated: {problem.sentence}")
-        file = self._drive.endpoint.file
+        file = self._exchange.endpoint.file
         unverified = file.unverified_and_vital
         if unverified:
-            self.reports.diagnose("drive file", Problem.of(
+            self._reports.diagnose("drive file", Problem.of(
                 "drive_file_unverified", file=str(file.path), settings=", ".join(unverified)
             ), level=WARN)
 
-    @transition
-    def on_deactivate(self) -> None:
+    def deactivate(self) -> None:
         """Ramp down."""
-        self._step(boot_time())
+        self.step(boot_time())
 
-    @transition
-    def on_cleanup(self) -> None:
+    def cleanup(self) -> None:
         """Stop the drive, confirm that it is at rest, and disconnect; refused until it is."""
         self._disconnect(_WAIT_S)
 
-    @transition
-    def on_shutdown(self) -> None:
-        """Do the same as *cleanup*, for good."""
-        self._disconnect(_WAIT_S)
-
-    def on_transition_request(self) -> None:
+    def requested(self) -> None:
         """End the autostart: somebody else now controls the lifecycle."""
         self._autostart = False
 
-    def on_stop(self) -> None:
+    def stop(self) -> None:
         """Stop the drive and confirm that it is at rest, whatever ends the node.
 
         Raises:
@@ -275,25 +269,43 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         finally:
             problem = self._ledger.close()
             if problem:
-                self.get_logger().error(problem)
+                self._log.error(problem)
+
+    def _connect(self) -> None:
+        """Start the exchange, which keeps the drive stopped; a closing one must end first."""
+        if self._exchange.closing and self._exchange.close(0.0):
+            self._exchange = self._make_exchange()
+        self._exchange.start()
 
     def _disconnect(self, within: float) -> None:
-        message = self._drive.disconnect(within)
-        if message:
-            self.get_logger().info(message)
+        """Stop the drive and disconnect.
+
+        Args:
+            within: longest wait (s); the longest ramp plus a few seconds is enough for any drive.
+
+        Raises:
+            RefusedError: it takes longer; stopping continues.
+            OSError: the drive did not answer at the end, or is not at rest.
+        """
+        if not self._exchange.started:
+            return
+        if not self._exchange.close(within):
+            raise RefusedError("the drive is still slowing down, or does not answer; ask again")
+        ended, self._exchange = self._exchange, self._make_exchange()
+        self._log.info(ended.outcome())
 
     def _try_autostart(self, now: float) -> None:
         """Try to become *active*; called repeatedly."""
-        if now - self._tried_at < _AGAIN_S or self.lifecycle_state == ACTIVE:
+        if now - self._tried_at < _AGAIN_S or self._is_active:
             return
         self._tried_at = now
-        self._drive.connect()
-        if self._drive.absence(now):
+        self._connect()
+        if self._exchange.absence(now):
             return
-        if self.lifecycle_state == UNCONFIGURED:
-            self.trigger_configure()
-        if self.lifecycle_state == INACTIVE:
-            self.trigger_activate()
+        if self._lifecycle.lifecycle_state == UNCONFIGURED:
+            self._lifecycle.trigger_configure()
+        if self._lifecycle.lifecycle_state == INACTIVE:
+            self._lifecycle.trigger_activate()
 
     # --- services ---------------------------------------------------------------------------------
 
@@ -305,10 +317,10 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             self._ledger.hold("the operator")
         else:
             self._ledger.release()
-        self._step(boot_time())
+        self.step(boot_time())
         if request.data:
-            self._drive.exchange.stop()
-        response.success, response.message = self._service_result(self._state)
+            self._exchange.stop()
+        response.success, response.message = self._service_result(str(self._state))
         return response
 
     def _on_hold_request(
@@ -321,10 +333,10 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         except ValueError as error:
             result.successful, result.reason = False, str(error)
         else:
-            self._step(boot_time())
-            self._drive.exchange.stop()
-            result.successful, result.reason = self._service_result(self._state)
-        self.get_logger().info(f"hold requested: {result.reason}")
+            self.step(boot_time())
+            self._exchange.stop()
+            result.successful, result.reason = self._service_result(str(self._state))
+        self._log.info(f"hold requested: {result.reason}")
         return response
 
     def _on_reset_request(
@@ -332,12 +344,12 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     ) -> Trigger.Response:
         self._acquire_state()
         cleared = self._control.reset()
-        self._drive.exchange.reset()
+        self._exchange.reset()
         self._resetting_until = boot_time() + RESET_S
         response.success, response.message = self._service_result(
             f"cleared: {cleared}" if cleared else "there was no fault"
         )
-        self.get_logger().info(f"reset: {response.message}")
+        self._log.info(f"reset: {response.message}")
         return response
 
     def _on_clear_request(
@@ -348,24 +360,24 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             response.success, response.message = False, refusal
             return response
         self._control.clear()
-        self._step(boot_time())
-        response.success, response.message = self._service_result(self._state)
-        self.get_logger().info(f"fault cleared: {response.message}")
+        self.step(boot_time())
+        response.success, response.message = self._service_result(str(self._state))
+        self._log.info(f"fault cleared: {response.message}")
         return response
 
     def _on_dose_request(
         self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
     ) -> SetParametersAtomically.Response:
         fields = {parameter.name: parameter.value.double_value for parameter in request.parameters}
-        self._step(boot_time())  # a reason against it may have just arrived
+        self.step(boot_time())  # a reason against it may have just arrived
         if fields.keys() != {"volume", "asked_at"}:
             refusal = "a dose needs volume (m3) and asked_at (s since 1970), and nothing else"
         else:
             refusal = self._control.request_dose(fields["asked_at"], fields["volume"])
-        self._step(boot_time())
+        self.step(boot_time())
         response.result.successful = not refusal
-        response.result.reason = refusal or self._state
-        self.get_logger().info(f"dose requested: {response.result.reason}")
+        response.result.reason = refusal or str(self._state)
+        self._log.info(f"dose requested: {response.result.reason}")
         return response
 
     def _service_result(self, message: str) -> tuple[bool, str]:
@@ -375,11 +387,15 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
 
     # --- by the clock -----------------------------------------------------------------------------
 
-    def on_timer(self, now: float) -> None:
+    def command_received(self) -> None:
+        """Note that a command has come."""
+        self._commanded_at = boot_time()
+
+    def check(self) -> None:
         """Decide again if the reasons against running change, even if no commands arrive."""
         now = boot_time()
         self._check_suspend(now)
-        status = self._drive.status(now)
+        status = self._exchange.status(now)
         reasons = (
             [*self._reasons_against(now)], _fault(status),
             status is not None and status.at_rest,
@@ -388,10 +404,10 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         )
         if reasons != self._reasons:
             self._reasons = reasons
-            self._step(now)
+            self.step(now)
         self._timed_at = boot_time()
         # Again and again: a request expires in a second.
-        self._drive.exchange.request_speed(self._decision.speed)
+        self._exchange.request_speed(self._decision.speed)
         if self._autostart:
             self._try_autostart(now)
         if now - self._reported_at > _REPORT_S:
@@ -405,50 +421,46 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         seconds = self._suspended - before
         if seconds > PAUSE_S and not self._decision.at_rest:
             self._suspended_at = now
-            self.reports.diagnose("suspend", Problem.of("suspended", suspended_s=seconds))
+            self._reports.diagnose("suspend", Problem.of("suspended", suspended_s=seconds))
         elif now - self._suspended_at > _REPORTED_S:
-            self.reports.diagnose("suspend", None, "the machine stays awake while the pump is on")
+            self._reports.diagnose("suspend", None, "the machine stays awake while the pump is on")
 
     # --- the pump ---------------------------------------------------------------------------------
 
     def _reasons_against(self, now: float) -> Iterator[Problem]:
         """Yield this node's own reasons against running the pump."""
-        for row in INPUTS:
-            if row.rule is not None and row.name in self._inputs:
-                value = self._value(row.name)
-                reason = Problem.of(row.unknown) if value is None else row.rule(
-                    value, self._values, self._decision.interlocks
-                )
-                if reason is not None:
-                    yield reason
-        snapshot, absence = self._drive.snapshot, self._drive.absence(now)
+        snapshot, absence = self._exchange.snapshot, self._exchange.absence(now)
         if absence is not None:
             yield absence
-        if self.lifecycle_state != ACTIVE:
+        if not self._is_active:
             # While the drive is not heard, the refusal may be out of date.
-            yield self._not_active("inactive", "" if absence else self.refusal)
+            yield self._not_active("inactive", "" if absence else self._lifecycle.refusal)
             return
-        status = self._drive.status(now)
+        status = self._exchange.status(now)
         if status is not None:
             if not status.remote:
                 yield Problem.of("drive_local", "local")
             yield from filter(None, (
-                Problem.if_any("second_master", snapshot.second_master),
-                Problem.if_any("start_failed", snapshot.start_failed),
-                Problem.if_any("drive_guards_later", snapshot.unguarded),
-                None if self._without_timeout else self._drive.timeout_problem(snapshot),
-                self.missing_run(),
+                snapshot.second_master, snapshot.start_failed, snapshot.unguarded,
+                None if self._without_timeout else self._exchange.timeout_problem(snapshot),
+                self._missing_run(),
             ))
         yield from filter(None, (
-            second_publisher(self._inputs["command"], "two_controllers"),
+            second_publisher(self._commanders, "two_controllers"),
             # Another pump node may have the same drive: then neither runs it.
-            self.second_pump(), self._missing_command(),
+            self._second_pump(), self._missing_command(),
         ))
 
     def _not_active(self, case: str, refusal: str) -> Problem:
         if refusal:
             return Problem.of("not_active", "refused", refusal=refusal)
         return Problem.of("not_active", case)
+
+    def _second_pump(self) -> Problem | None:
+        """Return that another node publishes a flow; None if none does."""
+        if self._own_flow is None:
+            return None
+        return second_publisher(self._own_flow, "two_pumps")
 
     def _missing_command(self) -> Problem | None:
         """Return that commands are missing, or that this node was paused; None if neither."""
@@ -464,20 +476,30 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     def _value(self, name: str) -> float | None:
         """Return the value of an input; None if it is not known."""
         entry = self._inputs.get(name)
-        return float(entry.value) if self.acted and entry is not None and entry.good else None
+        return float(entry.value) if self._node.acted and entry is not None and entry.good else None
 
-    def _step(self, now: float) -> None:
+    @property
+    def _is_active(self) -> bool:
+        return self._lifecycle.lifecycle_state == ACTIVE
+
+    @property
+    def drive(self) -> DriveExchange:
+        """The communication with the drive."""
+        return self._exchange
+
+    def step(self, now: float) -> Decision:
         """Decide on what is known now, give the drive its order, and publish the state.
 
         Args:
             now: steady clock (s).
         """
         self._check_suspend(now)
-        status = self._drive.status(now)
+        status = self._exchange.status(now)
         observation = Observation(
-            **{row.name: self._value(row.name) for row in INPUTS if row.rule is None},
-            displacements=self.displacements(),
-            time_ns=self.get_clock().now().nanoseconds or None,  # 0 until a plant publishes it
+            **{row.name: self._value(row.name) for row in INPUTS},
+            displacements=self._displacements(),
+            # 0 until a plant publishes it
+            time_ns=self._node.get_clock().now().nanoseconds or None,
             speed=None if status is None else status.speed,
             drive_flow=None if status is None else status.flow,
             drive_ready=status is not None and (status.ready or status.running),
@@ -485,21 +507,32 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             runs_on=status is not None and status.runs_on,
             reasons=[*self._reasons_against(now)],
         )
-        dt = self.elapsed(now)
+        dt = self._elapsed()
         # The drive is watched only while the machine is awake; this clock counts only that time.
         awake = time.monotonic()
         drive_dt, self._watched = awake - self._watched, awake
         decided, decision = self._decision, self._control.step(dt, observation, drive_dt)
         self._decision = decision
-        self._drive.exchange.request_speed(decision.speed)
-        state = f"{decision.state}: {decision.why}"
+        self._exchange.request_speed(decision.speed)
+        state = PumpState(decision.state, decision.why, tuple(decision.interlocks))
         before, self._state = self._state, state
         if state != before:
-            self.publish("/pump/state", state)
+            self._node.publish("/pump/state", state.message())
             # Not at every change of the words: they have numbers.
             logged = (decided.state, decided.at_rest, *decided.interlocks)
             if (decision.state, decision.at_rest, *decision.interlocks) != logged:
-                self.get_logger().info(state)
+                self._log.info(str(state))
+        return decision
+
+    def _elapsed(self) -> float:
+        """Return the time since the last call (s); a pause of this process counts as one tick."""
+        before, self._stepped = self._stepped, self._clock()
+        dt, tau = self._stepped - before, self._site.tau
+        if dt > tau + PAUSE_S:
+            # All ticks since the last step were missed, except the present one.
+            self._control.count_unseen(dt - tau)
+            return tau
+        return dt
 
     # --- reports ----------------------------------------------------------------------------------
 
@@ -508,11 +541,11 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         record, decision, dose = self._ledger.record, self._decision, self._control.dose
         active_hold = self._ledger.active_hold
         return {
-            "pump": self._state, "pump_state": decision.state,
+            "pump_state": self._state.state, "pump_why": self._state.why,
             "stands": decision.at_rest,
             "speed": decision.reported_speed,
             "flow": decision.flow if decision.flow_known else None,
-            "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
+            "active": self._is_active and not self._exchange.snapshot.unguarded,
             "fault": record.fault,
             "no_clear": self._control.clear_refusal,
             "unknown": record.unknown,
@@ -529,19 +562,19 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
     def _diagnose(self, now: float) -> None:
         """Report each part; texts with numbers are not logged, since they change too often."""
         decision = self._decision
-        diagnose = self.reports.diagnose
-        self.reports.numbers |= self._numbers()
+        diagnose = self._reports.diagnose
+        self._reports.numbers |= self._numbers()
         first = next(iter(decision.interlocks.values()), None)
         wrong = first is not None and first.code != "quiet_hours"  # these are as intended
         diagnose(
-            "pump", first and replace(first, sentence=self._state), self._state,
+            "pump", first and replace(first, text=str(self._state)), str(self._state),
             ERROR if decision.state == "fault" else WARN if wrong else OK,
             self._cause(first.code) if first else "", log=False,
         )
         diagnose("limits", joined(decision.warnings), "nothing limits the pump", WARN, log=False)
         if self._site.greatest_dose is not None:
             self._diagnose_dose()
-        diagnose("flow", self.second_pump(), f"source: {decision.source}")
+        diagnose("flow", self._second_pump(), f"source: {decision.source}")
         self._diagnose_command()
         self._diagnose_inputs()
         levels_known = self._inputs["cistern_level"].good and self._inputs["roof_level"].good
@@ -573,9 +606,9 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
                     if part in read_interlocks()[code].explained_by
                 ), None)
             elif part == "frost":
-                level, problem = WARN, replace(problem, code=self._cause("frost_unknown"))
+                level, problem = WARN, problem.under(self._cause("frost_unknown"))
             well = " and ".join(name.replace("_", " ") for name in names)
-            self.reports.diagnose(part, problem, f"known: {well}", level)
+            self._reports.diagnose(part, problem, f"known: {well}", level)
 
     def _numbers(self) -> dict[str, dict[str, float | None]]:
         """Return the numbers behind the report of each part, in the units of the topics."""
@@ -588,7 +621,7 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             "command": {"command": known["command"]},
             "levels": {name: known[name] for name in ("cistern_level", "roof_level")},
             "delivery": {"blind_for_s": decision.blind_for},
-            "drive timeout": {"timeout_s": self._drive.snapshot.timeout_s},
+            "drive timeout": {"timeout_s": self._exchange.snapshot.timeout_s},
         }
 
     def _cause(self, code: str) -> str:
@@ -604,34 +637,34 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
         """Report the progress of a dose and, for a minute, how it ended."""
         dose = self._control.dose
         if dose is None:
-            self.reports.diagnose("dose", None, "no dose is under way", log=False)
+            self._reports.diagnose("dose", None, "no dose is under way", log=False)
             return
-        self.reports.numbers["dose"] = {"volume": dose.volume, "delivered": dose.delivered}
+        self._reports.numbers["dose"] = {"volume": dose.volume, "delivered": dose.delivered}
         early = dose.ended_early if dose.over not in ("", DONE) else None
-        self.reports.diagnose("dose", early, dose.sentence, WARN, dose.cause, log=False)
+        self._reports.diagnose("dose", early, dose.sentence, WARN, dose.cause, log=False)
 
     def _diagnose_command(self) -> None:
         command, silence = self._inputs["command"], self._missing_command()
-        problem = command.problem or second_publisher(command, "two_controllers")
-        if silence and self.acted and problem is None:
-            self.reports.diagnose("command", silence, level=STALE)
+        problem = command.problem or second_publisher(self._commanders, "two_controllers")
+        if silence and self._node.acted and problem is None:
+            self._reports.diagnose("command", silence, level=STALE)
         else:
             well = silence.sentence if silence else "commands are arriving"
-            self.reports.diagnose("command", problem, well)
+            self._reports.diagnose("command", problem, well)
 
     def _diagnose_drive(self, now: float) -> None:
-        if self.lifecycle_state == UNCONFIGURED and not self._autostart:
-            why = self._not_active("unconfigured", self.refusal)
-            self.reports.diagnose("drive", why, level=WARN)
+        if self._lifecycle.lifecycle_state == UNCONFIGURED and not self._autostart:
+            why = self._not_active("unconfigured", self._lifecycle.refusal)
+            self._reports.diagnose("drive", why, level=WARN)
             return
-        snapshot, status = self._drive.snapshot, self._drive.status(now)
+        snapshot, status = self._exchange.snapshot, self._exchange.status(now)
         if status is None:
-            absence, lost = self._drive.absence(now), bool(snapshot.errors)
+            absence, lost = self._exchange.absence(now), bool(snapshot.errors)
             if absence is not None and not lost:
-                absence = replace(absence, code="drive_awaited")
-            self.reports.diagnose("drive", absence, level=ERROR if lost else WARN)
+                absence = absence.under("drive_awaited")
+            self._reports.diagnose("drive", absence, level=ERROR if lost else WARN)
             return
-        self.reports.hardware = snapshot.identity
+        self._reports.hardware = snapshot.identity
         trouble = "; ".join(filter(None, (snapshot.problem, status.warning)))
         level, problem = WARN, None
         if status.fault:
@@ -640,35 +673,55 @@ class PumpBehaviour(Lifecycle, SupervisedNode):
             more = {"problem": trouble} if trouble else {}
             problem = Problem.of("drive_local", "local", *more, **more)
         elif snapshot.second_master:
-            problem = Problem.of("second_master", why=snapshot.second_master)
+            problem = snapshot.second_master
         elif trouble:
             problem = Problem.of("drive_warning", warning=trouble)
-        self.reports.diagnose("drive", problem, f"connected to {snapshot.identity}", level)
+        self._reports.diagnose("drive", problem, f"connected to {snapshot.identity}", level)
         self._diagnose_timeout(snapshot)
 
     def _diagnose_timeout(self, snapshot: DriveSnapshot) -> None:
         """Report whether the drive's own communication timeout stops the pump."""
-        guard = self._drive.endpoint.guard
+        guard = self._exchange.endpoint.guard
         well = f"without this machine the drive stops after {snapshot.timeout_s or 0:g} s"
         if guard is not None and guard.traps:
             well += f"; beware: {guard.traps}"
-        problem, level = self._drive.timeout_problem(snapshot), ERROR
+        problem, level = self._exchange.timeout_problem(snapshot), ERROR
         if problem is None:
-            problem, level = Problem.if_any("drive_guards_later", snapshot.unguarded), WARN
+            problem, level = snapshot.unguarded, WARN
         elif self._without_timeout:
-            problem, level = replace(problem, code="drive_timeout_waived"), WARN
-        self.reports.diagnose("drive timeout", problem, well, level)
+            problem, level = problem.under("drive_timeout_waived"), WARN
+        self._reports.diagnose("drive timeout", problem, well, level)
 
 
-def second_publisher(entry: Input, code: str) -> Problem | None:
-    """Return that an input has a second publisher, under this code; None if it has none.
+def _read_endpoint(values: Mapping[str, Any], node_name: str) -> Endpoint:
+    """Return the drive that a node's parameters choose.
+
+    Raises:
+        ConfigurationError: a parameter or the drive file is wrong.
+    """
+    key = f"parameter {{}} of {node_name}"
+    if not values["drive"]:
+        raise ConfigurationError(
+            "must be given: the make of the drive, as a file of config/drives without .yaml, or "
+            "the path of your own file", key=key.format("drive"),
+        )
+    return read_endpoint(
+        find_drive_file(values["drive"]), values["address"], key.format("address"),
+        values["broker_login"], values["broker_authority"],
+    )
+
+
+def second_publisher(publishers: Publishers, code: str) -> Problem | None:
+    """Return that a topic has a second publisher, under this code; None if it has none.
 
     If one of them is incompatible, it is named: it may be trying to stop the pump.
     """
-    second = entry.publishers.second()
+    second = publishers.second()
     if not second:
         return None
-    return Problem.of(code, topic=entry.name, problem=entry.publishers.incompatible() or second)
+    return Problem.of(
+        code, topic=publishers.full_name, problem=publishers.incompatible() or second
+    )
 
 
 def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:

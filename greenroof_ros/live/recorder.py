@@ -18,9 +18,8 @@ from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
-from greenroof_ros.live.executable import live_command
+from greenroof_ros.live.executable import live_command, live_help
 from greenroof_ros.live.node import LiveNode
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import LiveBag
@@ -110,8 +109,8 @@ class LiveRecorderNode(LiveNode):
 
 
 main = live_command(LiveRecorderNode, partial(
-    node_help, "live.recorder", "recorder", __doc__, parameters,
-    "--ros-args -p directory:=/var/lib/greenroof/bag -p total_limit:=2000.0", live=True,
+    live_help, "live.recorder", "recorder", __doc__, parameters,
+    "--ros-args -p directory:=/var/lib/greenroof/bag -p total_limit:=2000.0",
 ))
 
 

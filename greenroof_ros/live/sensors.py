@@ -15,15 +15,14 @@ from typing import Any
 
 from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
-from greenroof_ros.graph.reports import ERROR, STALE, WARN
 from greenroof_ros.live.drives.modbus_sensor import ModbusReader, SensorLine
 from greenroof_ros.live.drives.mqtt_sensor import MqttReader
 from greenroof_ros.live.drives.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.engine import LIMITS
-from greenroof_ros.live.executable import live_command
+from greenroof_ros.live.executable import live_command, live_help
 from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.reports import ERROR, STALE, WARN
 from greenroof_ros.model.site import Site
 
 # After this many periods without a reading, good or bad, the reader of a device counts as hung.
@@ -129,9 +128,9 @@ def sensor_nodes(file: str) -> list[SensorNode]:
 
 
 def _help(file: str | None) -> str:
-    return node_help(
+    return live_help(
         "live.sensors --sensors FILE", [quantity.node for quantity in QUANTITIES.values()],
-        __doc__, parameters, "--ros-args -p level_limit:=4.0", live=True,
+        __doc__, parameters, "--ros-args -p level_limit:=4.0",
     )
 
 

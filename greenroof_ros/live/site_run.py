@@ -27,7 +27,7 @@ from greenroof_ros.common.processes import (
     scratch_directory,
 )
 from greenroof_ros.common.standard_error import print_line
-from greenroof_ros.controllers.registry import controller_names
+from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import (
     INCIDENTS,
@@ -37,11 +37,11 @@ from greenroof_ros.experiment.incidents import (
     wall_time,
     with_incidents,
 )
+from greenroof_ros.experiment.parameter_file import node_parameter_files
 from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
-from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
-from greenroof_ros.graph.states import PUMP
-from greenroof_ros.live.drive import EXTERNAL, node_parameter_files
+from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other_nodes
+from greenroof_ros.graph.states import PUMP, PumpState
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.model.site import edited
@@ -73,7 +73,8 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     state: Path = arguments.state or Path("live")
     nodes = list(site.nodes(state, state / "configuration"))
     modules = {name: node.module for node in nodes for name in node.nodes}
-    user_files = node_parameter_files(arguments, modules, site.controller)
+    with importing_ros():
+        user_files = node_parameter_files(arguments, modules, site.controller)
     with (
         only_bringup(arguments.namespace),
         _state_directory(state) as state,
@@ -202,7 +203,7 @@ class _StartReport:
         }
         pump, levels = reports.get(PUMP, {}), levels_of(reports)
         why = unready or (
-            pump.get("active") is False and f"the pump is kept off: {pump.get('pump')}"
+            pump.get("active") is False and f"the pump is kept off: {_pump_of(pump)}"
         )
         stopped = any(part.rule.stops_pump for part in lost_parts)
         if why and not stopped:
@@ -329,9 +330,13 @@ def values_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
     parts = [levels_of(reports)]
     if values.get("command") is not None:
         parts.append(f"command {values['command']:.3f}")
-    if "pump" in values:
-        parts.append(f"pump {values['pump']}")
+    if "pump_state" in values:
+        parts.append(f"pump {_pump_of(values)}")
     return ", ".join(parts)
+
+
+def _pump_of(values: Mapping[str, Any]) -> PumpState:
+    return PumpState(values.get("pump_state", "unknown"), values.get("pump_why", ""))
 
 
 def levels_of(reports: Mapping[str, Mapping[str, Any]]) -> str:

@@ -35,14 +35,14 @@ def _is_list(value: object) -> bool:
 
 
 def _is_diagnosis(value: object) -> bool:
-    """Whether it is a part's diagnosis; see :class:`greenroof_ros.graph.reports.Diagnosis`."""
+    """Whether it is a part's diagnosis; see :class:`greenroof_ros.live.reports.Diagnosis`."""
     keys = ("level", "message", "code", "cause", "since")
     return isinstance(value, dict) and all(_is_text(value.get(key)) for key in keys)
 
 
 # Checks of the types that readers of a report rely on.
 _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
-    **dict.fromkeys(("node", "pump", "pump_state", "failure", "fault", "unknown"), _is_text),
+    **dict.fromkeys(("node", "pump_state", "pump_why", "failure", "fault", "unknown"), _is_text),
     **dict.fromkeys(("cistern_level", "roof_level", "command", "flow", "speed"), _is_number),
     **dict.fromkeys(("warnings", "waiting"), _is_list),
     **dict.fromkeys(("stands", "active"), lambda value: isinstance(value, bool)),

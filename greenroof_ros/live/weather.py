@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
@@ -23,7 +22,7 @@ from greenroof_ros.forecast.live_forecast import (
     LiveForecast,
     NoForecastError,
 )
-from greenroof_ros.forecast.resampling import Outlook, look_ahead_ends
+from greenroof_ros.forecast.resampling import Outlook
 from greenroof_ros.forecast.service import (
     ATTRIBUTION,
     ENSEMBLE,
@@ -32,15 +31,14 @@ from greenroof_ros.forecast.service import (
     Fetcher,
     Service,
 )
-from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.messages import WithFront
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.reports import ERROR, WARN
 from greenroof_ros.live.engine import live_parameters
-from greenroof_ros.live.executable import live_command
+from greenroof_ros.live.executable import live_command, live_help
 from greenroof_ros.live.inputs import LiveInput
 from greenroof_ros.live.node import LiveNode
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON
+from greenroof_ros.live.reports import ERROR, WARN
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON, look_ahead_ends
 from greenroof_ros.model.site import Site
 
 # How long the start waits for the first forecast (s); most files take less.
@@ -248,14 +246,15 @@ class LiveWeatherNode(LiveNode):
             return float(temperature <= 0)
         level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
         problem = Problem.of("temperature_unknown", case, why=why)
-        self.reports.diagnose("frost", replace(problem, code=self._temperature_code()), level=level)
+        self.reports.diagnose("frost", problem.under(self._temperature_code()), level=level)
         return self._unknown_frost
 
     def _temperature_code(self) -> str:
         """Return the code for an unknown temperature, by what the site has."""
         thermometer = self._thermometer
-        if thermometer.received and thermometer.verdict.code == "input_recovering":
-            return "input_recovering"
+        problem = thermometer.problem
+        if thermometer.received and problem is not None and problem.code == "input_recovering":
+            return problem.code
         if thermometer.received or thermometer.publishers.count:
             return "thermometer_lost"
         return "temperature_unknown" if self._fetcher is None else "temperature_not_fetched"
@@ -274,13 +273,13 @@ class LiveWeatherNode(LiveNode):
         ):
             well = problem.sentence
         elif problem is not None:
-            bad = Problem.of("gauge_bad", problem=problem.sentence, instead=instead)
-        self.reports.diagnose(part, bad, well, WARN, gauge.verdict.code)
+            bad = Problem.of("gauge_bad", problem=problem, instead=instead)
+        self.reports.diagnose(part, bad, well, WARN, problem.code if problem else "")
 
 
 main = live_command(LiveWeatherNode, partial(
-    node_help, "live.weather", "weather", __doc__, parameters,
-    "--ros-args -p forecast:=forecast.csv", live=True,
+    live_help, "live.weather", "weather", __doc__, parameters,
+    "--ros-args -p forecast:=forecast.csv",
 ))
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.model.site import Site
+
 # Steps (s) for the first day; later steps are six hours each. Steps are fine while decisions are
 # carried out, and coarse while a plan only has to leave room.
 _FIRST_DAY = [10] * 6 + [30] * 2 + [60] * 3 + [300] * 3 + [900] * 4 + [1800] * 6 + [3600] * 20
@@ -34,3 +36,13 @@ def growing_steps(horizon: float) -> NDArray[np.float64]:
     more = max(0, int(np.ceil((seconds - sum(_FIRST_DAY)) / _LATER)))
     ends = np.cumsum([*_FIRST_DAY, *[_LATER] * more])
     return np.concatenate(([0.0], ends[ends < seconds], [seconds]))
+
+
+def look_ahead_ends(site: Site, horizon: float) -> NDArray[np.float64]:
+    """Return the ends of the steps of a look-ahead (s from now), the first 0, shape (steps + 1,).
+
+    Args:
+        site: gives tick and look-ahead.
+        horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
+    """
+    return growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)

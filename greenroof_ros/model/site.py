@@ -366,7 +366,7 @@ def site_parameters() -> list[Parameter]:
     return parameters_of(Site)
 
 
-def edited(path: Path, values: Mapping[str, float]) -> str:
+def edited(path: Path, values: Mapping[str, Any]) -> str:
     """Return the text of a site file with other values; its comments stay.
 
     The entries of a file that it extends are copied into it, so that it is complete. Volumes that
@@ -383,7 +383,10 @@ def edited(path: Path, values: Mapping[str, float]) -> str:
         if volume in current and volume not in values:
             ratio = math.prod(new.get(name, 1.0) / current.get(name, 1.0) for name in factors)
             new[volume] = current[volume] * ratio
-    changed = {key: repr(value) for key, value in new.items() if value != current.get(key)}
+    changed = {
+        key: value if isinstance(value, str) else repr(value)
+        for key, value in new.items() if value != current.get(key)
+    }
     if not changed and _EXTENDS not in read_yaml(path):
         return read_text(path)
     return _with(_full_text(path), changed)

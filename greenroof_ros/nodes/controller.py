@@ -9,14 +9,15 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.decide import decide
+from greenroof_ros.controllers.decide import decide, rain_forecast
 from greenroof_ros.controllers.protocol import knows_time, set_time
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
+from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.node_controller import NodeController, controller_help
 from greenroof_ros.graph.parameters import site_file
 
 
@@ -37,11 +38,14 @@ class ControllerNode(SimulationNode):
         Raises:
             ConfigurationError: there is no such controller.
         """
-        choice = find_controller(controller)
+        self._choice = choice = find_controller(controller)
         _ = choice.kind  # fail before a node is made
         super().__init__(choice.name, "controller")
         self._site = site = self.declare_site()
-        self._chosen = NodeController(self, choice, site, lambda: self.lockstep.tick)
+        self._settings = ControllerParameters(self, choice, site, lambda: self.lockstep.tick)
+        self._controller = self._settings.controller
+        self._optional = optional_topics(choice.outputs)
+        self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
         self._cistern, self._roof, self._rain, self._evapotranspiration, self._frost = (
             self.subscribe(name) for name in (
                 "/cistern/level", "/roof/level", "/forecast/precipitation",
@@ -55,7 +59,7 @@ class ControllerNode(SimulationNode):
 
     def on_inputs(self) -> None:
         """Publish the command and the controller's optional outputs."""
-        controller = self._chosen.controller
+        controller = self._controller
         allowed, quiet = self.good and not self._frost.value, False
         if self._site.quiet is not None:
             time_ns = self._time.value
@@ -65,20 +69,25 @@ class ControllerNode(SimulationNode):
             allowed = allowed and (not quiet or knows_time(controller))
         self.publish("/pump/command", decide(
             controller, allowed, self._cistern.value, self._roof.value,
-            self._chosen.rain_forecast(self._rain), self._evapotranspiration.value, quiet,
+            rain_forecast(self._choice, self._rain.value, self._rain.name),
+            self._evapotranspiration.value, quiet,
         ))
-        self._chosen.publish_outputs(decided=allowed)
+        for topic, attribute in self._optional:
+            value = getattr(controller, attribute) if allowed else topic.undecided
+            self.publish(topic.name, value)
 
     def progress(self) -> dict[str, Any]:
         """Return the parameter changes."""
-        return self._chosen.changes()
+        return self._settings.changes()
 
     def summary(self) -> dict[str, Any]:
         """Return the solver's statistics."""
-        return {"solver": self._chosen.controller.statistics()}
+        return {"solver": self._controller.statistics()}
 
 
-_help = partial(controller_help, purpose=__doc__, common=parameters(None))
+_help = partial(
+    controller_help, module="nodes.controller", purpose=__doc__, common=parameters(None)
+)
 _executable = partial(node_command, ControllerNode, _help, "--controller")
 main = _executable()
 # The executables of this package's controllers.

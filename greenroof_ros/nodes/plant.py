@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import secrets
 import time
-from collections.abc import Collection, Iterable
 from functools import partial
 from typing import Any
 
@@ -18,7 +17,6 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.graph.executable import node_command, node_help
@@ -234,13 +232,13 @@ class PlantNode(SimulationNode):
         if self.finished:
             return
         if not self._running:
-            if not (absent := self.absent()):
+            if not (absent := self.peers.absent()):
                 self._running = True
                 self._began = now
                 self._publish_tick()
             elif now - self._began > self._start_limit:
                 raise LockstepError(
-                    f"no start within {self._start_limit:g} s: {self.describe(absent)}"
+                    f"no start within {self._start_limit:g} s: {self.peers.describe(absent)}"
                 )
             return
         if self._paused and not self._behind():
@@ -249,10 +247,8 @@ class PlantNode(SimulationNode):
         if now - self._waiting_since > limit:
             missing = "/recorder/written from recorder"
             if not self._paused:
-                awaited = self.by_role([name for name in self.inputs
-                                        if name in self.lockstep.awaited])
-                causes = root_causes(awaited, self.interface.values())
-                missing = self.describe({role: awaited[role] for role in awaited if role in causes})
+                awaited = [name for name in self.inputs if name in self.lockstep.awaited]
+                missing = self.peers.describe_silent(awaited, self.interface.values())
             raise LockstepError(f"tick {self._tick}: no message within {limit:g} s on {missing}")
 
     def limit(self) -> float:
@@ -277,23 +273,6 @@ class PlantNode(SimulationNode):
             "metrics": self._metrics.results(), "weeks": self._metrics.weekly_deviations(),
             "wall_s": self._wall_s,
         }
-
-
-def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
-    """Return the silent roles that do not wait for another silent role; if there are none, all.
-
-    Args:
-        roles: the roles from which nothing comes.
-        topics: the interface's topics, which determine which role waits for which.
-    """
-    waiting = {
-        role
-        for topic in topics
-        for role in roles
-        if topic.per_tick and role in topic.subscribers
-        and any(publisher in roles and publisher != role for publisher in topic.publishers)
-    }
-    return set(roles) - waiting or set(roles)
 
 
 main = node_command(PlantNode, partial(

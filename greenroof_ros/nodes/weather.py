@@ -19,7 +19,7 @@ from greenroof_ros.forecast.choice import (
     check_skill,
     choose,
 )
-from greenroof_ros.forecast.resampling import look_ahead_ends, make_forecast
+from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.formats.records import SERVICE_DELAY_H
 from greenroof_ros.graph.executable import node_command, node_help
@@ -27,7 +27,7 @@ from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import LockstepError, WithFront
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON, look_ahead_ends
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, WeatherSeries

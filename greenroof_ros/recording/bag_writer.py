@@ -6,10 +6,11 @@ wall clock or on its location: two equal runs give equal bytes.
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -221,14 +222,14 @@ class BagFile:
         self._stream: BinaryIO = path.open("xb")
         self._writer = McapWriter(self._stream)
         self._add = self._writer.add_message
-        types = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
+        types = _types()
         schemas: dict[str, int] = {}
         self._channels = []
         for topic in topics:
             kind = topic.type
             if kind not in schemas:
                 schemas[kind] = self._writer.add_schema(
-                    kind, "ros2msg", _definition(types, kind).encode()
+                    kind, "ros2msg", message_definition(kind).encode()
                 )
             about = {_PROFILES: _yaml([_qos_profile(topic.qos)]), _HASH: types[kind]["hash"]}
             self._channels.append(
@@ -499,8 +500,15 @@ def _qos_profile(qos: Qos) -> dict[str, Any]:
     }
 
 
-def _definition(types: Mapping[str, Any], name: str) -> str:
-    """Return a type's definition, followed by the types that it uses, as in bags."""
+@functools.cache
+def _types() -> dict[str, Any]:
+    types: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
+    return types
+
+
+def message_definition(name: str) -> str:
+    """Return a message type's definition, followed by the types that it uses, as in bags."""
+    types = _types()
     parts = [types[name]["definition"]]
     for used in types[name].get("uses", ()):
         short = used.replace("/msg/", "/")

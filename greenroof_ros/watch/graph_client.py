@@ -74,7 +74,7 @@ class GraphClient:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._caller)
         self._types: dict[str, Any] = {
-            "stop": SetBool, "clear": Trigger, "hold": SetParametersAtomically,
+            "stop": SetBool, "clear": Trigger, "reset": Trigger, "hold": SetParametersAtomically,
             "dose": SetParametersAtomically,
         }
         self._pump: str | None = None
@@ -162,6 +162,10 @@ class GraphClient:
     def clear_fault(self, timeout_s: float = 3.0) -> str:
         """Clear the pump's latched fault if nobody must see it; returns and raises likewise."""
         return self._request("clear", timeout_s)
+
+    def reset_fault(self, timeout_s: float = 3.0) -> str:
+        """Clear any latched fault, for a person at the pump; returns and raises likewise."""
+        return self._request("reset", timeout_s)
 
     def request_dose(self, volume: float, requested_at: float, timeout_s: float = 3.0) -> str:
         """Request a dose.

@@ -1,4 +1,4 @@
-"""A page of a run, served by a process of its own; a run neither waits for it nor fails with it."""
+"""A watcher of a run, in a process of its own; a run neither waits for it nor fails with it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 from greenroof_ros.common.processes import child_environment
 from greenroof_ros.common.standard_error import print_line
@@ -18,26 +17,29 @@ _ENDING_S = 3.0
 
 
 @contextlib.contextmanager
-def watcher(namespace: str, site_file: Path) -> Iterator[None]:
-    """Serve a page during a run; print the watcher's output, which begins with the page's address.
+def watcher(name: str, namespace: str, *options: str) -> Iterator[None]:
+    """Run ``greenroof watch`` during a run; print its output, which begins with its address.
 
     The watcher ends with the run, however that ends. If it cannot start or ends early, a line says
     so, and the run goes on.
 
     Args:
+        name: of the watcher, for its lines.
         namespace: of the graph.
-        site_file: the site file by which levels are judged.
+        options: of the command.
     """
-    options = ["--site", str(site_file), *(["--namespace", namespace] if namespace else [])]
     process = subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros", "watch", *options],
+        [
+            sys.executable, "-m", "greenroof_ros", "watch", *options,
+            *(["--namespace", namespace] if namespace else []),
+        ],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         errors="replace",
         start_new_session=True,  # Ctrl-C is for the run, which ends the watcher
         env=child_environment(),
     )
     ending = threading.Event()
-    printer = threading.Thread(target=_print_output, args=(process, ending), daemon=True)
+    printer = threading.Thread(target=_print_output, args=(name, process, ending), daemon=True)
     printer.start()
     try:
         yield
@@ -51,13 +53,15 @@ def watcher(namespace: str, site_file: Path) -> Iterator[None]:
         printer.join(_ENDING_S)
 
 
-def _print_output(process: subprocess.Popen[str], ending: threading.Event) -> None:
+def _print_output(
+    name: str, process: subprocess.Popen[str], ending: threading.Event
+) -> None:
     """Print a watcher's output, and a line if it ended without being asked to."""
     assert process.stdout is not None
     for line in process.stdout:
         if not ending.is_set():
-            print_line(f"watch: {line.rstrip()}")
+            print_line(f"{name}: {line.rstrip()}")
     code = process.wait()
     if not ending.is_set():
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-        print_line(f"watch: the page has ended ({how}); the run goes on")
+        print_line(f"{name}: the watcher has ended ({how}); the run goes on")

@@ -43,8 +43,8 @@ def stop_of(store: GraphStore) -> dict[str, Any]:
             "Stop was accepted, but the pump still turns, or it is not known whether it is at "
             "rest. Stop it at its drive's panel if it is not at rest within seconds."
         )
-    state = "" if node is None else (store.pump_report or "").partition(": ")[0]
-    off = state in ("off", "held", "fault") and at_rest
+    report = store.pump_report
+    off = report is not None and report.state in ("off", "held", "fault") and at_rest
     return {
         "possible": node is not None, "stopped": stopped, "node": node and node.name,
         "label": "The pump is held off" if stopped
@@ -57,7 +57,7 @@ def stop_of(store: GraphStore) -> dict[str, Any]:
         "call": "" if node is None or stopped else command_for(node.name, "hold"),
         "release": "" if node is None or not hold else command_for(node.name, "release"),
         "hold": None if node is None or is_silent else hold and f"{hold[0].upper()}{hold[1:]}.",
-        "clear_call": f"ros2 service call {node.name}/reset std_srvs/srv/Trigger"
+        "clear_call": command_for(node.name, "reset")
         if node is not None and node.text("fault") else "",
         **_allowed(None if is_silent or not store.allow_release else node, at_rest, store.site.a2),
     }

@@ -20,7 +20,7 @@ import numpy as np
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.states import PUMP
+from greenroof_ros.graph.states import PUMP, PUMP_STATES, PumpState
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.watch import wire, words
@@ -124,7 +124,7 @@ class GraphStore:
         newest: the newest value of each topic, with its past.
         expected: the roof level as expected an hour before.
         account: the water account.
-        pump_state: from a recording: when it was reported (ns since 1970), and the words.
+        pump_state: from a recording: when it was reported (ns since 1970), and what.
         recorded_controller: the controller of the recorded run that is shown; empty if unknown.
         recorded_incidents: the incidents of that run.
     """
@@ -171,7 +171,7 @@ class GraphStore:
         # reported (s since 1970).
         self._plan: tuple[float, Plan | None] = -math.inf, None
         self._past_plan: tuple[float, Plan | None] = -math.inf, None
-        self.pump_state: tuple[int, str] | None = None
+        self.pump_state: tuple[int, PumpState] | None = None
         self._controller: tuple[str, str] | None = None  # name and process
         self._controller_at = -math.inf  # when it last reported (s since 1970)
         self.unknown_flow = Gaps()
@@ -266,10 +266,12 @@ class GraphStore:
         return node is not None and not self.ended and not node.is_online(self.wall)
 
     @property
-    def pump_report(self) -> str | None:
+    def pump_report(self) -> PumpState | None:
         """The pump's state and why, from its node or else from the recording; None if unknown."""
-        if self.pump is not None and (text := self.pump.text("pump")):
-            return text
+        if self.pump is not None and (state := self.pump.text("pump_state")):
+            return PumpState(
+                state if state in PUMP_STATES else "unknown", self.pump.text("pump_why")
+            )
         return None if self.pump_state is None else self.pump_state[1]
 
     # --- values ---------------------------------------------------------------------------------
@@ -364,11 +366,12 @@ class GraphStore:
         elif topic == RAIN_FORECAST:
             self.add_forecast(time_ns, *rows)
 
-    def add_pump_state(self, time_ns: int, text: str) -> None:
-        """Add the pump's state, such as ``off: nothing is commanded``."""
+    def add_pump_state(self, time_ns: int, message: str) -> None:
+        """Add a message of /pump/state."""
         with self.lock:
             if self.pump_state is None or time_ns > self.pump_state[0]:
-                self.pump_state = (time_ns, words.sentence(text))
+                state = PumpState.read(message)
+                self.pump_state = time_ns, replace(state, why=words.sentence(state.why))
 
     # --- forecast and plan ----------------------------------------------------------------------
 

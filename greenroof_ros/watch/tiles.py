@@ -12,15 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.graph.states import PUMP
+from greenroof_ros.graph.states import PUMP, PumpState
 from greenroof_ros.model.metrics import NEAR_TARGET
 from greenroof_ros.model.plant import pumps_run
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
 from greenroof_ros.watch.outlook import ALIKE_M, Plan, RainAmount
 from greenroof_ros.watch.store import GraphStore
-
-PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unknown")
 
 # Most controllers look hours ahead; a shorter forecast says nothing about the rain to come (s).
 SOON_S = 600.0
@@ -145,7 +143,7 @@ def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
         store: state of the graph.
         wrong: the present alarms.
     """
-    node, text = store.pump, store.pump_report
+    node, report = store.pump, store.pump_report
     values = {} if node is None else node.values
     is_silent, lost = store.is_lost(node), store.lost_pump
     may_turn = lost or (
@@ -155,11 +153,11 @@ def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     flow_known = not (lost or store.unknown_flow.is_unknown)
     pumped = store.newest.get(_FLOW) if flow_known and (speed_known or may_turn) else None
     command = store.newest.get(_COMMAND)
-    state, why = _state(store, text)
+    state, why = _state(store, report)
     parts = []
     if may_turn:
         parts.append("it is not known whether it is at rest")
-        state, why = "unknown", why if text is not None else ""
+        state, why = "unknown", why if report is not None else ""
     elif not speed_known:
         parts.append("its drive is not heard: at rest when last heard, or stopped by its timeout")
     if pumped is not None:
@@ -171,7 +169,7 @@ def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     newest = pumped if pumped is not None else command
     old = newest is not None and newest.stale
     # The node reports its state by another way than the flow.
-    stale = not may_turn and (is_silent or (old and text is None))
+    stale = not may_turn and (is_silent or (old and report is None))
     if old and not stale:
         place = -1 if pumped is None or command is None else -2
         parts[place] = f"last known {parts[place]}"
@@ -206,11 +204,10 @@ def _commanded(share: float | None, verb: str) -> str:
     return f"commanded {words.command(share)} of its maximum flow"
 
 
-def _state(store: GraphStore, text: str | None) -> tuple[str, str]:
+def _state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
     """Return the pump's state and the reason; in a plain simulation, by the plant's rules."""
-    if text is not None:
-        state, _, why = text.partition(": ")
-        return (state, why) if state in PUMP_STATES else ("unknown", text)
+    if report is not None:
+        return report.state, report.why
     pumped, command = store.newest.get(_FLOW), store.newest.get(_COMMAND)
     share, site = None if command is None else command.value, store.site
     why = _why_off(store, share)

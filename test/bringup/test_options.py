@@ -22,10 +22,11 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import Signals, acquire_file_lock
 from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.experiment.parameter_file import node_parameter_files
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run_directory import write_parameters
 from greenroof_ros.live import in_the_loop, site_run
-from greenroof_ros.live.drive import DriveChoice, chosen_drive, node_parameter_files
+from greenroof_ros.live.drive import DriveChoice, chosen_drive
 from greenroof_ros.live.drives.drive_file import find_drive_file
 from greenroof_ros.live.drives.lock import DriveLock
 from greenroof_ros.live.live_site import LiveSite

@@ -170,7 +170,7 @@ def test_a_full_socket_stops_nobody(tmp_path: Path) -> None:
         code = "from greenroof_ros.common.processes import notify\n" \
             "for _ in range(10_000): notify('WATCHDOG=1')"
         subprocess.run(
-            [sys.executable, "-c", code], env={"NOTIFY_SOCKET": str(path)}, timeout=60, check=True,
+            [sys.executable, "-c", code], env={"NOTIFY_SOCKET": str(path)}, timeout=300, check=True,
             cwd=CHECKOUT,
         )
 

@@ -1,15 +1,17 @@
-"""When a controller decides, and which commands are invalid."""
+"""When a controller decides, on which forecast, and which commands are invalid."""
 
 from __future__ import annotations
 
 import math
+from array import array
 from typing import Any
 
 import numpy as np
 import pytest
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.decide import decide
+from greenroof_ros.controllers.decide import decide, rain_forecast
+from greenroof_ros.controllers.registry import find_controller
 
 
 class Answering:
@@ -49,3 +51,13 @@ def test_what_is_no_command_ends_the_run(answer: Any) -> None:
     """It could pump water out of the roof, or fail in the middle of the plant."""
     with pytest.raises(ConfigurationError, match=r"the command of Answering.*must be a finite num"):
         decide(Answering(answer), True, 2.0, 0.03, [0.0], [0.0])
+
+
+def test_a_forecast_has_the_shape_that_the_controller_takes() -> None:
+    """All members for lookahead, even if there is one; a row for a controller that takes one."""
+    row, members = array("d", [1.0, 2.0]), np.ones((3, 2))
+    assert rain_forecast(find_controller("onoff"), row, "/rain") is row
+    assert np.array_equal(rain_forecast(find_controller("lookahead"), row, "/rain"), [[1.0, 2.0]])
+    assert rain_forecast(find_controller("lookahead"), members, "/rain").shape == (3, 2)
+    with pytest.raises(ConfigurationError, match=r"^/rain: has 3 members, but onoff takes one"):
+        rain_forecast(find_controller("onoff"), members, "/rain")

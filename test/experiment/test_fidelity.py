@@ -16,7 +16,7 @@ import pytest
 from places import DATA
 
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.recording.trajectory import Trajectory, read_parquet
+from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
 
 TOTALS = shared_directory() / "config" / "paper" / "totals.csv"
 VOLUME = 2e-5  # m3
@@ -38,7 +38,7 @@ def run_of(
         if (row["initial"], row["controller"]) == (initial, controller)
         and float(row[f"parameter:{name}"]) == float(parameter)
     )
-    return row, read_parquet(papers / "runs" / row["run"] / "trajectory.parquet")
+    return row, read_trajectory(papers / "runs" / row["run"] / "trajectory.parquet")
 
 
 @pytest.mark.parametrize(

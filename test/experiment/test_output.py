@@ -19,7 +19,7 @@ from greenroof_ros.experiment.run_directory import make_run_directory
 def run_in_shell(command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run a shell line, in which $SIMULATE is a short run, and return its output."""
     return subprocess.run(
-        command, shell=True, cwd=cwd, capture_output=True, text=True, timeout=60, check=False,
+        command, shell=True, cwd=cwd, capture_output=True, text=True, timeout=300, check=False,
         env={"SIMULATE": f"{sys.executable} -m greenroof_ros simulate --hours 0.01 --output run",
              "VERIFY": f"{sys.executable} -m greenroof_ros verify",
              "PYTHONPATH": ":".join(filter(None, sys.path)), "LC_ALL": "C.UTF-8"},

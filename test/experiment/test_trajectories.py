@@ -15,7 +15,7 @@ from greenroof_ros.analysis.study.case_run import run_case, write_inputs
 from greenroof_ros.analysis.study.grid import contents, read_grid
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.recording.trajectory import read_parquet
+from greenroof_ros.recording.trajectory import read_trajectory
 
 COLUMNS = ("time", "cistern", "roof", "precipitation", "command", "pump_flow", "frost")
 
@@ -57,4 +57,4 @@ def test_results_do_not_depend_on_it(tmp_path: Path) -> None:
     assert outcomes[1].results == outcomes[0].results == outcomes[2].results
     for outcome, samples in zip(outcomes[1:], (361, 5), strict=True):
         (tmp_path / "file").write_bytes(outcome.files["trajectory.parquet"])
-        assert len(read_parquet(tmp_path / "file").time) == samples
+        assert len(read_trajectory(tmp_path / "file").time) == samples

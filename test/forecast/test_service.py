@@ -231,7 +231,7 @@ def test_the_command_and_the_simulator_of_a_service(tmp_path):
             assert "11 members; forecasts by Open-Meteo.com, CC BY 4.0" in ended.stdout
             assert len(read_forecasts(tmp_path / "forecast.csv")[0].rain) == 11
             simulator.send_signal(signal.SIGINT)
-            assert simulator.wait(60) == 0
+            assert simulator.wait(300) == 0
         finally:
             simulator.kill()
     ended = run_command(*asked, cwd=tmp_path, env=environment(0))

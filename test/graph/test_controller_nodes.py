@@ -134,7 +134,7 @@ def wrong_verdicts(domain: int, directory: Path) -> list[str]:
         finally:
             for node in nodes.values():
                 node.kill()
-                node.wait(60)
+                node.wait(300)
     return wrong
 
 
@@ -154,10 +154,10 @@ def test_without_a_node_or_beside_a_graph_it_says_what_to_do(domain: int, tmp_pa
     node = start_node(domain, tmp_path, "taken", source, *in_namespace("taken"))
     try:
         beside = check(domain, tmp_path, "taken")
-        assert absent.wait(60) == 2
+        assert absent.wait(300) == 2
         assert "no node controller publishes /nowhere/pump/command" in absent.stderr()
-        assert beside.wait(60) == 3
+        assert beside.wait(300) == 3
         assert "/taken/weather/frost already has a publisher (controller)" in beside.stderr()
     finally:
         node.terminate()
-        node.wait(60)
+        node.wait(300)

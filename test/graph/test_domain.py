@@ -10,7 +10,6 @@ import pytest
 from places import CONFIG
 
 from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.graph import domain
 from greenroof_ros.graph.domain import only_bringup
 
 
@@ -56,10 +55,12 @@ def test_an_rclpy_without_the_fast_executor(monkeypatch: pytest.MonkeyPatch) -> 
     rclpy = pytest.importorskip("rclpy", reason="it is about ROS 2")
     from rclpy.executors import SingleThreadedExecutor
 
+    from greenroof_ros.graph.spin import make_executor
+
     rclpy.init(args=[])
     try:
-        assert not isinstance(domain.make_executor(), SingleThreadedExecutor)
+        assert not isinstance(make_executor(), SingleThreadedExecutor)
         monkeypatch.setitem(sys.modules, "rclpy.experimental", None)
-        assert isinstance(domain.make_executor(), SingleThreadedExecutor)
+        assert isinstance(make_executor(), SingleThreadedExecutor)
     finally:
         rclpy.try_shutdown()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import struct
+import subprocess
+import sys
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -31,6 +33,15 @@ pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 from greenroof_ros.graph.messages import encoder
 
+# Runs its arguments as a command, and prints which modules of this package are imported.
+IMPORTED = """
+import sys
+from greenroof_ros.__main__ import main
+try:
+    main()
+finally:
+    print(*(name for name in sys.modules if name.startswith("greenroof_ros.")), file=sys.stderr)
+"""
 COLUMNS = {
     "/cistern/level": "cistern_level_m",
     "/roof/level": "roof_level_m",
@@ -257,3 +268,19 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
     assert summary_of(tmp_path / "site1")["parameters"]["weight"] == 0.02
     # The file took effect in the node: on/off commands its fraction, and nothing else.
     assert summary_of(tmp_path / "site2")["max_command"] == 0.4
+
+
+@pytest.mark.parametrize("controller", ["mpc", "onoff"])
+def test_a_simulation_imports_nothing_of_a_live_site(
+    domain: int, tmp_path: Path, controller: str
+) -> None:
+    """Nor the page: who came for the simulation meets neither."""
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORTED, "run", "--controller", controller, "--hours", "0.01"],
+        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, check=True,
+        timeout=120,
+    )
+    imported = done.stderr.splitlines()[-1].split()
+    folders = {name.split(".")[1] for name in imported}
+    assert {"bringup", "graph", "nodes"} < folders
+    assert not folders & {"live", "watch", "analysis", "commands"}

@@ -6,7 +6,6 @@ import math
 import struct
 from array import array
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,8 +29,8 @@ from greenroof_ros.graph.messages import (  # noqa: E402
     encoder,
     lacks,
 )
+from greenroof_ros.graph.peers import root_causes  # noqa: E402
 from greenroof_ros.graph.publishers import display_name  # noqa: E402
-from greenroof_ros.nodes.plant import root_causes  # noqa: E402
 
 NUMBER, NUMBERS, CLOCK = (
     "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray", "rosgraph_msgs/msg/Clock"
@@ -184,7 +183,7 @@ def test_the_ends_of_a_range_belong_to_it(value: float, good: bool, rows: int) -
         ("/pump/command", value), ("/forecast/precipitation", np.full((rows, 4), value)),
     ):
         topic = replace(topics[name], low=0.0, high=3.0)
-        entry = Input(SimpleNamespace(topic=topic, full_name=name))
+        entry = Input(topic, name)
         entry.receive(encoder(topic.type, topic.dimensions)(message))
         assert (entry.good, entry.refused) == (good, int(not good))
         assert not np.any(np.subtract(entry.value, value if good else 0.0))
@@ -196,8 +195,7 @@ def test_what_a_subscriber_takes_of_a_plan() -> None:
     """Rows and an empty plan are good; an undecided plan is refused like any NaN, and acts as 0."""
     topic = read_topics()["/controller/plan"]
     encode = encoder(topic.type, topic.dimensions)
-    publishers = SimpleNamespace(topic=topic, full_name=topic.name)
-    entry = Input(publishers)
+    entry = Input(topic, topic.name)
     for value in (np.array([[10.0, 0.008, 0.036, 0.04], [20.0] + 3 * [0.0]]), np.empty((0, 4))):
         entry.receive(encode(value))
         assert entry.good and np.asarray(entry.value).size == value.size

@@ -50,7 +50,7 @@ BROKEN = {
             "watchdog = node.create_timer(SILENCE, on_silence,",
             "from std_msgs.msg import String\n"
             "states = node.create_publisher(String, 'pump/state', qos)\n"
-            "said = lambda: states.publish(String(data='running: as commanded'))\n"
+            "said = lambda: states.publish(String(data='{\"state\": \"running\"}'))\n"
             "watchdog = node.create_timer(SILENCE, lambda: (on_silence(), said()),",
             "has stopped after", r"/pump/state says 'running' at the end of the silence",
         ),

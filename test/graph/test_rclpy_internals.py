@@ -23,18 +23,17 @@ from rclpy.serialization import deserialize_message, serialize_message  # noqa: 
 from std_msgs.msg import Float64  # noqa: E402
 
 from greenroof_ros.common.interface import read_topics  # noqa: E402
-from greenroof_ros.graph.domain import start_receiving  # noqa: E402
 from greenroof_ros.graph.messages import qos_profile  # noqa: E402
 from greenroof_ros.graph.rclpy_internals import (  # noqa: E402
     NoClockSubscription,
     raw_publish,
     waiting_messages,
 )
+from greenroof_ros.graph.spin import start_receiving  # noqa: E402
 from greenroof_ros.live.lifecycle import (  # noqa: E402
     INACTIVE,
     UNCONFIGURED,
     Lifecycle,
-    transition,
 )
 
 
@@ -43,15 +42,16 @@ class Small(Lifecycle, Node):
 
     def __init__(self, context: rclpy.Context) -> None:
         Node.__init__(self, "small", context=context)
-        Lifecycle.__init__(self)
+        Lifecycle.__init__(self, self)
         self.wakes = 0
 
-    @transition
-    def on_configure(self) -> None:
+    def requested(self) -> None:
+        self.wakes += 1
+
+    def configure(self) -> None:
         pass
 
-    def on_transition_request(self) -> None:
-        self.wakes += 1
+    activate = deactivate = cleanup = configure
 
 
 @pytest.fixture

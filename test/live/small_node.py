@@ -41,7 +41,7 @@ def main() -> None:
         state = marks / f"{kind}-says"
         numbers: dict[str, object] = {}
         if state.exists():
-            numbers = {"pump": state.read_text(), "pump_state": state.read_text().partition(":")[0]}
+            numbers["pump_state"], numbers["pump_why"] = state.read_text().split(": ", 1)
         if (marks / f"{kind}-stands").exists():
             numbers["stands"] = json.loads((marks / f"{kind}-stands").read_text())
         report("starting" if (marks / f"{kind}-waits").exists() else "ready", **numbers)

@@ -161,6 +161,16 @@ def test_a_site_is_kept_up_and_systemd_told(
     assert abs(stamps[-1] - time.time()) < 60
 
 
+@contextmanager
+def suspended(pid: int) -> Iterator[None]:
+    """Suspend a process."""
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
 PUMPING = ("--initial", "high-low", "--controller", "onoff")
 
 
@@ -300,8 +310,10 @@ def test_both_level_sensors_on_one_serial_line(
             write_forecast(tmp_path / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
             with live(domain, tmp_path, *options) as process:
                 hardware.until_it_pumps()
-                os.kill(process.nodes()["sensors"], signal.SIGKILL)
-                wait_for(lambda: hardware.speed() == 0, 60, "a pump that stands")
+                # Bringup, suspended, cannot replace it before the levels are too old.
+                with suspended(process.process.pid):
+                    os.kill(process.nodes()["sensors"], signal.SIGKILL)
+                    wait_for(lambda: hardware.speed() == 0, 60, "a pump that stands")
                 process.until_printed("incident 1: sensors: ended (SIGKILL); starts again in 1 s")
                 hardware.until_it_pumps()
                 process.until_printed("incident 1 is over")
@@ -332,12 +344,9 @@ def test_its_status_is_an_alarm_while_a_dead_pump_node_is_not_replaced(
         hardware.until_it_pumps()
         wait_for(lambda: status()[0] < 2, 60, "a site without alarms")
         assert "running" in pump()
-        os.kill(process.process.pid, signal.SIGSTOP)
-        try:
+        with suspended(process.process.pid):
             os.kill(process.nodes()["pump"], signal.SIGKILL)
             code, lines = status()
-        finally:
-            os.kill(process.process.pid, signal.SIGCONT)
         assert code == 2, lines
         assert len(lines) <= 15
         assert any(line.startswith("Pump           unknown") for line in lines)
@@ -366,8 +375,9 @@ def test_a_start_with_slow_gauges_is_no_incident(
     """What has not come yet is listed until it comes; no alarm, event or incident is left of it.
 
     Rain gauge and thermometer publish every 12 s, a fifth of their ``max_age``; nothing is
-    shortened. The page is open from before the start until the pump runs well. A drive simulator
-    that a busy machine lets answer too late (``drive_lost``) is not what is tested here.
+    shortened. The page is open from before the start until each gauge has published again. A drive
+    simulator that a busy machine lets answer too late (``drive_lost``) is not what is tested here.
+    For what does not come within the first minute see test_alarms.py.
     """
     (port,) = free_ports(1)
     page = Process(domain, "watch", "--port", str(port), cwd=tmp_path)
@@ -390,8 +400,7 @@ def test_a_start_with_slow_gauges_is_no_incident(
         with live(domain, tmp_path, *options) as process:
             process.until_printed("running: cistern ", 120)
             hardware.until_it_pumps()
-            # What is missing at the start is an incident, and on the page an alarm, after 60 s.
-            assert min(hardware.speeds_for(65)) > 0.9
+            time.sleep(15)
             while_up = list(shown)
         tanks.process.terminate()
     page.process.terminate()
@@ -407,7 +416,7 @@ def test_a_start_with_slow_gauges_is_no_incident(
     if not any("drive_lost" in str(document["alarms"]) for document in while_up):
         assert while_up[-1]["events"] == []
         assert summary_of(tmp_path / "run")["incidents"] == []
-    assert process.stderr().endswith("are stopped\ndone\n")
+        assert process.stderr().endswith("are stopped\ndone\n")
 
 
 def test_a_second_publisher_of_the_flow_in_the_loop(

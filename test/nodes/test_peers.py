@@ -43,7 +43,7 @@ class Nodes:
 
     def code(self, name: str) -> int:
         """Wait until a node ends by itself, and return its exit code."""
-        code = self.started[name].wait(60)
+        code = self.started[name].wait(300)
         # If the middleware is slow to end, the kernel ends the node, which has printed everything.
         return int("error: " in self.log(name)) if code == -signal.SIGALRM else code
 

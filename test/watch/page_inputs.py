@@ -45,6 +45,12 @@ def _values(code: str = "", values: Mapping[str, str] | None = None) -> dict[str
     return {"code": code, **(values or {})} if code else {}
 
 
+def pump_report(text: str) -> dict[str, str]:
+    """Return the values with which a pump node reports a state and its reason."""
+    state, _, why = text.partition(": ")
+    return {"pump_state": state, "pump_why": why}
+
+
 def silent_sensor() -> list[WireStatus]:
     """Return what a site's nodes report while the cistern's sensor is silent."""
     old = ERROR, "/cistern/level is older than 5 s (level_limit)", "input_silent"
@@ -53,7 +59,7 @@ def silent_sensor() -> list[WireStatus]:
         *node("/onoff", "controller", ("inputs", *old)),
         *node(
             "/pump", "pump", ("pump", WARN, held, "cistern_level_unknown"), ("levels", *old),
-            ("delivery", WARN, "blind for 3 s", "delivery_blind"), pump=held,
+            ("delivery", WARN, "blind for 3 s", "delivery_blind"), **pump_report(held),
         ),
         *node("/cistern_sensor", "cistern_sensor", (
             "sensor", ERROR, "tcp://10.0.0.7:502, device 1: reading register 16: no valid answer "

@@ -40,7 +40,7 @@ def test_at_a_live_site_an_alarm_comes_and_goes_and_a_stop_holds(
         rig.until_running(120)
         wait_for(
             lambda: (level := document(port)["tiles"]["roof"]["number"]) is not None
-            and abs(level - rig.levels()[1]) < 0.001, 30, "the roof's true level",
+            and abs(level - rig.levels()[1]) < 0.001, 60, "the roof's true level",
         )
         assert document(port)["mode"] == "live"
         rig.truth.inject_site("roof_silent")

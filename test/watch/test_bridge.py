@@ -162,14 +162,14 @@ def test_it_says_what_a_simulated_run_does_and_nothing_can_be_stopped(
         assert state_on(heard)["mode"] == "simulated" and not state_on(heard)["can_stop"]
         assert "pump" in state_on(heard)["plan"]
         with Talker(broker) as late:
-            wait_for(lambda: late.of("greenroof/roof/availability"), 30, "what is retained")
+            wait_for(lambda: late.of("greenroof/roof/availability"), 60, "what is retained")
             retained = {topic for _, topic, _, retained in late.received if retained}
             assert retained == {"greenroof/roof/availability", *discovery("roof", "homeassistant")}
         heard.publish("greenroof/roof/stop", "STOP")
         bridge.until_printed("There is no pump node that could be stopped")
         bridge.process.kill()
         wait_for(
-            lambda: heard.last("greenroof/roof/availability") == "offline", 30, "the last will"
+            lambda: heard.last("greenroof/roof/availability") == "offline", 60, "the last will"
         )
         run.process.send_signal(signal.SIGINT)
         assert run.wait(120) == 130
@@ -202,25 +202,25 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         assert state()["hold"] == ""
         for wish in ("RELEASE", "", '{"data": false}', "stop"):
             heard.publish(stop, wish)
-        wait_for(lambda: bridge.stderr().count("it is not STOP") >= 4, 30, "four refusals")
+        wait_for(lambda: bridge.stderr().count("it is not STOP") >= 4, 60, "four refusals")
         assert state()["pump"] == "running"
         before = len(heard.of(availability))
         broker.kill()
         bridge.until_printed("not connected to")
         time.sleep(3.0)
         broker.start()
-        wait_for(lambda: len(heard.of(availability)) > before, 30, "the bridge again")
-        wait_for(lambda: state()["pump"] == "running", 30, "a running pump")
+        wait_for(lambda: len(heard.of(availability)) > before, 60, "the bridge again")
+        wait_for(lambda: state()["pump"] == "running", 60, "a running pump")
         assert run.process.poll() is None
         config = next(iter(discovery("site1", "homeassistant")))
         before = len(heard.of(config))
         heard.publish("homeassistant/status", "online")
-        wait_for(lambda: len(heard.of(config)) > before, 30, "the discovery again")
+        wait_for(lambda: len(heard.of(config)) > before, 60, "the discovery again")
         # Sent retained while the bridge is connected, it is a stop like any other.
         heard.publish(stop, "STOP", retain=True)
-        wait_for(lambda: state()["pump"] == "held", 30, "a pump that is held off")
+        wait_for(lambda: state()["pump"] == "held", 60, "a pump that is held off")
         assert (state()["condition"], state()["hold"]) == ("hold", "A hold by MQTT.")
-        wait_for(lambda: drive.speed() < 0.005, 30, "a pump that stands")
+        wait_for(lambda: drive.speed() < 0.005, 60, "a pump that stands")
         # The broker has kept it: to a bridge that connects again it is no stop.
         end(bridge)
         assert run_command(
@@ -230,14 +230,14 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
             domain, "bridge", "--broker", broker.address, "--namespace", "site1", cwd=tmp_path
         )
         bridge.until_printed("ignored, since it is retained")
-        wait_for(lambda: state()["hold"] == "" and state()["pump"] != "held", 30, "no hold")
+        wait_for(lambda: state()["hold"] == "" and state()["pump"] != "held", 60, "no hold")
         time.sleep(3.0)
         assert state()["hold"] == ""
         broker.pause()
         bridge.until_printed("Keep alive timeout")
         broker.resume()
         end(bridge)
-        wait_for(lambda: heard.last(availability) == "offline", 30, "its last word")
+        wait_for(lambda: heard.last(availability) == "offline", 60, "its last word")
 
 
 # --- the broker -----------------------------------------------------------------------------------
@@ -315,7 +315,7 @@ def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
         thread.start()
         others = {"bridge.state_of": "alarms", "bridge.document": "availability"}
         other = others.get(broken, "state")
-        wait_for(lambda: heard.last(f"greenroof/roof/{other}"), 30, "a message")
+        wait_for(lambda: heard.last(f"greenroof/roof/{other}"), 60, "a message")
         heard.publish("greenroof/roof/stop", "STOP")
         said = ""
 
@@ -324,7 +324,7 @@ def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
             said += capfd.readouterr().err
             return "stop, over MQTT: The watcher is busy" in said
 
-        wait_for(answered, 30, "an answer")
+        wait_for(answered, 60, "an answer")
         assert thread.is_alive()
         ended.set()
         thread.join(30)

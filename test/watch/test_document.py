@@ -26,10 +26,12 @@ from page_inputs import (
     add_values,
     incident,
     node,
+    pump_report,
     store,
 )
 from paper import PAPER_SITE
 
+from greenroof_ros.graph.states import PumpState
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
@@ -115,7 +117,7 @@ def account_of(graph: GraphStore, wall: float = 100.0) -> dict[str, dict[str, An
 
 
 def pump_says(graph: GraphStore, wall: float, text: str, stamp_ns: int = 0, **said: Any) -> None:
-    graph.add_statuses(wall, node("/pump", "pump", pump=text, **said), stamp_ns)
+    graph.add_statuses(wall, node("/pump", "pump", **pump_report(text), **said), stamp_ns)
 
 
 # --- tiles ------------------------------------------------------------------------------------
@@ -204,8 +206,8 @@ def test_the_pump_node_says_how_it_is() -> None:
     """In a bag; for its messages on /diagnostics see below."""
     graph = watched()
     for later, said, state, why in (
-        (5, "starting: by: its own words", "starting", "by: its own words"),
-        (4, "off: older", "starting", "by: its own words"),
+        (5, '{"state": "starting", "why": "by: its own words"}', "starting", "by: its own words"),
+        (4, '{"state": "off", "why": "older"}', "starting", "by: its own words"),
         (6, "<b>dancing</b>:\n\x00", "unknown", "<b>dancing</b>: \N{REPLACEMENT CHARACTER}"),
     ):
         graph.add_pump_state(START + later, said)
@@ -620,7 +622,7 @@ def with_pump(graph: GraphStore, state: str, **said: Any) -> dict[str, Any]:
     """Return the document after this report of the pump node, with its part and another warning."""
     graph.add_statuses(100.0, node(
         "/pump", "pump", ("pump", WARN, state, "drive_lost"), ("limits", WARN, "3 m3", "limited"),
-        pump=state, **said,
+        **pump_report(state), **said,
     ))
     return shown(graph)
 
@@ -817,7 +819,7 @@ def test_a_recording_has_no_stop_and_is_never_said_to_be_fine(
 ) -> None:
     """No recording shows which alarms there were."""
     graph = watched("ended")
-    graph.add_pump_state(START, said)
+    graph.add_pump_state(START, PumpState(*said.split(": ", 1)).message())
     document = shown(graph)
     tiles, summary = document["tiles"], document["tiles"]["summary"]
     assert (tiles["pump"]["state"], tiles["controller"]["value"]) == (state, "not recorded")
@@ -891,7 +893,8 @@ def test_a_flood_of_statuses_crowds_nobody_out_and_leaves_a_short_document() -> 
     """
     graph, long = watched(), "ä" * 1_000_000
     drive = ("drive", ERROR, "no connection", "drive_lost")
-    own = node("/pump", "pump", drive, pump=long[:20_000])  # longer texts are cut on arrival
+    # Longer texts are cut on arrival.
+    own = node("/pump", "pump", drive, **pump_report(f"off: {long[:20_000]}"))
     forged = [
         status for number in range(100) for status in node(f"/n{number}", "pump", ("p", ERROR, "!"))
     ]
@@ -1186,8 +1189,8 @@ def test_quiet_hours_are_no_warning() -> None:
     graph = watched("live")
     why = "these are quiet hours, until 07:00"
     graph.add_statuses(100.0, node(
-        "/pump", "pump", ("pump", OK, f"held: {why}", "quiet_hours"), pump=f"held: {why}",
-        stands=True,
+        "/pump", "pump", ("pump", OK, f"held: {why}", "quiet_hours"),
+        **pump_report(f"held: {why}"), stands=True,
     ))
     document = shown(graph)
     pump = document["tiles"]["pump"]
@@ -1207,8 +1210,8 @@ def test_a_dose_has_its_limits_and_is_followed(least: float, limits: str) -> Non
     graph.allow_release = True
     dose = {"said": "the dose of 0.5 m3 was delivered"}
     graph.add_statuses(100.0, node(
-        "/pump", "pump", pump="off: nothing is commanded", stands=True, greatest_dose=0.688,
-        least_dose=least, dose=dose,
+        "/pump", "pump", **pump_report("off: nothing is commanded"), stands=True,
+        greatest_dose=0.688, least_dose=least, dose=dose,
     ))
     stop = shown(graph)["stop"]
     assert stop["dose_limits"] == limits

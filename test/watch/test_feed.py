@@ -189,7 +189,7 @@ def test_of_a_fast_run_the_bag_is_read_or_samples_are_shown(
     domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Only /diagnostics is heard; the water account equals the run's own summary."""
-    monkeypatch.setattr(feed, "FASTEST", 3.0)  # a busy machine may fall below 66
+    monkeypatch.setattr(feed, "FASTEST", 0.0)  # on a busy machine it can be slow
     options = ("--controller", "onoff", "--hours", "0.25", *STORM)
     with fed(domain) as (watched, _):
         run = Process(
@@ -328,7 +328,7 @@ def test_a_stop_goes_before_what_was_asked_before_it_which_is_not_done() -> None
     for number, action in enumerate(("release", "stop", "dose", "stop", "release")):
         threading.Thread(target=ask, args=(number, action), daemon=True).start()
         wait_for(lambda a=action: feed._requests and feed._requests[-1][0] == a, 10, "the request")
-    wait_for(lambda: len(answers) == 2, 30, "the end of what came before a stop")
+    wait_for(lambda: len(answers) == 2, 60, "the end of what came before a stop")
     assert [action for action, *_ in feed._requests] == ["stop", "stop", "release"]
     assert answers.keys() == {0, 2}
     assert {*answers.values()} == {"Nothing was done: somebody is asking to stop the pump."}

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from browsers import started_browser
 from graphs import wait_for
-from page_inputs import ERROR, HELD, HOLD, SECOND, START, incident, node, store
+from page_inputs import ERROR, HELD, HOLD, SECOND, START, incident, node, pump_report, store
 from page_server import page_files, served
 from places import CONFIG
 
@@ -48,7 +48,7 @@ def browser() -> Iterator[Any]:
 
 
 def pump(state: str = "off: nothing is commanded", **values: Any) -> list[WireStatus]:
-    return node("/pump", "pump", pump=state, **{"stands": True, **values})
+    return node("/pump", "pump", **pump_report(state), **{"stands": True, **values})
 
 
 def mpc(level: int = ERROR, what: str = CANNOT) -> list[WireStatus]:
@@ -226,7 +226,8 @@ def test_it_says_how_it_is_by_word_shape_and_colour(open_page: Open) -> None:
         ))
     assert len(set(looks)) == len({shape for shape, _ in looks}) == 3
     why = "off: it is not known whether the pump is at rest"
-    said[:] = node("/pump", "pump", ("pump", 1, why), pump=why, stands=False, speed=None, flow=None)
+    said[:] = node("/pump", "pump", ("pump", 1, why), **pump_report(why), stands=False,
+                   speed=None, flow=None)
     tile = until_shown(page, ".tile[data-key=pump][data-tone=error]", "unknown")
     until_shown(page, "#summary[data-level=error]", "it is not known whether the pump was at rest")
     assert "L/min" not in tile.inner_text() and "\noff" not in tile.inner_text()
@@ -730,7 +731,7 @@ def test_what_to_do_is_said_once_and_not_when_it_is_over(open_page: Open) -> Non
 
     def says(level: int, *code: str) -> list[WireStatus]:
         return node("/pump", "pump", *((part, level, fault, *code) for part in ("pump", "drive")),
-                    pump=fault, stands=True)
+                    **pump_report(f"fault: {fault}"), stands=True)
 
     said = says(ERROR, "drive_fault")
     page = open_page(site_watched("live"), said)

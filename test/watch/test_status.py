@@ -215,7 +215,7 @@ def test_it_needs_no_terminal_and_leaves_nothing(domain: int, tmp_path: Path) ->
         done = subprocess.run(
             [sys.executable, "-m", "greenroof_ros", "status"], cwd=tmp_path, check=False,
             env={**environment(domain), "TERM": term, "FORCE_COLOR": "1", "LC_ALL": "C"},
-            stdin=subprocess.DEVNULL, capture_output=True, timeout=60,
+            stdin=subprocess.DEVNULL, capture_output=True, timeout=300,
         )
         assert done.returncode == 3 and done.stderr == b""
         outputs.add(done.stdout)

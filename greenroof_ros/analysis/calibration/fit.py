@@ -6,16 +6,17 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
-from scipy.optimize import OptimizeResult, least_squares
 
 from greenroof_ros.analysis.calibration.record import COMBINE, RoofRecord, Steps, Values, time_name
 from greenroof_ros.analysis.calibration.simulation import Simulated, least_reading, simulate
 from greenroof_ros.model.site import Site
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
 
 UpdateProgress = Callable[[str, float], None]
 """called with a text on the current stage, and the finished share of the fit, 0 to 1, rising"""
@@ -267,6 +268,8 @@ def fit(
         stages.start(1 + len(every))
         return _identify([span.name for span in every], jacobian())
 
+    from scipy.optimize import least_squares  # half a second, and not needed for a refusal
+
     def solve() -> OptimizeResult:
         def moved(shares: Values) -> Values:
             near = at.copy()
@@ -348,6 +351,8 @@ def _comparison(
 
 def _identify(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str]]:
     """Return which parameters the data identify, and for the others why not."""
+    from scipy.linalg import qr
+
     _, triangle, order = qr(jacobian, mode="economic", pivoting=True)
     # With fewer residuals than parameters, no more parameters than residuals are identified.
     size = np.zeros(len(names))

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import OptimizeResult, least_squares
 
 from greenroof_ros.analysis.calibration.checks import FINDINGS
 from greenroof_ros.analysis.calibration.fit import (
@@ -187,13 +186,15 @@ class _CisternFall:
             shares: number of shares.
             latest: largest delay or lead of the pump state, in steps.
         """
+        from scipy.optimize import least_squares
+
         low = np.array([-latest, *[_LEAST_SHARE] * 2])[:shares]
         high = np.array([latest, *[1 / _LEAST_SHARE] * 2])[:shares]
         at = np.array([0.0, 1.0, 1.0])[:shares]
         weights = np.ones(len(self._sizes))
         for rounds in range(_MOST_ROUNDS):
             root = np.sqrt(weights)[self._number]
-            solution: OptimizeResult = least_squares(
+            solution = least_squares(
                 lambda near, root=root: root * self.residuals(near), at,
                 jac=lambda near, root=root: root[:, None] * self.jacobian(near),
                 bounds=(low, high),

@@ -1,4 +1,7 @@
-"""Run directories and bags as runs of a report: their results, and the curves to draw."""
+"""Run directories and bags as runs of a report: their results, and the curves to draw.
+
+A run directory has a bag; of a simulation in one process it has the trajectory, or results alone.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,7 @@ from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
 from greenroof_ros.recording.bag_reader import RecordedTrajectory, load_bag
 from greenroof_ros.recording.bag_writer import METADATA, recovered_bag
-from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.recording.trajectory import CSV, TRAJECTORY, Trajectory, read_trajectory
 from greenroof_ros.weather.reading import read_weather
 
 MOST_POINTS = 500
@@ -72,8 +75,9 @@ def _closed_and_repair(path: Path, bag: Path) -> tuple[list[Path], str]:
 
 
 def read_run(path: Path, name: str, site_file: Path | None) -> ReportedRun | Row:
-    """Return the run in a run directory or bag; a row with its error if it left no bag."""
+    """Return the run in a run directory or bag; a row with its error if it left nothing."""
     bag, run = _bag_in(path), run_directory(path)
+    kept = next((path / name for name in (TRAJECTORY, CSV) if (path / name).is_file()), None)
     closed, repair = _closed_and_repair(path, bag)
     bag = next(iter(closed), bag)
     own_site, notes = site_file_of(run), list[Note]()
@@ -90,7 +94,7 @@ def read_run(path: Path, name: str, site_file: Path | None) -> ReportedRun | Row
     if bag == recovered_bag(_bag_in(path)):
         notes.append(Note(f"{bag.name} is what greenroof recover found whole in {name}"))
     about = read_about(run, site)
-    if not closed:
+    if not closed and kept is None and "hours" not in about.row:
         if any(bag.glob("*.mcap")) or any(bag.glob("*.db3")):
             raise ConfigurationError(
                 f"has no metadata.yaml: it is being recorded, or was cut off; {repair}", file=bag
@@ -99,8 +103,8 @@ def read_run(path: Path, name: str, site_file: Path | None) -> ReportedRun | Row
             error = f"{about.ending}; no bag"
             return {"run": name, "what": about.row["controller"], "error": error}
         raise ConfigurationError(
-            "must be a study (with results.csv), a run (with bag/), a bag (with metadata.yaml) or "
-            "an .mcap file",
+            "must be a study (with results.csv), a run (with bag/, or a simulation that is done), "
+            "a bag (with metadata.yaml) or an .mcap file",
             file=path,
         )
     zone = about.zone
@@ -109,6 +113,8 @@ def read_run(path: Path, name: str, site_file: Path | None) -> ReportedRun | Row
     if zone is None:
         notes.append(Note("times are in UTC: no configuration says the offset"))
     row = {**about.row, "run": name, "site": site_name, "status": "done"}
+    if not closed and kept is None:
+        row |= {"frost_pumped_m3": 0.0, "bound_m3": None}
     weather = sorted((run / "configuration" / "weather").glob("*"))
     forecast = sorted((run / "configuration" / "forecast").rglob("*"))
     return replace(
@@ -118,7 +124,7 @@ def read_run(path: Path, name: str, site_file: Path | None) -> ReportedRun | Row
         load=partial(
             load_bag, bag, site, zone or timezone.utc,
             own=about.own, external_pump=about.external_pump, repair=repair,
-        ),
+        ) if closed else None if kept is None else partial(load_trajectory, kept),
         # A sensor with errors shows neither the roof's initial volume nor its deviation.
         bound=partial(
             _run_bound, weather, own_site, site, row["evapotranspiration"], row["gaps"]
@@ -131,6 +137,14 @@ def read_run(path: Path, name: str, site_file: Path | None) -> ReportedRun | Row
             "from": meaning_of_initial(row),
         },
     )
+
+
+def load_trajectory(path: Path) -> RecordedTrajectory:
+    """Read the trajectory of a simulation in one process."""
+    trajectory = read_trajectory(path)
+    if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
+        raise ConfigurationError("must have two or more samples, in order of time", file=path)
+    return RecordedTrajectory(trajectory)
 
 
 def _run_bound(
@@ -175,13 +189,13 @@ def measured(run: ReportedRun, recorded: RecordedTrajectory) -> Row:
     dt = np.diff(trajectory.time)
     frost = trajectory.frost[:-1] > 0
     row = {
-        "start": to_people(trajectory.start),
-        "hours": float(trajectory.time[-1] - trajectory.time[0]) / 3600,
         "cistern_m3": float(trajectory.cistern[0]),
         "roof_m3": float(trajectory.roof[0]),
         **totals_of(site, samples_of(site, trajectory)),
         "frost_hours": float(dt[frost].sum()) / 3600,
         **run.row,
+        "start": to_people(trajectory.start),
+        "hours": float(trajectory.time[-1] - trajectory.time[0]) / 3600,
         "frost_pumped_m3": float(np.sum((trajectory.pump_flow[:-1] * dt)[frost])),
         "bound_m3": run.bound(recorded) if run.bound is not None else None,
     }

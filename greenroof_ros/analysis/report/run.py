@@ -384,6 +384,11 @@ def _row(content: Mapping[str, Any], *, live: bool, done: bool) -> Row:
         if done and value is not None:
             row[name] = float(value)
     row = {column: value for column, value in row.items() if value not in (None, "")}
+    if done and not live and "steps" in content:
+        row |= {
+            "start": to_people(datetime.fromisoformat(content["start"])),
+            "hours": content["steps"] * content["tau_s"] / 3600,
+        }
     initial = content.get("initial")
     if not initial:
         return row

@@ -12,10 +12,9 @@ from datetime import datetime
 from functools import cache, partial
 from pathlib import Path
 
-import numpy as np
 import polars as pl
 
-from greenroof_ros.analysis.report.bags import read_run, run_directory
+from greenroof_ros.analysis.report.bags import load_trajectory, read_run, run_directory
 from greenroof_ros.analysis.report.run import (
     NO_ERRORS,
     ReportedRun,
@@ -31,9 +30,8 @@ from greenroof_ros.common.times import to_people
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
 from greenroof_ros.model.site import read_site
-from greenroof_ros.recording.bag_reader import RecordedTrajectory
 from greenroof_ros.recording.results_table import row_parameters
-from greenroof_ros.recording.trajectory import read_parquet
+from greenroof_ros.recording.trajectory import TRAJECTORY
 
 _NEEDED = (
     "run", "site", "weather", "start", "hours", "evapotranspiration", "controller", "initial",
@@ -142,13 +140,13 @@ def _read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
         sites.add(row["site"])
         # Simulations pump nothing during frost.
         row["frost_pumped_m3"] = 0.0
-        trajectory = path / "runs" / run / "trajectory.parquet"
+        trajectory = path / "runs" / run / TRAJECTORY
         forecasts = (row.get(key) for key in ("forecast", "forecast_skill"))
         sources.runs.append(ReportedRun(
             row=row,
             site=site,
             parameters=given,
-            load=partial(_load, trajectory) if trajectory.exists() else None,
+            load=partial(load_trajectory, trajectory) if trajectory.exists() else None,
             notes=tuple(notes_of(row)),
             source=source,
             meant={
@@ -275,11 +273,3 @@ def _season(row: Row) -> Row:
     whole = int(row["hours"] // 168)
     season = {"year": start.year, "begins": f"{start:%d %B %H:%M}", "season": weeks[:whole]}
     return {"start": to_people(start), **(season if 0 < whole <= len(weeks) else {})}
-
-
-def _load(path: Path) -> RecordedTrajectory:
-    """Read the trajectory of a run in a study."""
-    trajectory = read_parquet(path)
-    if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
-        raise ConfigurationError("must have two or more samples, in order of time", file=path)
-    return RecordedTrajectory(trajectory)

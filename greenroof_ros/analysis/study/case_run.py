@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,13 +9,13 @@ from typing import Any
 
 from greenroof_ros.analysis.study.grid import Case, in_directory
 from greenroof_ros.common.files import naming
-from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
-from greenroof_ros.experiment.closed_loop import closed_loop, record
+from greenroof_ros.experiment.closed_loop import record
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.experiment.simulation import Simulation
 from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.results_table import summary_columns
+from greenroof_ros.recording.trajectory import TRAJECTORY
 from greenroof_ros.weather.reading import read_weather
 
 
@@ -55,22 +54,14 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
         ConfigurationError: the case is wrong.
     """
     run = _build(directory, case)
-    controller = run.make_controller()
-    metrics = Metrics()
-    began = time.monotonic()
-    ticks = closed_loop(run, controller, metrics)
-    trajectory = None
+    simulation, files = Simulation(run), dict[str, bytes]()
     if trajectory_every is None:
-        for _ in ticks:
+        for _ in simulation.ticks():
             pass
     else:
-        trajectory = record(run, ticks, max(1, round(trajectory_every / run.site.tau)))
-    wall = time.monotonic() - began
-    result = summary.build(
-        run, metrics.results(), metrics.weekly_deviations(), wall_s=wall,
-        solver=controller.statistics(),
-    )
-    files = {} if trajectory is None else {"trajectory.parquet": trajectory.to_parquet()}
+        every = max(1, round(trajectory_every / run.site.tau))
+        files[TRAJECTORY] = record(run, simulation.ticks(), every).to_parquet()
+    result = simulation.summary()
     return Outcome(summary_columns(result), _timings(result), files)
 
 

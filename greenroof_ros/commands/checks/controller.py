@@ -13,9 +13,9 @@ from rclpy.node import Node
 from greenroof_ros.commands.checks.node import NodeCheck, ProblemError, checking_node, require
 from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.controllers.check import trial_values
-from greenroof_ros.forecast.resampling import look_ahead_ends
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import WithFront
+from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 
 _LEVELS = ("/cistern/level", "/roof/level")

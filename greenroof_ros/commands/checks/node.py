@@ -22,10 +22,11 @@ from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.standard_error import ProgressLines
-from greenroof_ros.graph.domain import choose_transport, make_executor
+from greenroof_ros.graph.domain import choose_transport
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import encoder, lacks, message_class, qos_profile, requirements
 from greenroof_ros.graph.publishers import display_name
+from greenroof_ros.graph.spin import make_executor
 
 # More ticks than a check ever takes.
 _LAST_TICK = 1e9

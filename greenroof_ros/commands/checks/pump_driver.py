@@ -15,6 +15,7 @@ from std_msgs.msg import String
 from greenroof_ros.commands.checks.node import NodeCheck, checking_node, require
 from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.graph.messages import qos_profile
+from greenroof_ros.graph.states import PumpState
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.site import Site
 
@@ -50,7 +51,7 @@ _WATER = 1.5
 _LEAST_ABOVE_SUCTION, _DRY = 0.022, -0.001
 # After that, rain refills it to this far above the suction level (m): more than a driver may need.
 _REFILLED = 0.5
-# A pump is on if /pump/state begins with one of these words; text after a colon is for people.
+# A pump is on in these states of /pump/state.
 _ON = ("starting", "running")
 _NOT_RUNNING = "not tried: the pump does not run"
 
@@ -110,7 +111,7 @@ class PumpCheck(NodeCheck):
         self._least_above_suction = _LEAST_ABOVE_SUCTION
         self._steady = 0.0
         self._lockstep_problem = ""
-        self._state = ""
+        self._state: PumpState | None = None
 
     def run_checks(self) -> None:
         """Run all checks in turn; after each stop except the last, the pump must run again."""
@@ -173,7 +174,7 @@ class PumpCheck(NodeCheck):
         """Also listen to the pump's state."""
 
         def receive_state(message: String) -> None:
-            self._state = message.data
+            self._state = PumpState.read(message.data)
 
         state = self.interface["/pump/state"]
         self.node.create_subscription(
@@ -224,7 +225,7 @@ class PumpCheck(NodeCheck):
         self.answers.clear()
 
     def _driver_state(self) -> str:
-        return f" (/pump/state: {self._state})" if self._state else ""
+        return f" (/pump/state: {self._state})" if self._state is not None else ""
 
     def _flowing(self, flow: float) -> bool:
         return flow > _NONE * self._steady
@@ -285,7 +286,7 @@ class PumpCheck(NodeCheck):
         before = self._steady_flow(self._limits.command)
         self.spin(self._limits.silence)
         self._count_answers(0)
-        state = self._state.partition(":")[0]
+        state = "" if self._state is None else self._state.state
         after = self._answer({})
         require(
             after <= _AT_REST * before,

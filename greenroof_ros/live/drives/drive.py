@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.drives.drive_file import (
     Codes,
@@ -244,8 +245,8 @@ class Drive:
         self._prepared = False
         self._perform(self.file.sequences.reset)
 
-    def second_master(self) -> str:
-        """Return that the control word is not the one last written; empty if it is, or if unknown.
+    def second_master(self) -> Problem | None:
+        """Return that the control word is not the one last written; None if it is, or if unknown.
 
         Only the bits that the drive file uses are compared, and only on a connection on which the
         drive has returned a word that was written: the control word of some drives cannot be read,
@@ -255,20 +256,19 @@ class Drive:
             DriveError: the connection is lost.
         """
         if self._word is None:
-            return ""
+            return None
         try:
             word = self._read_number("control")
         except DriveError as error:
             if error.kind == "connection":
                 raise
-            return ""
+            return None
         same = not (word ^ self._word) & self._bits
         self._echoes |= same
         if same or not self._echoes:
-            return ""
-        return (
-            f"{self.line.where}: somebody else writes to the drive: its control word is "
-            f"0x{word:04X}, but 0x{self._word:04X} was written (unless the drive itself changed it)"
+            return None
+        return Problem.of(
+            "second_master", "word", where=self.line.where, word=word, written=self._word
         )
 
     def simulator_problem(self) -> str:

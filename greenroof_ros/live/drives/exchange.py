@@ -8,26 +8,25 @@ import time
 from dataclasses import dataclass, replace
 from typing import Any
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.live.drives.endpoint import Connection, Endpoint
 from greenroof_ros.live.drives.lock import DriveInUseError, DriveLock
 from greenroof_ros.live.drives.modbus_line import DeviceSnapshot, DeviceThread, DriveError
+from greenroof_ros.live.drives.stop_monitor import (
+    RUNS_ON_S,
+    Deceleration,
+    RunsOnError,
+    StopMonitor,
+)
 
 # Wait before a new attempt to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
 # A drive being stopped must not keep its speed for longer than this (s), or it counts
-# as one that does not stop; and the least decrease that counts (share of rated speed).
-STEADY_S, SLOWER = 3.0, 0.005
-# A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), longer
-# than a drive needs to begin its ramp. It is left in silence once the fault was visible for
-# VISIBLE_S (s), longer than the caller's tick, even if a connection breaks meanwhile. Together they
-# are not longer than pump control by default waits for a speed to follow beyond the ramp
-# (follow_time).
-RUNS_ON_S, VISIBLE_S = 10.0, 2.0
-# Least time from a silence that did not help to the next (s): the fault may need a person.
-RUNS_ON_AGAIN_S = 60.0
+# as one that does not stop.
+STEADY_S = 3.0
 # A drive whose speed cannot be read may still get orders for this long (s); then follows the
 # silence in which its own timeout can pass.
 UNREAD_S = RUNS_ON_S + LONGEST_WAIT_S
@@ -41,6 +40,9 @@ PAUSE_S = 2.0
 SECOND_MASTER_PAUSE_S = 10.0
 # Within this time the drive must acknowledge its fault; after it the fault counts again (s).
 RESET_S = 5.0
+# Greatest age of the drive's status (s). During a start none comes for some seconds; a lost
+# connection is noticed sooner.
+STATUS_AGE_S = 10.0
 # Interval at which the drive's safety-relevant settings are read again (s).
 SETTINGS_S = 30.0
 # A silence is longer than the drive's own communication timeout by this much (s).
@@ -75,11 +77,11 @@ class DriveSnapshot(DeviceSnapshot):
         timeout_known: the timeout could be read.
         timeout_note: why it counts as off, or could not be read.
         unguarded: why the connected drive is kept off: its own timeout may not guard yet, or it
-            must be the simulator and may not be; empty if neither.
+            must be the simulator and may not be; None if neither.
         no_simulator: why it may not be the drive simulator; empty if it is, None if unknown.
-        second_master: that somebody else writes to the drive, which is therefore kept off; empty
+        second_master: that somebody else writes to the drive, which is therefore kept off; None
             if nobody does.
-        start_failed: why it was stopped although it was to run; empty once *off* is requested.
+        start_failed: why it was stopped although it was to run; None once *off* is requested.
         errors: number of failures so far.
     """
 
@@ -89,123 +91,16 @@ class DriveSnapshot(DeviceSnapshot):
     timeout_s: float | None = None
     timeout_known: bool = False
     timeout_note: str = ""
-    unguarded: str = ""
+    unguarded: Problem | None = None
     no_simulator: str | None = None
-    second_master: str = ""
-    start_failed: str = ""
+    second_master: Problem | None = None
+    start_failed: Problem | None = None
     errors: int = 0
 
     @property
     def connected(self) -> bool:
         """Whether there is a connection that gives answers."""
         return self.state in (ExchangeState.STOPPED, ExchangeState.RUNNING, ExchangeState.STOPPING)
-
-
-class RunsOnError(DriveError):
-    """A drive runs on after *stop*, and must now be left in silence."""
-
-
-class _Deceleration:
-    """The fall of a drive's speed after *stop*."""
-
-    def __init__(self) -> None:
-        self._lowest, self._fell_at = math.inf, -math.inf
-
-    def update(self, status: DriveStatus, now: float) -> float:
-        """Update with a drive's report; return for how long its speed has not fallen (s)."""
-        if abs(status.speed) < self._lowest - SLOWER:
-            self._lowest, self._fell_at = abs(status.speed), now
-        return now - self._fell_at
-
-
-class StopMonitor:
-    """Monitors whether a drive obeys *stop*, across connections that break.
-
-    A drive obeys if its speed falls, however slowly. A drive in local control is left to the
-    person at its panel. All times are of `time.monotonic` (s).
-    """
-
-    def __init__(self, where: str) -> None:
-        """Start without any knowledge of the drive.
-
-        Args:
-            where: the place of the drive, for messages.
-        """
-        self._where = where
-        # The fall since *stop* became the last order; None if the drive runs or is at rest.
-        self._fall: _Deceleration | None = None
-        # For how long reports have shown that the speed does not fall, and the time of the last
-        # such report on this connection.
-        self._visible_s, self._reported_at = 0.0, math.inf
-        # Since when *stop* has been written without any speed being read.
-        self._unread_from = math.inf
-        # The number of consecutive connections on which the last *stop* could not be written.
-        self._refusals = 0
-        # End of the last silence because the drive ran on or its speed could not be read; reset
-        # when it comes to rest or runs.
-        self._silent_until = -math.inf
-
-    def stop_written(self, now: float) -> None:
-        """Record that *stop* was written, and is the last order."""
-        self._fall = self._fall or _Deceleration()
-        self._unread_from = min(self._unread_from, now)
-
-    def order_changed(self) -> None:
-        """Record that the last order is not *stop*, or may be somebody else's."""
-        self._fall = None
-
-    def speed_read(self) -> None:
-        """Record that the speed was read, or that a person at the panel watches the drive."""
-        self._unread_from = math.inf
-
-    def check(self, status: DriveStatus, now: float) -> DriveStatus:
-        """Return a drive's report, with a fault added if it runs on after *stop*.
-
-        Raises:
-            RunsOnError: the fault has been visible for long enough.
-        """
-        fall, reported_at, self._reported_at = self._fall, self._reported_at, math.inf
-        if fall is None or status.at_rest or not status.remote:
-            self._fall, self._silent_until = None, -math.inf
-            return status
-        steady_s = fall.update(status, now)
-        if steady_s <= RUNS_ON_S:
-            self._visible_s = 0.0
-            return status
-        self._reported_at, self._visible_s = now, self._visible_s + max(0.0, now - reported_at)
-        problem = f"it acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
-        if self._visible_s > VISIBLE_S and now - self._silent_until > RUNS_ON_AGAIN_S:
-            raise RunsOnError("drive", f"{self._where}: {problem} (it is {status.speed:.1%})")
-        fault = "; ".join(filter(None, (status.fault, problem)))
-        return replace(status, fault=fault, timed_out=False, runs_on=True)
-
-    def connection_lost(self, stopped: bool | None, now: float) -> str | None:
-        """Record that the connection was lost.
-
-        Args:
-            stopped: whether the last *stop* was written; None if none was attempted.
-            now: the time.
-
-        Returns:
-            Why the drive must be left in silence, to be added to the problem; None if it need not.
-        """
-        self._reported_at = math.inf
-        if stopped is not None:
-            self._refusals = 0 if stopped else self._refusals + 1
-        unread = now - self._unread_from > RUNS_ON_S
-        if stopped and unread and now - self._silent_until > RUNS_ON_AGAIN_S:
-            return (
-                f"; its speed cannot be read, and for {RUNS_ON_S:g} s it has been unknown whether "
-                "it is at rest, although *stop* is written"
-            )
-        if self._refusals > 1:
-            return "; *stop* could not be written on two successive connections"
-        return None
-
-    def silence_started(self, until: float) -> None:
-        """Record that a silence has started, and when it ends."""
-        if not self._refusals:
-            self._silent_until = until
 
 
 class DriveExchange(DeviceThread[DriveSnapshot]):
@@ -235,8 +130,11 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     caller, which counts starts and waits between them, decides on the next. During a silence
     nothing is sent for longer than the drive's own timeout, which then stops it: it may count any
     order as a sign of life. A timeout above the limit is not relied on, and `stop` ends a silence
-    early. `close` works in every state and leaves the drive stopped. From the first connection to
-    `close` no other program on this machine can use the drive.
+    early. `close` works in every state and leaves the drive stopped; a new exchange can then be
+    made. From the first connection to `close` no other program on this machine can use the drive.
+
+    Attributes:
+        endpoint: the drive.
     """
 
     def __init__(
@@ -247,6 +145,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         *,
         timeout_s: float = 0.5,
         timeout_limit_s: float = 10.0,
+        stops_locally: bool = False,
         checks_simulator: bool = False,
     ) -> None:
         """Prepare the exchange.
@@ -258,18 +157,20 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             timeout_s: longest wait for each answer (s).
             timeout_limit_s: longest usable communication timeout of the drive (s). A silence lasts
                 this long if the timeout is longer, unknown or off.
+            stops_locally: whether somebody has confirmed that the drive's own settings stop the
+                pump, if they cannot be read.
             checks_simulator: whether to find out if it is the drive simulator.
 
         Raises:
             ConfigurationError: its library is missing, or a file for the login is wrong.
         """
         super().__init__("talking to the drive", DriveSnapshot())
-        self._endpoint = endpoint
+        self.endpoint = endpoint
         self._drive: Connection = endpoint.connection(timeout_s)
-        self._drive_lock = DriveLock(endpoint)
+        self._drive_lock, self._waits_for_lock = DriveLock(endpoint), False
         self._period_s = max(period_s, endpoint.period)
         self._dead_man_s, self._timeout_s = dead_man_s, timeout_s
-        self._timeout_limit_s = timeout_limit_s
+        self._timeout_limit_s, self._stops_locally = timeout_limit_s, stops_locally
         # Read and written as a whole, so no lock is needed.
         self._requested: tuple[float | None, float] = (None, -math.inf)
         # Until this time a fault may be acknowledged.
@@ -312,6 +213,65 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._update(state=ExchangeState.CONNECTING, status=None)
         self._fail("could not confirm that the pump is at rest: the connection hangs")
         return True
+
+    @property
+    def closing(self) -> bool:
+        """Whether `close` was called."""
+        return self._closing
+
+    def outcome(self) -> str:
+        """Return, after `close`, how the drive was released.
+
+        Raises:
+            OSError: it did not answer at the end, or is not at rest.
+        """
+        snapshot = self.snapshot
+        status = snapshot.status
+        problem = f"the drive is not at rest at the end: {status}"
+        if status is None or snapshot.connected:
+            # If still connected, the thread has not read that the drive is at rest.
+            why = snapshot.problem or "no last answer"
+            problem = f"the drive did not answer at the end ({why})"
+        elif status.at_rest:
+            return f"released the drive: {status}"
+        timeout = "off" if snapshot.timeout_known else "not known"
+        ending = f"only its own panel can stop it now: its communication timeout is {timeout}"
+        if snapshot.timeout_s is not None:
+            ending = f"its own timeout of {snapshot.timeout_s:g} s must stop it"
+        raise OSError(f"{problem}; {ending}")
+
+    def status(self, now: float) -> DriveStatus | None:
+        """Return the drive's last status; None if too old."""
+        snapshot = self.snapshot
+        return snapshot.status if now - snapshot.read_at < STATUS_AGE_S else None
+
+    def absence(self, now: float) -> Problem | None:
+        """Return why the drive does not answer; None if it does."""
+        if self._closing:
+            return Problem.of("drive_lost", "released")
+        if self.status(now) is not None:
+            return None
+        if problem := self.snapshot.problem:
+            return Problem.of("drive_lost", "problem", problem=problem)
+        return Problem.of("drive_lost", "silent", time=STATUS_AGE_S)
+
+    def timeout_problem(self, snapshot: DriveSnapshot) -> Problem | None:
+        """Return what is wrong with the drive's own communication timeout; None if nothing is."""
+        guard, seconds, limit_s = self.endpoint.guard, snapshot.timeout_s, self._timeout_limit_s
+        values: dict[str, float | str] = {}
+        if not snapshot.timeout_known:
+            case, values["note"] = "unread", snapshot.timeout_note
+        elif seconds is None:
+            case, values["note"] = "none", snapshot.timeout_note
+        elif seconds > limit_s:
+            case, values = "long", {"timeout": seconds, "limit": limit_s}
+        elif guard is not None and guard.local_settings_decide and not self._stops_locally:
+            case = "local"
+        else:
+            return None
+        more = {} if guard is None else {"repair": guard.how_to_set, "traps": guard.traps}
+        cases = [name for name, text in more.items() if text]
+        return Problem.of("drive_timeout", case, *cases, **values, **more)
 
     def request_speed(self, speed: float | None) -> None:
         """Request a speed (share of rated speed), or off (None); valid for `dead_man_s`.
@@ -361,21 +321,20 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     def _target_speed(self) -> float | None:
         speed, at = self._requested
         fresh = boot_time() - at <= self._dead_man_s  # a suspend counts
-        return speed if fresh and not self._closing and not self._unguarded() else None
+        return speed if fresh and not self._closing and self._unguarded() is None else None
 
-    def _unguarded(self) -> str:
-        """Return why the drive must not run although it is connected.
+    def _unguarded(self) -> Problem | None:
+        """Return why the drive must not run although it is connected; None if it may.
 
         It may have lost power since the last connection; a cut cable looks the same.
         """
         if self._requires_simulator and (why := self._snapshot.no_simulator) != "":
-            return why or "it is not known yet whether it is the drive simulator"
+            if why is None:
+                return Problem.of("drive_guards_later", "unknown")
+            return Problem.of("drive_guards_later", "another", why=why)
         if time.monotonic() >= self._guarded_from:
-            return ""
-        return (
-            f"its own communication timeout is not effective for {self._unguarded_s:g} s after "
-            "power-up, so the drive is kept off for this long after connecting"
-        )
+            return None
+        return Problem.of("drive_guards_later", "power_up", time=self._unguarded_s)
 
     def _step(self) -> None:
         """Do what the present state requires."""
@@ -393,7 +352,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         """Close the connection; then stay silent, connect again after a while, or end."""
         now, drive = time.monotonic(), self._drive
         if self._requested[0] is not None:
-            self._update(start_failed=f"the connection was lost: {problem}")
+            self._update(start_failed=Problem.of("start_failed", "lost", problem=problem))
         why = self._stop_monitor.connection_lost(drive.stopped, now)
         if isinstance(error, RunsOnError):
             why = ""  # the error already gives the reason
@@ -445,7 +404,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         if not self._drive_lock.locked:
             self._acquire_lock()
             return
-        self._drive = drive = self._endpoint.connection(self._timeout_s)
+        self._drive = drive = self.endpoint.connection(self._timeout_s)
         self._last_attempt, self._unanswered = self._closing, 0
         self._update(no_simulator=None)
         drive.line.connect()
@@ -481,9 +440,11 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         if not self._done:
             try:
                 self._drive_lock.acquire()
+                self._waits_for_lock = False
             except DriveError as error:
-                if self._snapshot.problem != str(error):
-                    self._fail(str(error))
+                report = self._update if self._waits_for_lock else self._fail
+                report(problem=str(error))
+                self._waits_for_lock = True
                 self._connect_at = time.monotonic() + LOCK_WAIT_S
 
     def _read_settings(self) -> None:
@@ -567,21 +528,21 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         pause_s = PAUSE_S
         try:
             other = self._drive.second_master()
-            if other:
+            if other is not None:
                 pause_s = SECOND_MASTER_PAUSE_S
                 self._stop_monitor.order_changed()  # the drive may obey the other writer
-                why = f"{other}; stopped until {pause_s:g} s after the last such word"
-                self._update(second_master=why)
-                raise DriveError("drive", why)
+                other = other.plus("pause", pause=pause_s)
+                self._update(second_master=other)
+                raise DriveError("drive", other.sentence)
             if self._snapshot.second_master and time.monotonic() >= self._paused_until:
-                self._update(second_master="")
+                self._update(second_master=None)
             if time.monotonic() < self._reset_until:
                 self._reset_until = -math.inf
                 self._paused_until = -math.inf
                 self._drive.reset()
             speed = self._target_speed()
             if self._requested[0] is None:
-                self._update(start_failed="")
+                self._update(start_failed=None)
             kept_off = self._snapshot.start_failed or time.monotonic() < self._paused_until
             if speed is None or kept_off:
                 self._stop()
@@ -601,7 +562,8 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._drive.run(speed, lambda: self._target_speed() is not None)
         except DriveError as error:
             if error.kind == "drive":
-                self._update(start_failed=f"the drive failed to start: {error}")
+                failed = Problem.of("start_failed", "failed", problem=str(error))
+                self._update(start_failed=failed)
             else:
                 self._stop_monitor.order_changed()  # it may obey although the answer was lost
             raise
@@ -617,7 +579,7 @@ def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
 
     Drive files do not give the length of the ramp, so it waits for as long as the speed falls.
     """
-    fall = _Deceleration()
+    fall = Deceleration()
     while True:
         drive.stop()
         status, now = drive.read(), time.monotonic()

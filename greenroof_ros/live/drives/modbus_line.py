@@ -546,15 +546,21 @@ class DeviceThread(ABC, Generic[S]):
         """What is known now."""
         return self._snapshot
 
+    @property
+    def started(self) -> bool:
+        """Whether the thread was started, even if it has ended."""
+        return self._thread.ident is not None
+
     def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
+        """Start the thread, unless it was started."""
+        if not self.started:
+            self._thread.start()
 
     def _stop_thread(self, within_s: float) -> bool:
         """Stop the thread; return whether it has ended within this time (s)."""
         self._closing = True
         self._wake.set()
-        if self._thread.ident is not None:
+        if self.started:
             self._thread.join(within_s)
         return not self._thread.is_alive()
 

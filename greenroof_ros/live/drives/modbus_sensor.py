@@ -47,7 +47,7 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
         Raises:
             ConfigurationError: there is no Modbus library.
         """
-        if self._thread.ident is None:
+        if not self.started:
             age = min(reader.greatest_age for reader in self.readers)
             self._timeout_s = min(_TIMEOUT_S, age / 2 / (_TIMEOUTS * len(self.readers)))
             self._line = self.readers[0].sensor.line(self._timeout_s)

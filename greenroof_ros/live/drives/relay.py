@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from string import Template
 from typing import Any
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.modbus_line import SIMULATOR, Address, DriveError
@@ -388,8 +389,8 @@ class Relay:
         """
         self.stop()
 
-    def second_master(self) -> str:
-        """Return that its state is not the one last ordered; empty if it is, or if unknown.
+    def second_master(self) -> Problem | None:
+        """Return that its state is not the one last ordered; None if it is, or if unknown.
 
         Its own timer, a power failure, a person or another program may have switched it.
 
@@ -398,13 +399,8 @@ class Relay:
         """
         is_on = self._read()
         if self._ordered is None or is_on == self._ordered:
-            return ""
-        if is_on:
-            return f"{self.line.where}: somebody else has switched the relay on"
-        return (
-            f"{self.line.where}: the relay is off although it was switched on: somebody else has "
-            "switched it off, it was without power, or its timer has expired"
-        )
+            return None
+        return Problem.of("second_master", "on" if is_on else "off", where=self.line.where)
 
     def simulator_problem(self) -> str:
         """Return why this may not be the relay simulator; empty if it certainly is.

@@ -341,7 +341,7 @@ def _modbus_mistakes(
     try:
         parse_address(sensor.address)
     except ConfigurationError as error:
-        yield "address", f"{str(error).rpartition(': ')[2]}; or mqtt://HOST[:PORT]/TOPIC"
+        yield "address", f"{error.expected}; or mqtt://HOST[:PORT]/TOPIC"
     yield from coding_mistakes(sensor.type, sensor.word_order)
     if sensor.register + sensor.registers > 65536:
         yield "register", "leaves no room for all its registers"
@@ -366,7 +366,7 @@ def _mqtt_mistakes(
     try:
         _, topic = sensor.broker_and_topic()
     except ConfigurationError as error:
-        yield "address", str(error).rpartition(": ")[2]
+        yield "address", error.expected
         return
     if sensor.value and not _PATH.fullmatch(sensor.value):
         yield "value", "must be names and numbers, such as ANALOG.Range1 or sensors[0].distance"

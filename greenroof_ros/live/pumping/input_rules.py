@@ -6,8 +6,8 @@ The caller passes the time of a steady clock (s).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 from greenroof_ros.common.conditions import Problem
@@ -40,37 +40,6 @@ _WETTING = 5e-3
 
 _WAITING, _RECOVERING = AWAITED = "input_waiting", "input_recovering"
 """Codes of an input that breaks no rule, but is awaited or not used yet."""
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What is wrong with an input, by code and values.
-
-    Attributes:
-        code: of the broken rule, see ``msg_defs/conditions.yaml``; empty if it is good.
-        case: which of the code's sentences describes it; empty if there is only one.
-        values: for that sentence, which needs the topic besides.
-        before: what was wrong until now, if it recovers.
-    """
-
-    code: str = ""
-    case: str = ""
-    values: Mapping[str, float | str] = field(default_factory=dict)
-    before: Verdict | None = None
-
-    @property
-    def good(self) -> bool:
-        """Whether the input may be acted on."""
-        return not self.code
-
-    def problem(self, topic: str) -> Problem | None:
-        """Return it with its sentence about a topic; None if it is good."""
-        if self.good:
-            return None
-        before = self.before and self.before.problem(topic)
-        more = {"before": before.sentence} if before else {}
-        cases = [self.case] if self.case else []
-        return Problem.of(self.code, *cases, topic=topic, **self.values, **more)
 
 
 class LevelBounds(NamedTuple):
@@ -232,12 +201,13 @@ class LevelRule:
         moved = max(self._risen, self._fallen)
         self._frozen = self._frozen or moved > self._frozen_movement
 
-    def check(self, now: float, value: float) -> Verdict:
-        """Check a new value (m): whether water can have reached it."""
+    def check(self, now: float, value: float) -> Problem | None:
+        """Check a new value (m): return why water cannot have reached it; None if it can.
+
+        What it returns still lacks the topic.
+        """
         if value > self._bounds.highest:
-            return Verdict(
-                "input_refused", "absurd", {"value": value, "highest": self._bounds.highest}
-            )
+            return Problem.of("input_refused", "absurd", value=value, highest=self._bounds.highest)
         if value != self._value:
             self._risen = self._fallen = 0.0
             self._frozen = False
@@ -246,7 +216,7 @@ class LevelRule:
         passed, self._at = now - self._at, now
         if math.isnan(before):
             self._low, self._high = value - half, value + half
-            return Verdict()
+            return None
         fall, rise = self._bounds.fall(before) * passed, self._bounds.rise(before) * passed
         low, high = self._low - fall, self._high + rise
         self._old_low, self._old_high = self._old_low - fall, self._old_high + rise
@@ -262,24 +232,24 @@ class LevelRule:
             self.displacement += value - before
         self._old_low, self._old_high = low, high
         end = high if value > high else low
-        return Verdict("input_jump", values={
+        return Problem.of("input_jump", **{
             "from": before, "value": value, "time": passed, "expected": max(end, 0.0),
             "tolerance": half,
         })
 
-    def check_frozen(self) -> Verdict:
-        """Check whether the reading is unchanged although the level must have moved."""
+    def check_frozen(self) -> Problem | None:
+        """Return that the reading is unchanged although the level must have moved, if so."""
         if not self._frozen:
-            return Verdict()
-        return Verdict("input_frozen", values={"movement": self._frozen_movement})
+            return None
+        return Problem.of("input_frozen", movement=self._frozen_movement)
 
 
 class InputRules:
     """The rules of one input; after breaking one it must keep all for a time to be good again."""
 
     def __init__(
-        self, now: float, limit: float, recovery: float, *, limit_name: str = "limit",
-        level: LevelRule | None = None,
+        self, now: float, limit: float, recovery: float, *, topic: str = "",
+        limit_name: str = "limit", level: LevelRule | None = None,
     ) -> None:
         """Wait for the first value.
 
@@ -287,20 +257,24 @@ class InputRules:
             now: s.
             limit: greatest age (s).
             recovery: how long all rules must have been kept (s).
+            topic: its full name, for messages.
             limit_name: name of the limit's parameter, for messages.
             level: an additional rule, if the input is a level.
         """
         self._limit = limit
-        self._limit_name = limit_name
+        self._topic, self._limit_name = topic, limit_name
         self._recovery = recovery
         self.level = level
         self._started_at = now
         self._received_at: float | None = None
-        # Verdict on the newest value, or why there is none; and the broken rule to recover from.
-        self._newest = self._broken = Verdict(_WAITING)
+        # What is wrong with the newest value, or why there is none; and what to recover from.
+        self._newest: Problem | None
+        self._newest = self._broken = Problem.of(_WAITING, topic=topic)
         self._good_since: float | None = None
 
-    def receive(self, now: float, value: object, refused: Verdict | None = None) -> Verdict:
+    def receive(
+        self, now: float, value: object, refused: Problem | None = None
+    ) -> Problem | None:
         """Receive a value, and check it.
 
         Args:
@@ -310,58 +284,60 @@ class InputRules:
         """
         self.check(now)  # the input may have been silent until now
         self._received_at = now
-        if refused:
+        if refused is not None:
             self._newest = refused
         elif self.level is not None and isinstance(value, float):
             self._newest = self.level.check(now, value)
         else:
-            self._newest = Verdict()
+            self._newest = None
         return self.check(now)
 
-    def refuse(self, now: float, why: str) -> Verdict:
+    def refuse(self, now: float, why: str) -> Problem | None:
         """Refuse the newest value, because its reader cannot use it."""
-        self._newest = Verdict("input_refused", "refused", {"why": why})
+        self._newest = Problem.of("input_refused", "refused", why=why)
         return self.check(now)
 
     def clear(self, seconds: float) -> None:
         """Forget all values, because this process itself was paused for this long (s)."""
         if self._received_at is not None:
             self._received_at = None
-            self._newest = Verdict("input_paused", values={"time": seconds})
+            self._newest = Problem.of("input_paused", time=seconds)
 
-    def check(self, now: float, publishers: str = "") -> Verdict:
-        """Return whether the input may be acted on, and why not.
+    def check(self, now: float, publishers: str = "") -> Problem | None:
+        """Return why the input must not be acted on; None if it may be.
 
         Args:
             now: s.
             publishers: what is wrong with them; empty if there is only one.
         """
-        verdict = self._broken_rule(now, publishers)
-        if not verdict.good:
-            self._broken, self._good_since = verdict, None
-            return verdict
+        problem = self._broken_rule(now, publishers)
+        if problem is not None:
+            self._good_since = None
+            self._broken = replace(problem, values={**problem.values, "topic": self._topic})
+            return self._broken
         if self._good_since is None:
             self._good_since = now
-        if now - self._good_since < self._recovery:
-            first = self._broken.code == _WAITING
-            return Verdict(
-                _RECOVERING, "first" if first else "again", {"time": self._recovery},
-                None if first else self._broken,
-            )
-        return verdict
+        if now - self._good_since >= self._recovery:
+            return None
+        if self._broken.code == _WAITING:
+            return Problem.of(_RECOVERING, "first", topic=self._topic, time=self._recovery)
+        return Problem.of(
+            _RECOVERING, "again", topic=self._topic, time=self._recovery, before=self._broken
+        )
 
-    def _broken_rule(self, now: float, publishers: str) -> Verdict:
+    def _broken_rule(self, now: float, publishers: str) -> Problem | None:
         """Return the first rule that is broken now, ignoring recovery."""
         if publishers:
-            return Verdict("input_publishers", values={"problem": publishers})
+            return Problem.of("input_publishers", problem=publishers)
         if self._received_at is None:
-            if self._newest.code == _WAITING and now - self._started_at > _START_S:
-                return Verdict("input_silent", "never")
+            waiting = self._newest is not None and self._newest.code == _WAITING
+            if waiting and now - self._started_at > _START_S:
+                return Problem.of("input_silent", "never")
             return self._newest
         if now - self._received_at > self._limit:
-            return Verdict(
-                "input_silent", "old", {"limit": self._limit, "parameter": self._limit_name}
+            return Problem.of(
+                "input_silent", "old", limit=self._limit, parameter=self._limit_name
             )
-        if self._newest.good and self.level is not None:
+        if self._newest is None and self.level is not None:
             return self.level.check_frozen()
         return self._newest

@@ -1,46 +1,30 @@
-"""The inputs of the pump node: one row each.
+"""The inputs of the pump node, one row each, and everything that its control knows at a step.
 
-A new input is a row here, its topic with its greatest age in ``msg_defs/topics.yaml``, and its
-conditions in ``msg_defs/conditions.yaml``.
+A new input is a row and a field here, its topic with its greatest age in ``msg_defs/topics.yaml``,
+and its conditions in ``msg_defs/conditions.yaml``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from greenroof_ros.common.conditions import Problem
-from greenroof_ros.common.parameter import Parameter
-
-Rule = Callable[[float, Mapping[str, Any], Collection[str]], Problem | None]
 
 
 class PumpInput(NamedTuple):
     """An input of the pump node.
 
     Attributes:
-        name: what it is; without a rule, a field of
-            :class:`greenroof_ros.live.pumping.pump_control.Observation`, which decides about it.
+        name: what it is: a field of :class:`Observation`.
         topic: in the interface.
         unknown: code of the interlock while it is not known; empty if the pump runs without it.
-        rule: returns the reason against running now, if there is one; None for no rule. It is given
-            the value, the values of the node's parameters, and the codes of the interlocks that are
-            active, so that it can have a hysteresis.
-        parameters: of the rule.
-        declared_by: the parameter among these that says whether the site has the input: a silent
-            sensor must not count as absent. Empty: every site has it.
     """
 
     name: str
     topic: str
     unknown: str = ""
-    rule: Rule | None = None
-    parameters: tuple[Parameter, ...] = ()
-    declared_by: str = ""
-
-    def is_at(self, values: Mapping[str, Any]) -> bool:
-        """Return whether a site has it, by the values of the node's parameters."""
-        return not self.declared_by or bool(values[self.declared_by])
 
 
 INPUTS = (
@@ -50,5 +34,38 @@ INPUTS = (
     PumpInput("frost", "/weather/frost", "frost_unknown"),
     PumpInput("flow", "/pump/meter"),
 )
-IN_LOOP = tuple(row for row in INPUTS if row.unknown and not row.declared_by)
-"""Those that a simulated plant, its weather and its controller publish."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Everything known at a step; None means unknown or too old.
+
+    Attributes:
+        command: share of the maximum flow, as received.
+        cistern_level: m.
+        roof_level: m.
+        displacements: how far jumps that water cannot cause have moved both readings so far (m).
+        frost: 0 if there is none.
+        time_ns: time at the site (ns since 1970): system time if live, else simulated time.
+        speed: speed of the drive, share of the rated speed.
+        flow: from a flow meter (m3/s).
+        drive_flow: from the drive itself (m3/s).
+        drive_ready: whether the drive runs, or would run if asked to.
+        drive_fault: the drive's fault, as text; empty if there is none.
+        runs_on: whether that fault is that the drive does not obey a stop.
+        reasons: the pump node's own reasons against running.
+    """
+
+    command: float | None = None
+    cistern_level: float | None = None
+    roof_level: float | None = None
+    displacements: tuple[float, float] = (0.0, 0.0)
+    frost: float | None = None
+    time_ns: int | None = None
+    speed: float | None = None
+    flow: float | None = None
+    drive_flow: float | None = None
+    drive_ready: bool = False
+    drive_fault: str = ""
+    runs_on: bool = False
+    reasons: Sequence[Problem] = ()

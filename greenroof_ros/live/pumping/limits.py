@@ -13,6 +13,7 @@ from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter, entry, parameters_of
 from greenroof_ros.common.times import to_people
+from greenroof_ros.live.pumping.inputs import Observation
 from greenroof_ros.live.pumping.ledger import DAY_S, Ledger
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.pump_speed import flow_at, speed_for
@@ -217,21 +218,16 @@ class PumpLimits:
             self._on_for = 0.0
             self._rests_for = max(0.0, self._rests_for - dt)
 
-    def reasons(
-        self, command: float | None, cistern_level: float | None, roof_level: float | None,
-        frost: float | None, time_ns: int | None,
-    ) -> Iterator[Problem]:
+    def reasons(self, command: float | None, observed: Observation) -> Iterator[Problem]:
         """Yield the reasons against running now; must be called at every step.
 
         Args:
             command: share of the maximum flow; 0 ends the rest after the longest run, None (no
                 good command) does not.
-            cistern_level: m; None if unknown.
-            roof_level: m; None if unknown.
-            frost: 0 if there is none; None if unknown.
-            time_ns: time at the site (ns since 1970); None if unknown.
+            observed: what is known.
         """
         settings, record = self._settings, self._ledger.record
+        cistern_level, time_ns = observed.cistern_level, observed.time_ns
         if cistern_level is None:
             yield Problem.of("cistern_level_unknown")
         else:
@@ -241,11 +237,11 @@ class PumpLimits:
             self._dry = cistern_level <= least
             if self._dry:
                 yield Problem.of("cistern_low", level=cistern_level, least=least)
-        if roof_level is None:
+        if observed.roof_level is None:
             yield Problem.of("roof_level_unknown")
-        if frost is None:
+        if observed.frost is None:
             yield Problem.of("frost_unknown")
-        elif frost:
+        elif observed.frost:
             yield Problem.of("frost")
         if (quiet := self._site.quiet) is not None:
             if time_ns is None:

@@ -15,6 +15,7 @@ from greenroof_ros.common.conditions import (
 )
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Dose, Doses
+from greenroof_ros.live.pumping.inputs import Observation
 from greenroof_ros.live.pumping.interlocks import evaluate
 from greenroof_ros.live.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
@@ -30,41 +31,6 @@ _GREATEST_LEVEL = 100.0
 _FAILED_STARTS = 3
 # The state of a pump that is kept off, by the kind of the first active interlock.
 _STATES = {LATCHED: "fault", INHIBIT: "held", PERMISSIVE: "off"}
-
-
-@dataclass(frozen=True)
-class Observation:
-    """Everything known at a step; None means unknown or too old.
-
-    Attributes:
-        command: share of the maximum flow, as received.
-        cistern_level: m.
-        roof_level: m.
-        displacements: how far jumps that water cannot cause have moved both readings so far (m).
-        frost: 0 if there is none.
-        time_ns: time at the site (ns since 1970): system time if live, else simulated time.
-        speed: speed of the drive, share of the rated speed.
-        flow: from a flow meter (m3/s).
-        drive_flow: from the drive itself (m3/s).
-        drive_ready: whether the drive runs, or would run if asked to.
-        drive_fault: the drive's fault, as text; empty if there is none.
-        runs_on: whether that fault is that the drive does not obey a stop.
-        reasons: the pump node's own reasons against running.
-    """
-
-    command: float | None = None
-    cistern_level: float | None = None
-    roof_level: float | None = None
-    displacements: tuple[float, float] = (0.0, 0.0)
-    frost: float | None = None
-    time_ns: int | None = None
-    speed: float | None = None
-    flow: float | None = None
-    drive_flow: float | None = None
-    drive_ready: bool = False
-    drive_fault: str = ""
-    runs_on: bool = False
-    reasons: Sequence[Problem] = ()
 
 
 @dataclass(frozen=True)
@@ -279,10 +245,7 @@ class PumpControl:
             missing.append(Problem.of("drive_not_ready"))
         active = evaluate([
             *self._faults(drive_dt, observed, backwards, undelivered),
-            *self._limits.reasons(
-                1.0 if dosed else command, observed.cistern_level, observed.roof_level,
-                observed.frost, observed.time_ns,
-            ),
+            *self._limits.reasons(1.0 if dosed else command, observed),
             *observed.reasons, *missing,
         ])
         setpoint = None
@@ -433,9 +396,9 @@ class PumpControl:
 
         Also the other reasons that the ledger keeps: a hold, and an unreadable record.
         """
-        failed_start = next((
-            reason.sentence for reason in observed.reasons if reason.code == "start_failed"
-        ), "")
+        failed_start = next(
+            (reason for reason in observed.reasons if reason.code == "start_failed"), None
+        )
         if failed_start and self._setpoint is not None:
             self._failed_starts += 1
         if observed.speed is not None:  # a short silence does not reset the timer
@@ -452,7 +415,7 @@ class PumpControl:
             ))
         if self._failed_starts >= _FAILED_STARTS:
             found.append(Problem.of(
-                "speed_not_followed", "starts", starts=self._failed_starts, why=failed_start
+                "speed_not_followed", "starts", starts=self._failed_starts, why=failed_start or ""
             ))
         if observed.drive_fault:
             found.append(drive_fault(observed.drive_fault, observed.runs_on))

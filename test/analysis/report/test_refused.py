@@ -168,7 +168,7 @@ def test_without_the_extra(tmp_path: Path, missing: str) -> None:
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment(0), capture_output=True,
-        text=True, timeout=60, check=False,
+        text=True, timeout=300, check=False,
     )
     assert done.returncode == 2, done.stderr
     assert "install greenroof_ros with its extra [study]" in done.stderr

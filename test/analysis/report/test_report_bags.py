@@ -51,7 +51,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.recording.bag_writer import BagWriter
-from greenroof_ros.recording.trajectory import Trajectory, read_parquet
+from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
 
 TOTAL = "total_deviation_m3"
 
@@ -64,10 +64,11 @@ def test_parquet(tmp_path: Path) -> None:
     random, file = np.random.default_rng(1), tmp_path / "file"
     columns = random.integers(-(2**63), 2**63, size=(len(NAMES), 500)).view(np.float64)
     columns[:, :3] = [-0.0, np.nan, np.inf]
+    columns[NAMES.index("time")] = np.arange(500.0)  # a table has times of the calendar, too
     written = Trajectory(start=START, **dict(zip(NAMES, columns, strict=True)))
     whole = written.to_parquet()
     file.write_bytes(whole)
-    again = read_parquet(file)
+    again = read_trajectory(file)
     assert again.start.isoformat() == START.isoformat()
     for name in NAMES:
         bits = (getattr(some, name).view(np.int64) for some in (again, written))
@@ -79,7 +80,7 @@ def test_parquet(tmp_path: Path) -> None:
         contents.append(file.read_bytes())
     for content in contents:
         file.write_bytes(content)
-        refusal(read_parquet, file, match="is empty, truncated or not a trajectory")
+        refusal(read_trajectory, file, match="is empty, truncated or not a trajectory")
 
 
 # --- foreign bags --------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +24,7 @@ from inputs import (
 )
 from places import CONFIG
 
+import greenroof_ros as gr
 from greenroof_ros.analysis.report.page import render
 
 WEIGHTS = ("0.00001", "0.0001", "0.001", "0.01", "0.1")
@@ -305,13 +307,16 @@ def test_legend_switches_a_run_off_and_on(page: Any) -> None:
 
 def test_wheel_scrolls_and_zooms_with_shift(page: Any) -> None:
     """A figure under the pointer does not stop the page from scrolling."""
-    panel = "trajectories-1-2-panel-1"
+    panel, start = "trajectories-1-2-panel-1", 1_625_623_200_000  # 2021-07-07T02:00Z
     canvas = page.locator(f"#{panel} canvas")
     canvas.scroll_into_view_if_needed()
 
     def domain() -> list[float]:
         settle(page)
-        return page.evaluate(f"window.reportViews.get('{panel}').scale('x').domain()")
+        times = page.evaluate(
+            f"window.reportViews.get('{panel}').scale('x').domain().map(Number)"
+        )
+        return [(time - start) / 3.6e6 for time in times]
 
     canvas.hover(position={"x": 250, "y": 100})
     place = page.evaluate("window.scrollY")
@@ -462,6 +467,22 @@ def test_runs(browser: Any, tmp_path: Path) -> None:
         result_in_sight(page)
     with opened(browser, reported(tmp_path, *names), 1400) as page:
         readable(page)
+
+
+def test_simulations_overlaid(browser: Any, tmp_path: Path) -> None:
+    """Five controllers in one panel for each quantity; page and files are at most 1400 px wide."""
+    names = ("onoff", "mpc", "lookahead", "anticipating_onoff", "examples.rain_wait:RainWait")
+    saved = [gr.simulate(name, hours=1).save(tmp_path / name[:9]) for name in names]
+    with opened(browser, reported(tmp_path, *(path.name for path in saved)), 1400) as page:
+        readable(page)
+        for number in range(1, 5):
+            lines = page.evaluate(f"marks('trajectories-1-1-panel-{number}', 'line').length")
+            assert lines == 5
+        assert page.locator("#trajectories-1-1 canvas").count() == 4
+    for figure in figures_of(report_of(*saved)).values():
+        figure.save(tmp_path)
+        width, _ = struct.unpack(">II", (tmp_path / f"{figure.name}.png").read_bytes()[16:24])
+        assert width <= 2 * 1400, figure.name  # two pixels to a px
 
 
 def test_a_study_is_readable_at_any_width(page: Any) -> None:

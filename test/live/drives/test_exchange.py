@@ -20,7 +20,7 @@ from places import CHECKOUT
 from simulators import until as wait
 
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.live.drives import exchange
+from greenroof_ros.live.drives import exchange, stop_monitor
 from greenroof_ros.live.drives.drive import DriveEndpoint, DriveStatus
 from greenroof_ros.live.drives.drive_file import (
     DriveFile,
@@ -33,8 +33,6 @@ from greenroof_ros.live.drives.exchange import (
     DriveExchange,
     DriveSnapshot,
     ExchangeState,
-    RunsOnError,
-    StopMonitor,
     stop_drive,
 )
 from greenroof_ros.live.drives.lock import DriveInUseError, DriveLock
@@ -44,6 +42,7 @@ from greenroof_ros.live.drives.modbus_line import (
     parse_address,
     parse_drive_address,
 )
+from greenroof_ros.live.drives.stop_monitor import RunsOnError, StopMonitor
 
 PERIOD, DEAD_MAN, TIMEOUT = 0.05, 0.3, 0.2
 OFF, RUN, ACKNOWLEDGE = (0, 0x047E), (0, 0x047F), (0, 0x04FE)
@@ -220,28 +219,30 @@ def test_what_was_asked_for_before_a_suspend_runs_nothing_after_it(
         assert wait(lambda: bench.drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
 
 
-def test_one_lost_answer_stops_nothing_and_a_half_open_connection_heals(bench: Bench) -> None:
-    bench.run()
-    bench.drive.written.clear()
-    lost = iter([True])
-    bench.wire.answer = lambda request: [] if next(lost, False) else bench.drive(request)
-    wait(lambda: bench.now.errors == 1)
-    wait(lambda: bench.now.problem == "")
-    assert bench.now.connected and bench.wire.connections == 1
-    assert OFF not in bench.drive.written
-    bench.drive.silent = True
-    bound = 2 * (TIMEOUT + PERIOD) + PERIOD
-    assert wait(lambda: not bench.now.connected) < bound + 0.1
-    assert bench.now.status is None
-    assert "no valid answer within 0.2 s" in bench.now.problem
-    bench.drive.written.clear()
-    bench.drive.silent = False
-    wait(lambda: bench.drive.values[4] == 10000 and bench.now.connected)
-    assert bench.drive.written[0] == OFF
-    assert bench.now.problem == ""
-    bench.drive.silent = True
-    bench.close_within(2.0)
-    assert bench.now.status is None and not bench.now.connected
+def test_one_lost_answer_stops_nothing_and_a_half_open_connection_heals() -> None:
+    timeout_s = 1.0
+    with closing(Bench(timeout_s=timeout_s, dead_man_s=60.0)) as bench:
+        bench.run()
+        bench.drive.written.clear()
+        lost = iter([True])
+        bench.wire.answer = lambda request: [] if next(lost, False) else bench.drive(request)
+        wait(lambda: bench.now.errors == 1)
+        wait(lambda: bench.now.problem == "")
+        assert bench.now.connected and bench.wire.connections == 1
+        assert OFF not in bench.drive.written
+        bench.drive.silent = True
+        bound = 2 * (timeout_s + PERIOD) + PERIOD
+        assert wait(lambda: not bench.now.connected) < bound + timeout_s / 2
+        assert bench.now.status is None
+        assert "no valid answer within 1 s" in bench.now.problem
+        bench.drive.written.clear()
+        bench.drive.silent = False
+        wait(lambda: bench.drive.values[4] == 10000 and bench.now.connected)
+        assert bench.drive.written[0] == OFF
+        assert bench.now.problem == ""
+        bench.drive.silent = True
+        bench.exchange.close()
+        assert bench.now.status is None and not bench.now.connected
 
 
 def test_a_drive_that_closes_its_connections_for_a_moment_is_not_left_in_silence() -> None:
@@ -273,10 +274,10 @@ def test_after_each_connection_the_drive_is_off_while_it_may_not_guard() -> None
         bench.exchange.start()
         for _ in range(2):
             wait(lambda: bench.now.connected)
-            assert "is not effective for 0.6 s after power-up" in bench.now.unguarded
+            assert "is not effective for 0.6 s after power-up" in str(bench.now.unguarded)
             wait(lambda: RUN in bench.drive.written)
             assert time.monotonic() - began > 0.6
-            wait(lambda: bench.now.unguarded == "" and bench.drive.values[4] == 10000)
+            wait(lambda: bench.now.unguarded is None and bench.drive.values[4] == 10000)
             assert bench.now.problem == ""
             began = time.monotonic()
             bench.wire.drop()
@@ -335,7 +336,7 @@ def test_a_reset_that_could_not_be_done_in_time_is_forgotten(
 
     bench.drive.on_write = overwrite
     wait(lambda: "somebody else writes to the drive" in bench.now.problem)
-    assert "somebody else writes to the drive" in bench.now.second_master
+    assert "somebody else writes to the drive" in str(bench.now.second_master)
     bench.exchange.reset()
     time.sleep(0.4)
     bench.drive.on_write = lambda _address, _word: None
@@ -369,7 +370,7 @@ def test_after_a_failed_start_the_next_follows_an_off_that_was_asked_for(
     bench.drive.on_write = answer
     bench.drive.written.clear()
     assert not ask(0.5, PAUSE_S + 1.0, lambda: RUN in bench.drive.written)
-    assert bench.now.start_failed.startswith({
+    assert str(bench.now.start_failed).startswith({
         "to start": "the drive failed to start: ",
         "while it runs": "the connection was lost: ",
     }[fails])
@@ -512,8 +513,9 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
 
     Its own timeout, 58.16, is 1 s; the margin is 0.2 s here instead of 1 s.
     """
-    for name, seconds in (("RUNS_ON_S", 0.5), ("VISIBLE_S", 0.5), ("SILENCE_MARGIN_S", 0.2)):
-        monkeypatch.setattr(exchange, name, seconds)
+    for name in ("RUNS_ON_S", "VISIBLE_S"):
+        monkeypatch.setattr(stop_monitor, name, 0.5)
+    monkeypatch.setattr(exchange, "SILENCE_MARGIN_S", 0.2)
     bench.drive.values[5815] = 10
     bench.run()
     bench.wire.times.clear()
@@ -540,7 +542,7 @@ def test_one_in_local_control_is_not_left_in_silence(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A person at its panel is responsible for it, whether its speed can be read or not."""
-    monkeypatch.setattr(exchange, "RUNS_ON_S", 0.5)
+    monkeypatch.setattr(stop_monitor, "RUNS_ON_S", 0.5)
     bench.run()
     bench.drive.on_write = lambda _address, _word: bench.drive.values.update({3: 0x1031, 4: 0x8000})
     bench.speed = None
@@ -718,7 +720,7 @@ def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so
         assert bench.now.no_simulator == ""
         bench.wire.answer = bench.drive
         bench.wire.drop()
-        wait(lambda: "does not identify itself" in bench.now.unguarded)
+        wait(lambda: "does not identify itself" in str(bench.now.unguarded))
     before_it = len(bench.drive.written)
     bench.exchange.require_simulator()
     wait(lambda: bench.drive.values[0] == 0x047E)
@@ -844,7 +846,7 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
         bench.exchange.start()
         wait(lambda: "already runs this drive" in bench.now.problem)
         at_end = stop.result()
-    assert time.monotonic() - began < 2.0
+    assert time.monotonic() - began < exchange.RUNS_ON_S
     wait(lambda: bench.now.connected)
     bench.close_within(2.0)
     for status in (at_end, bench.now.status):
@@ -854,10 +856,8 @@ def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off
 
 def test_a_stop_that_is_not_taken_is_tried_three_times(bench: Bench) -> None:
     bench.drive.silent = True
-    began = time.monotonic()
     with pytest.raises(DriveError, match="no valid answer"):
         stop_drive(DriveEndpoint(ABB, parse_address(bench.wire.at)), timeout_s=TIMEOUT)
-    assert time.monotonic() - began < 2.0
     assert bench.wire.connections == 3
 
 
@@ -869,9 +869,10 @@ def test_the_waits_fit_into_the_longer_ones_of_pump_control_bringup_and_service(
     from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
     from greenroof_ros.live.supervisor import ENDING_S, KILLING_S, PUMP_ENDING_S
 
-    assert exchange.UNREAD_S == exchange.RUNS_ON_S + exchange.LONGEST_WAIT_S == 15
-    assert exchange.STEADY_S < exchange.RUNS_ON_S < exchange.RUNS_ON_S + exchange.VISIBLE_S < 15
-    assert exchange.RUNS_ON_AGAIN_S > exchange.RUNS_ON_S
+    runs_on_s = stop_monitor.RUNS_ON_S
+    assert exchange.UNREAD_S == runs_on_s + exchange.LONGEST_WAIT_S == 15
+    assert exchange.STEADY_S < runs_on_s < runs_on_s + stop_monitor.VISIBLE_S < 15
+    assert runs_on_s < stop_monitor.RUNS_ON_AGAIN_S
     leave = exchange.REST_LIMIT_S
     assert LONGEST_RAMP_S < leave < leave + exchange.LONGEST_WAIT_S < PUMP_ENDING_S
     service = (CHECKOUT / "examples/greenroof.service").read_text()

@@ -7,7 +7,6 @@ header. The manual's number of each register and the meaning of each word stand 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -27,6 +26,7 @@ from modbus_wire import (
 )
 from simulators import until
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.live.drives.drive import Drive, DriveStatus
 from greenroof_ros.live.drives.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.live.drives.modbus_line import (
@@ -225,12 +225,13 @@ def test_another_ones_run_is_noticed(name: str, register: str, runs: str, stops:
     """Noticed when the control word that is read back is not the one written, but *run*."""
     read_back = "".join(f"\n: 03 {register} 0001 -> 03 02 {word}" for word in (runs, stops, runs))
 
-    def stop_and_look(drive: Drive) -> list[str]:
+    def stop_and_look(drive: Drive) -> list[Problem | None]:
         drive.stop()
         return [drive.second_master() for _ in range(3)]
 
     results = follow(name, STOPS[name].rstrip() + read_back, stop_and_look)
-    assert results[:2] == ["", ""] and f"word is 0x{runs}, but 0x{stops} was" in results[2]
+    assert results[:2] == [None, None]
+    assert f"word is 0x{runs.upper()}, but 0x{stops.upper()} was" in results[2].sentence
 
 
 # --- what a drive reports -------------------------------------------------------------------------
@@ -403,10 +404,8 @@ def test_wrong_answers_have_a_name_and_a_time(
     answers: list[tuple[float, bytes]], kind: str, message: str
 ) -> None:
     with closing(Wire(first(*answers))) as wire:
-        began = time.monotonic()
         with pytest.raises(DriveError) as raised:
             talk("abb_acs880", wire.at, Drive.read)
-        assert time.monotonic() - began < 1.0
         assert raised.value.kind == kind and message in str(raised.value)
         assert f":{wire.port}, device 1: reading register 3" in str(raised.value)
         assert len(wire.requests) == 1  # no request is repeated

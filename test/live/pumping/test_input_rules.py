@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE
 from places import CHECKOUT
 
+from greenroof_ros.common.conditions import Problem
 from greenroof_ros.live.pumping.input_rules import (
     InputRules,
     LevelBounds,
     LevelRule,
     Movement,
-    Verdict,
     Wetting,
     cistern_bounds,
     expected_movement,
@@ -34,9 +34,9 @@ def level_rule(frozen: float = 0.01, tolerance: float = 0.02) -> LevelRule:
     return LevelRule(TANK, frozen, tolerance)
 
 
-def rule(verdict: Verdict) -> str:
-    """Return the rule that is broken, for codes without their common prefix."""
-    return verdict.code.removeprefix("input_")
+def rule(problem: Problem | None) -> str:
+    """Return the rule that is broken, for codes without their common prefix; empty if none is."""
+    return "" if problem is None else problem.code.removeprefix("input_")
 
 
 def rules_of(values: dict[float, float], rules: InputRules) -> list[str]:
@@ -46,21 +46,24 @@ def rules_of(values: dict[float, float], rules: InputRules) -> list[str]:
 
 def test_a_level_in_another_unit_is_refused() -> None:
     """81 cm is not accepted as 81 m, nor 457 mm on the roof; plausible values continue."""
-    cistern = InputRules(0.0, 5.0, 0.0, level=LevelRule(cistern_bounds(PAPER_SITE), 0.01, 0.02))
+    cistern = InputRules(
+        0.0, 5.0, 0.0, topic="/cistern/level",
+        level=LevelRule(cistern_bounds(PAPER_SITE), 0.01, 0.02),
+    )
     assert rules_of({0.0: 81.0, 1.0: 0.81, 2.0: 81.0, 3.0: 0.81}, cistern) == [
         "refused", "", "refused", "",
     ]
-    problem = cistern.receive(4.0, 81.0).problem("/cistern/level")
+    problem = cistern.receive(4.0, 81.0)
     assert problem is not None and problem.sentence == (
         "/cistern/level is 81 m, but no level here is above 9 m: is its unit wrong?"
     )
     roof = LevelRule(roof_bounds(PAPER_SITE), 0.01, 0.02)
     assert rule(roof.check(0.0, 45.7)) == "refused"
-    assert roof.check(1.0, 0.0457).good
+    assert roof.check(1.0, 0.0457) is None
     assert roof.displacement == 0.0
 
 
-NAN = Verdict("input_refused", "refused", {"why": "nan"})
+NAN = Problem.of("input_refused", "refused", why="nan")
 # What happens at each time (s), and the rule that is then broken, for an input with a limit of 5 s
 # and a recovery of 3 s. None: nothing comes, and the input is only checked.
 COURSES: dict[str, list[tuple[float, str, str]]] = {
@@ -96,22 +99,22 @@ def test_courses_of_an_input(name: str) -> None:
         if event == "pause":
             rules.clear(7.0)
         if event in ("a value", "nan"):
-            verdict = rules.receive(now, 1.0, NAN if event == "nan" else None)
+            problem = rules.receive(now, 1.0, NAN if event == "nan" else None)
         elif event == "unusable":
-            verdict = rules.refuse(now, "it is too short")
+            problem = rules.refuse(now, "it is too short")
         else:
-            verdict = rules.check(now, "has 2 publishers" if event == "2 publishers" else "")
-        assert (rule(verdict), verdict.good) == (broken, not broken), now
+            problem = rules.check(now, "has 2 publishers" if event == "2 publishers" else "")
+        assert rule(problem) == broken, now
 
 
 def test_what_is_said_until_it_is_used() -> None:
     """After the first value only that it came; later also the fault before it."""
-    rules = InputRules(0.0, limit=5.0, recovery=3.0, limit_name="level_limit")
+    rules = InputRules(0.0, limit=5.0, recovery=3.0, topic="/x", limit_name="level_limit")
     rest = "; used after 3 s of good values (recovery_time)"
     for now, words in (
         (1.0, "/x received"), (20.0, "/x is older than 5 s (level_limit); now good"),
     ):
-        problem = rules.receive(now, 1.0).problem("/x")
+        problem = rules.receive(now, 1.0)
         assert problem is not None and problem.sentence == f"{words}{rest}"
 
 
@@ -123,15 +126,16 @@ def test_frozen() -> None:
     level = level_rule(frozen=0.01)
     rules = InputRules(0.0, limit=5.0, recovery=0.0, level=level)
     for second in range(5):
-        assert rules.receive(float(second), 1.5).good
+        assert rules.receive(float(second), 1.5) is None
         level.expect(Movement(0.0, 0.0), 1.0)
         level.expect(Movement(-0.003, -0.002), 1.0)
-    assert rules.receive(5.0, 1.5).good  # 1 cm is not more than 1 cm
+    assert rules.receive(5.0, 1.5) is None  # 1 cm is not more than 1 cm
     level.expect(Movement(-0.0002, -0.0001), 1.0)
-    verdict = rules.receive(6.0, 1.5)
-    assert (rule(verdict), verdict.values["movement"]) == ("frozen", 0.01)
+    problem = rules.receive(6.0, 1.5)
+    assert problem is not None
+    assert (rule(problem), problem.values["movement"]) == ("frozen", 0.01)
     assert rule(rules.receive(7.0, 1.5)) == "frozen"  # the pump now stands, and so does the level
-    assert rules.receive(8.0, 1.4999).good
+    assert rules.receive(8.0, 1.4999) is None
 
 
 HOUR_S, DAY_S = 3600.0, 86400.0
@@ -165,7 +169,7 @@ def frozen_after(
         )
         for tank, (level, movement) in enumerate(zip(levels, movements, strict=True)):
             level.expect(movement, step)
-            if found[tank] is None and not level.check_frozen().good:
+            if found[tank] is None and level.check_frozen() is not None:
                 found[tank] = (now + step) / HOUR_S
     return found
 
@@ -306,11 +310,11 @@ def test_true_water_with_noise_never_jumps(
     """Any water within its speeds, read with an error of less than half the tolerance."""
     rules = InputRules(0.0, 1e9, 0.0, level=level_rule(frozen=1e9))
     now, level = 0.0, start
-    assert rules.receive(now, level).good
+    assert rules.receive(now, level) is None
     for passed, share, error in steps:
         now += passed
         level += passed * (0.001 if share > 0 else 0.002) * share
-        assert rules.receive(now, level + 0.0099 * error).good
+        assert rules.receive(now, level + 0.0099 * error) is None
 
 
 def test_speeds_of_the_paper_s_site() -> None:

@@ -1,4 +1,4 @@
-"""The controller of a controller node, and what is the same in a simulation and on a live site."""
+"""The parameters of a controller's node, which make the controller, and the node's help."""
 
 from __future__ import annotations
 
@@ -7,17 +7,13 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
 from greenroof_ros.graph.executable import node_help
-from greenroof_ros.graph.graph_node import GraphNode
-from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.model.site import Site
 
@@ -25,18 +21,17 @@ from greenroof_ros.model.site import Site
 _CHANGES = 50
 
 
-class NodeController:
+class ControllerParameters:
     """A controller made from the parameters of its node, which may change in a run if they say so.
 
     Attributes:
-        choice: which controller it is.
         controller: the controller.
     """
 
     def __init__(
-        self, node: GraphNode, choice: ControllerChoice, site: Site, tick: Callable[[], int]
+        self, node: Node, choice: ControllerChoice, site: Site, tick: Callable[[], int]
     ) -> None:
-        """Declare its parameters, and open the topics of the command and its optional outputs.
+        """Declare the parameters, and make the controller.
 
         Args:
             node: the node.
@@ -44,52 +39,28 @@ class NodeController:
             site: the site.
             tick: returns the present tick.
         """
-        self.choice = choice
-        self._node, self._site, self._tick = node, site, tick
+        self._node, self._choice, self._site, self._tick = node, choice, site, tick
         self._values = declare(node, choice.parameters_on(site))
         self.controller: Any = None
         self.make()
         # Limited, since each report has them, and a program may change a parameter in each tick.
         self._changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES)
         self._change_count = 0
-        self._optional = list(optional_topics(choice.outputs))
-        node.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
         node.add_on_set_parameters_callback(self._on_parameters)
 
     def make(self) -> None:
         """Make the controller, with the present values of its parameters."""
-        self.controller = self.choice.make(self._site, self._values)
-
-    def rain_forecast(self, rain: Input) -> Any:
-        """Return the forecast of rain in the shape that the controller takes.
-
-        Raises:
-            ConfigurationError: it has several members, and the controller takes one.
-        """
-        if self.choice.ensemble:
-            return np.atleast_2d(rain.value)
-        if isinstance(rain.value, np.ndarray):
-            raise ConfigurationError(
-                f"has {len(rain.value)} members, but {self.choice.name} takes one; set "
-                "all_members of the weather node to false", key=rain.name,
-            )
-        return rain.value
-
-    def publish_outputs(self, *, decided: bool) -> None:
-        """Publish the optional outputs; without a decision, each topic's value for that case."""
-        for topic, attribute in self._optional:
-            value = getattr(self.controller, attribute) if decided else topic.undecided
-            self._node.publish(topic.name, value)
+        self.controller = self._choice.make(self._site, self._values)
 
     def changes(self) -> dict[str, Any]:
-        """Return the changes of its parameters, for reports."""
+        """Return the changes of the parameters, for reports."""
         return {
             "parameter_changes": list(self._changes), "parameter_change_count": self._change_count,
         }
 
     def _on_parameters(self, changes: list[RosParameter]) -> SetParametersResult:
         may_change = {
-            parameter.name for parameter in self.choice.kind.parameters if parameter.may_change
+            parameter.name for parameter in self._choice.kind.parameters if parameter.may_change
         }
         tick = self._tick()
         for name, value in (
@@ -113,22 +84,24 @@ def _finite(value: float) -> float | None:
 
 
 def controller_help(
-    controller: str | None, *, purpose: str | None, common: list[Parameter], live: bool = False
+    controller: str | None, *, module: str, purpose: str | None, common: list[Parameter],
+    help_of: Callable[..., str] = node_help,
 ) -> str:
     """Return the help of a controller's node.
 
     Args:
         controller: a registered name, or ``package.module:Class``; None if it is missing.
+        module: the node's module in this package.
         purpose: what the node does.
         common: the node's own parameters, without the controller's.
-        live: whether it is a node of a live site.
+        help_of: returns the help of a node of its kind; see :func:`node_help`.
     """
     choice = None if controller is None else find_controller(controller)
     name, declared = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
     start = f"-p {declared[0].name}:={declared[0].default}" if declared else "--params-file FILE"
-    return node_help(
-        f"{'live' if live else 'nodes'}.controller --controller {name}", "controller",
+    return help_of(
+        f"{module} --controller {name}", "controller",
         f"{purpose}\nRegistered controllers: {', '.join(controller_names())}.",
         lambda _: [*common, *declared], f"--ros-args {start}",
-        () if choice is None else choice.outputs, live=live,
+        () if choice is None else choice.outputs,
     )

@@ -1,0 +1,146 @@
+"""What may be a controller in Python: a name, a class, an instance, or a function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from datetime import datetime, timedelta
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.protocol import Controller
+from greenroof_ros.controllers.registry import ControllerChoice, choice_of, find_controller
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON
+from greenroof_ros.model.site import Site
+
+Values = NDArray[np.float64]
+
+
+class SiteState(NamedTuple):
+    """The state of a site at a tick."""
+
+    time: datetime
+    """of the tick, with its offset from UTC"""
+    cistern_level: float
+    """m"""
+    roof_level: float
+    """m"""
+    site: Site
+    """the site's parameters, such as ``z_veg``, the target of the roof's level (m)"""
+
+    @property
+    def cistern(self) -> float:
+        """Volume in the cistern (m3)."""
+        return self.site.cistern_volume(self.cistern_level)
+
+    @property
+    def roof(self) -> float:
+        """Volume on the roof (m3)."""
+        return self.site.roof_volume(self.roof_level)
+
+
+class ForecastSteps(NamedTuple):
+    """A forecast in steps, the first from now on; the means over each step."""
+
+    rain: Values
+    """m/s, shape (steps,)"""
+    evapotranspiration: Values
+    """off the whole bed (m3/s), shape (steps,)"""
+    ends: Values
+    """ends of the steps (s from now), the first 0, shape (steps + 1,); step i lasts from
+    ``ends[i]`` to ``ends[i + 1]``"""
+
+
+Function = Callable[[SiteState, ForecastSteps], float]
+"""A controller: returns the command, the share of the pumps' maximum flow (1)."""
+
+
+class FunctionController:
+    """A controller that calls a function; a subclass has the function."""
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter(
+        "horizon", 24.0, "h", 0.1, LONGEST_HORIZON, "how far the forecast reaches, in growing steps"
+    ),)
+    function: ClassVar[Function]
+    forecast_ends: Values
+
+    def __init__(self, site: Site, horizon: float) -> None:
+        self._site = site
+        self._tick = -1
+        self.forecast_ends = np.empty(0)
+        self.start: datetime
+        """of the run; is set before it"""
+
+    def command(
+        self,
+        cistern_level: float,
+        roof_level: float,
+        precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Return what the function returns, as a number if it is one."""
+        self._tick += 1
+        time = self.start + timedelta(seconds=self._tick * self._site.tau)
+        value = type(self).function(
+            SiteState(time, cistern_level, roof_level, self._site),
+            ForecastSteps(
+                np.asarray(precipitation), np.asarray(evapotranspiration), self.forecast_ends
+            ),
+        )
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            return value  # is refused, and named
+
+    def skip(self) -> None:
+        """Count the tick, in which the pump may not run."""
+        self._tick += 1
+
+    def statistics(self) -> None:
+        """Return nothing: it has no solver."""
+
+
+def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | None]:
+    """Return the choice of a controller, and the instance if it is one.
+
+    Args:
+        controller: a registered name, ``package.module:Class``, a class, an instance, or a function
+            of a :class:`SiteState` and :class:`ForecastSteps`.
+
+    Raises:
+        ConfigurationError: it is none of these.
+    """
+    if isinstance(controller, str):
+        return find_controller(controller), None
+    if isinstance(controller, type):
+        return choice_of(controller), None
+    if hasattr(controller, "command"):
+        return choice_of(type(controller)), controller
+    if not callable(controller):
+        raise ConfigurationError(
+            "must be a name, a class, an instance, or a function of (state, forecast)",
+            key="controller", value=controller,
+        )
+    name = getattr(controller, "__name__", type(controller).__name__).strip("<>")
+    members = {"function": staticmethod(controller), "__module__": controller.__module__}
+    return choice_of(type(name, (FunctionController,), members)), None
+
+
+def parameters_of(instance: Controller, choice: ControllerChoice) -> dict[str, float]:
+    """Return the parameters that an instance has as attributes.
+
+    Raises:
+        ConfigurationError: it has a parameter ``horizon``, but not as an attribute.
+    """
+    values = {
+        name: getattr(instance, name) for name in choice.parameters if hasattr(instance, name)
+    }
+    if "horizon" in choice.parameters and "horizon" not in values:
+        raise ConfigurationError(
+            "must have its parameter horizon as an attribute, or its forecast's length is not "
+            "known; or give the class, and horizon=", key=f"an instance of {choice.name}",
+        )
+    return values

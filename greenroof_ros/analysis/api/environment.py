@@ -1,0 +1,144 @@
+"""A run whose commands come from outside, step by step."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from datetime import timedelta
+from typing import Any
+
+import numpy as np
+
+from greenroof_ros.analysis.api.control import ForecastSteps, FunctionController, SiteState
+from greenroof_ros.analysis.api.inputs import make_run
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.registry import choice_of
+from greenroof_ros.experiment.closed_loop import Tick, open_loop
+from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.model.look_ahead import look_ahead_ends
+from greenroof_ros.model.metrics import Metrics
+
+
+class Environment:
+    """A site and its weather; a program gives the command of each tick.
+
+    In frost and in quiet hours the command acts as 0.
+
+    Example:
+        >>> import greenroof_ros as gr
+        >>> roof = gr.Environment(hours=2)
+        >>> while not roof.done:
+        ...     command = 1.0 if roof.state.roof_level < roof.site.z_veg else 0.0
+        ...     tick = roof.step(command)
+        >>> round(roof.metrics["total_deviation_m3"], 1)
+        59.3
+
+    Attributes:
+        site: its parameters.
+        state: time and levels now.
+        done: whether the run has ended; :meth:`reset` begins it again.
+    """
+
+    state: SiteState
+    done: bool
+
+    def __init__(self, **inputs: Any) -> None:
+        """Begin a run.
+
+        Args:
+            inputs: of :func:`.simulate`, without the controller; and ``horizon``, how far the
+                forecasts reach (h).
+
+        Raises:
+            ConfigurationError: an input is wrong.
+        """
+        self._run = make_run(choice_of(FunctionController), **inputs)
+        self.site = self._run.site
+        self._ends = look_ahead_ends(self.site, self._run.parameters["horizon"])
+        self.reset()
+
+    def reset(self, seed: int | None = None) -> SiteState:
+        """Begin the run again, and return the state.
+
+        Args:
+            seed: of the errors of forecasts that have errors; as before if None.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> roof = gr.Environment(hours=1)
+            >>> roof.step(0.0) and roof.reset().time.isoformat()
+            '2021-07-07T02:00:00-05:00'
+        """
+        if seed is not None:
+            run = self._run
+            choice = replace(run.forecast_choice, seed=seed)
+            self._run = replace(run, forecast_choice=choice, forecast=make_forecast(
+                run.weather, run.series, self.site, run.start, run.parameters["horizon"], choice
+            ))
+        self._metrics = Metrics()
+        self._loop = open_loop(self._run, self._metrics)
+        self.done = False
+        self._next()
+        return self.state
+
+    def step(self, command: float) -> Tick:
+        """Run a tick with a command, and return what happened in it.
+
+        Args:
+            command: share of the pumps' maximum flow (1), finite and not negative.
+
+        Raises:
+            ConfigurationError: the command is wrong, or the run has ended.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> tick = gr.Environment(hours=1).step(0.5)
+            >>> tick.k, tick.command, round(1000 * tick.flows.pump, 2)
+            (0, 0.5, 4.18)
+        """
+        if self.done:
+            raise ConfigurationError("has ended; reset() begins it again", key="the run")
+        if not 0 <= command < math.inf:
+            raise ConfigurationError(
+                "must be a finite number, not negative", key="command", value=command
+            )
+        tick: Tick = self._loop.send(float(command))
+        self._next()
+        return tick
+
+    def _next(self) -> None:
+        """See what the next tick begins with; the last one has only this."""
+        self._k, cistern, roof = next(self._loop)
+        time = self._run.start + timedelta(seconds=self._k * self.site.tau)
+        self.state = SiteState(time, cistern, roof, self.site)
+        self.done = self._k == self._run.steps
+
+    @property
+    def forecast(self) -> ForecastSteps:
+        """What is known now of the weather that comes.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> forecast = gr.Environment(hours=1, horizon=3).forecast
+            >>> lengths = forecast.ends[1:] - forecast.ends[:-1]
+            >>> print(f"{1000 * forecast.rain @ lengths:.1f} mm of rain in 3 h")
+            3.2 mm of rain in 3 h
+        """
+        forecast = self._run.forecast
+        return ForecastSteps(
+            np.asarray(forecast.precipitation(self._k)),
+            np.asarray(forecast.evapotranspiration(self._k)), self._ends,
+        )
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """The metrics until now, by their names in ``summary.json``.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> roof = gr.Environment(hours=1)
+            >>> _ = roof.step(1.0)
+            >>> roof.metrics["pump_starts"]
+            1
+        """
+        return self._metrics.results()

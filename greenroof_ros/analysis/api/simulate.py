@@ -1,0 +1,185 @@
+"""Simulations from Python: one, and several that are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+from greenroof_ros.analysis.api.control import (
+    Function,
+    FunctionController,
+    choose_controller,
+    parameters_of,
+)
+from greenroof_ros.analysis.api.inputs import PathText, make_run
+from greenroof_ros.analysis.api.result import Result
+from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.controllers.protocol import Controller, set_forecast_ends
+from greenroof_ros.experiment.closed_loop import record
+from greenroof_ros.experiment.simulation import Simulation
+from greenroof_ros.forecast.choice import ForecastChoice
+from greenroof_ros.model.look_ahead import look_ahead_ends
+from greenroof_ros.model.site import Site
+
+if TYPE_CHECKING:
+    import altair
+    import polars
+
+
+def simulate(
+    controller: str | type | Controller | Function = "mpc",
+    *,
+    site: PathText | Site | None = None,
+    weather: Any = None,
+    start: str | datetime | None = None,
+    hours: float | None = None,
+    forecast: PathText | ForecastChoice = "perfect",
+    initial: str | Sequence[float] | None = None,
+    evapotranspiration: str | None = None,
+    gaps: str = "refuse",
+    **parameters: float,
+) -> Result:
+    """Simulate a run, with the numbers of ``greenroof simulate``; without ROS.
+
+    Args:
+        controller: ``"mpc"``, ``"onoff"``, ``"anticipating_onoff"``, ``"lookahead"`` or another
+            registered name, ``"package.module:Class"``; a class as "Your controller" in the
+            documentation describes it; an instance, which goes on with what it has learned; or a
+            function of (state, forecast) that returns the command, the share of the pumps' maximum
+            flow. ``state`` has time, cistern_level and roof_level (m), cistern and roof (m3), and
+            the site. ``forecast`` has rain (m/s), evapotranspiration (m3/s) and the ends of its
+            steps (s); a function's parameter ``horizon`` (h, 24 by default) is its length.
+        site: a site file or what ``gr.read_site`` returns; by default the paper's.
+        weather: a file, a pattern or several of them, or a data frame of polars or pandas with
+            hourly rows and the columns of such a file: ``time`` (or an index of times),
+            ``precipitation [mm/h]`` and others. By default the paper's.
+        start: time of the first tick, ISO 8601 or a datetime; without an offset from UTC it is in
+            the weather's time zone. By default the paper's window, 2021-07-07T02:00-05:00.
+        hours: length of the run (h); by default N of the site file, 12 h.
+        forecast: ``"perfect"``, ``"persistence"``, ``"errors"``, ``"ensemble"``, the path of
+            archived forecasts, or a ``ForecastChoice`` (``greenroof_ros.forecast.choice``), which
+            also has a seed and a skill.
+        initial: ``"low-low"``, ``"high-low"`` or ``"high-high"``, Table II of the paper, or the
+            volumes in cistern and on the roof (m3). By default from the site file, or low-low.
+        evapotranspiration: ``"fao56"``, ``"hargreaves"``, ``"monthly"``, or the name of the weather
+            file's own column; by default the file's own, otherwise the first of these three for
+            which it has what is needed.
+        gaps: ``"refuse"``, or ``"fill"`` to fill long gaps of the weather.
+        parameters: of the controller, such as ``weight=0.01``.
+
+    Returns:
+        The metrics, the trajectory with a chart of it, and a way to save both.
+
+    Raises:
+        ConfigurationError: an input is wrong; the message says which, and what would be right.
+
+    Example:
+        >>> import greenroof_ros as gr
+        >>> result = gr.simulate("onoff", level=0.9, hours=2)
+        >>> print(f"{result.metrics['pumped_m3']:.2f} m3 pumped")
+        0.43 m3 pumped
+        >>> dry = lambda state, forecast: 1.0 if state.roof_level < 0.04 else 0.0
+        >>> gr.simulate(dry, hours=2).metrics["pump_starts"]
+        2
+    """
+    choice, instance = choose_controller(controller)
+    own = None if instance is None else parameters_of(instance, choice)
+    if own is not None and parameters:
+        raise ConfigurationError(
+            f"cannot be given with an instance of {choice.name}, which has its own",
+            key=", ".join(parameters),
+        )
+    run = make_run(
+        choice, own, site=site, weather=weather, start=start, hours=hours, forecast=forecast,
+        initial=initial, evapotranspiration=evapotranspiration, gaps=gaps, **parameters,
+    )
+    if instance is None:
+        instance = run.make_controller()
+    else:
+        ends = look_ahead_ends(run.site, run.parameters.get("horizon", 0.0))
+        set_forecast_ends(instance, ends)
+    if isinstance(instance, FunctionController):
+        instance.start = run.start
+    simulation = Simulation(run, instance)
+    ticks = record(run, simulation.ticks())
+    return Result(run, simulation.summary(), ticks)
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The results of several controllers.
+
+    Attributes:
+        results: by their names.
+    """
+
+    results: Mapping[str, Result]
+
+    @property
+    def table(self) -> polars.DataFrame:
+        """Their metrics, a row for each: ``controller``, then the names of ``summary.json``.
+
+        Raises:
+            ConfigurationError: polars is not installed.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> table = gr.compare({"on/off": "onoff", "MPC": "mpc"}, hours=0.1).table
+            >>> table["controller", "pump_starts"].rows()
+            [('on/off', 1), ('MPC', 1)]
+        """
+        with in_extra("study"):
+            import polars
+        return polars.DataFrame([
+            {"controller": name, **result.metrics} for name, result in self.results.items()
+        ])
+
+    def plot(self) -> altair.VConcatChart:
+        """Return a chart as :meth:`.Result.plot` does, with a line for each controller.
+
+        Raises:
+            ConfigurationError: altair is not installed.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> chart = gr.compare({"on/off": "onoff", "MPC": "mpc"}, hours=0.1).plot()
+            >>> len(chart.vconcat)
+            4
+        """
+        with in_extra("study"):
+            from greenroof_ros.analysis.report.trajectories import overlaid
+        first = next(iter(self.results.values()))
+        return overlaid(
+            first.run.site, {name: result.ticks for name, result in self.results.items()}
+        )
+
+
+def compare(
+    controllers: Mapping[str, str | type | Controller | Function | Result], **inputs: Any
+) -> Comparison:
+    """Simulate several controllers with the same inputs.
+
+    Args:
+        controllers: each by a name for table and chart. A result is taken as it is, so that
+            parameters can differ.
+        inputs: of :func:`simulate`, for all of them.
+
+    Returns:
+        One table and one chart.
+
+    Raises:
+        ConfigurationError: an input is wrong.
+
+    Example:
+        >>> import greenroof_ros as gr
+        >>> compared = gr.compare({"on/off": "onoff", "fills to 90 %": gr.simulate(
+        ...     "onoff", level=0.9, hours=1)}, hours=1)
+        >>> compared.table["controller", "pump_starts"].rows()
+        [('on/off', 2), ('fills to 90 %', 2)]
+    """
+    return Comparison({
+        name: controller if isinstance(controller, Result) else simulate(controller, **inputs)
+        for name, controller in controllers.items()
+    })

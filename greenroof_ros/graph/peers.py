@@ -1,0 +1,149 @@
+"""The nodes that publish the inputs of a node: which are missing, silent or wrong.
+
+No tick needs this. A node of a simulated graph checks it by the wall clock, before a run and while
+it waits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping
+
+from greenroof_ros.common.interface import Topic
+from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers, list_nodes
+from greenroof_ros.graph.states import ROLES
+
+
+class Peers:
+    """The nodes that publish a node's inputs.
+
+    Attributes:
+        publishers: the publishers of each input, by the topic's name in the interface.
+    """
+
+    def __init__(self, role: str) -> None:
+        """Begin without inputs.
+
+        Args:
+            role: the node's own role in the interface.
+        """
+        self.publishers: dict[str, Publishers] = {}
+        self._role = role
+        self._tolerated: set[str] = set()
+        self._incompatible_since: dict[str, float] = {}
+
+    def add(self, publishers: Publishers, *, tolerates_second: bool = False) -> None:
+        """Add the publishers of an input.
+
+        Args:
+            publishers: the publishers.
+            tolerates_second: whether the node itself handles a second one.
+        """
+        name = publishers.topic.name
+        self.publishers[name] = publishers
+        if tolerates_second:
+            self._tolerated.add(name)
+
+    # --- who is missing ---------------------------------------------------------------------
+
+    def absent(self) -> dict[str, list[str]]:
+        """Return the inputs without a compatible publisher, by missing role."""
+        return self._by_role([
+            name for name, publishers in self.publishers.items() if not publishers.compatible
+        ])
+
+    def _by_role(self, names: Collection[str]) -> dict[str, list[str]]:
+        topics = {name: publishers.topic for name, publishers in self.publishers.items()}
+        return by_role(self._role, topics, names)
+
+    def describe(self, missing: Mapping[str, Iterable[str]]) -> str:
+        """Return a text that names topics, and the nodes that should publish them."""
+        return "; ".join(
+            f"{', '.join(self.publishers[name].full_name for name in names)} from "
+            f"{self.name_of(role)}" for role, names in missing.items()
+        )
+
+    def describe_silent(self, names: Collection[str], interface: Iterable[Topic]) -> str:
+        """Return a text that names the awaited topics of the nodes on which the others wait.
+
+        Args:
+            names: the awaited topics.
+            interface: every topic of the graph.
+        """
+        silent = self._by_role(names)
+        causes = root_causes(silent, interface)
+        return self.describe({role: silent[role] for role in silent if role in causes})
+
+    def name_of(self, role: str) -> str:
+        """Return the name of the node of a role: its node name if it publishes an input here."""
+        nodes = [
+            node for publishers in self.publishers.values() if role in publishers.topic.publishers
+            for node in publishers.names()
+        ]
+        return nodes[0] if nodes else ROLES.get(role, role)
+
+    # --- what is wrong ----------------------------------------------------------------------
+
+    def publishers_of(self, name: str) -> str:
+        """Return the names of the nodes that publish an input, for a sentence."""
+        return list_nodes(self.publishers[name].names(DISCOVERY_S))
+
+    def second(self) -> str:
+        """Return which input has a second publisher, in words; empty if none has."""
+        for name, publishers in self.publishers.items():
+            if name not in self._tolerated and publishers.count > 1 and publishers.compatible > 1:
+                return f"{publishers.full_name} {publishers.second(DISCOVERY_S)}"
+        return ""
+
+    def incompatible(self, now: float) -> Iterator[str]:
+        """Yield a sentence on each input with a publisher incompatible for the discovery time.
+
+        Args:
+            now: steady clock (s).
+        """
+        for publishers in self.publishers.values():
+            problem, name = publishers.incompatible(), publishers.full_name
+            since = self._incompatible_since.setdefault(name, now) if problem else math.inf
+            if not problem:
+                self._incompatible_since.pop(name, None)
+            elif now - since >= DISCOVERY_S:
+                yield f"{name} {problem}"
+
+
+def by_role(
+    own: str, inputs: Mapping[str, Topic], names: Collection[str]
+) -> dict[str, list[str]]:
+    """Return some of a node's inputs, by the role that should publish them.
+
+    If the interface names two roles (plant or pump driver), it is the first that publishes none of
+    the node's other inputs, or else the last.
+
+    Args:
+        own: the node's role.
+        inputs: its inputs, by name in the interface.
+        names: the names of some of them.
+    """
+    present = {own} | {topic.publishers[0] for name, topic in inputs.items() if name not in names}
+    roles: dict[str, list[str]] = {}
+    for name in names:
+        candidates = inputs[name].publishers
+        role = next((role for role in candidates if role not in present), candidates[-1])
+        roles.setdefault(role, []).append(name)
+    return roles
+
+
+def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
+    """Return the silent roles that do not wait for another silent role; if there are none, all.
+
+    Args:
+        roles: the roles from which nothing comes.
+        topics: the interface's topics, which determine which role waits for which.
+    """
+    waiting = {
+        role
+        for topic in topics
+        for role in roles
+        if topic.per_tick and role in topic.subscribers
+        and any(publisher in roles and publisher != role for publisher in topic.publishers)
+    }
+    return set(roles) - waiting or set(roles)

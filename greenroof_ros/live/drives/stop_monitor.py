@@ -1,0 +1,127 @@
+"""Whether a drive obeys *stop*: its speed must fall, whatever it acknowledges."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from greenroof_ros.live.drives.drive import DriveStatus
+from greenroof_ros.live.drives.modbus_line import DriveError
+
+# The least decrease of the speed that counts (share of rated speed).
+SLOWER = 0.005
+# A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), longer
+# than a drive needs to begin its ramp. It is left in silence once the fault was visible for
+# VISIBLE_S (s), longer than the caller's tick, even if a connection breaks meanwhile. Together they
+# are not longer than pump control by default waits for a speed to follow beyond the ramp
+# (follow_time).
+RUNS_ON_S, VISIBLE_S = 10.0, 2.0
+# Least time from a silence that did not help to the next (s): the fault may need a person.
+RUNS_ON_AGAIN_S = 60.0
+
+
+class RunsOnError(DriveError):
+    """A drive runs on after *stop*, and must now be left in silence."""
+
+
+class Deceleration:
+    """The fall of a drive's speed after *stop*."""
+
+    def __init__(self) -> None:
+        self._lowest, self._fell_at = math.inf, -math.inf
+
+    def update(self, status: DriveStatus, now: float) -> float:
+        """Update with a drive's report; return for how long its speed has not fallen (s)."""
+        if abs(status.speed) < self._lowest - SLOWER:
+            self._lowest, self._fell_at = abs(status.speed), now
+        return now - self._fell_at
+
+
+class StopMonitor:
+    """Monitors whether a drive obeys *stop*, across connections that break.
+
+    A drive obeys if its speed falls, however slowly. A drive in local control is left to the
+    person at its panel. All times are of `time.monotonic` (s).
+    """
+
+    def __init__(self, where: str) -> None:
+        """Start without any knowledge of the drive.
+
+        Args:
+            where: the place of the drive, for messages.
+        """
+        self._where = where
+        # The fall since *stop* became the last order; None if the drive runs or is at rest.
+        self._fall: Deceleration | None = None
+        # For how long reports have shown that the speed does not fall, and the time of the last
+        # such report on this connection.
+        self._visible_s, self._reported_at = 0.0, math.inf
+        # Since when *stop* has been written without any speed being read.
+        self._unread_from = math.inf
+        # The number of consecutive connections on which the last *stop* could not be written.
+        self._refusals = 0
+        # End of the last silence because the drive ran on or its speed could not be read; reset
+        # when it comes to rest or runs.
+        self._silent_until = -math.inf
+
+    def stop_written(self, now: float) -> None:
+        """Record that *stop* was written, and is the last order."""
+        self._fall = self._fall or Deceleration()
+        self._unread_from = min(self._unread_from, now)
+
+    def order_changed(self) -> None:
+        """Record that the last order is not *stop*, or may be somebody else's."""
+        self._fall = None
+
+    def speed_read(self) -> None:
+        """Record that the speed was read, or that a person at the panel watches the drive."""
+        self._unread_from = math.inf
+
+    def check(self, status: DriveStatus, now: float) -> DriveStatus:
+        """Return a drive's report, with a fault added if it runs on after *stop*.
+
+        Raises:
+            RunsOnError: the fault has been visible for long enough.
+        """
+        fall, reported_at, self._reported_at = self._fall, self._reported_at, math.inf
+        if fall is None or status.at_rest or not status.remote:
+            self._fall, self._silent_until = None, -math.inf
+            return status
+        steady_s = fall.update(status, now)
+        if steady_s <= RUNS_ON_S:
+            self._visible_s = 0.0
+            return status
+        self._reported_at, self._visible_s = now, self._visible_s + max(0.0, now - reported_at)
+        problem = f"it acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
+        if self._visible_s > VISIBLE_S and now - self._silent_until > RUNS_ON_AGAIN_S:
+            raise RunsOnError("drive", f"{self._where}: {problem} (it is {status.speed:.1%})")
+        fault = "; ".join(filter(None, (status.fault, problem)))
+        return replace(status, fault=fault, timed_out=False, runs_on=True)
+
+    def connection_lost(self, stopped: bool | None, now: float) -> str | None:
+        """Record that the connection was lost.
+
+        Args:
+            stopped: whether the last *stop* was written; None if none was attempted.
+            now: the time.
+
+        Returns:
+            Why the drive must be left in silence, to be added to the problem; None if it need not.
+        """
+        self._reported_at = math.inf
+        if stopped is not None:
+            self._refusals = 0 if stopped else self._refusals + 1
+        unread = now - self._unread_from > RUNS_ON_S
+        if stopped and unread and now - self._silent_until > RUNS_ON_AGAIN_S:
+            return (
+                f"; its speed cannot be read, and for {RUNS_ON_S:g} s it has been unknown whether "
+                "it is at rest, although *stop* is written"
+            )
+        if self._refusals > 1:
+            return "; *stop* could not be written on two successive connections"
+        return None
+
+    def silence_started(self, until: float) -> None:
+        """Record that a silence has started, and when it ends."""
+        if not self._refusals:
+            self._silent_until = until

@@ -1,0 +1,140 @@
+"""Report the state of a node and its parts, on /diagnostics and to the supervisor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+from greenroof_ros.common.conditions import Problem, Value
+from greenroof_ros.graph.reports import Reports, iso
+from greenroof_ros.live.supervision import supervisor_socket
+
+# The levels of a diagnosis, as ROS tools know them.
+OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+# How long the end of a node waits for the supervisor at most (s).
+_FLUSH_S = 1.0
+_LEVELS = {OK: "OK", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The state of a part of a node.
+
+    Attributes:
+        level: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
+        message: a sentence.
+        code: for programs; empty if all is well.
+        cause: the code of the cause; empty if unknown.
+        since: when the present code began, by the system clock (s since 1970).
+        values: what the sentence is made of.
+    """
+
+    level: bytes
+    message: str
+    code: str
+    cause: str
+    since: float
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+    def for_programs(self) -> dict[str, str]:
+        """Return its code, the start of that code (ISO 8601), and its cause; each can be empty."""
+        since = iso(self.since) if self.code else ""
+        return {"code": self.code, "since": since, "cause": self.cause}
+
+
+class LiveReports(Reports):
+    """Reports the state of a node and its parts, also to the supervisor that started the process.
+
+    The status of a part adds the part's name to the node's: ``/mpc: inputs``.
+
+    Attributes:
+        diagnoses: diagnoses of the node's parts, by name.
+        numbers: measured or counted values of the node's parts, by name; None if unknown.
+        hardware: the device that the parts belong to; empty for the machine.
+        urgent: whether a diagnosis has changed since the last report.
+    """
+
+    def __init__(self, node: Node, role: str) -> None:
+        """Open the topic; see the base."""
+        super().__init__(node, role)
+        self.diagnoses: dict[str, Diagnosis] = {}
+        self.numbers: dict[str, Mapping[str, float | None]] = {}
+        self.hardware = ""
+        self.urgent = False
+
+    def diagnose(
+        self, part: str, problem: Problem | None, well: str = "", level: bytes = ERROR,
+        cause: str = "", *, log: bool = True,
+    ) -> None:
+        """Set the diagnosis of a part; a change is logged, and reported soon.
+
+        Args:
+            part: the part's name.
+            problem: what is wrong; None if nothing is.
+            well: the sentence to report if nothing is.
+            level: of the problem: ``WARN``, ``ERROR`` or ``STALE``; or ``OK`` if it is as intended.
+            cause: the code of its cause; empty if unknown.
+            log: false for a message that changes too often to be logged.
+        """
+        before = self.diagnoses.get(part)
+        if problem is None:
+            problem, level = Problem("", well), OK
+        same_code = before is not None and before.code == problem.code
+        diagnosis = self.diagnoses[part] = Diagnosis(
+            level, problem.sentence, problem.code, cause,
+            before.since if before is not None and same_code else time.time(), problem.values,
+        )
+        if not log or diagnosis == before:
+            return
+        self.urgent = True
+        logger = self._node.get_logger()
+        if level == WARN:
+            logger.warning(diagnosis.message)
+        elif level != OK:
+            logger.error(diagnosis.message)
+        elif before is not None:
+            logger.info(diagnosis.message)
+
+    def publish(self, values: dict[str, Any]) -> None:
+        """Publish the state of the node with these values, and of its parts."""
+        self.urgent = False
+        status, values = self.status(values)
+        self.send([status, *(
+            DiagnosticStatus(
+                level=diagnosis.level, name=f"{status.name}: {part}", message=diagnosis.message,
+                hardware_id=self.hardware or self.machine,
+                values=_values(diagnosis, self.numbers.get(part, {})),
+            )
+            for part, diagnosis in self.diagnoses.items()
+        )])
+        diagnoses = {
+            part: {
+                "level": _LEVELS[diagnosis.level], "message": diagnosis.message,
+                **diagnosis.for_programs(),
+            }
+            for part, diagnosis in self.diagnoses.items()
+        }
+        supervisor_socket().report({
+            "node": self._node.get_name(), "state": self.state, **values, "diagnoses": diagnoses,
+        })
+
+    def flush(self, seconds: float) -> None:
+        """Wait for at most this long (s) until all readers, and then the supervisor, have all."""
+        super().flush(seconds)
+        supervisor_socket().flush(_FLUSH_S)
+
+
+def _values(diagnosis: Diagnosis, numbers: Mapping[str, float | None]) -> list[KeyValue]:
+    """Return the values in the status of a part: its numbers, code, start and cause."""
+    values = {
+        key: f"{value:.6g}" if isinstance(value, (float, int)) else str(value)
+        for key, value in {**diagnosis.values, **numbers}.items() if value is not None
+    }
+    values |= diagnosis.for_programs()
+    return [KeyValue(key=key, value=value) for key, value in values.items() if value]

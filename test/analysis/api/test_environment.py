@@ -1,0 +1,90 @@
+"""The environment: commands from outside give what a controller with the same commands gives."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import polars
+import pytest
+from refusals import refusal
+
+import greenroof_ros as gr
+
+
+def test_a_loop_of_five_lines_is_on_off() -> None:
+    """Over the paper's window: its total deviation, digit for digit, and every other metric."""
+    roof = gr.Environment()
+    while not roof.done:
+        state = roof.state
+        roof.step(1.0 if state.roof_level < roof.site.z_veg else 0.0)
+    assert roof.metrics == gr.simulate("onoff").metrics
+
+
+def test_what_a_step_returns() -> None:
+    """The ticks are the trajectory's; reset begins the same run again."""
+    roof = gr.Environment(hours=0.1, initial="high-high")
+    expected = gr.simulate(lambda state, forecast: 0.3, hours=0.1, initial="high-high").trajectory
+    first = roof.state
+    assert first.time.isoformat() == "2021-07-07T02:00:00-05:00"
+    for _ in range(2):
+        ticks = []
+        while not roof.done:
+            ticks.append(roof.step(0.3))
+        assert len(ticks) == 360
+        assert [tick.x2 for tick in ticks] == expected["roof_m3"][:-1].to_list()
+        assert [tick.flows.outflow for tick in ticks] == expected["outflow_m3_per_s"][:-1].to_list()
+        assert roof.state.roof_level == expected["roof_level_m"][-1]
+        assert roof.reset() == first
+
+
+def test_the_forecast_has_the_ends_of_its_steps() -> None:
+    """The means over the steps are the file's rain: 3.2 mm in the three hours from 02:00."""
+    roof = gr.Environment(hours=1, horizon=3)
+    forecast = roof.forecast
+    assert (forecast.ends[0], forecast.ends[-1]) == (0.0, 3 * 3600.0)
+    assert 1000 * forecast.rain @ np.diff(forecast.ends) == pytest.approx(3.2)
+    # 2.775, 3.448 and 1.227 mm/day, over 68.8 m2.
+    depth = (2.77537901 + 3.44779366 + 1.22675507) / 24
+    assert forecast.evapotranspiration @ np.diff(forecast.ends) == pytest.approx(
+        68.8 * depth / 1000
+    )
+
+
+def test_metrics_on_the_way() -> None:
+    """They are a run's that ends there."""
+    roof = gr.Environment(hours=1)
+    for _ in range(360):
+        roof.step(1.0)
+    assert roof.metrics == gr.simulate(lambda state, forecast: 1.0, hours=0.1).metrics
+
+
+def test_seeds() -> None:
+    """They change forecasts with errors, and nothing else."""
+    roof = gr.Environment(hours=1, forecast="errors", horizon=48)
+    drawn = []
+    for seed in (1, 2, 1):
+        roof.reset(seed)
+        drawn.append(roof.forecast.rain.tolist())
+    assert drawn[0] == drawn[2] != drawn[1]
+
+
+def test_what_is_wrong_is_named() -> None:
+    roof = gr.Environment(hours=4 / 3600)
+    for command in (-0.1, math.nan, math.inf):
+        refusal(roof.step, command, match="command = .*must be a finite number, not negative")
+    for _ in range(4):
+        roof.step(0.0)
+    refusal(roof.step, 0.0, match="the run: has ended; reset")
+    refusal(lambda: gr.Environment(horizon=0), match="horizon = 0: must be")
+
+
+def test_no_pumping_in_frost() -> None:
+    """At -1 degC the command acts as 0."""
+    frame = polars.DataFrame({
+        "time": ["2024-01-01T00:00Z", "2024-01-01T01:00Z"], "precipitation [mm/h]": [0.0, 0.0],
+        "my evapotranspiration [mm/day]": [0.1, 0.1], "temperature [degC]": [-1.0, 5.0],
+    })
+    roof = gr.Environment(weather=frame, start="2024-01-01T00:00Z", hours=2)
+    commands = [roof.step(1.0).command for _ in range(7200)]
+    assert (set(commands[:3600]), set(commands[3600:])) == ({0.0}, {1.0})

@@ -1,0 +1,320 @@
+"""The Python API: the command's numbers, from every kind of controller, site and weather."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import subprocess
+import sys
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import polars
+import pytest
+from commands import run_command
+from graphs import environment
+from places import CHECKOUT, CONFIG, DATA
+from refusals import refusal
+
+import greenroof_ros as gr
+from greenroof_ros.analysis.api.control import ForecastSteps, SiteState
+from greenroof_ros.analysis.report.sources import find_runs
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.onoff import OnOff
+from greenroof_ros.forecast.choice import ForecastChoice
+
+PAPERS = CONFIG / "weather" / "toronto_2021-07.csv"
+# What depends on the machine, and the directory.
+OTHER = {"wall_s", "times_real_time", "solver"}
+
+
+def of_command(directory: Path, *options: str) -> dict[str, object]:
+    done = run_command(
+        "simulate", "--json", "--output", "out", *options, cwd=directory, env=environment(0),
+    )
+    assert done.returncode == 0, done.stderr
+    return dict(json.loads(done.stdout))
+
+
+@pytest.mark.parametrize(("controller", "inputs", "options"), [
+    ("mpc", {"weight": 0.00001, "initial": "high-low"},
+     ("--weight", "0.00001", "--initial", "high-low")),
+    ("onoff", {"level": 0.9, "evapotranspiration": "fao56"},
+     ("--level", "0.9", "--evapotranspiration", "fao56")),
+    ("anticipating_onoff", {"horizon": 6, "initial": (60.0, 2.0)},
+     ("--horizon", "6", "--cistern", "60", "--roof", "2")),
+    ("lookahead", {
+        "horizon": 12.0, "forecast": ForecastChoice("errors", seed=3, skill="worse"),
+        "start": datetime.fromisoformat("2021-07-08T05:00"),
+     }, ("--horizon", "12", "--forecast", "errors", "--forecast-seed", "3",
+         "--forecast-skill", "worse", "--start", "2021-07-08T05:00")),
+])
+def test_the_numbers_are_the_commands(
+    tmp_path: Path, controller: str, inputs: dict[str, object], options: tuple[str, ...]
+) -> None:
+    """Summary and trajectory, digit for digit."""
+    given = ("--controller", controller, "--hours", "0.3", *options)
+    expected = of_command(tmp_path, "--trajectory", "run.csv", *given)
+    result = gr.simulate(controller, hours=0.3, **inputs)  # type: ignore[arg-type]
+    ours = json.loads(json.dumps(result.summary))
+    assert {key for key in expected if ours[key] != expected[key]} <= OTHER
+    assert result.metrics.items() <= expected.items()
+    with (tmp_path / "run.csv").open() as stream:
+        rows = list(csv.reader(stream))
+    frame = result.trajectory
+    assert sorted(frame.columns) == sorted(rows[0])
+    for name, *cells in zip(*rows, strict=True):
+        if name == "time":
+            assert frame[name].to_list() == [datetime.fromisoformat(cell) for cell in cells]
+        else:
+            assert frame[name].to_list() == [float(cell) for cell in cells], name
+
+
+def test_the_papers_trajectories() -> None:
+    """From low-low, as the published code of the paper's authors computes them."""
+    totals = polars.read_csv(CONFIG / "paper" / "totals.csv")
+    for controller, parameter in (("mpc", 0.001), ("onoff", 1)):
+        reference = polars.read_csv(DATA / f"trajectory_low-low_{controller}_{parameter}.csv")
+        result = gr.simulate(controller)
+        (total,) = totals.filter(
+            initial="low-low", controller=controller, parameter=parameter
+        )["total_deviation_m3"]
+        assert result.metrics["total_deviation_m3"] == pytest.approx(total, rel=5e-5)
+        frame = result.trajectory
+        assert frame.height == 43_201
+        ours = frame[reference["t_s"].to_list()]
+        for name in ("cistern_m3", "roof_m3"):
+            np.testing.assert_allclose(ours[name], reference[name], rtol=0, atol=2e-5)
+
+
+def test_every_kind_of_controller() -> None:
+    """A name, its class, an instance and a function are one controller."""
+    named = gr.simulate("onoff", hours=1)
+    site = gr.read_site()
+
+    def by_levels(state: SiteState, forecast: ForecastSteps) -> bool:
+        return state.roof_level < site.z_veg and state.cistern_level >= site.suction_level
+
+    for other in (OnOff, OnOff(site, 1.0), by_levels):
+        result = gr.simulate(other, hours=1)
+        assert result.metrics == named.metrics
+        assert result.trajectory.equals(named.trajectory)
+    assert gr.simulate(OnOff, hours=1).summary["controller_reference"] == "onoff"
+    assert gr.simulate(OnOff(site, 0.5), hours=1).summary["parameters"] == {
+        "fraction": 0.5, "level": 1.0,
+    }
+    assert result.summary["controller"] == "by_levels"
+
+
+def test_what_a_function_gets() -> None:
+    """Time, levels, and the rain of the file as means over steps whose ends come with it.
+
+    At 02:00 the file has 0, 0.2 and 3.0 mm in the next three hours, 0.0 after that.
+    """
+    seen = []
+
+    def never(state: SiteState, forecast: ForecastSteps) -> float:
+        seen.append((state, forecast))
+        return 0.0
+
+    result = gr.simulate(never, hours=0.01, horizon=4)
+    state, forecast = seen[0]
+    assert [each.time.isoformat() for each, _ in seen[:2]] == [
+        "2021-07-07T02:00:00-05:00", "2021-07-07T02:00:01-05:00",
+    ]
+    assert len(seen) == result.trajectory.height == 37
+    assert (state.cistern, state.roof) == pytest.approx((75 / 1.3, 68.8 * 0.0457 / 1.3))
+    ends = forecast.ends
+    assert (ends[0], ends[-1]) == (0.0, 4 * 3600.0)
+    assert len(forecast.rain) == len(forecast.evapotranspiration) == len(ends) - 1
+    depths = 1000 * forecast.rain * np.diff(ends)
+    for hour, depth in enumerate((0.0, 0.2, 3.2, 3.2), start=1):
+        if 3600.0 * hour in ends:
+            assert depths[ends[1:] <= 3600.0 * hour].sum() == pytest.approx(depth)
+    assert depths.sum() == pytest.approx(3.2)
+
+
+def test_weather_in_a_data_frame() -> None:
+    """It gives the file's numbers, whoever made the frame."""
+    expected = gr.simulate("onoff", hours=3).metrics
+    text = [line for line in PAPERS.read_text().splitlines() if line[0] != "#"]
+    frame = polars.read_csv("\n".join(text).encode())
+    zoned = frame.with_columns(
+        polars.col("time").str.to_datetime("%Y-%m-%dT%H:%M%z", time_zone="Etc/GMT+5")
+    )
+    for each in (frame, zoned):
+        assert gr.simulate("onoff", weather=each, hours=3).metrics == expected
+    gap = zoned.with_columns(polars.when(polars.col("time").dt.hour() == 4).then(
+        math.nan).otherwise(polars.col("precipitation [mm/h]")).alias("precipitation [mm/h]"))
+    with pytest.raises(ConfigurationError, match="precipitation is missing at 2021-07-07T04:00"):
+        gr.simulate("onoff", weather=gap, hours=3)
+    filled = gr.simulate("onoff", weather=gap, hours=3, gaps="fill")
+    assert filled.metrics["rain_roof_m3"] == pytest.approx(0.0002 * 68.8)
+
+
+def test_weather_and_trajectory_in_pandas() -> None:
+    """With a column or an index of times; the trajectory keeps its time zone."""
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    pytest.importorskip("pyarrow", reason="pyarrow is not installed")
+    expected = gr.simulate("onoff", hours=3)
+    frame = pandas.read_csv(PAPERS, comment="#", parse_dates=["time"])
+    for each in (frame, frame.set_index("time")):
+        assert gr.simulate("onoff", weather=each, hours=3).metrics == expected.metrics
+    table = expected.trajectory.to_pandas()
+    assert table["time"].iloc[-1] == pandas.Timestamp("2021-07-07T05:00-05:00")
+    assert table["roof_m3"].iloc[-1] == expected.metrics["final_roof_m3"]
+
+
+def test_sites(tmp_path: Path) -> None:
+    """A file, what is read from it, and changed values."""
+    (tmp_path / "low.yaml").write_text("extends: site.yaml\nz_veg: 0.04\n")
+    expected = gr.simulate("onoff", site=tmp_path / "low.yaml", hours=1)
+    assert expected.run.site.x2_star == pytest.approx(68.8 * 0.04)
+    for site in (gr.read_site(tmp_path / "low.yaml"), gr.read_site(z_veg=0.04)):
+        assert gr.simulate("onoff", site=site, hours=1).metrics == expected.metrics
+    assert str(gr.read_site(time_zone="America/Toronto").time_zone) == "America/Toronto"
+    refusal(lambda: gr.read_site(z_vegg=0.04), match="did you mean z_veg")
+
+
+def test_a_measured_roof_has_its_drainage_layer(tmp_path: Path) -> None:
+    """In the trajectory as in the command's file."""
+    site, weather, start = (
+        CONFIG / "site_neubrandenburg.yaml", tmp_path / "storm.csv", "2024-06-01T00:00Z"
+    )
+    weather.write_text("time,precipitation [mm/h],my evapotranspiration [mm/day]\n" + "".join(
+        f"2024-06-01T0{hour}:00Z,{rain},2\n" for hour, rain in enumerate((50.0, 20.0, 0.0))))
+    options = ("--site", str(site), "--weather", str(weather), "--start", start, "--hours", "2")
+    of_command(tmp_path, "--controller", "onoff", "--trajectory", "run.csv", *options)
+    with (tmp_path / "run.csv").open() as stream:
+        expected = [float(row["drainage_layer_m3"]) for row in csv.DictReader(stream)]
+    frame = gr.simulate("onoff", site=site, weather=weather, start=start, hours=2).trajectory
+    assert max(expected) > 0
+    assert frame["drainage_layer_m3"].to_list() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("inputs", "reason"), [
+    ({"hour": 3}, "hour = 3: is neither an input nor a parameter of mpc; did you mean hours"),
+    ({"weight": -1}, "weight = -1: must be"),
+    ({"hours": 0.00001}, "hours = 1e-05: must be a whole number of ticks"),
+    ({"initial": "low"}, "initial = 'low': must be one of low-low"),
+    ({"initial": (60.0, 1e4)}, "initial, roof = 10000.0: must be at most"),
+    ({"forecast": "good"}, "forecast = 'good': must be one of perfect"),
+    ({"start": "yesterday"}, "start = 'yesterday': must be a time such as"),
+    ({"controller": 3}, "controller = 3: must be a name, a class, an instance, or a function"),
+    ({"controller": object}, "is not a controller: it lacks parameters, command"),
+    ({"controller": "mpcc"}, "is not known; did you mean mpc"),
+    ({"controller": lambda state, forecast: -1.0}, "must be a finite number, not negative"),
+    ({"controller": lambda state, forecast: None}, "must be a finite number, not negative"),
+    ({"controller": OnOff(gr.read_site(), 1.0), "fraction": 0.5}, "cannot be given with an inst"),
+    ({"weather": "nowhere_*.csv"}, "weather = 'nowhere_\\*.csv': matches no file"),
+])
+def test_what_is_wrong_is_named(inputs: dict[str, object], reason: str) -> None:
+    refusal(lambda: gr.simulate(**inputs), match=reason)  # type: ignore[arg-type]
+
+
+def test_a_saved_run_is_read_by_the_report(tmp_path: Path) -> None:
+    """As the directory of a run, with its trajectory; nothing is overwritten."""
+    result = gr.simulate("onoff", level=0.9, hours=1)
+    assert result.save(tmp_path / "mine") == tmp_path / "mine"
+    refusal(result.save, tmp_path / "mine", match="is never overwritten")
+    (run,) = find_runs([tmp_path / "mine"], None).runs
+    assert run.load is not None
+    assert (run.row["controller"], run.parameters["level"], run.own) == ("onoff", 0.9, True)
+    assert run.row["total_deviation_m3"] == result.metrics["total_deviation_m3"]
+    assert run.load().trajectory.roof.tolist() == result.trajectory["roof_m3"].to_list()
+    assert gr.read_bag(tmp_path / "mine").equals(result.trajectory)
+    done = run_command(
+        "report", "mine", "--output", "report", cwd=tmp_path, env=environment(0),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "on/off" in (tmp_path / "report" / "report.html").read_text()
+
+
+@pytest.mark.parametrize("kept", [(), ("--trajectory",)])
+def test_the_commands_run_is_read_by_the_report(tmp_path: Path, kept: tuple[str, ...]) -> None:
+    """With its results; with its trajectory if it was kept, digit for digit."""
+    options = ("--controller", "onoff", "--hours", "0.3", "--trajectory-every", "10")
+    of_command(tmp_path, *options[:4], *(("--trajectory", *options[4:]) if kept else ()))
+    expected = gr.simulate("onoff", hours=0.3)
+    (run,) = find_runs([tmp_path / "out"], None).runs
+    assert run.row["total_deviation_m3"] == expected.metrics["total_deviation_m3"]
+    assert (run.row["from"], run.row["length"]) == ("low-low", "0.3 h")
+    if kept:
+        frame = gr.read_bag(tmp_path / "out")
+        assert frame.equals(expected.trajectory[::10])
+    else:
+        refusal(gr.read_bag, tmp_path / "out", match="has no trajectory")
+    done = run_command("report", "out", cwd=tmp_path, env=environment(0))
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("name", "begins"), [
+    ("run.png", b"\x89PNG"), ("run.svg", b"<svg"), ("run.html", b"<!DOCTYPE html>"),
+])
+def test_the_commands_picture(tmp_path: Path, name: str, begins: bytes) -> None:
+    """Of each kind; a page needs no network; an older picture is kept."""
+    of_command(tmp_path, "--hours", "0.3", "--controller", "onoff", "--plot", name)
+    content = (tmp_path / name).read_bytes()
+    assert content.startswith(begins)
+    assert b"roof level (mm)" in content or name == "run.png"
+    assert b"<script src" not in content
+    done = run_command("simulate", "--plot", name, cwd=tmp_path, env=environment(0))
+    assert (done.returncode, "exists already" in done.stderr) == (2, True)
+
+
+def test_a_run_that_failed_has_no_trajectory(tmp_path: Path) -> None:
+    """It is refused, with its reason."""
+    directory = gr.simulate("onoff", hours=0.1).save(tmp_path / "mine")
+    (directory / "trajectory.parquet").unlink()
+    text = (directory / "summary.json").read_text()
+    failed = text.replace('"done"', '"failed"').replace('"reason": null', '"reason": "no power"')
+    (directory / "summary.json").write_text(failed)
+    refusal(gr.read_bag, directory, match="mine: failed.*no power.*no bag")
+
+
+def test_a_saved_run_has_the_weather_of_a_data_frame(tmp_path: Path) -> None:
+    frame = polars.DataFrame({
+        "time": [f"2024-06-01T{hour:02}:00Z" for hour in range(24)],
+        "precipitation [mm/h]": [0.0] * 24, "my evapotranspiration [mm/day]": [2.5] * 24,
+    })
+    directory = gr.simulate(
+        "onoff", weather=frame, start="2024-06-01T00:00", hours=1
+    ).save(tmp_path / "mine")
+    (copy,) = (directory / "configuration" / "weather").iterdir()
+    assert polars.read_csv(copy).equals(frame)
+
+
+def test_a_bag_has_the_same_trajectory(recorded: Path) -> None:
+    """As the simulation; volumes come from levels, rounded once more."""
+    frame = gr.read_bag(recorded)
+    expected = gr.simulate("mpc", hours=0.1).trajectory
+    assert frame.columns == expected.columns
+    assert frame["time"].equals(expected["time"])
+    for name in frame.columns[1:]:
+        np.testing.assert_allclose(frame[name], expected[name], rtol=1e-12, atol=0, err_msg=name)
+
+
+def test_importing_it_loads_nothing() -> None:
+    """Neither numpy nor another module of the package; that takes a tenth of a second at most."""
+    code = (
+        "import sys, time; before = set(sys.modules); began = time.perf_counter(); "
+        "import greenroof_ros; took = time.perf_counter() - began; "
+        "print(took, [name for name in set(sys.modules) - before if 'greenroof' in name], "
+        "'numpy' in sys.modules, sep='|')"
+    )
+    took = []
+    for _ in range(3):
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=CHECKOUT
+        )
+        seconds, ours, numpy = done.stdout.strip().split("|")
+        assert (ours, numpy) == ("['greenroof_ros']", "False")
+        took.append(float(seconds))
+    assert min(took) < 0.1
+    assert set(gr.__all__) <= set(dir(gr))
+    for name in set(gr.__all__) - {"gym"}:
+        assert getattr(gr, name).__name__ == name
+    with pytest.raises(AttributeError, match="has no attribute 'simulat'"):
+        _ = gr.simulat

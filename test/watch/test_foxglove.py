@@ -1,0 +1,223 @@
+"""``--foxglove`` as processes: a client over a WebSocket, as Foxglove and Lichtblick are."""
+
+from __future__ import annotations
+
+import asyncio
+import filecmp
+import json
+import re
+import signal
+import socket
+import struct
+import threading
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands import run_command
+from graphs import Process, alive, bag_file, bring_up, environment, wait_for
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from test_watch_command import end, tcp_addresses_of
+
+from greenroof_ros.common.interface import read_topics
+
+pytest.importorskip("aiohttp", reason="the client uses it")
+pytest.importorskip("foxglove", reason="serves Foxglove")
+pytest.importorskip("rclpy", reason="nodes need ROS 2")
+
+import aiohttp
+from diagnostic_msgs.msg import DiagnosticArray
+from ros_rig import Observer
+from std_msgs.msg import Float64
+from test_feed import node
+
+LEVEL = "/roof/level"
+URL = re.compile(r"ws://127\.0\.0\.1:(\d+)\n")
+SUBSCRIBED = 42
+# Kinds of binary frames, and what is before a message: its subscription and its time.
+MESSAGE, TIME = 1, 2
+HEAD = struct.Struct("<BIQ")
+
+
+def port_of(read: Callable[[], str]) -> int:
+    """Wait for the address that a process prints, and return its port."""
+    return int(wait_for(lambda: URL.search(read()), 60, "an address")[1])
+
+
+@asynccontextmanager
+async def client(port: int) -> AsyncIterator[tuple[Any, dict[str, dict[str, Any]]]]:
+    """Connect as a viewer does; yield the connection and the advertised channels by topic."""
+    async with (
+        aiohttp.ClientSession() as session,
+        session.ws_connect(f"ws://127.0.0.1:{port}", protocols=["foxglove.sdk.v1"]) as connection,
+    ):
+        assert connection.protocol == "foxglove.sdk.v1"
+        information = json.loads(await connection.receive_str())
+        assert information["op"] == "serverInfo" and information["capabilities"] == ["time"]
+        channels: dict[str, dict[str, Any]] = {}
+        while len(channels) < len(read_topics()):
+            advertised = json.loads(await connection.receive_str())
+            assert advertised["op"] == "advertise"
+            channels.update({channel["topic"]: channel for channel in advertised["channels"]})
+        yield connection, channels
+
+
+async def subscribe(connection: Any, channel: dict[str, Any]) -> None:
+    await connection.send_json({
+        "op": "subscribe",
+        "subscriptions": [{"id": SUBSCRIBED, "channelId": channel["id"]}],
+    })
+
+
+def receive(port: int, topic: str, number: int) -> tuple[dict[str, Any], list[tuple[int, float]]]:
+    """Subscribe to a number; return its channel and some values, each with its time (ns)."""
+    found: list[tuple[int, float]] = []
+
+    async def run() -> dict[str, Any]:
+        async with client(port) as (connection, channels):
+            channel = channels[topic]
+            types = get_typestore(Stores.EMPTY)
+            types.register(get_types_from_msg(channel["schema"], channel["schemaName"]))
+            await subscribe(connection, channel)
+            newest = [0]
+            while len(found) < number:
+                frame = await connection.receive()
+                if frame.type is aiohttp.WSMsgType.BINARY and frame.data[0] == TIME:
+                    newest += struct.unpack_from("<Q", frame.data, 1)
+                elif frame.type is aiohttp.WSMsgType.BINARY:
+                    kind, subscription, time_ns = HEAD.unpack_from(frame.data)
+                    assert (kind, subscription) == (MESSAGE, SUBSCRIBED)
+                    message = types.deserialize_cdr(frame.data[HEAD.size:], channel["schemaName"])
+                    found.append((time_ns, message.data))
+            # The server sends the time in a queue of its own, so that it may be behind by a little.
+            assert newest == sorted(newest) and found[0][0] < newest[-1] <= found[-1][0] + 10**9
+            return channel
+
+    return asyncio.run(asyncio.wait_for(run(), 120)), found
+
+
+@contextmanager
+def deaf_client(port: int) -> Iterator[None]:
+    """Subscribe to everything, and never read again."""
+    ready, done = threading.Event(), threading.Event()
+
+    async def run() -> None:
+        async with client(port) as (connection, channels):
+            await connection.send_json({"op": "subscribe", "subscriptions": [
+                {"id": channel["id"], "channelId": channel["id"]} for channel in channels.values()
+            ]})
+            ready.set()
+            await asyncio.to_thread(done.wait)
+
+    thread = threading.Thread(target=lambda: asyncio.run(run()))
+    thread.start()
+    try:
+        assert ready.wait(60)
+        yield
+    finally:
+        done.set()
+        thread.join(60)
+
+
+def recorded(run: Path, topic: str) -> tuple[str, dict[int, bytes]]:
+    """Return a topic's message definition in a bag, and its messages by time (ns)."""
+    messages, definition = {}, ""
+    with bag_file(run).open("rb") as stream:
+        for schema, _, message in make_reader(stream).iter_messages(topics=[topic]):
+            assert schema is not None
+            messages[message.log_time], definition = message.data, schema.data.decode()
+    return definition, messages
+
+
+@pytest.mark.parametrize("options", [(), ("--namespace", "site1")])
+def test_a_client_receives_the_roofs_level_as_in_the_bag(
+    options: tuple[str, ...], domain: int, tmp_path: Path
+) -> None:
+    """Each value at its tick's simulated time; Ctrl-C ends the run, and the server with it."""
+    run = Process(
+        domain, "bringup", "--controller", "onoff", "--hours", "12", "--speed", "20",
+        "--foxglove", "0", "--output", "run", *options, cwd=tmp_path,
+    )
+    namespace = "".join(f"/{name}" for name in options[1:])
+    port = port_of(run.stderr)
+    children = Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children")
+    (server,) = map(int, children.read_text().split())
+    assert tcp_addresses_of(server) == {"0100007F"}
+    channel, found = receive(port, namespace + LEVEL, 40)
+    assert (channel["encoding"], channel["schemaName"], channel["schemaEncoding"]) == (
+        "cdr", "std_msgs/msg/Float64", "ros2msg"
+    )
+    run.process.send_signal(signal.SIGINT)
+    assert run.wait(120) == 130
+    assert not alive(server)
+    definition, messages = recorded(tmp_path / "run", namespace + LEVEL)
+    assert channel["schema"] == definition
+    values = {time_ns: struct.unpack("<4xd", data)[0] for time_ns, data in messages.items()}
+    assert [value for _, value in found] == [values[time_ns] for time_ns, _ in found]
+    assert len({time_ns for time_ns, _ in found}) == 40
+
+
+def test_at_a_live_site_a_value_has_its_time_of_arrival(
+    observer: Observer, domain: int, tmp_path: Path
+) -> None:
+    """A sensor and a node that has no ticks are such a site."""
+    level, diagnostics = observer.publisher(LEVEL), observer.publisher("/diagnostics")
+    viewer = Process(domain, "watch", "--foxglove", "0", cwd=tmp_path)
+    port, done = port_of(viewer.stdout), threading.Event()
+
+    def publish() -> None:
+        while not done.wait(0.05):
+            diagnostics.publish(DiagnosticArray(status=[node("controller", name="/onoff")]))
+            level.publish(Float64(data=0.0321))
+
+    thread = threading.Thread(target=publish)
+    began = time.time_ns()
+    thread.start()
+    try:
+        _, found = receive(port, LEVEL, 10)
+    finally:
+        done.set()
+        thread.join()
+    assert {value for _, value in found} == {0.0321}
+    times = [time_ns for time_ns, _ in found]
+    assert times == sorted(times) and began < times[0] and times[-1] < time.time_ns()
+    end(viewer)
+
+
+def test_a_run_in_foxglove_is_the_same_run(domain: int, tmp_path: Path) -> None:
+    """With a client that subscribes to everything and never reads."""
+    options = ("--controller", "onoff", "--hours", "0.15")
+    viewer = Process(domain, "watch", "--foxglove", "0", cwd=tmp_path)
+    with deaf_client(port_of(viewer.stdout)):
+        bring_up(domain, tmp_path, *options, "--speed", "60", "--foxglove", "0", output="shown")
+    end(viewer)
+    bring_up(domain, tmp_path, *options, output="alone")
+    assert filecmp.cmp(*(bag_file(tmp_path / name) for name in ("shown", "alone")), shallow=False)
+
+
+def test_a_port_in_use_is_refused(unused_domain: int, tmp_path: Path) -> None:
+    """By both commands, before anything starts."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        for command in ("bringup", "watch"):
+            done = run_command(
+                command, "--foxglove", port, cwd=tmp_path, env=environment(unused_domain)
+            )
+            assert done.returncode == 2
+            assert done.stderr == (
+                f"error: --foxglove = '{port}': this port cannot be used: "
+                "Address already in use; choose another\n"
+            )
+    assert not (tmp_path / "runs").exists()
+
+
+def test_options_of_the_page_are_refused(unused_domain: int, tmp_path: Path) -> None:
+    done = run_command(
+        "watch", "--foxglove", "--port", "8081", cwd=tmp_path, env=environment(unused_domain)
+    )
+    assert done.returncode == 2
+    assert done.stderr == "error: --port: is for the page; omit it, or --foxglove\n"
