@@ -219,7 +219,7 @@ def value_axis(values: Sequence[float]) -> dict[str, Any]:
             math.log10(high)))]
         return {
             "scale": alt.Scale(type="symlog", constant=least, domain=[0, 1.5 * high], nice=False),
-            "axis": alt.Axis(values=[0.0, *ticks], format="~g"),
+            "axis": alt.Axis(values=[0.0, *ticks], format=".12~g"),
         }
     margin = 0.08 * (high - low) or 0.08 * abs(high) or 1.0
     bottom = low - margin

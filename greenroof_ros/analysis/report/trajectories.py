@@ -228,7 +228,7 @@ def _axis(
     if quantity in _LEAST_POWER:
         least = _LEAST_POWER[quantity]
         scale |= {"type": "symlog", "constant": 10.0**least}
-        axis = alt.Axis(values=[0.0, *(10.0**power for power in range(least, 10))], format="~g")
+        axis = alt.Axis(values=[0.0, *(10.0**power for power in range(least, 10))], format=".12~g")
     if quantity == "command":
         # On the logarithmic axis this leaves room for the text above the line.
         top = max(2.5 * high, 0.002)

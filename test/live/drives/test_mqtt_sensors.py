@@ -354,7 +354,7 @@ def test_the_shipped_file_is_read() -> None:
         ("  low: -40.0   ", "  counts: true\n  low: -40.0   ", 42, "thermometer.counts = True: is "
          "for a flow meter or a rain gauge"),
         ("0.0001               ", "0.1 ", 35, "rain_gauge.high = 0.1: must be at most 0.001 m/s"),
-        ("  high: 0.0001    ", "  # high: 0.0001 ", 60, "rain_gauge.high: is missing"),
+        ("  high: 0.0001    ", "  # high: 0.0001 ", 30, "rain_gauge.high: is missing"),
         ("median: 1", "median: 3", 32, "rain_gauge.counts = True: needs median: 1"),
         ("roof/temperature", "roof/rain", 40, "thermometer.address = 'mqtt://127.0.0.1:1883/roof/"
          "rain': is also the rain gauge's: both"),
