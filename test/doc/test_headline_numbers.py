@@ -45,6 +45,8 @@ def test_readme_says_what_forecasts_and_target_are_worth() -> None:
         f"| {low} | on/off | {lower} |",
     ):
         assert row in README
+    stress = numbers()[roofs[1], "on/off", "water stress (h)"].value
+    assert f"with {stress:.0f} h of water stress in the season" in README
 
 
 def test_readme_says_what_can_be_repeated() -> None:
