@@ -1,4 +1,4 @@
-"""The README's figure of what forecasts are worth, made from ``results/real_seasons.csv``.
+"""The figure of what forecasts are worth, made from ``results/real_seasons.csv``.
 
 The figure has its own background, light or dark like the reader's system.
 """

@@ -113,14 +113,6 @@ def test_commands_can_be_given(page: Path) -> None:
             generate.parser_of(command, arguments).parse_args(arguments)
 
 
-def test_pictures_differ_in_their_colours_only() -> None:
-    light, dark = (
-        re.sub(r":root \{.*?\}", "", (DOC / "_static" / f"roof-and-graph-{kind}.svg").read_text())
-        for kind in ("light", "dark")
-    )
-    assert light == dark
-
-
 def test_drawings_show_the_interface() -> None:
     """'make docs' would draw nothing else."""
     assert len(generate.WAYS) == 3
@@ -132,7 +124,7 @@ def test_drawings_show_the_interface() -> None:
 def test_picture_shows_the_topics() -> None:
     from greenroof_ros.common.interface import read_topics
 
-    picture = (DOC / "_static" / "roof-and-graph-light.svg").read_text()
+    picture = (DOC / "_static" / "roof-and-graph.svg").read_text()
     shown = set(re.findall(r"/[a-z]+(?:/[a-z]+)?(?=[<, \u00a0])", picture))
     shown = {each for each in shown if each.count("/") == 2 or each == "/clock"}
     assert len(shown) == 11

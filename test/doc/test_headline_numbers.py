@@ -1,11 +1,16 @@
-"""The headline numbers of README and results agree with their figure, and with its file."""
+"""The headline numbers of README and results agree with the files that they come from."""
 
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
+import polars
+import pytest
+from doc_commands.blocks import fences
 from places import CHECKOUT
 from real_seasons.inputs import ROOFS
+from results.reduction import read
 
 sys.path.append(str(CHECKOUT / "doc"))
 
@@ -14,44 +19,74 @@ from real_season_tables import OVER_NO_RAIN, TOGETHER, Number, numbers
 
 README = " ".join((CHECKOUT / "README.md").read_text().split())
 RESULTS = " ".join((CHECKOUT / "doc" / "results.md").read_text().split())
-PLACES = ("measured", "paper")
 
 
-def test_readme_says_what_its_figure_shows() -> None:
-    """The figure and the README's percentages come from the same stored file."""
+def test_figure_is_of_its_file() -> None:
+    """'make docs' would draw no other numbers."""
     assert (CHECKOUT / "doc" / "_static" / "worth.svg").read_text() == worth.drawing()
-    (target,) = {ROOFS[roof].target for roof in PLACES}
-    assert f"from its target of {1000 * target:.1f} mm, in mm" in README
-    shares = [100 * row.share.value for roof in PLACES for row in worth.rows(roof)]
-    _, none, issued, perfect, _, *paper = shares
-    assert (
-        f"Measured roof: lookahead without a forecast {none:.0f}, with issued forecasts "
-        f"{issued:.0f}, perfect {perfect:.0f}. "
-        f"The paper's roof: {', '.join(f'{share:.0f}' for share in paper)}."
-    ) in README
-    assert f"without a forecast, 2024 | {100 - none:.0f} % | {100 - paper[0]:.0f} % |" in README
 
 
-def test_readme_says_what_forecasts_add() -> None:
-    """Over no forecast, with intervals: May to October, three services as one; and perfect ones."""
-    issued = " | ".join(gain(numbers()[roof, TOGETHER, OVER_NO_RAIN]) for roof in PLACES)
-    assert f"| from there, by issued forecasts | {issued} |" in README
-    perfect = (100 * (1 - numbers()[roof, "perfect", OVER_NO_RAIN].value) for roof in PLACES)
-    said = " and ".join(f"{less:.0f}" for less in perfect)
-    assert f"Perfect forecasts reduced it by {said} % in 2024" in README
-
-
-def test_readme_says_what_the_target_is_worth() -> None:
-    """Less water at the site's own target, and less with perfect forecasts at the paper's."""
-    pumped, lower, perfect = (
-        numbers()[roof, forecast, "pumped (m³)"].value for roof, forecast in (
-            ("measured", "on/off"), ("measured, target 39 mm", "on/off"), ("measured", "perfect"),
+def test_readme_says_what_forecasts_and_target_are_worth() -> None:
+    """The water that is pumped, and how much less than with on/off at the paper's target."""
+    roofs = ("measured", "measured, target 39 mm")
+    high, low = (f"{1000 * ROOFS[roof].target:g} mm" for roof in roofs)
+    pumped = {
+        run: numbers()[(*run, "pumped (m³)")].value
+        for run in (
+            (roofs[0], "on/off"), (roofs[0], TOGETHER), (roofs[0], "perfect"), (roofs[1], "on/off")
         )
+    }
+    first, *others = pumped.values()
+    issued, perfect, lower = (f"{m3:.1f} m³ ({100 * (1 - m3 / first):.0f} % less)" for m3 in others)
+    for row in (
+        f"| {high} | on/off | {first:.1f} m³ |",
+        f"| {high} | `lookahead`, archived forecasts | {issued} |",
+        f"| {high} | `lookahead`, perfect forecasts | {perfect} |",
+        f"| {low} | on/off | {lower} |",
+    ):
+        assert row in README
+    stress = numbers()[roofs[1], "on/off", "water stress (h)"].value
+    assert f"with {stress:.0f} h of water stress in the season" in README
+
+
+def test_readme_says_what_can_be_repeated() -> None:
+    """Eleven seasons in Toronto, on the roof of the table; all runs of the paper."""
+    (row,) = (
+        row for row in read(CHECKOUT / "doc" / "results" / "seasons.csv")
+        if row["site"].startswith("site_catchment")
+        and (row["controller"], row["forecast_skill"]) == ("lookahead", "real")
     )
-    assert (
-        f"At 39 mm instead of 45.7 mm, on/off pumps {100 * (1 - lower / pumped):.0f} % less water "
-        f"onto the measured roof; even perfect forecasts save {100 * (1 - perfect / pumped):.0f} %."
-    ) in README
+    assert int(row["years"]) == 11 and "eleven seasons in Toronto" in README
+    assert f"deviated {100 * (1 - float(row['over_onoff'])):.0f} % less" in README
+
+
+def test_papers_runs_are_reproduced_as_the_readme_says(papers: Path) -> None:
+    """The total deviations of all runs, relative to the ones of the authors' code."""
+    ours = read(papers / "results.csv")
+    theirs = polars.read_csv(CHECKOUT / "config" / "paper" / "totals.csv").to_dicts()
+    errors = []
+    for row in theirs:
+        name = {"mpc": "weight", "onoff": "fraction"}[row["controller"]]
+        (total,) = (
+            float(each["total_deviation_m3"]) for each in ours
+            if (each["initial"], each["controller"]) == (row["initial"], row["controller"])
+            and float(each[f"parameter:{name}"]) == row["parameter"]
+        )
+        errors.append(abs(total / row["total_deviation_m3"] - 1))
+    assert f"Reproduces all {len(errors)} runs of Yeh and Chapman (2021) within" in README
+    assert 3e-5 < max(errors) < 4e-5 and "within 0.004 %" in README
+
+
+def test_readme_says_what_its_lines_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The volumes below the picture are the ones of the lines above it."""
+    monkeypatch.chdir(tmp_path)
+    (code,) = (text for _, language, text in fences("README.md") if language == "python")
+    names: dict[str, object] = {}
+    exec(compile(code, "README.md", "exec"), names)
+    onoff, lookahead = names["storm"].table["pumped_m3"]  # type: ignore[attr-defined]
+    assert f"On/off control pumps {onoff:.2f} m³ before the storm" in README
+    assert f"pumps {lookahead:.2f} m³ and leaves the rest" in README
+    assert (tmp_path / "storm.svg").stat().st_size > 50_000
 
 
 def test_results_say_what_forecasts_and_target_are_worth() -> None:

@@ -5,7 +5,7 @@ to 12-31 at Budva. On each roof of ``inputs.py``, from May to October, it runs o
 ``lookahead`` with a forecast of no rain, of each service, of the three as one ensemble, and a
 perfect one. Each run is a file in DIR; the same command continues after an interruption. Writes
 ``DIR/real_seasons.csv``: all numbers, with intervals. ``doc/results/`` has a copy of it, from which
-the documentation's table and the README's figure are made.
+the documentation's tables and figure are made; the README has some of its numbers.
 
 Assumed: evapotranspiration is the site file's monthly mean as a half sine over the day. Hours that
 the gauge lacks count as dry. GFS's fifth day is left out.
