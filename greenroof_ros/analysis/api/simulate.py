@@ -139,8 +139,10 @@ class Comparison:
     def plot(self) -> altair.VConcatChart:
         """Return a chart as :meth:`.Result.plot` does, with a line for each controller.
 
+        If their sites differ in the target, or in a level of the cistern, it has no line for it.
+
         Raises:
-            ConfigurationError: altair is not installed.
+            ConfigurationError: they begin at different times, or altair is not installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -150,10 +152,9 @@ class Comparison:
         """
         with in_extra("study"):
             from greenroof_ros.analysis.report.trajectories import overlaid
-        first = next(iter(self.results.values()))
-        return overlaid(
-            first.run.site, {name: result.ticks for name, result in self.results.items()}
-        )
+        return overlaid({
+            name: (result.run.site, result.ticks) for name, result in self.results.items()
+        })
 
 
 def compare(

@@ -255,13 +255,25 @@ def test_the_commands_run_is_read_by_the_report(tmp_path: Path, kept: tuple[str,
 ])
 def test_the_commands_picture(tmp_path: Path, name: str, begins: bytes) -> None:
     """Of each kind; a page needs no network; an older picture is kept."""
-    of_command(tmp_path, "--hours", "0.3", "--controller", "onoff", "--plot", name)
+    drawn = run_command(
+        "simulate", "--hours", "0.3", "--controller", "onoff", "--plot", name,
+        cwd=tmp_path, env=environment(0),
+    )
+    assert (drawn.returncode, drawn.stderr) == (0, "")
     content = (tmp_path / name).read_bytes()
     assert content.startswith(begins)
     assert b"roof level (mm)" in content or name == "run.png"
     assert b"<script src" not in content
     done = run_command("simulate", "--plot", name, cwd=tmp_path, env=environment(0))
-    assert (done.returncode, "exists already" in done.stderr) == (2, True)
+    assert (done.returncode, "exists; name another file" in done.stderr) == (2, True)
+
+
+def test_a_picture_that_cannot_be_written_is_refused_before_the_run(tmp_path: Path) -> None:
+    done = run_command("simulate", "--plot", "no/run.png", cwd=tmp_path, env=environment(0))
+    assert (done.returncode, done.stderr) == (2, (
+        "error: --plot = 'no/run.png': must be in a directory that exists and can be written to\n"
+    ))
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_run_that_failed_has_no_trajectory(tmp_path: Path) -> None:
