@@ -9,7 +9,7 @@ from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
+from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
 from greenroof_ros.experiment import summary, summary_table
@@ -41,7 +41,8 @@ _COLUMNS = {
 }
 # The additional column for a measured roof.
 _LAYER = {"drainage_layer_m3": "layer"}
-_PICTURES = (".png", ".svg", ".html")
+_PAGE = ".html"
+_PICTURES = (".png", ".svg", _PAGE)
 
 
 def make_parser() -> Parser:
@@ -145,21 +146,20 @@ def _plotter(file: Path, run: Run) -> Callable[[Trajectory], None]:
     """Return what draws a run's trajectory to a new file.
 
     Raises:
-        ConfigurationError: it is not a file for a picture, or exists, or Altair is not installed.
+        ConfigurationError: it is not a file for a picture, exists or cannot be written, or Altair
+            is not installed.
     """
-    if file.suffix not in _PICTURES:
-        raise ConfigurationError(
-            f"must end with {', '.join(_PICTURES)}", key="--plot", value=str(file)
-        )
-    if file.exists():
-        raise ConfigurationError("exists already", key="--plot", value=str(file))
+    refuse_unwritable(file, _PICTURES, "--plot")
     with in_extra("study"):
         from greenroof_ros.analysis.report.trajectories import overlaid
 
     def draw(trajectory: Trajectory) -> None:
-        chart = overlaid(run.site, {run.controller.name: trajectory})
+        chart = overlaid({run.controller.name: (run.site, trajectory)})
         with naming(file):
-            chart.save(file, scale_factor=2, inline=True)
+            if file.suffix == _PAGE:
+                chart.save(file, inline=True)
+            else:  # of inline Altair warns here
+                chart.save(file, scale_factor=2)
 
     return draw
 

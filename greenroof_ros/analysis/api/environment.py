@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from datetime import timedelta
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,9 @@ class Environment:
         Args:
             seed: of the errors of forecasts that have errors; as before if None.
 
+        Raises:
+            ConfigurationError: the seed is not a whole number, or negative.
+
         Example:
             >>> import greenroof_ros as gr
             >>> roof = gr.Environment(hours=1)
@@ -70,6 +74,10 @@ class Environment:
             '2021-07-07T02:00:00-05:00'
         """
         if seed is not None:
+            if not (isinstance(seed, Integral) and seed >= 0):
+                raise ConfigurationError(
+                    "must be a whole number, not negative", key="seed", value=seed
+                )
             run = self._run
             choice = replace(run.forecast_choice, seed=seed)
             self._run = replace(run, forecast_choice=choice, forecast=make_forecast(
@@ -98,11 +106,15 @@ class Environment:
         """
         if self.done:
             raise ConfigurationError("has ended; reset() begins it again", key="the run")
-        if not 0 <= command < math.inf:
+        try:
+            share = float(command)
+        except (TypeError, ValueError):
+            share = math.nan
+        if not 0 <= share < math.inf:
             raise ConfigurationError(
                 "must be a finite number, not negative", key="command", value=command
             )
-        tick: Tick = self._loop.send(float(command))
+        tick: Tick = self._loop.send(share)
         self._next()
         return tick
 

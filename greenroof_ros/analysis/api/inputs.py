@@ -5,9 +5,10 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from datetime import datetime
+from datetime import date
+from numbers import Real
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
@@ -29,7 +30,7 @@ from greenroof_ros.model.initial_state import (
 )
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
-from greenroof_ros.weather.series import REFUSE
+from greenroof_ros.weather.series import GAPS, REFUSE
 
 PathText: TypeAlias = "str | os.PathLike[str]"
 
@@ -79,8 +80,19 @@ def read_site(path: PathText | None = None, **changes: float | str) -> Site:
     return site_file.read_site(file)
 
 
+def _refuse(expected: str, key: str, value: object) -> ConfigurationError:
+    """Return the error of an input that is none of what it may be."""
+    return ConfigurationError(f"must be {expected}", key=key, value=value)
+
+
 def file_of_site(site: PathText | Site | None) -> Path:
-    """Return a file that has a site; the paper's if it is None."""
+    """Return a file that has a site; the paper's if it is None.
+
+    Raises:
+        ConfigurationError: it is neither a site nor a path.
+    """
+    if not (site is None or isinstance(site, (str, os.PathLike, Site))):
+        raise _refuse("a site file, or what gr.read_site returns", "site", site)
     if isinstance(site, Site):
         values = {entry.name: getattr(site, entry.name) for entry in fields(site)}
         text = yaml.safe_dump({
@@ -95,9 +107,20 @@ def _weather_files(weather: Any) -> list[Path]:
     """Return the files of weather: of paths and patterns, or one with a data frame."""
     if weather is None:
         return [default_weather()]
-    if hasattr(weather, "columns"):
+    if (hasattr(weather, "write_csv") or hasattr(weather, "to_csv")) and hasattr(
+        weather, "columns"
+    ):
         return [_kept(_csv(weather), "weather.csv")]
-    names = [weather] if isinstance(weather, (str, os.PathLike)) else weather
+    names = [weather] if isinstance(weather, (str, os.PathLike)) else (
+        list(weather) if isinstance(weather, Iterable) and not isinstance(weather, Mapping)
+        else [None]
+    )
+    if not all(isinstance(name, (str, os.PathLike)) for name in names):
+        kind = type(weather)
+        raise _refuse(
+            "a file, a pattern or several of them, or a data frame of polars or pandas, not of "
+            f"type {kind.__module__}.{kind.__qualname__}", "weather", None,
+        )
     return find_files(map(os.fspath, names), "weather")
 
 
@@ -121,6 +144,8 @@ def _csv(frame: Any) -> str:
 def _forecast(forecast: PathText | ForecastChoice) -> ForecastChoice:
     if isinstance(forecast, ForecastChoice):
         return forecast
+    if not isinstance(forecast, (str, os.PathLike)):
+        raise _refuse("a name, a path or a ForecastChoice", "forecast", forecast)
     try:
         return choose(os.fspath(forecast))
     except ValueError as error:
@@ -133,14 +158,17 @@ def _initial(
     """Return the name of an initial state, and its volumes (m3)."""
     if initial is None:
         return default_state(site)
+    expected = f"one of {', '.join(INITIAL_STATES)}, or the volumes in cistern and roof (m3)"
     if isinstance(initial, str):
         if initial not in INITIAL_STATES:
-            raise ConfigurationError(
-                f"must be one of {', '.join(INITIAL_STATES)}, or the volumes in cistern and roof "
-                "(m3)", key="initial", value=initial,
-            )
+            raise _refuse(expected, "initial", initial)
         return initial, initial_state(site, initial)
-    cistern, roof = map(float, initial)
+    try:
+        cistern, roof = map(float, initial)
+    except (TypeError, ValueError) as error:
+        raise _refuse(expected, "initial", initial) from error
+    if not (cistern >= 0 and roof >= 0):  # NaN is neither
+        raise _refuse(f"{expected}, not negative", "initial", initial)
     return "custom", (cistern, roof)
 
 
@@ -172,7 +200,7 @@ def make_run(
     *,
     site: PathText | Site | None = None,
     weather: Any = None,
-    start: str | datetime | None = None,
+    start: str | date | None = None,
     hours: float | None = None,
     forecast: PathText | ForecastChoice = "perfect",
     initial: str | Sequence[float] | None = None,
@@ -203,7 +231,13 @@ def make_run(
     values = check_parameters(choice, site, parameters) if own is None else dict(own)
     name, volumes = _initial(site, initial)
     check_volumes(site, *volumes, keys=("initial, cistern", "initial, roof"))
-    begin = start.isoformat() if isinstance(start, datetime) else start
+    begin = start.isoformat() if isinstance(start, date) else start
+    if not (begin is None or isinstance(begin, str)):
+        raise _refuse("a time such as 2021-07-07T02:00-05:00, or a datetime", "start", start)
+    if not (hours is None or isinstance(hours, Real)):
+        raise _refuse("a number of hours", "hours", hours)
+    if gaps not in GAPS:
+        raise _refuse(" or ".join(GAPS), "gaps", gaps)
     return build_run(
         file, site, read_weather(_weather_files(weather), site, evapotranspiration, gaps),
         begin or DEFAULT_START, count_ticks(site, hours, "hours"), choice, values, name, volumes,

@@ -73,7 +73,8 @@ class Result:
         ``.to_pandas()`` makes one of pandas, if pandas and pyarrow are installed. The columns are
         the same as in ``greenroof simulate --trajectory``; their units are in their names:
 
-        - ``time``, with its time zone, and ``time_s``, since the start
+        - ``time``, with its time zone (UTC if its offset from UTC is not of whole hours), and
+          ``time_s``, since the start
         - ``cistern_m3``, ``roof_m3``: water volumes x1 and x2
         - ``cistern_level_m``, ``roof_level_m``: water depths
         - ``precipitation_m_per_s``: rain
@@ -115,7 +116,7 @@ class Result:
         """
         with in_extra("study"):
             from greenroof_ros.analysis.report.trajectories import overlaid
-        return overlaid(self.run.site, {self.run.controller.name: self.ticks})
+        return overlaid({self.run.controller.name: (self.run.site, self.ticks)})
 
     def save(self, directory: PathText) -> Path:
         """Write a run directory, as the command does, with the trajectory; return its path.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import date
 from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.analysis.api.control import (
@@ -33,7 +33,7 @@ def simulate(
     *,
     site: PathText | Site | None = None,
     weather: Any = None,
-    start: str | datetime | None = None,
+    start: str | date | None = None,
     hours: float | None = None,
     forecast: PathText | ForecastChoice = "perfect",
     initial: str | Sequence[float] | None = None,
@@ -55,8 +55,8 @@ def simulate(
         weather: a file, a pattern or several of them, or a data frame of polars or pandas with
             hourly rows and the columns of such a file: ``time`` (or an index of times),
             ``precipitation [mm/h]`` and others. By default the paper's.
-        start: time of the first tick, ISO 8601 or a datetime; without an offset from UTC it is in
-            the weather's time zone. By default the paper's window, 2021-07-07T02:00-05:00.
+        start: time of the first tick, ISO 8601, a datetime or a date; without an offset from UTC it
+            is in the weather's time zone. By default the paper's window, 2021-07-07T02:00-05:00.
         hours: length of the run (h); by default N of the site file, 12 h.
         forecast: ``"perfect"``, ``"persistence"``, ``"errors"``, ``"ensemble"``, the path of
             archived forecasts, or a ``ForecastChoice`` (``greenroof_ros.forecast.choice``), which
@@ -139,8 +139,10 @@ class Comparison:
     def plot(self) -> altair.VConcatChart:
         """Return a chart as :meth:`.Result.plot` does, with a line for each controller.
 
+        If their sites differ in the target, or in a level of the cistern, it has no line for it.
+
         Raises:
-            ConfigurationError: altair is not installed.
+            ConfigurationError: they begin at different times, or altair is not installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -150,10 +152,9 @@ class Comparison:
         """
         with in_extra("study"):
             from greenroof_ros.analysis.report.trajectories import overlaid
-        first = next(iter(self.results.values()))
-        return overlaid(
-            first.run.site, {name: result.ticks for name, result in self.results.items()}
-        )
+        return overlaid({
+            name: (result.run.site, result.ticks) for name, result in self.results.items()
+        })
 
 
 def compare(
@@ -179,6 +180,11 @@ def compare(
         >>> compared.table["controller", "pump_starts"].rows()
         [('on/off', 2), ('fills to 90 %', 2)]
     """
+    if not (isinstance(controllers, Mapping) and controllers):
+        raise ConfigurationError(
+            'must be controllers by their names, such as {"on/off": "onoff"}', key="controllers",
+            value=controllers,
+        )
     return Comparison({
         name: controller if isinstance(controller, Result) else simulate(controller, **inputs)
         for name, controller in controllers.items()

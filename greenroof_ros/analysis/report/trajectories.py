@@ -21,6 +21,8 @@ from greenroof_ros.analysis.report.drawing import (
 )
 from greenroof_ros.analysis.report.groups import SKY, Report, unique, who
 from greenroof_ros.analysis.report.run import Row, controller_name
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import to_minutes
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.trajectory import Trajectory
 
@@ -36,17 +38,27 @@ _WIDTH, _HEIGHT, _RAIN_HEIGHT = 640, 130, 70
 _EXTENT = 44
 
 
-def overlaid(site: Site, trajectories: Mapping[str, Trajectory]) -> alt.VConcatChart:
+def overlaid(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatChart:
     """Return the chart of simulations: rain, roof level, cistern and pump, with a line for each.
 
     Args:
-        site: of all of them.
-        trajectories: by the names of the lines. The rain is the first one's.
+        simulations: sites and trajectories, by the names of the lines. The rain is the longest's.
+
+    Raises:
+        ConfigurationError: they begin at different times.
     """
-    names, runs = list(trajectories), list(map(drawn, trajectories.values()))
+    names, sites = list(simulations), [site for site, _ in simulations.values()]
+    runs = [drawn(trajectory) for _, trajectory in simulations.values()]
+    lengths = [float(trajectory.time[-1]) for _, trajectory in simulations.values()]
     start = runs[0].start
-    x = _time(start, max(float(each.time[-1]) for each in trajectories.values()) / 3600)
-    rain, top = _rain(runs[0])
+    for name, run in zip(names, runs, strict=True):
+        if run.start != start:
+            raise ConfigurationError(
+                f"begins at {to_minutes(run.start)}, but {names[0]} at {to_minutes(start)}: one "
+                "chart is of one time", key=name,
+            )
+    x = _time(start, max(lengths) / 3600)
+    rain, top = _rain(runs[lengths.index(max(lengths))])
     down = alt.Scale(domain=[0, top], reverse=True)
     charts: list[Any] = [_rained(alt.InlineData(rain), x.title(None), down).properties(
         width=_WIDTH, height=_RAIN_HEIGHT)]
@@ -54,15 +66,21 @@ def overlaid(site: Site, trajectories: Mapping[str, Trajectory]) -> alt.VConcatC
     legend = alt.Legend(symbolType="stroke", symbolSize=600, columns=4)
     for channel in series.values():
         channel.legend = legend if len(names) > 1 else None
-    for quantity, axis, factor in (
-        ("roof", "roof level (mm)", 1000 / site.a2), ("cistern", "cistern level (m)", 1 / site.a1),
-        ("pump_flow", "pump flow (L/s)", 1000.0),
+    for quantity, axis, factors, levels in (
+        ("roof", "roof level (mm)", [1000 / site.a2 for site in sites],
+         {site.z_veg for site in sites}),
+        ("cistern", "cistern level (m)", [1 / site.a1 for site in sites],
+         {(site.z_o, site.suction_level, site.low_outlet_level) for site in sites}),
+        ("pump_flow", "pump flow (L/s)", [1000.0] * len(sites), {0.0}),
     ):
         rows: Rows = [
-            {"controller": name, **row} for name, run in zip(names, runs, strict=True)
+            {"controller": name, **row}
+            for name, run, factor in zip(names, runs, factors, strict=True)
             for row in _points(run, start, quantity, factor)
         ]
-        y, references = _axis(site, quantity, axis, [row["v"] for row in rows], factor)
+        y, references = _axis(
+            sites[0], quantity, axis, [row["v"] for row in rows], factors[0], len(levels) == 1
+        )
         lines = alt.Chart(alt.InlineData(rows)).mark_line(clip=True, strokeWidth=1.6).encode(
             x=x if quantity == "pump_flow" else x.title(None), y=y,
             **series, tooltip=pointed("controller:N", _WHEN, ("v:Q", axis)),
@@ -211,7 +229,8 @@ def _incidents(report: Report, rows: Sequence[Row], start: datetime) -> list[alt
 
 
 def _axis(
-    site: Site, quantity: str, title: str, values: Sequence[float], factor: float = 1.0
+    site: Site, quantity: str, title: str, values: Sequence[float], factor: float = 1.0,
+    referenced: bool = True,
 ) -> tuple[alt.Y, list[alt.Chart]]:
     """Return a quantity's axis, the same in all panels, and its reference levels with their names.
 
@@ -221,6 +240,7 @@ def _axis(
         title: of the axis.
         values: all that are drawn, in the axis' unit.
         factor: from the volume in a tank (m3) to the axis' unit.
+        referenced: whether all curves have the tanks' reference levels.
     """
     low, high = min(values), max(values)
     scale: dict[str, Any] = {"nice": False}
@@ -236,7 +256,9 @@ def _axis(
     elif quantity == "pump_flow":
         domain, references = [0.0, 1.3 * high or 1.0], {}  # from 0, or no power of ten may be in it
     else:
-        domain, references = _around(site, quantity, low, high, factor)
+        domain, references = _around(
+            site if referenced else None, quantity, low, high, factor
+        )
     scaled = alt.Scale(domain=domain, **scale)
     return (
         alt.Y("v:Q", title=title, scale=scaled, axis=axis),
@@ -245,16 +267,16 @@ def _axis(
 
 
 def _around(
-    site: Site, quantity: str, low: float, high: float, factor: float
+    site: Site | None, quantity: str, low: float, high: float, factor: float
 ) -> tuple[list[float], dict[str, float]]:
-    """Return an axis range around values, and the reference levels by name."""
+    """Return an axis range around values, and the reference levels by name, if a site has them."""
     span = max(high - low, 1e-3 * high) or 1.0
 
     def near(value: float) -> bool:
         return low - span / 2 <= value <= high + span / 2
 
-    references = {"target": factor * site.x2_star} if quantity == "roof" else {}
-    if quantity == "cistern":
+    references = {"target": factor * site.x2_star} if site and quantity == "roof" else {}
+    if site and quantity == "cistern":
         area = factor * site.a1
         references = {"outlet": area * site.z_o, "suction limit": area * site.suction_level}
         # Only if nearby: at the edge its label would overlap another.

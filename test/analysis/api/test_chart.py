@@ -7,6 +7,7 @@ import struct
 from datetime import datetime, timezone
 
 import pytest
+from refusals import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.api.simulate import Comparison
@@ -75,3 +76,35 @@ def test_table(compared: Comparison) -> None:
         assert deviation == compared.results[name].metrics["total_deviation_m3"]
     again = gr.compare({"one": compared.results["MPC"]}, hours=1)
     assert again.results["one"] is compared.results["MPC"]
+
+
+def levels_named(chart: object, panel: int) -> set[str]:
+    """Return the reference levels of a panel."""
+    described = chart.to_dict()  # type: ignore[attr-defined]
+    return {
+        row["text"] for rows in (
+            described["datasets"].get(layer["data"].get("name"), layer["data"].get("values", []))
+            for layer in described["vconcat"][panel]["layer"][:-1]
+        ) for row in rows
+    }
+
+
+def test_runs_of_different_sites(compared: Comparison) -> None:
+    """Each with the levels of its own site, and no reference level that is one's alone."""
+    large = gr.simulate("onoff", hours=4, site=gr.read_site(a2=100.0, z_veg=0.04))
+    chart = gr.compare({"own": large, **compared.results}).plot()
+    highest = max(row["v"] for row in points(chart, 1) if row["controller"] == "own")
+    assert highest == pytest.approx(1000 * large.trajectory["roof_level_m"].max(), rel=1e-6)
+    assert (levels_named(compared.plot(), 1), levels_named(chart, 1)) == ({"target"}, set())
+    assert levels_named(chart, 2) == levels_named(compared.plot(), 2) != set()
+    local = max(datetime.fromtimestamp(row["t"] / 1000, timezone.utc) for row in points(chart, 0))
+    assert f"{local:%H:%M}" == "06:00"
+
+
+def test_runs_that_begin_at_different_times_are_refused(compared: Comparison) -> None:
+    later = gr.simulate("onoff", hours=1, start="2021-07-08T02:00")
+    both = gr.compare({**compared.results, "later": later})
+    refusal(both.plot, match=(
+        "later: begins at 2021-07-08T02:00-05:00, but on/off at 2021-07-07T02:00-05:00"
+    ))
+    assert both.table.height == 3

@@ -7,7 +7,7 @@ import json
 import math
 import subprocess
 import sys
-from datetime import datetime
+from datetime import date, datetime
 from pathlib import Path
 
 import numpy as np
@@ -202,6 +202,18 @@ def test_a_measured_roof_has_its_drainage_layer(tmp_path: Path) -> None:
     ({"initial": (60.0, 1e4)}, "initial, roof = 10000.0: must be at most"),
     ({"forecast": "good"}, "forecast = 'good': must be one of perfect"),
     ({"start": "yesterday"}, "start = 'yesterday': must be a time such as"),
+    ({"start": 5}, "start = 5: must be a time such as .*, or a datetime"),
+    ({"hours": "2"}, "hours = '2': must be a number of hours"),
+    ({"site": 3}, "site = 3: must be a site file, or what gr.read_site returns"),
+    ({"weather": 3}, "weather: must be a file, .*, not of type builtins.int"),
+    ({"weather": polars.LazyFrame()}, "weather: must be a file, .*LazyFrame"),
+    ({"weather": {"time": []}}, "weather: must be a file, .*, not of type builtins.dict"),
+    ({"forecast": None}, "forecast: must be a name, a path or a ForecastChoice"),
+    ({"gaps": "drop"}, "gaps = 'drop': must be refuse or fill"),
+    ({"initial": (60.0,)}, "initial = .*: must be one of low-low.* or the volumes in cistern"),
+    ({"initial": 60.0}, "initial = 60.0: must be one of low-low.* or the volumes in cistern"),
+    ({"initial": (-1.0, 2.0)}, "initial = .*: must be .*, not negative"),
+    ({"initial": (math.nan, 2.0)}, "initial = .*: must be .*, not negative"),
     ({"controller": 3}, "controller = 3: must be a name, a class, an instance, or a function"),
     ({"controller": object}, "is not a controller: it lacks parameters, command"),
     ({"controller": "mpcc"}, "is not known; did you mean mpc"),
@@ -212,6 +224,17 @@ def test_a_measured_roof_has_its_drainage_layer(tmp_path: Path) -> None:
 ])
 def test_what_is_wrong_is_named(inputs: dict[str, object], reason: str) -> None:
     refusal(lambda: gr.simulate(**inputs), match=reason)  # type: ignore[arg-type]
+
+
+def test_what_cannot_be_compared_is_named() -> None:
+    for controllers in ({}, ["onoff"]):
+        refusal(gr.compare, controllers, match="must be controllers by their names")
+
+
+def test_a_run_can_start_with_a_day() -> None:
+    """At its first tick."""
+    started = gr.simulate("onoff", hours=0.1, start=date(2021, 7, 8)).run.start
+    assert started.isoformat() == "2021-07-08T00:00:00-05:00"
 
 
 def test_a_saved_run_is_read_by_the_report(tmp_path: Path) -> None:
@@ -255,13 +278,25 @@ def test_the_commands_run_is_read_by_the_report(tmp_path: Path, kept: tuple[str,
 ])
 def test_the_commands_picture(tmp_path: Path, name: str, begins: bytes) -> None:
     """Of each kind; a page needs no network; an older picture is kept."""
-    of_command(tmp_path, "--hours", "0.3", "--controller", "onoff", "--plot", name)
+    drawn = run_command(
+        "simulate", "--hours", "0.3", "--controller", "onoff", "--plot", name,
+        cwd=tmp_path, env=environment(0),
+    )
+    assert (drawn.returncode, drawn.stderr) == (0, "")
     content = (tmp_path / name).read_bytes()
     assert content.startswith(begins)
     assert b"roof level (mm)" in content or name == "run.png"
     assert b"<script src" not in content
     done = run_command("simulate", "--plot", name, cwd=tmp_path, env=environment(0))
-    assert (done.returncode, "exists already" in done.stderr) == (2, True)
+    assert (done.returncode, "exists; name another file" in done.stderr) == (2, True)
+
+
+def test_a_picture_that_cannot_be_written_is_refused_before_the_run(tmp_path: Path) -> None:
+    done = run_command("simulate", "--plot", "no/run.png", cwd=tmp_path, env=environment(0))
+    assert (done.returncode, done.stderr) == (2, (
+        "error: --plot = 'no/run.png': must be in a directory that exists and can be written to\n"
+    ))
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_run_that_failed_has_no_trajectory(tmp_path: Path) -> None:
