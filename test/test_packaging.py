@@ -518,7 +518,7 @@ def distribution(requirement):
     return re.match(r"[A-Za-z0-9._-]+", requirement)[0].lower().replace("_", "-")
 
 
-def test_package_xml_is_what_setup_py_says(manifest, setup_options):
+def test_package_xml_is_what_setup_py_reports(manifest, setup_options):
     assert manifest.package_format == 3
     assert manifest.get_build_type() == "ament_python"
     assert manifest.name == setup_options["name"] == "greenroof_ros"
@@ -538,7 +538,7 @@ def test_version_is_the_same_everywhere(manifest, setup_options):
     assert versions == {greenroof_ros.__version__}
 
 
-def test_citation_is_what_package_xml_says(manifest):
+def test_citation_is_what_package_xml_reports(manifest):
     citation = yaml.safe_load((CHECKOUT / "CITATION.cff").read_text(encoding="utf-8"))
     assert (citation["title"], citation["version"]) == (manifest.name, manifest.version)
     assert [citation["license"]] == [str(text) for text in manifest.licenses]

@@ -31,7 +31,7 @@ LEADING = (
 # Up to this many results are named one by one.
 _MOST_NAMED = 3
 _FORMS = {metric.name: metric.form for metric in METRICS}
-# By kind of cases: what can be too few, the least number, and why. A two-sided sign test of five
+# By kind of cases: what can be too few, the minimum number, and why. A two-sided sign test of five
 # years that all agree has 6 %, of six years 3 %; a tenth of nine seeds is less than one run.
 _FEWEST = {
     SEASONS: ("years", 6, "a lead in all may be chance"),
@@ -99,11 +99,11 @@ def _mean_deviation(row: Row) -> str:
 
 
 def _relative_to_least(row: Row) -> str:
-    return "" if row["ratio"] is None else f", {row['ratio']:.4g} times the least possible"
+    return "" if row["ratio"] is None else f", {row['ratio']:.4g} times the minimum possible"
 
 
 def _runs(report: Report, where: Sequence[str], initials: Sequence[str] = ()) -> str:
-    """Say how many runs there are, with their controllers and conditions."""
+    """State how many runs there are, with their controllers and conditions."""
     counts = {name: len(report.settings[name].labels) for name in report.controllers}
     of = _and(
         controller_name(name) + (f" ({count} settings)" if count > 1 else "")
@@ -146,24 +146,24 @@ def _of_several(report: Report) -> list[str]:
 def _least_of(
     places: Sequence[Sequence[Row]], what: str, deviation: str, named: Callable[..., str]
 ) -> str:
-    """Say what had the least deviation in each place; for many places, which controller how often.
+    """State what had the smallest deviation in each place; for many, which controller how often.
 
-    A tie between controllers is counted as shared.
+    A tie between controllers is treated as shared.
     """
     if not places:
-        return f"All lack years or seeds: it is open which has the least {deviation}."
+        return f"All lack years or seeds: it is open which has the minimum {deviation}."
     if len(places) <= _MOST_NAMED:
-        return f"The least {deviation} was {_and(named(*rows) for rows in places)}."
+        return f"The minimum {deviation} was {_and(named(*rows) for rows in places)}."
     wins: Counter[str] = Counter()
     for rows in places:
         names = {controller_name(row["controller"]) for row in lowest(rows)}
         wins[f"{names.pop()}'s" if len(names) == 1 else "shared"] += 1
     won = _and(f"{label} in {count}" for label, count in wins.most_common())
-    return f"Of {len(places)} {what} the least {deviation} was {won}."
+    return f"Of {len(places)} {what} the minimum {deviation} was {won}."
 
 
 def _least(report: Report) -> str:
-    """Say which run had the least total deviation; for many places, which controller how often."""
+    """State which run had the smallest deviation; for many places, which controller how often."""
     apart = report.differing_facts()
 
     def named(*here: Row) -> str:
@@ -175,7 +175,7 @@ def _least(report: Report) -> str:
             text += f" in {heading(first, apart, apart)}"
         if len(report.initials) > 1:
             text += f" from {first['from']}"
-        label = _and(map(who, best)) if others or not rows[1:] else "whatever the controller"
+        label = _and(map(who, best)) if others or not rows[1:] else "regardless of the controller"
         text += f" ({label}{_relative_to_least(first)}"
         return text + (f"; {who(others[0])} had {others[0][TOTAL]:.2f})" if others else ")")
 
@@ -212,8 +212,8 @@ def _of_seasons(report: Report) -> list[str]:
     first = _runs(report, _seasons(report))  # these name the initial states
     if report.sizing:
         return [first, *_of_sizes(report.of(SEASONS))]
-    best, apart = by_place(report.least), report.differing_facts(SEASONS)
-    shown = [row["case"] for row in report.least] if len(best) <= _MOST_NAMED else []
+    best, apart = by_place(report.minimum), report.differing_facts(SEASONS)
+    shown = [row["case"] for row in report.minimum] if len(best) <= _MOST_NAMED else []
     compared = [_relative_to_onoff(row) for row in report.relative_to_onoff if row["case"] in shown]
 
     def named(*rows: Row) -> str:
@@ -297,14 +297,14 @@ def _missing(report: Report) -> list[str]:
 
 
 def _too_few(report: Report) -> dict[str, str]:
-    """Say if there are too few years or seeds, by kind of cases."""
+    """State if there are too few years or seeds, by kind of cases."""
     fewest = {
-        kind: min((row[what] for row in report.of(kind)), default=least)
-        for kind, (what, least, _) in _FEWEST.items()
+        kind: min((row[what] for row in report.of(kind)), default=minimum)
+        for kind, (what, minimum, _) in _FEWEST.items()
     }
     return {
-        kind: f"only {fewest[kind]} {what}: with fewer than {least}, {why}"
-        for kind, (what, least, why) in _FEWEST.items() if fewest[kind] < least
+        kind: f"only {fewest[kind]} {what}: with fewer than {minimum}, {why}"
+        for kind, (what, minimum, why) in _FEWEST.items() if fewest[kind] < minimum
     }
 
 
@@ -333,5 +333,5 @@ def _of_results(row: Row, run: ReportedRun) -> list[str]:
          "an hour, the limit set by starts_per_hour in the site file"),
         ((row["frost_pumped_m3"] or 0) > 0, "water was pumped during frost"),
         (run.incidents, f"{run.ended}: something was lost while the run went on; the table of "
-         "incidents says what, when and why"),
+         "incidents lists what, when and why"),
     ) if there]
