@@ -430,15 +430,15 @@ def test_make_keeps_an_environment_that_is_active(tmp_path):
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory):
     """Return a colcon workspace built from a copy of the checkout with nothing sourced."""
-    beside_python = Path(sys.executable).parent
-    colcon = shutil.which("colcon", path=str(beside_python)) or shutil.which("colcon")
+    next_to_python = Path(sys.executable).parent
+    colcon = shutil.which("colcon", path=str(next_to_python)) or shutil.which("colcon")
     if colcon is None:
         pytest.skip("colcon is not installed; it is in the extra [test]")
     directory = tmp_path_factory.mktemp("workspace")
     copy_of_checkout(directory / "src" / "greenroof_ros")
     printed = run(
         colcon, "--log-base", directory / "log", "build", "--event-handlers", "console_direct+",
-        cwd=directory, env=bare_environment(directory, beside_python),
+        cwd=directory, env=bare_environment(directory, next_to_python),
     )
     # colcon also ends with 0 if it found nothing to build.
     assert (directory / "install" / "setup.bash").is_file(), printed

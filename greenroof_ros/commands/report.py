@@ -182,7 +182,7 @@ def _show(report: Report) -> None:
                 console.print(text, style="bold", soft_wrap=True, markup=False)
     windows = report.windows()
     for window in windows[:_MOST_TABLES]:
-        title = f"Minimum deviation from the target: {report.heading(window)}"
+        title = f"Smallest deviation from the target: {report.heading(window)}"
         table = Table("from", "controller", title=title, title_justify="left")
         for unit in ("mean mm", "total m3"):
             table.add_column(unit, justify="right")

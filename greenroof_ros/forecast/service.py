@@ -3,7 +3,7 @@
 The service has two interfaces for the same variables: *forecast*, with one series of each, and
 *ensemble*, with one of each member (``precipitation``, ``precipitation_member01``, ...). Their
 answers are read like files of the service (:mod:`greenroof_ros.formats.open_meteo`). An answer does
-not state which model run it is from. Here it is treated as issued in the hour in which it arrived,
+not state which model run it is from. It is assumed to be issued in the hour in which it arrived,
 and as available from its arrival, so nothing is known too early. Data of Open-Meteo are under the
 licence CC BY 4.0.
 

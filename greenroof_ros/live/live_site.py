@@ -193,8 +193,8 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
-        help="file of the sensors, on Modbus or MQTT (see config/sensors.yaml); external: nodes "
-        "of your own publish the levels",
+        help="file of the sensors, on Modbus or MQTT (see config/sensors.yaml); external: your "
+        "own nodes publish the levels",
     )
     group.add_argument(
         "--forecast", metavar="{FILE.csv,open-meteo}",

@@ -33,7 +33,7 @@ from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.live_site import make_parser as live_site_parser
 from greenroof_ros.live.supervisor import NodeFailed
 
-NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
+EXTERNAL = ("--sensors", "external", "--pump", "external", "--weather", "external")
 
 
 def bringup(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -59,7 +59,7 @@ def test_a_controller_keeps_what_it_learned_in_its_own_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another controller would not understand the file, and would overwrite it."""
-    monkeypatch.setattr(sys, "argv", ["live", *NOBODY, "--controller", "lookahead"])
+    monkeypatch.setattr(sys, "argv", ["live", *EXTERNAL, "--controller", "lookahead"])
     nodes = LiveSite(live_site_parser().parse_args()).nodes(tmp_path, tmp_path)
     (path,) = (node.parameters["state_file"] for node in nodes if node.name == "lookahead")
     assert path == str(tmp_path / "lookahead.json")
@@ -272,7 +272,7 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
     """Two bringups must not write into one directory; with another domain they would not notice."""
     (tmp_path / "live").mkdir()
     with acquire_file_lock(tmp_path / "live" / "bringup.lock"):
-        done = run_command("bringup.live", *NOBODY, cwd=tmp_path, env=environment(0))
+        done = run_command("bringup.live", *EXTERNAL, cwd=tmp_path, env=environment(0))
     assert done.returncode == 3
     assert done.stderr == (
         "error: --state = 'live': belongs to a running bringup; end it, or use another directory\n"
@@ -320,7 +320,7 @@ def test_a_mistake_is_reported_with_its_traceback(capfd: pytest.CaptureFixture[s
 
 def test_a_live_site_has_a_controller_that_fits_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """The paper's is the default of simulations only, as the help states, with its parameters."""
-    monkeypatch.setattr(sys, "argv", ["live", *NOBODY])
+    monkeypatch.setattr(sys, "argv", ["live", *EXTERNAL])
     parser = live_site_parser()
     assert LiveSite(parser.parse_args()).controller.name == "lookahead"
     text = " ".join(parser.format_help().split())

@@ -153,11 +153,11 @@ def test_without_a_node_or_with_a_second_graph_it_explains(domain: int, tmp_path
     source = changed(EXAMPLE, "\npublisher = ", "\n" + weather)
     node = start_node(domain, tmp_path, "taken", source, *in_namespace("taken"))
     try:
-        beside = check(domain, tmp_path, "taken")
+        second = check(domain, tmp_path, "taken")
         assert absent.wait(300) == 2
         assert "no node controller publishes /nowhere/pump/command" in absent.stderr()
-        assert beside.wait(300) == 3
-        assert "/taken/weather/frost already has a publisher (controller)" in beside.stderr()
+        assert second.wait(300) == 3
+        assert "/taken/weather/frost already has a publisher (controller)" in second.stderr()
     finally:
         node.terminate()
         node.wait(300)

@@ -33,7 +33,7 @@ from simulators import Simulator, serial_line
 from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.live.pumping.ledger import Ledger
 
-NOBODY = (
+EXTERNAL = (
     "--controller", "mpc", "--sensors", "external", "--pump", "external", "--weather", "external",
 )
 QUICK = "/**:\n  ros__parameters:\n    recovery_time: 1.0\n"
@@ -407,10 +407,10 @@ def test_a_start_with_slow_gauges_is_no_incident(
     stream.close()
     assert "thermometer" in "".join(str(document["notes"]) for document in while_up)
     # The test's drive file differs from the shipped one, which lasts.
-    beside = ("drive_file_unverified", "drive_lost")
+    expected = ("drive_file_unverified", "drive_lost")
     alarms = {
         (row["id"], row["what"]) for document in while_up for row in document["alarms"]
-        if row["code"] not in beside
+        if row["code"] not in expected
     }
     assert not alarms
     if not any("drive_lost" in str(document["alarms"]) for document in while_up):
@@ -497,7 +497,7 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
         with (disk / "other").open("wb", buffering=0) as stream, suppress(OSError):
             while True:
                 stream.write(bytes(4096))
-        with live(domain, tmp_path, *NOBODY) as process:
+        with live(domain, tmp_path, *EXTERNAL) as process:
             alarm = "incident 1: recorder: nothing is recorded: "
             process.until_printed(alarm, 60)
             process.until_printed("/roof/level has not come", 50)
@@ -576,7 +576,7 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
 def test_a_site_that_is_stopped_while_it_starts_ends_with_0(domain: int, tmp_path: Path) -> None:
     """Before any node is there, and while sensors are missing and it waits for them."""
     for early in (True, False):
-        with live(domain, tmp_path, *NOBODY) as process:
+        with live(domain, tmp_path, *EXTERNAL) as process:
             wait_for((tmp_path / "run").exists, 60, "the directory")
             if not early:
                 process.until_printed("missing:", 60)
@@ -677,14 +677,14 @@ def test_a_forecast_service_that_gives_none(domain: int, tmp_path: Path, site: S
 
 def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
     """The next bringup continues in the same directory, with a new file in the bag."""
-    with live(domain, tmp_path, *NOBODY) as process:
+    with live(domain, tmp_path, *EXTERNAL) as process:
         wait_for(lambda: len(process.nodes()) == 2, 60, "nodes")
         wait_for((tmp_path / "run" / "bag" / "bag_0.mcap").exists, 60, "a bag")
         nodes = list(process.nodes().values())
         process.process.kill()
         wait_for(lambda: not any(map(alive, nodes)), 60, "the end of the nodes")
         assert summary_of(tmp_path / "run")["status"] == "running"
-        again = Process(domain, "bringup.live", "--state", "run", *NOBODY, cwd=tmp_path)
+        again = Process(domain, "bringup.live", "--state", "run", *EXTERNAL, cwd=tmp_path)
         wait_for((tmp_path / "run" / "bag" / "bag_1.mcap").exists, 60, "its next file")
         assert "bringup was killed, or the power failed" in again.stderr()
         assert summary_of(tmp_path / "run")["last_time"]["status"] == "running"

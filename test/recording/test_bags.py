@@ -223,7 +223,7 @@ DAMAGE: dict[str, tuple[Callable[[Path, list[ChunkIndex]], object], list[int]]] 
 
 
 @pytest.mark.parametrize("what", DAMAGE)
-def test_what_is_whole_is_recovered_whatever_is_damaged(tmp_path: Path, what: str) -> None:
+def test_what_is_whole_is_recovered_after_any_damage(tmp_path: Path, what: str) -> None:
     written = write_bag(tmp_path / "bag", 361)
     damage, lost = DAMAGE[what]
     damage(tmp_path / "bag", chunks(tmp_path / "bag"))

@@ -1107,7 +1107,7 @@ def _fail(*_: Any, **__: Any) -> Any:
     "alarms.Alarms.rows", "alarms.Alarms.counts", "alarms.Alarms.events", "alarms.Alarms.update",
     "store.GraphStore.incidents",
 ])
-def test_whatever_cannot_be_shown_the_pump_can_be_stopped(
+def test_if_a_part_cannot_be_shown_the_pump_can_be_stopped(
     place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     graph = watched("live")

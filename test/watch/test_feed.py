@@ -306,7 +306,7 @@ class Broken(Kept):
         raise ValueError("broken")
 
 
-def test_a_stop_is_answered_whatever_else_fails(domain: int) -> None:
+def test_a_stop_is_answered_if_all_else_fails(domain: int) -> None:
     with in_domain(domain), Feed(Broken()) as feed:
         time.sleep(0.5)
         began = time.monotonic()

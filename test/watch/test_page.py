@@ -887,7 +887,7 @@ def _fail(*_: Any) -> Any:
 @pytest.mark.parametrize("broken", [
     "tiles.rain", "tiles.pump", "document.document", "server.document", "server.series",
 ])
-def test_a_fresh_page_has_its_stop_whatever_cannot_be_shown(
+def test_a_fresh_page_has_its_stop_if_a_part_cannot_be_shown(
     browser: Any, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
     """Neither a tile, nor the charts, nor even the whole document is needed for it."""

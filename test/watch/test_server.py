@@ -154,7 +154,7 @@ def test_only_the_page_itself_acts(
             with closing(Stream(port, **headers)) as stream:
                 assert f" {status} " in stream.head()
             assert request(port, "GET", "/").status == 200
-        for said, ok in ((body, status == 200), (b'{"id": "/nobody"}', False)):
+        for said, ok in ((body, status == 200), (b'{"id": "/unknown"}', False)):
             answer = request(port, "POST", "/acknowledge", said, **headers)
             assert (answer.status, answer.json()["ok"]) == (status, ok)
         assert shown(watched)["alarms"][0]["acknowledged"] == (status == 200)

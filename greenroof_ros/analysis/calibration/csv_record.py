@@ -360,8 +360,8 @@ def _from_temperatures(
     crossed = np.flatnonzero(minimum > maximum)
     if len(crossed):
         raise ConfigurationError(
-            f"on {dates[crossed[0]]} the least temperature, {minimum[crossed[0]]:g} degC, is above "
-            f"the maximum, {maximum[crossed[0]]:g} degC", file=record.source,
+            f"on {dates[crossed[0]]} the minimum temperature, {minimum[crossed[0]]:g} degC, is "
+            f"above the maximum, {maximum[crossed[0]]:g} degC", file=record.source,
         )
     there = ~np.isnan(extremes).any(axis=0)
     if not there.any():

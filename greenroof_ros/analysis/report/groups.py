@@ -355,7 +355,7 @@ class Report:
         return f"{text}: {self.heading(row)}" if len(self.windows()) > 1 else text
 
     def best(self) -> list[Row]:
-        """Return the run of each controller with the minimum deviation, place by place.
+        """Return the run of each controller with the smallest deviation, place by place.
 
         Only single runs count. If all of them are equal, there is no setting.
         """
@@ -390,7 +390,7 @@ class Report:
     def plain_onoff(self) -> list[Row]:
         """Of each place, the on/off controller that fills to the target, as in the paper.
 
-        Of several with different shares of the flow, it is the one with the minimum mean deviation:
+        Of several with different shares of the flow, it has the smallest mean deviation:
         with ticks of some seconds, full flow overshoots the target, which no site would accept.
         """
         (level,) = (known.default for known in OnOff.parameters if known.name == "level")
@@ -401,7 +401,7 @@ class Report:
 
     @cached_property
     def minimum(self) -> list[Row]:
-        """Of each place, the cases with the minimum mean deviation that is possible on a site.
+        """Of each place, the cases with the smallest mean deviation that is possible on a site.
 
         Controllers with perfect forecasts do not count, unless no forecasts here have errors, nor
         do cases that lack years or seeds.
@@ -422,8 +422,8 @@ class Report:
         return self._relative_to(self.plain_onoff)
 
     @cached_property
-    def relative_to_least(self) -> list[Row]:
-        """The same compared with the case of minimum deviation, if that is not plain on/off."""
+    def relative_to_best(self) -> list[Row]:
+        """The same compared with the case of smallest deviation, if that is not plain on/off."""
         plain = [row["case"] for row in self.plain_onoff]
         known = {row["place"] for row in self.minimum if row["case"] in plain}
         return self._relative_to([row for row in self.minimum if row["place"] not in known])
@@ -466,7 +466,7 @@ def by_place(rows: Iterable[Row]) -> list[list[Row]]:
 
 
 def lowest(rows: Iterable[Row]) -> list[Row]:
-    """Return from each place the case with the minimum total deviation, or several that are equal.
+    """Return from each place the case with the smallest total deviation, or several that are equal.
 
     Cases that lack years or seeds come after all others: they may lack the worst.
     """

@@ -263,7 +263,7 @@ def _of_runs(report: Report, name: str, columns: Sequence[Column], *, folded: bo
 
 def _best(report: Report, best: Sequence[Row]) -> ReportTable:
     """Return the table of each controller's best run."""
-    return _table(report, "Minimum total deviation of each controller", [
+    return _table(report, "Smallest total deviation of each controller", [
         _CONTROLLER, _FROM, *_ended(report), _metric(TOTAL), *_ratio(report.single),
         *_window(report), _metric("pumped_m3"), _metric("max_command"), _RUN,
     ], best)
@@ -355,7 +355,7 @@ def _seasons(report: Report) -> list[ReportTable]:
     tables = _means(report, cases)
     for other, compared in (
         ("on/off", report.relative_to_onoff),
-        ("the controller with the minimum deviation", report.relative_to_least),
+        ("the controller with the smallest deviation", report.relative_to_best),
     ):
         if compared and not report.sizing:
             tables.append(_comparisons(report, other, compared))

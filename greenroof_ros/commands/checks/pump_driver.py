@@ -108,7 +108,7 @@ class PumpCheck(NodeCheck):
         # Low, so that the roof has room for all water that will be pumped.
         self._empty_roof = 0.5 * initial_state(site, "low-low")[1]
         self._volumes = [site.suction_level * site.a1 + _WATER, self._empty_roof]
-        self._least_above_suction = _MIN_ABOVE_SUCTION
+        self._above_suction = _MIN_ABOVE_SUCTION
         self._steady = 0.0
         self._lockstep_problem = ""
         self._state: PumpState | None = None
@@ -154,7 +154,7 @@ class PumpCheck(NodeCheck):
             self._runs(f"again when {after}")
         with self.check(f"stops when the cistern falls to the suction level: {within}"):
             self._must_run()
-            self._least_above_suction = _DRY
+            self._above_suction = _DRY
             dry = (site.suction_level + _DRY) * site.a1
             while self._volumes[0] > dry and self._flowing(self._answer({})):
                 pass  # until the suction level; a driver may stop earlier
@@ -212,7 +212,7 @@ class PumpCheck(NodeCheck):
         self._count_answers(1)
         allowed = self.interface["/pump/flow"].range
         require(flow in allowed, f"its flow is {flow:g} m3/s, but {allowed.expected()}")
-        minimum = (self._site.suction_level + self._least_above_suction) * self._site.a1
+        minimum = (self._site.suction_level + self._above_suction) * self._site.a1
         self._volumes = [max(cistern - flow * tau, minimum), roof + flow * tau]
         return flow
 

@@ -318,10 +318,10 @@ class Relay:
             raise self.line.error("answer", f"its timer, {timer.path}, is too large") from None
         if seconds is None:
             return None, f"{timer.path} is {raw:g}: off"
-        if seconds < self.file.least_timer:
+        if seconds < self.file.minimum_timer:
             return None, (
                 f"{timer.path} is {raw:g}, which is {seconds:g} s: less than "
-                f"{self.file.least_timer:g} s cannot be renewed in time"
+                f"{self.file.minimum_timer:g} s cannot be renewed in time"
             )
         self._timer_s = seconds
         return seconds, ""

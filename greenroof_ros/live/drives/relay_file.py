@@ -123,7 +123,7 @@ class RelayFile:
     least_speed = 1.0
 
     @property
-    def least_timer(self) -> float:
+    def minimum_timer(self) -> float:
         """The shortest timer that can be renewed in time (s)."""
         return _ROUNDS * self.period
 

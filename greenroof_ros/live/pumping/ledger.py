@@ -364,12 +364,12 @@ def _create(file: Path, record: PumpRecord) -> None:
     if os.path.lexists(file) and not file.is_file():
         raise FileExistsError(errno.EEXIST, "it exists but is not a file")
     file.parent.mkdir(parents=True, exist_ok=True)
-    beside = file.with_name(file.name + _NEW)
-    with beside.open("wb") as stream:
+    new_file = file.with_name(file.name + _NEW)
+    with new_file.open("wb") as stream:
         stream.write(_line(1, record) + _line(2, record))
         stream.flush()
         os.fsync(stream.fileno())
-    beside.replace(file)
+    new_file.replace(file)
     directory = os.open(file.parent, os.O_RDONLY)
     try:
         os.fsync(directory)
@@ -432,8 +432,8 @@ def _traces(file: Path) -> list[str]:
     """Return what shows that a missing file existed before."""
     if file.is_symlink():
         return [f"it is a link to {file.readlink()}, which is missing"]
-    beside = (file.with_name(file.name + ending) for ending in _LEFTOVERS)
-    return [f"it is missing, but {path.name} is there" for path in beside if os.path.lexists(path)]
+    left = (file.with_name(file.name + ending) for ending in _LEFTOVERS)
+    return [f"it is missing, but {path.name} is there" for path in left if os.path.lexists(path)]
 
 
 def _parse(line: bytes, number: int) -> tuple[int, PumpRecord]:

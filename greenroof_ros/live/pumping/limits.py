@@ -141,7 +141,7 @@ class PumpSettings:
         if self.follow_tolerance >= self.least_speed:
             raise ConfigurationError(
                 f"must be less than least_speed, {self.least_speed:g}: a stopped pump would be "
-                "taken to be as running, and one that runs on after a stop as stopped",
+                "treated as running, and one that runs on after a stop as stopped",
                 key="follow_tolerance", value=self.follow_tolerance,
             )
 
@@ -314,7 +314,7 @@ class Pulses:
 
     def clear(self) -> None:
         """Forget the outstanding volume and the demand."""
-        self._wanted = self._greatest = self.outstanding = 0.0
+        self._wanted = self._maximum = self.outstanding = 0.0
 
     def update(self, command: float, cistern_level: float, on: bool, since_start: float) -> float:
         """Update the demand; return the share of the maximum flow to request, 0 for off.
@@ -326,9 +326,9 @@ class Pulses:
             since_start: time since the pump was last started (s).
         """
         minimum, pulse = self.least_share(cistern_level), self.least_pulse(cistern_level)
-        self._wanted, self._greatest = self._flow(command, cistern_level), pulse
+        self._wanted, self._maximum = self._flow(command, cistern_level), pulse
         if 0 < command < minimum:
-            self._greatest = max(pulse, self._spacing * self._flow(minimum, cistern_level))
+            self._maximum = max(pulse, self._spacing * self._flow(minimum, cistern_level))
         self._set_outstanding(self.outstanding)
         if command >= minimum:
             catch_up = self.outstanding / _CATCH_UP / self._flow(1.0, cistern_level)
@@ -340,7 +340,7 @@ class Pulses:
         return minimum if due else 0.0
 
     def _set_outstanding(self, volume: float) -> None:
-        self.outstanding = min(self._greatest, max(-self._greatest, volume))
+        self.outstanding = min(self._maximum, max(-self._maximum, volume))
 
     def _flow(self, share: float, cistern_level: float) -> float:
         return share * flow_at(self._site, 1.0, cistern_level)

@@ -278,7 +278,7 @@ def test_temperatures_that_show_no_day_are_refused(file: Path) -> None:
         (of_days(dict.fromkeys(range(10), "5,15")), "no temperature within 3 days of 2021-04-14"),
         (of_days({}), "no day has its temperatures"),
         (of_days(dict.fromkeys(range(60), "5,15") | {0: "40,15"}),
-         "on 2021-04-01 the least temperature, 40 degC, is above the great"),
+         "on 2021-04-01 the minimum temperature, 40 degC, is above the max"),
         (winter, "has no temperature within 3 days"),
         (six_hourly, "temperature: its rows are 6 h apart, but show a"),
     ):

@@ -429,7 +429,7 @@ def test_a_tie_is_no_win(tmp_path: Path, forecast: str, seeds: tuple[object, ...
         for seed in seeds for day, both in totals.items()
         for controller, total in zip(("mpc", "onoff"), both, strict=True)
     ))
-    assert "MPC's in 2, shared in 2 and the on/off controller's in 1." in sentences(report)[1]
+    assert "with MPC in 2, shared in 2 and with on/off in 1." in sentences(report)[1]
 
 
 # --- the command ---------------------------------------------------------------------------------
@@ -485,7 +485,7 @@ def test_study(tmp_path: Path) -> None:
 def test_a_page_begins_with_what_came_out(tmp_path: Path, study: Path, seeds: Report) -> None:
     """Three sentences and a figure come before the results; versions are last."""
     one = page_of(ended_run(tmp_path / "run"))
-    assert "Minimum total deviation" not in one and "<thead>" not in one.partition("Site:")[0]
+    assert "Smallest total deviation" not in one and "<thead>" not in one.partition("Site:")[0]
     pages = {
         "A run of MPC (weight 0.001): ": one,
         "8 runs of MPC (2 settings) and on/off (2 settings), from low-low and high-low: ":

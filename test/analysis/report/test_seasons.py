@@ -195,7 +195,7 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
 
 
 def minimum(report: Report) -> list[tuple[str, str]]:
-    """Return the controller with the minimum deviation, and its forecasts."""
+    """Return the controller with the smallest deviation, and its forecasts."""
     return [(row["controller"], row["forecast"]) for row in report.minimum]
 
 
@@ -212,11 +212,11 @@ def test_the_minimum_that_a_site_could_have(tmp_path: Path) -> None:
         *rows("lookahead", None, lowest),
     )
     assert minimum(report) == [("lookahead", "errors skill real")]
-    assert [(row["controller"], row["has"].mean.value > 1) for row in report.relative_to_least] == [
+    assert [(row["controller"], row["has"].mean.value > 1) for row in report.relative_to_best] == [
         ("mpc", True), ("onoff", True), ("lookahead", False)
     ]
     (*_, table) = make_tables(report)
-    assert table.name.startswith("Deviation relative to the controller with the minimum deviation")
+    assert table.name.startswith("Deviation relative to the controller with the smallest deviation")
     figure = figures_of(report)["seasons"]
     assert [panel.title[-1] for panel in figure.panels] == [
         "forecasts: perfect", "forecasts: errors skill real"
@@ -255,7 +255,7 @@ def test_who_failed_in_the_worst_years_is_not_the_minimum(tmp_path: Path) -> Non
         failed(row) if row["weather"] > "2020" else row for row in rows("lookahead", None, more)
     ]
     report = study_of(tmp_path / "a", *onoff, *five)
-    assert minimum(report) == [("onoff", "perfect")] and not report.relative_to_least
+    assert minimum(report) == [("onoff", "perfect")] and not report.relative_to_best
     assert "deviation of a season was 130.00 m³, 2.6 times the minimum possible (on/off, " \
         in sentences(report)[1]
     (compared,) = report.relative_to_onoff
@@ -286,10 +286,10 @@ def test_who_failed_in_the_worst_years_is_not_the_minimum(tmp_path: Path) -> Non
     place = table.header.index("fewest seeds in a year")
     assert [row[place].text for row in table.rows] == ["1"] * 3
 
-    # If no controller has all years, none is called the minimum; on/off is still compared with.
+    # If no controller has all years, none is called the best; on/off is still compared with.
     report = study_of(tmp_path / "c", failed(onoff[0]), *onoff[1:], *five)
     assert not report.minimum and len(report.relative_to_onoff) == 1
-    assert "it is open which has the minimum mean deviation" in sentences(report)[1]
+    assert "it is open which has the smallest mean deviation" in sentences(report)[1]
     many = [{**row, "controller": f"mine_{n}"} for n in range(4) for row in five]
     assert cautions(study_of(tmp_path / "d", *onoff, *many))[-1] == (
         "1 more controllers or settings lack years or seeds"
@@ -300,14 +300,14 @@ def test_a_tie_between_seasons_names_all(tmp_path: Path) -> None:
     """As between single runs; of more than three seasons it is treated as shared."""
     report = study_of(tmp_path / "a", *rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF))
     assert "(MPC, forecast perfect, and on/off, forecast perfect)" in sentences(report)[1]
-    assert not report.relative_to_least  # on/off is among them
+    assert not report.relative_to_best  # on/off is among them
     report = study_of(tmp_path / "b", *(
         {**row, "initial": "custom", "cistern_m3": volume,
          TOTAL: row[TOTAL] + (volume > 2 and row["controller"] == "mpc")}
         for volume in (1.0, 2.0, 3.0, 4.0)
         for row in (*rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF))
     ))
-    assert sentences(report)[1].endswith("was shared in 2 and the on/off controller's in 2.")
+    assert sentences(report)[1].endswith("was shared in 2 and with on/off in 2.")
 
 
 # --- from the grid to the figures ----------------------------------------------------------------

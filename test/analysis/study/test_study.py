@@ -178,7 +178,7 @@ def test_what_decides_whether_a_run_still_counts(
 
 @pytest.mark.parametrize("what", ["outcome", "bounds", "results"])
 def test_a_full_disk_is_named(tmp_path: Path, what: str) -> None:
-    """Whichever file it takes, the message has its path; /dev/full is a disk without room."""
+    """For any such file the message has its path; /dev/full is a disk without room."""
     grid(tmp_path, edited("hours: 0.25", "hours: 0.05"))
     store = store_of(tmp_path)
     full = {

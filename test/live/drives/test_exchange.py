@@ -752,7 +752,7 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
     wait(lambda: bench.drive.values[4] == 10000, seconds=5)
 
 
-def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
+def test_a_serial_line_is_one_drivers_by_any_name(tmp_path: Path) -> None:
     (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
     first, second = (
         DriveLock(DriveEndpoint(ABB, parse_drive_address(f"{tmp_path}/{name}", "at")))
@@ -773,7 +773,7 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
     ("owner", "method"),
     [(ModbusLine, "connect"), (ModbusLine, "close"), (StopMonitor, "connection_lost")],
 )
-def test_whatever_fails_the_next_step_begins_again(
+def test_after_any_failure_the_next_step_begins_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, owner: type, method: str
 ) -> None:
     """For instance, no file descriptor is left over."""

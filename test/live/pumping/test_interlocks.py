@@ -122,7 +122,7 @@ def test_what_follows_is_not_said_next_to_its_cause() -> None:
     assert evaluate([alone]) == {"drive_not_ready": alone}
 
 
-def test_a_kept_fault_keeps_the_pump_off_whatever_its_code() -> None:
+def test_a_kept_fault_keeps_the_pump_off_with_any_code() -> None:
     """A record from another version of this package can have any code."""
     rig = Rig()
     rig.ledger.fault("it was so", "phase_lost")
