@@ -1,4 +1,4 @@
-"""Two roofs with measurements, Neubrandenburg and Berlin: ``python tools/measured_roofs DIRECTORY``.
+"""Two roofs with records, Neubrandenburg and Berlin: ``python tools/measured_roofs DIRECTORY``.
 
 Each roof is fitted on one half of its warm seasons and judged on the other, both ways, and compared
 with SWMM as its authors calibrated it and with a bucket of one parameter. Needs the extras [study]
