@@ -71,7 +71,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     A record is for the hour that starts at its time, as in the paper. But rain is for the hour
     before: the service's current observations call it ``pcpn_amt_pst1hr``, and by the column
     ``Weather`` it rains at a wet row's time and an hour before about equally often, and less often
-    an hour after. So rain is recorded an hour late; ``rain_late`` of the records reports it, and
+    an hour after. So rain is recorded an hour late; ``rain_late`` of the records states this, and
     forecasts are compared accordingly. Flags ``M`` (missing) and ``NA`` make a value missing even
     if one is given. Other flags, such as ``E`` (estimated by the service), do not. A row that ends
     before the first observation, as the service writes for hours without any, is all missing.

@@ -85,7 +85,7 @@ class DriveInLoop:
         """Start the pump node, and wait until it can run its drive.
 
         So no run starts that cannot pump. A stop or fault latched in an earlier run keeps the pump
-        off in this one; a warning reports it.
+        off in this one; a warning states this.
 
         Raises:
             NodeFailed: the node ended or hangs, or the drive could not be run within 60 s.

@@ -263,7 +263,7 @@ class PumpBehaviour:
         """Stop the drive and confirm that it is stopped, regardless of what ends it.
 
         Raises:
-            OSError: that could not be confirmed; the node's exit code also reports it.
+            OSError: that could not be confirmed; the node's exit code also shows this.
         """
         try:
             self._disconnect(math.inf)
@@ -632,7 +632,7 @@ class PumpBehaviour:
         problem = bad_inputs(self._inputs[name] for name in of_code)
         if problem is None:
             return ""
-        unknown = code == "frost_unknown" and problem.code == "input_refused"  # a NaN reports it
+        unknown = code == "frost_unknown" and problem.code == "input_refused"  # NaN: unknown
         return "temperature_unknown" if unknown else problem.code
 
     def _diagnose_dose(self) -> None:

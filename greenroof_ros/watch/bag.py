@@ -2,7 +2,7 @@
 
 The files of this package's recorders grow by whole chunks. The end of the last whole record is
 remembered, so each byte is read once. A file may be truncated, damaged, removed as the oldest of
-its bag, or replaced by another one of the same name: nothing is raised; the batch reports it.
+its bag, or replaced by another one of the same name: nothing is raised; the batch states this.
 
 A process of its own reads, with the lowest priority on the machine. A thread could not: a thread
 that waits for the processor while it holds Python's lock also stops the page, on a busy machine for

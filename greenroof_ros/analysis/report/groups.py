@@ -400,7 +400,7 @@ class Report:
         )
 
     @cached_property
-    def minimum(self) -> list[Row]:
+    def smallest(self) -> list[Row]:
         """Of each place, the cases with the smallest mean deviation that is possible on a site.
 
         Controllers with perfect forecasts do not count, unless no forecasts here have errors, nor
@@ -425,8 +425,8 @@ class Report:
     def relative_to_best(self) -> list[Row]:
         """The same compared with the case of smallest deviation, if that is not plain on/off."""
         plain = [row["case"] for row in self.plain_onoff]
-        known = {row["place"] for row in self.minimum if row["case"] in plain}
-        return self._relative_to([row for row in self.minimum if row["place"] not in known])
+        known = {row["place"] for row in self.smallest if row["case"] in plain}
+        return self._relative_to([row for row in self.smallest if row["place"] not in known])
 
     def _relative_to(self, references: Sequence[Row]) -> list[Row]:
         others, compared = {row["place"]: row for row in reversed(references)}, []
@@ -470,11 +470,11 @@ def lowest(rows: Iterable[Row]) -> list[Row]:
 
     Cases that lack years or seeds come after all others: they may lack the worst.
     """
-    minimum: list[Row] = []
+    found: list[Row] = []
     for here in by_place(rows):
         order = [(row["missing"], row[TOTAL]) for row in here]
-        minimum += [row for row, key in zip(here, order, strict=True) if key == min(order)]
-    return minimum
+        found += [row for row, key in zip(here, order, strict=True) if key == min(order)]
+    return found
 
 
 def _kinds(rows: Sequence[Row]) -> list[str]:

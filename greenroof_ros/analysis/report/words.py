@@ -212,8 +212,8 @@ def _of_seasons(report: Report) -> list[str]:
     first = _runs(report, _seasons(report))  # these name the initial states
     if report.sizing:
         return [first, *_of_sizes(report.of(SEASONS))]
-    best, apart = by_place(report.minimum), report.differing_facts(SEASONS)
-    shown = [row["case"] for row in report.minimum] if len(best) <= _MOST_NAMED else []
+    best, apart = by_place(report.smallest), report.differing_facts(SEASONS)
+    shown = [row["case"] for row in report.smallest] if len(best) <= _MOST_NAMED else []
     compared = [_relative_to_onoff(row) for row in report.relative_to_onoff if row["case"] in shown]
 
     def named(*rows: Row) -> str:

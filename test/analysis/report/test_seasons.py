@@ -196,7 +196,7 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
 
 def minimum(report: Report) -> list[tuple[str, str]]:
     """Return the controller with the smallest deviation, and its forecasts."""
-    return [(row["controller"], row["forecast"]) for row in report.minimum]
+    return [(row["controller"], row["forecast"]) for row in report.smallest]
 
 
 def test_the_minimum_that_a_site_could_have(tmp_path: Path) -> None:
@@ -288,7 +288,7 @@ def test_who_failed_in_the_worst_years_is_not_the_minimum(tmp_path: Path) -> Non
 
     # If no controller has all years, none is called the best; on/off is still compared with.
     report = study_of(tmp_path / "c", failed(onoff[0]), *onoff[1:], *five)
-    assert not report.minimum and len(report.relative_to_onoff) == 1
+    assert not report.smallest and len(report.relative_to_onoff) == 1
     assert "it is open which has the smallest mean deviation" in sentences(report)[1]
     many = [{**row, "controller": f"mine_{n}"} for n in range(4) for row in five]
     assert cautions(study_of(tmp_path / "d", *onoff, *many))[-1] == (
