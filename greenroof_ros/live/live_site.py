@@ -217,7 +217,7 @@ def make_parser() -> Parser:
     group.add_argument(
         "--thermometer", choices=[EXTERNAL],
         help="external: your own node publishes /gauge/temperature (degC), if the file of "
-        "--sensors has no thermometer; without --forecast nothing else can state whether there is "
+        "--sensors has no thermometer; without --forecast nothing else can show whether there is "
         "frost",
     )
     group.add_argument(

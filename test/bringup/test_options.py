@@ -107,7 +107,7 @@ WRONG = {
         "--forecast FILE.csv: is missing: mpc needs a forecast; or give --weather external",
     f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
-        "state whether there is frost; give it if your own node publishes /gauge/temperature",
+        "show whether there is frost; give it if your own node publishes /gauge/temperature",
     f"{WEATHERED} --forecast no.nc": "--forecast = 'no.nc': must be a FILE.csv, which is",
     f"{WEATHERED} --forecast {CHECKOUT}/package.xml": "package.xml': must be a FILE.csv, which is",
     f"{WEATHERED} --weather external --forecast forecast.csv":
