@@ -88,7 +88,7 @@ class LiveSite:
             (not others_weather and not has_forecast and arguments.thermometer is None
              and not has_thermometer,
              "--thermometer external", None,
-             "is missing: without --forecast FILE.csv only a thermometer can state whether there "
+             "is missing: without --forecast FILE.csv only a thermometer can show whether there "
              "is frost; give it if your own node publishes /gauge/temperature (degC), or add a "
              "thermometer to the file of --sensors, or give a forecast"),
             (has_thermometer and arguments.thermometer is not None, "--thermometer", EXTERNAL,
