@@ -1,4 +1,4 @@
-"""Your own controller: it fills the roof, but does not water if enough rain is coming.
+"""A controller of your own: it fills the roof, but does not water if enough rain is coming.
 
 greenroof simulate --controller examples.rain_wait:RainWait
 greenroof check-controller examples.rain_wait:RainWait

@@ -17,7 +17,7 @@ RESULTS = " ".join((CHECKOUT / "doc" / "results.md").read_text().split())
 PLACES = ("measured", "paper")
 
 
-def test_readme_reports_what_its_figure_shows() -> None:
+def test_readme_says_what_its_figure_shows() -> None:
     """The figure and the README's percentages come from the same stored file."""
     assert (CHECKOUT / "doc" / "_static" / "worth.svg").read_text() == worth.drawing()
     (target,) = {ROOFS[roof].target for roof in PLACES}
@@ -32,7 +32,7 @@ def test_readme_reports_what_its_figure_shows() -> None:
     assert f"without a forecast, 2024 | {100 - none:.0f} % | {100 - paper[0]:.0f} % |" in README
 
 
-def test_readme_reports_what_forecasts_add() -> None:
+def test_readme_says_what_forecasts_add() -> None:
     """Over no forecast, with intervals: May to October, three services as one; and perfect ones."""
     issued = " | ".join(gain(numbers()[roof, TOGETHER, OVER_NO_RAIN]) for roof in PLACES)
     assert f"| from there, by issued forecasts | {issued} |" in README
@@ -41,7 +41,7 @@ def test_readme_reports_what_forecasts_add() -> None:
     assert f"Perfect forecasts reduced it by {said} % in 2024" in README
 
 
-def test_readme_reports_what_the_target_is_worth() -> None:
+def test_readme_says_what_the_target_is_worth() -> None:
     """Less water at the site's own target, and less with perfect forecasts at the paper's."""
     pumped, lower, perfect = (
         numbers()[roof, forecast, "pumped (m³)"].value for roof, forecast in (

@@ -212,13 +212,13 @@ def value_axis(values: Sequence[float]) -> dict[str, Any]:
     low, middle, high = ordered[0], ordered[len(ordered) // 2], ordered[-1]
     positive = [value for value in ordered if value > 0]
     if low >= 0 and positive and high - low > 10 * (middle - low) > 0:
-        minimum = positive[0]
+        least = positive[0]
         if low > 0:
             return {"scale": alt.Scale(type="log", domain=[low / 1.1, 1.1 * high], nice=False)}
-        ticks = [10.0**power for power in range(math.ceil(math.log10(minimum)), 1 + math.floor(
+        ticks = [10.0**power for power in range(math.ceil(math.log10(least)), 1 + math.floor(
             math.log10(high)))]
         return {
-            "scale": alt.Scale(type="symlog", constant=minimum, domain=[0, 1.5 * high], nice=False),
+            "scale": alt.Scale(type="symlog", constant=least, domain=[0, 1.5 * high], nice=False),
             "axis": alt.Axis(values=[0.0, *ticks], format="~g"),
         }
     margin = 0.08 * (high - low) or 0.08 * abs(high) or 1.0

@@ -29,7 +29,7 @@ _GREY = "#555555"
 _MOST_HOURS = 96.0
 _FULL_FLOW = "full flow; the pump cannot deliver more"
 # Commands of 1e-3 and of 1 must both be visible: below this power of ten the axis is linear.
-_MIN_POWER = {"command": -3, "pump_flow": -2}
+_LEAST_POWER = {"command": -3, "pump_flow": -2}
 # The chart of simulations: width and height of a panel, and of the rain's (px).
 _WIDTH, _HEIGHT, _RAIN_HEIGHT = 640, 130, 70
 # Room for the numbers of its axes, so that the titles are in line.
@@ -125,7 +125,7 @@ def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
                 lines, "setting", labels, f"{controller_name(controller)}: {title}"
                 if controller else title.capitalize(),
                 legend=named, zoom=True, below=[
-                    *(_incidents(report, own, start) if quantity in _MIN_POWER else []),
+                    *(_incidents(report, own, start) if quantity in _LEAST_POWER else []),
                     *references,
                 ],
             ))
@@ -225,10 +225,10 @@ def _axis(
     low, high = min(values), max(values)
     scale: dict[str, Any] = {"nice": False}
     axis = alt.Axis()
-    if quantity in _MIN_POWER:
-        minimum = _MIN_POWER[quantity]
-        scale |= {"type": "symlog", "constant": 10.0**minimum}
-        axis = alt.Axis(values=[0.0, *(10.0**power for power in range(minimum, 10))], format="~g")
+    if quantity in _LEAST_POWER:
+        least = _LEAST_POWER[quantity]
+        scale |= {"type": "symlog", "constant": 10.0**least}
+        axis = alt.Axis(values=[0.0, *(10.0**power for power in range(least, 10))], format="~g")
     if quantity == "command":
         # On the logarithmic axis this leaves room for the text above the line.
         top = max(2.5 * high, 0.002)
