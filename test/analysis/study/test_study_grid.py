@@ -57,7 +57,7 @@ WRONG = {
     "parameter": (edited("weight", "weights"), "line 11: weights: is not a parameter of mpc; d"),
     "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than 0"),
     "no-values": (edited("[1.0e-3, 0.1]", "[]"), "line 11: weight: is empty"),
-    "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': 'perfekt' is unknown"),
+    "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': 'perfekt' is unk"),
     "forecast-skill": (
         GRID + "forecast: {model: errors, skill: [real, large]}\n",
         "skill = 'large': 'large' must be one of much_",
