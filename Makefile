@@ -43,7 +43,7 @@ FOR_BENCH := $(VENV)/.for-bench
 FOR_DOCS := $(VENV)/.for-docs
 FOR_MUTATION := $(VENV)/.for-mutation
 
-# It says what it installs: the first time it takes a minute or two. Python compiles what is
+# It prints what it installs: the first time it takes a minute or two. Python compiles what is
 # imported, which is a small part of it.
 PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --no-compile --editable
 
@@ -70,8 +70,9 @@ study: $(FOR_STUDY)
 	    $(BIN)/python -m greenroof_ros report studies/paper --force && exit $$code
 
 # Without ARGS every test, four processes more than there are cores, since graphs mostly wait.
-# Which tests may run side by side, test/conftest.py says. What failed runs once more, one at a time:
-# a live site's limits are of real time, which a busy machine exceeds. What fails again, fails.
+# Which tests may run side by side is in test/conftest.py. What failed runs once more, one at a
+# time: a live site's limits are of real time, which a busy machine exceeds. What fails again,
+# fails.
 test: $(FOR_TEST)
 ifeq ($(ARGS),)
 	@$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 4)) --dist loadgroup \

@@ -23,7 +23,7 @@ COMMANDS = (
     "site_simulator", "forecast_simulator", "fetch_forecast", "hold", "release", "reset", "dose",
     "status", "calibrate", "weather_file", "verify", "bridge", "study", "report", "watch",
 )
-# Colcon calls one of these, and setup.cfg says where executables go. Pip calls neither, and would
+# Colcon calls one of these, and setup.cfg sets where executables go. Pip calls neither, and would
 # put names such as `report` and `watch` on everybody's PATH.
 IN_WORKSPACE = not {"install", "develop"}.isdisjoint(sys.argv)
 EXECUTABLES = [
@@ -84,8 +84,9 @@ setup(
         *shared_files("examples"),
         *shared_files("msg_defs"),
     ],
-    # What the simulation needs. The oldest version is the oldest that was tried or, where it says
-    # so, that has what is used; the upper limit is the next release that may change interfaces.
+    # What the simulation needs. The oldest version is the oldest that was tried or, where it is
+    # stated so, that has what is used; the upper limit is the next release that may change
+    # interfaces.
     install_requires=[
         "numpy>=1.22,<3",  # the model's Jacobians and the controller's matrices
         "scipy>=1.8,<2",  # OSQP's sparse matrices; HiGHS, for the bound
@@ -118,7 +119,7 @@ setup(
         # Studies of many runs, and reports with figures; neither needs a ROS.
         "study": [
             "polars>=1.33,<3",  # trajectories as parquet; from 1.33 on it takes metadata
-            "rosbags>=0.10,<1",  # reads any bag, of whatever storage
+            "rosbags>=0.10,<1",  # reads any bag, of any storage
             "altair>=6,<7",  # figures: one description for page, PNG and SVG
             "vl-convert-python>=1.8,<2",  # draws them without a browser; brings the page's scripts
             "Jinja2>=3,<4",  # the page
@@ -154,7 +155,7 @@ setup(
             "nbformat>=5.9",
             "ipykernel>=6",
             "playwright>=1.40",  # reads the report's page in the system's Chromium
-            # A new minor release of a linter brings new rules; they are taken in on purpose.
+            # A new minor release of a linter brings new rules; they are adopted on purpose.
             "ruff~=0.17.0",
             "mypy~=2.4.0",
             "types-PyYAML>=6.0",
@@ -174,7 +175,7 @@ setup(
             "myst-parser>=4,<6",  # pages are Markdown
             "furo>=2024.8.6",  # theme: light and dark, wide and narrow
         ],
-        # The stormwater model that the measured roof is compared with: tools/measured_roofs.
+        # The stormwater model that the Neubrandenburg roof is compared with: tools/measured_roofs.
         "swmm": ["pyswmm>=2.2,<3"],  # EPA SWMM 5.2 in Python
         # Another implementation of the same controller, to compare the solve times with.
         "bench": ["do-mpc>=5.1,<6"],

@@ -19,7 +19,7 @@ extensions = [
     "sphinx.ext.autodoc",  # API pages from the docstrings,
     "sphinx.ext.autosummary",  # one for each module
     "sphinx.ext.napoleon",  # Google's docstring sections
-    "docstrings_and_formulas",  # beside this file
+    "docstrings_and_formulas",  # next to this file
 ]
 exclude_patterns = [
     "_build", "_templates", "README.md",  # which index.rst includes

@@ -344,7 +344,7 @@ def relays() -> str:
         ]
         if relay.unverified:
             names = ", ".join(f"**`{key}`**" for key in relay.unverified)
-            parts.append(f"Not verified (said when it is activated): {names}.\n")
+            parts.append(f"Not verified (reported when it is activated): {names}.\n")
     return "\n".join(parts)
 
 
@@ -370,7 +370,7 @@ def drives() -> str:
         parts.append("\n".join(f"- {cell(text)}" for text in drive.set_up) + "\n")
         vital = set(drive.unverified_and_vital)
         names = [f"**`{key}`**" if key in vital else f"`{key}`" for key in drive.unverified]
-        parts.append(f"Not verified (bold: said when it is activated): {', '.join(names)}.\n")
+        parts.append(f"Not verified (bold: reported when it is activated): {', '.join(names)}.\n")
     return "\n".join(parts)
 
 
@@ -446,7 +446,7 @@ def plausible_values() -> str:
 
 
 def _json_words(text: str) -> str:
-    """Return what a docstring says of an attribute, as of a key in JSON."""
+    """Return what a docstring states about an attribute, as of a key in JSON."""
     for before, after in (("``", "`"), (r"\bNone\b", "`null`"), (r"; from :mod:`[^`]*`", "")):
         text = re.sub(before, after, text)
     return text.rstrip(".")

@@ -213,7 +213,7 @@ _ISSUED = "`lookahead`, issued"
 
 
 def choices() -> Table:
-    """Return the table that helps choose: deviations over on/off's, generated and issued."""
+    """Return the table that helps choose: deviations relative to on/off, generated and issued."""
     cells: dict[str, dict[str, str]] = {}
     for row in read("seasons"):
         name = _GENERATED.get((row["controller"], row["forecast_skill"]))

@@ -41,7 +41,7 @@ class Row(NamedTuple):
     Attributes:
         decided_by: its label.
         mean: deviation from the target (mm).
-        share: of on/off's.
+        share: of the deviation of on/off.
     """
 
     decided_by: str

@@ -1,4 +1,4 @@
-"""A controller as a node of your own, which needs only rclpy.
+"""A controller as a separate node, which needs only rclpy.
 
 Start it, and ``greenroof run --controller external``; start it again for each run. It decides as
 ``examples/proportional.py``, a class, does.

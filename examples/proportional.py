@@ -1,10 +1,10 @@
-"""A controller of your own: the command grows with the water that is missing on the roof.
+"""Your own controller: the command grows with the water that is missing on the roof.
 
     greenroof simulate --controller examples.proportional:Proportional
     greenroof run --controller examples.proportional:Proportional --gain 40
     greenroof check-controller examples.proportional:Proportional
 
-To register it under a name, a package of your own has in its setup.py:
+To register it under a name, your own package has in its setup.py:
 
     entry_points={"greenroof_ros.controllers": ["proportional = my_package:Proportional"]}
 """

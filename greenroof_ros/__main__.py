@@ -52,7 +52,7 @@ GROUPS = {
     "compare controllers, without ROS": {
         "simulate": Command("simulate", "run once, in one process; the numbers equal the graph's"),
         "study": Command("study", "run a grid of runs: the paper's 30, or yours"),
-        "bound": Command("bound", "compute the least possible deviation"),
+        "bound": Command("bound", "compute the minimum possible deviation"),
     },
     "fit it to your site": {
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),

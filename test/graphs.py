@@ -40,7 +40,7 @@ def reserved_domain() -> Iterator[int]:
                 continue
             yield domain
             return
-    raise RuntimeError("every ROS domain from 1 to 50 is taken")
+    raise RuntimeError("every ROS domain from 1 to 50 is in use")
 
 
 def environment(domain: int) -> dict[str, str]:

@@ -7,7 +7,8 @@ import signal
 
 import pytest
 
-# Compile the package once, not in each of a thousand processes, whatever the user has set.
+# Compile the package once, not in each of a thousand processes, regardless of what the user has
+# set.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # A shell's background jobs ignore Ctrl-C, and the tests' commands would inherit that.

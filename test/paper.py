@@ -144,8 +144,8 @@ def deviation_of(run: Run, controller: Any = None) -> float:
 def sites(draw: st.DrawFn) -> Site:
     """Draw a site that a user could define, from a rain barrel to a reservoir."""
 
-    def between(least: float, largest: float) -> float:
-        return draw(st.floats(least, largest))
+    def between(minimum: float, largest: float) -> float:
+        return draw(st.floats(minimum, largest))
 
     z_soil, z_pump, z_H, d = between(0.05, 2), between(0, 1), between(0, 2), between(1, 40)
     return site_with(
@@ -162,7 +162,7 @@ def sites(draw: st.DrawFn) -> Site:
 
 @st.composite
 def measured_sites(draw: st.DrawFn) -> Site:
-    """Draw a site with a measured roof, with and without drainage layer, mains and low outlet."""
+    """Draw a site with a measured soil, with and without drainage layer, mains and low outlet."""
     site = draw(st.just(PAPER_SITE) | sites())
     wilting = draw(st.just(0.0) | st.floats(0.0, 0.2))
     capacity = wilting + draw(st.floats(0.05, 0.7))

@@ -20,7 +20,7 @@ from greenroof_ros.graph.states import PumpState
 # Ten ticks of 1 s per second, and a drive that ramps ten times as fast as in real time.
 PERIOD_S = 0.1
 PACE = ("--speed", "10", "--boot", "0.1", "--timeout", "1.5")
-LEAST_TIMES = {"least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
+MIN_TIMES = {"least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
 
 
 def state_in(message: String) -> str:
@@ -84,7 +84,7 @@ class PumpRig:
         settings = {
             "drive": guarding("abb_acs880", self.cwd),
             "address": address or self.drive.address, "autostart": "true", "exchange_period": 0.05,
-            "state_file": self.cwd / "state.json", **LEAST_TIMES, **parameters,
+            "state_file": self.cwd / "state.json", **MIN_TIMES, **parameters,
         }
         self.states.clear()
         if self._nodes:

@@ -1,4 +1,4 @@
-"""A test node in a real graph, which listens, publishes and calls services; and nodes beside it."""
+"""A test node in a real graph, which listens, publishes and calls services; and other nodes."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Observer:
 
     Attributes:
         domain: its ROS domain.
-        cwd: directory in which nodes beside it are started.
+        cwd: directory in which nodes next to it are started.
         started: these nodes, which end with it.
         diagnoses: the latest status of each name on /diagnostics.
         messages: all messages received there.
@@ -117,7 +117,7 @@ class Observer:
     def start(
         self, command: str, *, popen: dict[str, Any] | None = None, **parameters: object
     ) -> subprocess.Popen[Any]:
-        """Start a node beside it: its module in the package, with arguments."""
+        """Start a node next to it: its module in the package, with arguments."""
         words = [*f"greenroof_ros.{command}".split(), *ros_arguments(**parameters)]
         process = subprocess.Popen(
             [sys.executable, "-m", *words], cwd=self.cwd,

@@ -46,7 +46,7 @@ def test_simulate_and_graph_agree(domain: int, tmp_path: Path) -> None:
     assert not any(topic.startswith("/controller/") for topic in graph["messages"])
 
 
-def test_a_console_script_finds_a_class_beside_the_current_directory(tmp_path: Path) -> None:
+def test_a_console_script_finds_a_class_next_to_the_current_directory(tmp_path: Path) -> None:
     """Its parameter is an option."""
     (tmp_path / "mine.py").write_text((CHECKOUT / "examples" / "proportional.py").read_text())
     done = subprocess.run(
@@ -61,7 +61,7 @@ def test_a_console_script_finds_a_class_beside_the_current_directory(tmp_path: P
 
 
 def test_study(tmp_path: Path) -> None:
-    """The study's grid and table have it and its parameter beside a controller of this package."""
+    """The study's grid and table have it and its parameter next to a controller of this package."""
     section = f"  {EXAMPLE}:\n    gain: [10.0, 20.0]\n  onoff:\n"
     grid = GRID[: GRID.index("  mpc:\n")] + section
     grid = grid.replace("hours: 0.25", "hours: 0.02").replace("[published, fao56]", "published")

@@ -85,7 +85,7 @@ def test_a_sample_of_the_campaign(
 ) -> None:
     """Each fault stops the pump and is named; then follows what is specified.
 
-    Beside the other tests a process can be late by seconds; the campaign itself shows the bounds.
+    Next to the other tests a process can be late by seconds; the campaign itself shows the bounds.
     """
     done = campaign(domain, tmp_path, sample)
     assert done.returncode == 0, done.stdout

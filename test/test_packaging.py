@@ -430,15 +430,15 @@ def test_make_keeps_an_environment_that_is_active(tmp_path):
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory):
     """Return a colcon workspace built from a copy of the checkout with nothing sourced."""
-    beside_python = Path(sys.executable).parent
-    colcon = shutil.which("colcon", path=str(beside_python)) or shutil.which("colcon")
+    next_to_python = Path(sys.executable).parent
+    colcon = shutil.which("colcon", path=str(next_to_python)) or shutil.which("colcon")
     if colcon is None:
         pytest.skip("colcon is not installed; it is in the extra [test]")
     directory = tmp_path_factory.mktemp("workspace")
     copy_of_checkout(directory / "src" / "greenroof_ros")
     printed = run(
         colcon, "--log-base", directory / "log", "build", "--event-handlers", "console_direct+",
-        cwd=directory, env=bare_environment(directory, beside_python),
+        cwd=directory, env=bare_environment(directory, next_to_python),
     )
     # colcon also ends with 0 if it found nothing to build.
     assert (directory / "install" / "setup.bash").is_file(), printed
@@ -518,7 +518,7 @@ def distribution(requirement):
     return re.match(r"[A-Za-z0-9._-]+", requirement)[0].lower().replace("_", "-")
 
 
-def test_package_xml_is_what_setup_py_says(manifest, setup_options):
+def test_package_xml_is_what_setup_py_reports(manifest, setup_options):
     assert manifest.package_format == 3
     assert manifest.get_build_type() == "ament_python"
     assert manifest.name == setup_options["name"] == "greenroof_ros"
@@ -538,7 +538,7 @@ def test_version_is_the_same_everywhere(manifest, setup_options):
     assert versions == {greenroof_ros.__version__}
 
 
-def test_citation_is_what_package_xml_says(manifest):
+def test_citation_is_what_package_xml_reports(manifest):
     citation = yaml.safe_load((CHECKOUT / "CITATION.cff").read_text(encoding="utf-8"))
     assert (citation["title"], citation["version"]) == (manifest.name, manifest.version)
     assert [citation["license"]] == [str(text) for text in manifest.licenses]

@@ -73,11 +73,11 @@ def record_rows(
     start = datetime(2021, 4, 1)  # noqa: DTZ001 - on the clock of the site
     dates = np.datetime64(start.date()) + np.arange(days)
     middle = 14 - 10 * np.cos(2 * np.pi * (np.arange(days) + 71) / 365) + random.normal(0, 2, days)
-    least, greatest = middle - 5, middle + 5
+    minimum, maximum = middle - 5, middle + 5
     seconds = (np.datetime64(start, "s") + STEP_S * np.arange(len(rain))).astype(np.int64)
     day = np.arange(len(rain)) // DAY
     reference = spread_over_day(
-        hargreaves(site.latitude, dates, least, greatest), site.latitude, seconds, day, STEP_S,
+        hargreaves(site.latitude, dates, minimum, maximum), site.latitude, seconds, day, STEP_S,
         site.longitude - 15 * site.utc_offset,
     )
     x2 = site.wilting_volume + FILLED_AT_FIRST * site.available_volume
@@ -114,7 +114,7 @@ def record_rows(
         time = start + timedelta(seconds=STEP_S * step)
         cells = ["", ""] if missing[step] else [f"{tips[step]:.3f}", f"{measured[step]:.4f}"]
         rows.append([time.isoformat(), f"{fell:.4f}", *cells,
-                     *([f"{least[day[step]]:.1f}", f"{greatest[day[step]]:.1f}"]
+                     *([f"{minimum[day[step]]:.1f}", f"{maximum[day[step]]:.1f}"]
                        if step % DAY == 0 else ["", ""])])
     if pumping:
         rows[0] += ["pump state [%]", "cistern level [m]"]

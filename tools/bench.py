@@ -132,7 +132,7 @@ def measure_graph(domain: int, *arguments: str) -> Graph:
 
 @contextmanager
 def computing() -> Iterator[None]:
-    """Let processes compute beside what is measured."""
+    """Let processes compute next to what is measured."""
     processes = [
         subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(COMPUTING)
     ]
@@ -252,11 +252,11 @@ def measure_do_mpc(steps: int = 30) -> float:
 
 MEASURED = {
     "tick": "tick of `greenroof run` / echo round trip of two processes",
-    "busy": f"the same, beside {COMPUTING} processes that compute",
+    "busy": f"the same, next to {COMPUTING} processes that compute",
     "bare": "the same without the recorder, and without them",
-    "roof_tick": "the same with the recorder, of a measured roof",
+    "roof_tick": "the same with the recorder, on a measured soil",
     "around": "start and end of `greenroof run` beyond its ticks (s)",
-    "busy_around": f"the same, beside {COMPUTING} processes that compute (s)",
+    "busy_around": f"the same, next to {COMPUTING} processes that compute (s)",
     "mean": "decision of `lookahead` on an ensemble / of `mpc`, mean of all ticks",
     "p99": "the same, 99th percentile",
     "plan": "longest decision of `lookahead`, with a plan / of `mpc`, mean",
@@ -296,7 +296,7 @@ def main() -> None:
                 f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us",
                 file=sys.stderr, flush=True,
             )
-    print(head(["measured beside each other", "median", "rounds"]))
+    print(head(["measured together", "median", "rounds"]))
     for key, name in MEASURED.items():
         values = ", ".join(f"{value:.2f}" for value in rows[key])
         print(row([name, f"{statistics.median(rows[key]):.2f}", values]))

@@ -34,7 +34,7 @@ _SHOWN_EVERY = 4
 class Composition:
     """Plant, weather, controller and recorder of one run, as nodes of this process.
 
-    Used in a ``with`` statement, in which :meth:`end` must be called, whatever ends the run.
+    Used in a ``with`` statement, in which :meth:`end` must be called, no matter how the run ends.
 
     Attributes:
         refused: how many values the nodes refused, by topic.

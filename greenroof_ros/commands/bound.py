@@ -1,4 +1,4 @@
-"""The least total deviation that any controller could reach: ``greenroof bound``."""
+"""The minimum total deviation that any controller could reach: ``greenroof bound``."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def _table(result: dict[str, Any]) -> Table:
         ),
         (
             "gap", "-" if gap is None else f"{100 * gap:.4f} %",
-            "between the bound and the better plan; the optimum lies in it. On a measured roof "
+            "between the bound and the better plan; the optimum lies in it. On a measured soil "
             "mostly due to the bound, whose program replaces the soil by straight lines",
         ),
         (
@@ -139,7 +139,7 @@ def main() -> int:
             bound = clairvoyant_bound(run, arguments.max_command, block)
             recursion = recursion_plan(run, arguments.max_command)
     except NoBoundError as error:
-        print(f"error: no bound found; the solver says: {error}", file=sys.stderr)
+        print(f"error: no bound found; the solver reports: {error}", file=sys.stderr)
         return EXIT_FAILED
     result = _result(run, arguments.max_command, bound, recursion)
     if arguments.json:

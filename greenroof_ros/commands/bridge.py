@@ -20,9 +20,9 @@ _NICENESS = 10
 
 _DESCRIPTION = """\
 Publish on MQTT what the page of 'greenroof watch' shows: levels, pump, rain, frost, what the
-controller plans, and alarms by code. Home Assistant discovers it by itself. It works beside any
-graph that runs in this ROS domain, simulated, with a drive in the loop or live. It may start late
-and stop early: nothing waits for it.
+controller plans, and alarms by code. Home Assistant discovers it automatically. It works alongside
+any graph that runs in this ROS domain, simulated, with a drive in the loop or live. It may start
+late and stop early: nothing waits for it.
 
 Whoever may write to the topic greenroof/SITE/stop can stop the pump. Nothing can be released or
 started over MQTT.
@@ -36,7 +36,7 @@ examples:
 With a namespace the topics begin with it: greenroof/north/...
 
 A login file has two lines, username: NAME and password: WORD. Keep others out of it (chmod 600).
-If it cannot reach the broker, it says so and keeps trying. Ctrl-C ends it.
+If it cannot reach the broker, it reports this and keeps trying. Ctrl-C ends it.
 
 exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
 """

@@ -74,7 +74,7 @@ like these; empty cells and missing rows are gaps:
   temperature                  degC; or least temperature and greatest
                                temperature of the day
 
-The model has no snow: if winters were recorded, say which months count, as in --months 4-10.
+The model has no snow: if winters were recorded, state which months count, as in --months 4-10.
 
 It writes the site file, and a page next to it with its name and .html. With --pump-data and no
 MEASURED it writes only the site file, with the pumps of the data sheet.

@@ -27,20 +27,20 @@ _SUBJECT = (
 )
 _LIMIT = (
     "The flows in the answers are the only evidence: topics do not show whether the pump's shaft "
-    "is really at rest, so watch the pump. The check plays lockstep, one flow for each command, "
+    "is really stopped, so watch the pump. The check plays lockstep, one flow for each command, "
     "not a live graph, in which a driver must also stop for an input that falls silent."
 )
-# Options in seconds: option, field of `DriverLimits`, least value, default and meaning.
+# Options in seconds: option, field of `DriverLimits`, minimum value, default and meaning.
 _TIMES = (
     (
-        "--period", "period", 0.001, 0.1, "least time between two commands; each is a tick of the "
-        "site; with a real pump its tau, 1",
+        "--period", "period", 0.001, 0.1, "minimum time between two commands; each is a tick of "
+        "the site; with a real pump its tau, 1",
     ),
     ("--answer-within", "answer", 0.001, 5.0, "how long a flow may take to answer a command"),
     ("--start-within", "start", 0.001, 60.0, "how long the flow may take to become steady"),
     (
-        "--stop-within", "stop", 0.001, 30.0, "how long the flow may take to become 0, whatever "
-        "the reason to stop; it may ramp down",
+        "--stop-within", "stop", 0.001, 30.0, "how long the flow may take to become 0, for "
+        "any reason to stop; it may ramp down",
     ),
     (
         "--silence", "silence", 0.001, 5.0, "length of a silence without commands, by whose end "
@@ -68,9 +68,9 @@ def make_parser() -> Parser:
         "--command", type=within(0.001, 1.0), default=0.5, metavar="SHARE",
         help="command at which the pump runs, a share of its maximum flow (default: 0.5)",
     )
-    for option, limit, least, default, meaning in _TIMES:
+    for option, limit, minimum, default, meaning in _TIMES:
         parser.add_argument(
-            option, dest=limit, type=within(least, 3600.0), default=default, metavar="S",
+            option, dest=limit, type=within(minimum, 3600.0), default=default, metavar="S",
             help=f"{meaning} (default: {default:g})",
         )
     parser.add_argument(

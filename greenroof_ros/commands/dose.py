@@ -98,7 +98,7 @@ def main() -> int:
                     print(f"{pump} was restarted, which ended the dose", flush=True)
                     return EXIT_FAILED
                 if time.monotonic() - progress.last_message > _SILENT_S:
-                    print(f"{pump} is no longer heard: it is not known whether the dose continues")
+                    print(f"{pump} no longer responds: it is unknown whether the dose continues")
                     return EXIT_FAILED
                 if progress.dose is not None and progress.dose["said"] != shown:
                     shown = progress.dose["said"]

@@ -32,7 +32,7 @@ def make_parser() -> Parser:
         description="Simulate a variable-speed drive with a motor on Modbus: registers, control "
         "word, ramp, fault codes and communication timeout of the make that a drive file "
         "describes, with faults on request. With --at it is a relay on MQTT, with its timer.",
-        epilog="The workbench is a Modbus TCP port beside the drive's, device 247, holding "
+        epilog="The workbench is a Modbus TCP port next to the drive's, device 247, holding "
         "registers:\n"
         "  0 true speed in 0.01 %\n"
         "  1 fault, by its number\n"
@@ -49,7 +49,7 @@ def make_parser() -> Parser:
         "  greenroof simulators drive --drive danfoss_fc202 --fault late=900\n"
         "  greenroof simulators drive --drive schneider_atv630 --serial pty\n"
         "  greenroof simulators drive --drive tasmota --at mqtt://127.0.0.1/roof\n\n"
-        "Its first line says when it is ready, and where. Ctrl-C ends it.\n\n"
+        "Its first line states when it is ready, and where. Ctrl-C ends it.\n\n"
         "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
     )
     parser.add_argument(

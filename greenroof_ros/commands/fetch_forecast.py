@@ -24,7 +24,7 @@ def make_parser() -> Parser:
         "  greenroof fetch-forecast --site site.yaml --ensemble\n"
         "  greenroof fetch-forecast --site site.yaml --every 60 --keep forecasts/\n"
         "  greenroof verify forecasts/ --site site.yaml --weather gauge.csv\n\n"
-        "'greenroof live --forecast open-meteo' does the same by itself.\n\n"
+        "'greenroof live --forecast open-meteo' does the same automatically.\n\n"
         "exit codes: 0 done, 1 the service gave no forecast, 2 wrong usage or configuration, "
         "130 ended by Ctrl-C",
     )
@@ -60,7 +60,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--every", type=within(10, 1440), metavar="MINUTES",
         help="minutes after which it fetches again, until Ctrl-C; after a failure it tries "
-        "again after 1, 2, 4, ... min, or when the service says",
+        "again after 1, 2, 4, ... min, or when the service permits",
     )
     return parser
 

@@ -30,7 +30,7 @@ def make_parser() -> Parser:
         "examples:\n"
         "  greenroof simulators forecast\n"
         f"  greenroof fetch-forecast --url http://127.0.0.1:{_PORT}/v1/ensemble --ensemble\n\n"
-        "Its first line says when it is ready, and where. Ctrl-C ends it.",
+        "Its first line states when it is ready, and where. Ctrl-C ends it.",
     )
     parser.add_argument("--site", type=Path, metavar="FILE", help="site file, for its place")
     parser.add_argument(
@@ -39,7 +39,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--start", default=DEFAULT_START, metavar="TIME",
-        help="time in the records that counts as now (default: %(default)s)",
+        help="time in the records that is treated as now (default: %(default)s)",
     )
     parser.add_argument(
         "--port", type=within(0, 65535, int), default=_PORT, help="TCP port on 127.0.0.1, 0 for a "

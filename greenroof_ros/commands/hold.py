@@ -22,7 +22,7 @@ def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(
         prog="greenroof hold",
-        description="Keep the pump off, whatever is commanded, even after a restart: until "
+        description="Keep the pump off, regardless of the command, even after a restart: until "
         "'greenroof release', or until a time. There is one hold at a time: this one replaces the "
         "owner and the reason of an earlier one, and never ends sooner than that.",
         epilog="examples:\n  greenroof hold --reason 'the roof is being repaired'\n"
@@ -41,7 +41,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--reason", default="", metavar="TEXT",
-        help="why; shown wherever the hold is (default: none)",
+        help="why; shown with the hold (default: none)",
     )
     add_namespace(parser)
     return parser

@@ -89,7 +89,7 @@ class Restored(NamedTuple):
 
 
 class _Listed(NamedTuple):
-    """What ``metadata.yaml`` says of a file: messages, and the times of first and last (ns)."""
+    """What ``metadata.yaml`` records of a file: messages, and the times of first and last (ns)."""
 
     messages: int
     start: int
@@ -140,7 +140,7 @@ def _amount(messages: int, per_tick: int) -> str:
 
 
 def _listed(bag: Path) -> dict[str, _Listed]:
-    """Return what a bag's metadata says of its files; nothing if it is missing or damaged."""
+    """Return what a bag's metadata states about its files; nothing if it is missing or damaged."""
     with suppress(ConfigurationError, KeyError, TypeError, ValueError):
         about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
         return {
@@ -272,7 +272,7 @@ def _loss(
     if lost > 0:
         unit = "messages" if per_tick == 1 else "ticks"
         what = (
-            f"{'' if exact else 'at least '}{-(-lost // per_tick)} of {-(-had // per_tick)} "
+            f"{'' if exact else 'at minimum '}{-(-lost // per_tick)} of {-(-had // per_tick)} "
             f"{unit} are lost"
         )
         by_topic = {
@@ -306,7 +306,7 @@ def make_parser() -> Parser:
         "every complete tick, or every message of a live site, goes into a new bag next to the old "
         "one, which stays unchanged. A report of the run then uses the new one.",
         epilog="exit codes: 0 the new bag has all that was recorded, 1 some of it was lost, as the "
-        "messages say, 2 nothing could be recovered, or bad usage",
+        "messages state, 2 nothing could be recovered, or bad usage",
     )
     parser.add_argument("directory", type=Path, metavar="DIR", help="a run directory, or its bag")
     parser.add_argument(

@@ -11,7 +11,7 @@ def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(
         prog="greenroof release",
-        description="End the hold of the pump, whoever made it. The pump then starts by itself "
+        description="End the hold of the pump, whoever made it. The pump then starts automatically "
         "when the controller asks for it and nothing else keeps it off. A fault remains.",
         epilog="exit codes: 0 released, 1 the pump node did not confirm it, 2 bad usage",
     )

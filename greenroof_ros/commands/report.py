@@ -32,7 +32,8 @@ page that needs nothing but a browser.
 _EPILOG = """\
 The output holds report.html, and each figure as SVG and PNG in figures/. A bag needs
 /cistern/level, /roof/level, /pump/command and /pump/flow, under a namespace perhaps; what else is
-missing counts as 0, and the report says so. The pumps' efficiency is pump_efficiency of the site.
+missing is treated as 0, and the report notes this. The pumps' efficiency is pump_efficiency of the
+site.
 
 examples:
   greenroof report studies/paper                   a study
@@ -64,7 +65,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
-        help="site of the bags (default: configuration/site.yaml beside each, else the paper's)",
+        help="site of the bags (default: configuration/site.yaml next to each, else the paper's)",
     )
     group = parser.add_argument_group("assumptions")
     group.add_argument(
@@ -81,7 +82,7 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--band", type=within(0, 1), default=Assumptions.band, metavar="SHARE",
-        help="a roof counts as near its target within this share of it (default: %(default)s)",
+        help="a roof is treated as near its target within this share of it (default: %(default)s)",
     )
     return parser
 
@@ -132,7 +133,7 @@ def _writing(directory: Path) -> Iterator[None]:
 
 @command
 def main() -> int:
-    """Make a report as the command line says."""
+    """Make the report that the command line asks for."""
     arguments = make_parser().parse_args()
     with in_extra("study"):
         from greenroof_ros.analysis.report import figures, groups, page
@@ -181,7 +182,7 @@ def _show(report: Report) -> None:
                 console.print(text, style="bold", soft_wrap=True, markup=False)
     windows = report.windows()
     for window in windows[:_MOST_TABLES]:
-        title = f"Least deviation from the target: {report.heading(window)}"
+        title = f"Smallest deviation from the target: {report.heading(window)}"
         table = Table("from", "controller", title=title, title_justify="left")
         for unit in ("mean mm", "total m3"):
             table.add_column(unit, justify="right")

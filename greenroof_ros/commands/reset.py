@@ -9,7 +9,7 @@ from greenroof_ros.common.command_line import EXIT_FAILED, Parser, add_namespace
 from greenroof_ros.watch.graph_client import GraphClient
 
 _QUESTION = (
-    "The pump may start as soon as the fault is cleared. Is its cause remedied, and is nobody "
+    "The pump may start as soon as the fault is cleared. Is its cause remedied, and is no one "
     "working on the pump? [y/N] "
 )
 

@@ -39,7 +39,7 @@ _COLUMNS = {
     "drainage_m3_per_s": "flows.drainage",
     "frost": "frost",
 }
-# The additional column for a measured roof.
+# The additional column for a measured soil.
 _LAYER = {"drainage_layer_m3": "layer"}
 _PAGE = ".html"
 _PICTURES = (".png", ".svg", _PAGE)

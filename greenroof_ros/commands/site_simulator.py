@@ -34,7 +34,7 @@ def make_parser() -> Parser:
         "  greenroof simulators drive --drive abb_acs880\n"
         "  greenroof simulators site --drive-at tcp://127.0.0.1:5021 --output levels.csv\n"
         "  greenroof simulators site --rain 4 --fault roof_frozen\n\n"
-        "Its first line says when it is ready, and where. Ctrl-C ends it.\n\n"
+        "Its first line states when it is ready, and where. Ctrl-C ends it.\n\n"
         "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
     )
     place = parser.add_argument_group("sensors and drive")

@@ -24,7 +24,7 @@ _SETTLED_S, _LONGEST_S = 2.0, 5.0
 _POLL_S = 0.1
 _MOST_LINES = 15
 _TILES = "roof", "cistern", "pump", "rain", "controller"
-_LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not heard"}
+_LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not responding"}
 
 _DESCRIPTION = """\
 Print the present state of the run or the site in this ROS domain: levels, pump, rain and forecast,
@@ -93,10 +93,10 @@ def _unknown(shown: Mapping[str, Any]) -> set[str]:
 
 
 def _judge(shown: Mapping[str, Any]) -> int:
-    """Return the exit code: by the alarms, and by what is unknown although nobody reports it.
+    """Return the exit code: by the alarms, and by what is unknown although no one reports it.
 
-    On a site that is an alarm: a node that died before this command began is never heard, and a
-    pump about which nothing is known may run. A level out of its range is no alarm by itself: a
+    On a site that is an alarm: a node that died before this command began sends nothing, and a
+    pump about which nothing is known may run. A level out of its range alone is no alarm: a
     controller that waits for rain lets the roof dry.
     """
     mode, tiles = shown["mode"], shown["tiles"]

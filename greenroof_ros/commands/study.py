@@ -74,7 +74,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--weather", type=Path, metavar="DIR",
-        help="directory of weather files that the grid names and that are not beside it, such as "
+        help="directory of weather files that the grid names and that are not next to it, such as "
         "the record of years for config/studies/seasons.yaml",
     )
     parser.add_argument(

@@ -39,13 +39,13 @@ and open http://localhost:8080 there.
 """
 _EPILOG = """\
 examples:
-  greenroof watch                       whatever runs here
+  greenroof watch                       the graph that runs here
   greenroof watch --bag runs/a/bag      a run that has ended
   greenroof watch --namespace site1 --port 8081
   greenroof watch --host 0.0.0.0        for other machines: with a token
   greenroof watch --allow-release --port 8080 --token-file token
                                         with an address that can be a bookmark
-  greenroof run --watch                 a run, and its page beside it
+  greenroof run --watch                 a run, and its page alongside it
   greenroof watch --foxglove            for Foxglove, at ws://127.0.0.1:8765
 
 When a run ends, it waits for the next one and shows it. Ctrl-C ends it.

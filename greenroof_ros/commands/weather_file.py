@@ -1,4 +1,4 @@
-"""Say what weather files are, and write them as one plain CSV: ``greenroof weather FILE``."""
+"""Describe weather files, and write them as one plain CSV: ``greenroof weather FILE``."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ from greenroof_ros.weather.reading import complete, find_files, read_measured
 from greenroof_ros.weather.series import Weather, suspicious_rain
 
 _DESCRIPTION = """\
-Read weather as simulate does, and say what it is: service, place, period, columns, sums of rain,
-gaps, what is odd, and how evapotranspiration would be computed. Several files are joined. A file of
-your own needs only the times and a column 'rain [mm]': the amount of each row, which begins at its
+Read weather as simulate does, and describe it: service, place, period, columns, sums of rain,
+gaps, what is odd, and how evapotranspiration would be computed. Several files are joined. Your own
+file needs only the times and a column 'rain [mm]': the amount of each row, which begins at its
 time. Rows are an hour apart, or less at a regular step. With a column 'temperature [degC]'
 evapotranspiration is computed by Hargreaves; without it the site's monthly means are used, and no
 frost is assumed.
 """
 _EPILOG = """\
-a file of your own:
+your own file:
   time,rain [mm]
   2024-06-01T00:00-05:00,0.0
   2024-06-01T00:05-05:00,0.2

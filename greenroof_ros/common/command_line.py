@@ -43,7 +43,7 @@ class OutputError(Exception):
     """The output of a command could not be printed.
 
     Attributes:
-        quiet: whether nobody reads the output any more, as after ``| head``.
+        quiet: whether no one reads the output any more, as after ``| head``.
     """
 
     def __init__(self, error: OSError, elsewhere: str) -> None:
@@ -114,7 +114,7 @@ def flush_output(elsewhere: str = "") -> None:
 
 
 class _Interrupted(KeyboardInterrupt):
-    """Ctrl-C; after a KeyboardInterrupt itself Python may end by the signal, whatever its code."""
+    """Ctrl-C; after a KeyboardInterrupt itself Python may end by the signal, with any exit code."""
 
 
 def _interrupt(*_: Any) -> NoReturn:
@@ -128,7 +128,7 @@ def command(
 
     A :class:`ConfigurationError` becomes one line on standard error and exit code 2, or 3 if
     another graph is in the way. A file or an output that cannot be written becomes one line and
-    exit code 1, and Ctrl-C exit code 130. None of them leaves a traceback. If nobody reads the
+    exit code 1, and Ctrl-C exit code 130. None of them leaves a traceback. If no one reads the
     output any more, as after ``| head``, nothing is printed and the exit code is 1.
 
     Args:
@@ -199,7 +199,7 @@ class Parser(argparse.ArgumentParser):
     or an epilog that are indented, such as examples, stay as they are; the others are filled.
 
     Attributes:
-        hint: what the message about an unknown option says besides; empty for nothing.
+        hint: what the message about an unknown option adds; empty for nothing.
     """
 
     def __init__(self, **settings: Any) -> None:
@@ -221,7 +221,7 @@ class Parser(argparse.ArgumentParser):
         return parsed
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse a value that is not among the option's choices; say what it may mean."""
+        """Refuse a value that is not among the option's choices; state what it may mean."""
         if action.choices is not None and value not in action.choices:
             wrong = f"{value!r} {must_be_one_of([*action.choices], str(value))}"
             raise argparse.ArgumentError(action, wrong)
@@ -233,8 +233,8 @@ def within(
     """Return a parser of an option that must be a number in a range; a whole number for ``int``.
 
     Args:
-        low: the least value.
-        high: the greatest value.
+        low: the minimum value.
+        high: the maximum value.
         kind: ``float`` or ``int``.
         word: a word that the option accepts, too; it stands for 0.
     """

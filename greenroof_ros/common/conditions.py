@@ -30,9 +30,9 @@ class Interlock:
             may merely be a consequence of that one.
         by: what clears it, if that differs from its kind: a person, a service or a transition.
         on_page: whether the page can also clear it.
-        input: the part of the pump node that reports the input which is not known; empty if the
+        input: the part of the pump node that reports the input which is unknown; empty if the
             interlock is about something else.
-        explained_by: other parts of the pump node that say more about it.
+        explained_by: other parts of the pump node that give more detail.
     """
 
     kind: str
@@ -51,13 +51,13 @@ class Interlock:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """The parts of the pump node that say more about it."""
+        """The parts of the pump node that give more detail."""
         return (self.input,) if self.input else tuple(self.explained_by)
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What the table says about one code; the file explains each attribute."""
+    """What the table states about one code; the file explains each attribute."""
 
     meaning: str
     advice: str
@@ -70,7 +70,7 @@ class Condition:
 
     @property
     def needs_operator(self) -> bool:
-        """Whether the pump needs somebody at it, whatever caused the condition."""
+        """Whether the pump needs a person at it, regardless of the cause."""
         return self.by_hand or (self.interlock is not None and self.interlock.kind == LATCHED)
 
     def advise(self, node: str, role: str = "", reset: str = "") -> str:

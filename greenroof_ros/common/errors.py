@@ -39,7 +39,7 @@ class ConfigurationError(Exception):
 
 
 class HangError(Exception):
-    """A callback does not return; the message says for how long, and where it is."""
+    """A callback does not return; the message states for how long, and where it is."""
 
 
 class OccupiedError(ConfigurationError):
@@ -62,7 +62,7 @@ def in_extra(extra: str) -> Iterator[None]:
         extra: the extra of this package that installs it, such as ``study``.
 
     Raises:
-        ConfigurationError: the package is missing; the message says what to install.
+        ConfigurationError: the package is missing; the message states what to install.
     """
     try:
         yield
@@ -71,7 +71,7 @@ def in_extra(extra: str) -> Iterator[None]:
         raise ConfigurationError(f"needs {package}: {with_extra(extra)}") from error
 
 
-# The least similarity of two names, 0 to 1: one of three letters may be wrong.
+# The minimum similarity of two names, 0 to 1: one of three letters may be wrong.
 _ALIKE, _SHORT_ALIKE = 0.6, 0.5
 
 
@@ -103,5 +103,5 @@ def must_be_one_of(known: Collection[str], name: str, otherwise: str = "") -> st
         otherwise: what else it may be, at the end of the list, such as ``, or a FILE.yaml``.
     """
     if alike(name, known):
-        return f"is not known; {did_you_mean(name, known)}"
+        return f"is unknown; {did_you_mean(name, known)}"
     return f"must be one of {', '.join(known)}{otherwise}"

@@ -34,7 +34,7 @@ def shared_directory() -> Path:
     """Return the directory that holds ``config/`` and ``msg_defs/``.
 
     In a checkout, or an editable install of one, that is the checkout itself; otherwise it is
-    ``share/greenroof_ros`` under whichever prefix the package was installed to (a virtual
+    ``share/greenroof_ros`` under the prefix to which the package was installed to (a virtual
     environment, ``~/.local``, or a colcon ``install/greenroof_ros``).
     """
     package = Path(__file__).resolve().parent
@@ -131,7 +131,7 @@ def read_text(path: Path) -> str:
     return "".join(read_lines(path))
 
 
-# Greatest depth of nesting: far more than our files have, far less than a thread's stack allows.
+# Maximum depth of nesting: far more than our files have, far less than a thread's stack allows.
 _DEEPEST = 200
 _TRUE = {"yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
 _FALSE = {"no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
@@ -179,7 +179,7 @@ def _plain_to_rcl(text: str) -> bool | int | float | str | None:
 
 
 def _nesting(text: str) -> int:
-    """Return the greatest depth to which a YAML text can be nested, by brackets and indentation."""
+    """Return the maximum depth to which a YAML text can be nested, by brackets and indentation."""
     depth = deepest = 0
     for bracket in re.findall(r"[][{}]", text):
         depth = max(0, depth + (1 if bracket in "[{" else -1))
@@ -189,7 +189,7 @@ def _nesting(text: str) -> int:
 
 
 def _compose(text: str) -> yaml.Node | None:
-    """Parse YAML with libyaml; if that finds an error, say what PyYAML says, which is more.
+    """Parse YAML with libyaml; if that finds an error, report PyYAML's more detailed message.
 
     Every process reads the interface when it starts. Libyaml is ten times as fast as PyYAML there,
     and twenty times as fast as ruamel.yaml, which edits site files and keeps their comments.

@@ -54,13 +54,13 @@ class Display:
 
 @dataclass(frozen=True)
 class Age:
-    """The greatest age of a topic's values in a live graph, as a parameter of its readers.
+    """The maximum age of a topic's values in a live graph, as a parameter of its readers.
 
     Attributes:
         parameter: its name.
         quantity: what the values are, in words.
         default: s.
-        most: greatest value of the parameter (s).
+        most: maximum value of the parameter (s).
     """
 
     parameter: str

@@ -1,7 +1,7 @@
 """Where an MQTT broker is, and a client that connects to it.
 
 MQTT 3.1.1 with a clean session: the broker keeps no messages for a client that is away. A client
-connects by itself and tries again after each failure. Messages of quality of service 0 that it
+connects automatically and tries again after each failure. Messages of quality of service 0 that it
 should publish while it is not connected are dropped.
 """
 
@@ -24,7 +24,7 @@ _ADDRESS = re.compile(
     r"(:(?P<port>\d{1,5}))?/?"
 )
 _PORT, _TLS_PORT = 1883, 8883
-# Keep-alive (s): a broker that is silent for one and a half times as long counts as lost.
+# Keep-alive (s): a broker that is silent for one and a half times as long is treated as lost.
 _KEEP_ALIVE_S = 5
 # Waits between two attempts to connect (s): the first and the longest.
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 1, 5
@@ -165,9 +165,9 @@ def make_client(
 
     client.on_connect = connected
     client.on_disconnect = disconnected
-    nobody = f"nobody answers at {broker}"
-    nobody += ", or its certificate is not trusted" if broker.tls else ""
-    client.on_connect_fail = lambda client, data: on_disconnect(nobody)
+    silent = f"no one answers at {broker}"
+    silent +=  ", or its certificate is not trusted" if broker.tls else ""
+    client.on_connect_fail = lambda client, data: on_disconnect(silent)
     client.on_message = lambda client, data, message: on_message(
         message.topic, bytes(message.payload), message.retain
     )

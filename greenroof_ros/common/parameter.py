@@ -3,7 +3,7 @@
 Frozen dataclasses are read from YAML; an error names file, line, key and value. The default of each
 field is an `entry`: it gives the meaning and the allowed values of the key, both to the code that
 reads a file and to the code that writes its documentation. If a key may hold one of several
-dataclasses, all but the first have a static method ``fits``, which says whether a mapping is for
+dataclasses, all but the first have a static method ``fits``, which reports whether a mapping is for
 that dataclass.
 """
 
@@ -41,8 +41,8 @@ class Parameter:
         default: value unless given. Its type is the parameter's: a number, a whole number, true or
             false, a text, or a list of texts.
         unit: of the value, ``1`` if it has none; empty if the meaning gives it.
-        low: least value of a number.
-        high: greatest value of a number.
+        low: minimum value of a number.
+        high: maximum value of a number.
         meaning: one line, without the unit.
         may_change: whether it may change during a run; a controller then has an attribute of
             that name, which is set between two ticks.
@@ -95,8 +95,8 @@ def entry(
 
     Args:
         meaning: for the documentation, and for the error if the key is missing.
-        low: the least number.
-        high: the greatest number.
+        low: the minimum number.
+        high: the maximum number.
         unit: of the number, ``1`` if it has none; empty if the meaning gives it.
         choices: the only texts allowed.
         default: the default of an optional key.

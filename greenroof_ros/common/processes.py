@@ -61,8 +61,8 @@ def end_with(process: int) -> None:
 
 
 _FLAGS = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC
-# Length of an address of a Unix socket (bytes), and what the kernel says of its listener: process,
-# user and group.
+# Length of an address of a Unix socket (bytes), and what the kernel reports of its listener:
+# process, user and group.
 _LONGEST_ADDRESS = 107
 _CREDENTIALS = struct.Struct("3i")
 
@@ -117,7 +117,7 @@ def _listener(address: str) -> int | None:
             credentials = visitor.getsockopt(
                 socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size
             )
-        except OSError:  # it has just ended, or nobody can connect any more
+        except OSError:  # it has just ended, or no one can connect any more
             return None
     return int(_CREDENTIALS.unpack(credentials)[0]) or None  # 0: in another process namespace
 

@@ -71,7 +71,7 @@ class Findings:
 
 
 def accept(findings: Sequence[Finding], accepted: Collection[str], file: Path) -> list[Finding]:
-    """Return the findings, with accepted refusals turned into warnings that say so.
+    """Return the findings, with accepted refusals turned into warnings that report it.
 
     Args:
         findings: of all checks.

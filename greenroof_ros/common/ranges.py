@@ -16,7 +16,7 @@ from greenroof_ros.common.errors import ConfigurationError
 
 # A limit this near 0 only excludes 0.
 _TINY = 1e-9
-_GREATEST = sys.float_info.max
+_MAXIMUM = sys.float_info.max
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Range:
 
     Attributes:
         low: the minimum. Up to 1e-9 above 0 it means greater than 0.
-        high: the maximum, likewise. The greatest float means any finite number.
+        high: the maximum, likewise. The maximum float means any finite number.
         unit: of the numbers; empty or ``1`` if there is none to show.
         whole: whether they are whole numbers.
         words: texts that are accepted as well, for messages.
@@ -57,9 +57,9 @@ class Range:
         positive, negative = 0 < self.low <= _TINY, -_TINY <= self.high < 0
         above = ("", "greater than 0") if positive else ("of ", f"at least {low}")
         below = ("", "less than 0") if negative else ("of ", f"at most {high}")
-        if self.low <= -_GREATEST:
-            return ("", "") if self.high >= _GREATEST else below
-        if self.high >= _GREATEST:
+        if self.low <= -_MAXIMUM:
+            return ("", "") if self.high >= _MAXIMUM else below
+        if self.high >= _MAXIMUM:
             return above
         if positive or negative:
             return above[0], f"{above[1]} and {below[1]}"
@@ -67,7 +67,7 @@ class Range:
 
     def __str__(self) -> str:
         """Return what a value must be: ``a number from 0 to 1 m``."""
-        kind = "a finite" if self.high == _GREATEST else "a"
+        kind = "a finite" if self.high == _MAXIMUM else "a"
         preposition, limits = self._limits
         unit = "" if self.unit == "1" else self.unit
         words = (kind, "whole" * self.whole, "number", preposition + limits, unit)

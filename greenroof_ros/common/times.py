@@ -126,7 +126,7 @@ def hours_minutes_seconds(seconds: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Write a duration as people say it: ``40 s``, ``27 min``, ``2 h``, ``120 h``."""
+    """Write a duration as people write it: ``40 s``, ``27 min``, ``2 h``, ``120 h``."""
     if seconds < 90:
         return f"{seconds:.3g} s"
     if seconds < 5400:
@@ -170,7 +170,7 @@ def read_start(text: str, zone: tzinfo | None = None, key: str = "start") -> dat
         ) from None
     if start.utcoffset() is None:
         raise ConfigurationError(
-            f"must say its offset from UTC, as in {DEFAULT_START}", key=key, value=text
+            f"must give its offset from UTC, as in {DEFAULT_START}", key=key, value=text
         )
     return start
 

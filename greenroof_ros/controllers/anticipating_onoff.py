@@ -30,7 +30,7 @@ class AnticipatingOnOff:
     The paper's Conclusion asks for a 'less expensive, hybrid' design: an on/off controller that
     anticipates the weather. The paper's on/off controller, Eq. (12), fills the roof to its target
     x2*. If rain comes then, the roof stays too wet for days. This controller predicts the roof's
-    volume without pumping, from rain and evapotranspiration, on a measured roof also from
+    volume without pumping, from rain and evapotranspiration, on a measured soil also from
     percolation. It pumps while the roof would be
 
         too dry for more than half of the time from now to t, for every t,
@@ -42,10 +42,10 @@ class AnticipatingOnOff:
     whenever the roof would otherwise be below its target, and a loss whenever it would be above.
     Water that is not pumped now can still be pumped at t; then only the time until t counts. So it
     is best to pump if the gain exceeds the loss for every t, and otherwise to wait. For pumps of
-    any flow this is the plan with the least sum of |x2 - x2*|: if y_i is the volume missing in step
-    i, the volumes pumped by then are the isotonic regression of y in L1, whose first value is the
-    minimum over t of the medians of y until t. It is above zero if the rule says so (Stout 2008,
-    Unimodal regression via prefix isotonic regression, Comput. Stat. Data Anal. 53:289-297).
+    any flow this is the plan with the minimum sum of |x2 - x2*|: if y_i is the volume missing in
+    step i, the volumes pumped by then are the isotonic regression of y in L1, whose first value is
+    the minimum over t of the medians of y until t. It is above zero if the rule requires it (Stout
+    2008, Unimodal regression via prefix isotonic regression, Comput. Stat. Data Anal. 53:289-297).
 
     It checks the rule once a minute, and in each tick while it pumps.
 
@@ -147,7 +147,7 @@ class AnticipatingOnOff:
     def _stays_dry(self, x2: float, rain: Array, evaporated: Array) -> bool:
         """Whether the roof, without pumping, is too dry for most of the time until each step's end.
 
-        On a measured roof each time is weighted by the share of water pumped now that is left then.
+        On a measured soil each time is weighted by the share of water pumped now that is left then.
         """
         (rain,), evaporated = self._after.lengthen(rain, evaporated)
         weather = rain, evaporated, self._lengths

@@ -31,7 +31,7 @@ _EVAPOTRANSPIRATION = (0.0, 3e-6)
 
 
 class _ProblemError(Exception):
-    """A controller breaks a rule; the message says how."""
+    """A controller breaks a rule; the message states how."""
 
 
 def trial_values(site: Site) -> Iterator[tuple[float, float, float, float]]:
@@ -95,7 +95,7 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
         problem = ""
         try:
             check(_Trial(choice, site))
-        except Exception as error:  # whatever a user's class raises
+        except Exception as error:  # anything that a user's class raises
             expected = isinstance(error, (_ProblemError, ConfigurationError))
             problem = str(error)
             if not expected:
@@ -252,7 +252,7 @@ def _statistics(trial: _Trial) -> None:
 
 
 # Each check by what it shows, in the order in which a user should repair failures. A check that
-# fails raises a _ProblemError, or whatever the controller raises.
+# fails raises a _ProblemError, or what the controller raises.
 _CHECKS: dict[str, Callable[[_Trial], object]] = {
     "its parameters have distinct names; each has a unit, a meaning, and a default in its range":
         _parameters,

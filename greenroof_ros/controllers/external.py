@@ -1,4 +1,4 @@
-"""A controller that is somebody else's node: ``greenroof run --controller external``."""
+"""A controller that is someone else's node: ``greenroof run --controller external``."""
 
 from __future__ import annotations
 
@@ -46,4 +46,4 @@ class External:
         """Skip a tick: never called."""
 
     def statistics(self) -> None:
-        """Return nothing: it is not known."""
+        """Return nothing: it is unknown."""

@@ -37,10 +37,10 @@ _CHECK_S = 60.0
 _CHANGED_M = 1e-3
 # In a plan for an ensemble a step is at least this long (s), and at least this share of the time
 # until it begins: the forecasts are less precise than that.
-_LEAST_STEP_S = 3600.0
-_LEAST_SHARE = 1 / 8
+_MIN_STEP_S = 3600.0
+_MIN_SHARE = 1 / 8
 # Smaller commands (1) become 0, so max_command must be at least this.
-_LEAST_COMMAND = 1e-5
+_MIN_COMMAND = 1e-5
 Array = NDArray[np.float64]
 
 # The plan's value while the last plan is still followed, and if the controller did not decide.
@@ -57,7 +57,8 @@ class Lookahead:
     which members are wrong. Without a forecast it fills the roof to its target and holds it there,
     which is best if no rain comes. A short loss of the forecast does not end a wait for rain: the
     last plan is followed until it is old. Meanwhile the present rain is the gauge's, and
-    evapotranspiration is the mean of the past day. A forecast with a missing value counts as lost.
+    evapotranspiration is the mean of the past day. A forecast with a missing value is treated as
+    lost.
 
     It makes a new plan when the plan is older than an hour or a 48th of the horizon, when a
     member's total rain has changed, and when forecasts of rain begin or cease to count. Between
@@ -95,7 +96,7 @@ class Lookahead:
         HORIZON,
         DAYS_AFTER,
         Parameter(
-            "max_command", 1.0, "1", _LEAST_COMMAND, math.inf,
+            "max_command", 1.0, "1", _MIN_COMMAND, math.inf,
             "largest command; 1 is the most that a real pump can do",
         ),
         Parameter(
@@ -105,11 +106,11 @@ class Lookahead:
         ),
         Parameter(
             "cvar_level", 0.0, "1", 0.0, 0.99, "share of the members to leave out, those with "
-            "the least deviation: 0 for the mean of all, 0.8 for the worst fifth",
+            "the smallest deviation: 0 for the mean of all, 0.8 for the worst fifth",
         ),
         Parameter(
             "least_on", 0.0, "s", 0.0, 86_400.0, "the pumps' shortest time on, in a simulation at "
-            "least minimum_on: filling takes this long, so that they do not run on at the level",
+            "shortest minimum_on: filling takes this long, so that they do not run on at the level",
         ),
         OBSERVER_TIME_CONSTANT,
         WAITING_BUDGET,
@@ -150,7 +151,7 @@ class Lookahead:
         )
         self._plan_edges = [
             [*_merge_steps(forecast_edges, site.tau, 0.0), *days],
-            [*_merge_steps(forecast_edges, max(site.tau, _LEAST_STEP_S), _LEAST_SHARE), *days],
+            [*_merge_steps(forecast_edges, max(site.tau, _MIN_STEP_S), _MIN_SHARE), *days],
         ]
         self._program = OrderUpTo(site, cvar_level)
         self._observer = RoofObserver(site, observer_time_constant)
@@ -347,14 +348,14 @@ class Lookahead:
         share = command_to(
             self._site, self._soil, x1, x2, level - BELOW_M3, rain, evaporated
         )
-        if share < _LEAST_COMMAND:
+        if share < _MIN_COMMAND:
             return 0.0
         if not self._flow:
             # Half a tick less: the sum of the ticks is rounded.
             if self._since_start < _HOUR_S / self._site.starts_per_hour - self._site.tau / 2:
                 return 0.0
             self._steady = share * self._site.tau / self._least_on
-            if self._steady < _LEAST_COMMAND:
+            if self._steady < _MIN_COMMAND:
                 return 0.0
             self._since_start = 0.0
         if self._since_start < self._least_on:
@@ -381,8 +382,8 @@ def _merge_steps(edges: Array, shortest: float, share: float) -> list[int]:
 
     Args:
         edges: ends of all steps (s from now).
-        shortest: least length of a step (s).
-        share: least length as a share of the time until the step begins (1).
+        shortest: minimum length of a step (s).
+        share: minimum length as a share of the time until the step begins (1).
     """
     chosen, last = [0], len(edges) - 1
     for index, edge in enumerate(edges):

@@ -23,8 +23,8 @@ class OnOff:
     """Pumps at a fixed command while the roof is too dry and the cistern holds enough.
 
     The roof is too dry below ``level`` times the target. A level below 1 leaves room for rain, the
-    only way to do so without a forecast. ``doc/explanation/controllers.md`` says what this gains on
-    which roof.
+    only way to do so without a forecast. ``doc/explanation/controllers.md`` shows what this gains
+    on which roof.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).

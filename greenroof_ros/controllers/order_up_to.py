@@ -1,6 +1,6 @@
 """How far to fill the roof, for every volume on it and every step: a dynamic program.
 
-:func:`halved_by_rain` assumes when the members of an ensemble can be told apart.
+:func:`halved_by_rain` assumes when the members of an ensemble can be distinguished.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BELOW_M3 = 1e-6
 # distance between nodes.
 _COARSE = (60, 30)
 # A positive volume (m3) that avoids a division by 0.
-_LEAST = 1e-300
+_MINIMUM = 1e-300
 # Nodes of the available water, if it can run short.
 _WATER_NODES = 12
 
@@ -39,7 +39,7 @@ class Policy:
         fill_to: for each step the volume that the roof is filled to and held at (m3), -1 if it is
             left alone; shape (groups of the step, S, nodes up to the target).
         group_of: for each step the index of each member's group, shape (members,).
-        cost: least mean deviation over all steps and members (m3).
+        cost: minimum mean deviation over all steps and members (m3).
     """
 
     edges: Array
@@ -120,10 +120,10 @@ class Cistern:
 
 
 class OrderUpTo:
-    r"""The least mean of \|x2 - x2*\| over the steps, computed backwards from the last one.
+    r"""The minimum mean of \|x2 - x2*\| over the steps, computed backwards from the last one.
 
     Pumps can fill a roof in minutes, so a plan is a level: fill the roof to y and hold it there
-    while it dries, or leave it alone. For each member of an ensemble, V_i(x) is the least cost of
+    while it dries, or leave it alone. For each member of an ensemble, V_i(x) is the minimum cost of
     the deviation from step i on (m3 s) if the roof holds x. With h the length of the step (s),
 
         F(x) = h mean|path - x*| + V_{i+1}(z),  z = what the soil makes of x in the step,
@@ -131,7 +131,7 @@ class OrderUpTo:
         V_i(x) = min(F(x), H(y) + filling),  x <= y <= x*, and y within the pumps' reach.
 
     The path within a step is assumed to be straight. Filling from x to y takes t seconds. During
-    these, (y - x)/2 is missing on average that H counts as present: filling costs t (y - x)/2.
+    these, (y - x)/2 is missing on average that H assumes to be present: filling costs t (y - x)/2.
 
     The decision, y or to leave the roof alone, is the same for all members of a group, by the mean
     over them; each member has its own V. If V were averaged as well, each step would draw a new
@@ -198,7 +198,7 @@ class OrderUpTo:
         self, edges: Array, x1: float, x2: float, rain: Array, evapotranspiration: Array,
         flow: Array, groups: Indices,
     ) -> Policy:
-        """Find the plan of the least cost.
+        """Find the plan of the minimum cost.
 
         Args:
             edges: ends of the steps (s from now), the first 0, shape (n + 1,).
@@ -207,8 +207,8 @@ class OrderUpTo:
             rain: in each step (m/s), shape (members, n).
             evapotranspiration: off the whole bed (m3/s), shape (n,).
             flow: largest pump flow in each step (m3/s), can be 0, shape (n,).
-            groups: group of each member in each step, by the least member index in the group; its
-                members cannot be told apart yet; groups only split; shape (members, n).
+            groups: group of each member in each step, by the minimum member index in the group; its
+                members cannot be distinguished yet; groups only split; shape (members, n).
         """
         members, steps = rain.shape
         lengths = np.diff(edges)
@@ -403,7 +403,7 @@ class OrderUpTo:
         total = np.abs(first) + np.abs(last)
         # A path that crosses x* encloses two triangles.
         crossing = np.minimum(first * last, 0.0)
-        return np.asarray(total / 2 + crossing / np.maximum(total, _LEAST))
+        return np.asarray(total / 2 + crossing / np.maximum(total, _MINIMUM))
 
     def _at(self, value: Array, x2: Array, water: Array) -> Array:
         """Return V at volumes on the roof and at s (m3); beyond the nodes it stays constant.
@@ -440,14 +440,14 @@ def _between(nodes: Array, values: Any) -> tuple[Any, Any]:
 
 
 def _lowest_from_here_up(values: Array) -> Indices:
-    """Return the index of the least value from each place on; of several, the first."""
-    least = np.minimum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
-    places = np.where(values == least, np.arange(values.shape[-1]), values.shape[-1])
+    """Return the index of the minimum value from each place on; of several, the first."""
+    minimum = np.minimum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
+    places = np.where(values == minimum, np.arange(values.shape[-1]), values.shape[-1])
     return np.asarray(np.minimum.accumulate(places[..., ::-1], axis=-1)[..., ::-1])
 
 
 def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
-    """Return the group of each member in each step, by the least member index in the group.
+    """Return the group of each member in each step, by the minimum member index in the group.
 
     All members of a group get the same pumping, since nothing distinguishes them yet. At first all
     are one group. At each ``recourse`` each group is halved into the members with less and with
@@ -458,7 +458,7 @@ def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
     wait, since it would soon know everything. Heitsch and Roemisch (2009, Scenario tree modeling
     for multistage stochastic programs, doi:10.1007/s10107-007-0197-2) build a tree from scenarios
     that are alike until each stage; here the members split by rank, so that the tree is equally
-    large whatever the rain. The order in which the members are given does not matter.
+    large regardless of the rain. The order in which the members are given does not matter.
 
     Args:
         rain: forecast (m/s), shape (members, n).

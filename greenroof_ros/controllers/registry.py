@@ -40,7 +40,7 @@ EXTERNAL = "external"
 """stands for a controller node that the user runs; its parameters are the forecasts'"""
 # Parameters that rclpy declares in every node.
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
-# A controller's node is named after it. These nodes run beside it.
+# A controller's node is named after it. These nodes run alongside it.
 _OTHER_NODES = {"plant", "weather", "recorder", "pump", "bringup"}
 # Every controller's node has these parameters.
 _OF_EVERY_NODE = {
@@ -98,7 +98,7 @@ class ControllerChoice:
             sys.path.insert(0, str(Path.cwd()))
         try:
             return getattr(importlib.import_module(module_name), class_name)
-        except Exception as error:  # whatever a user's module raises
+        except Exception as error:  # anything that a user's module raises
             raise self._not_imported(error) from error
 
     @property
@@ -123,7 +123,7 @@ class ControllerChoice:
 
     @property
     def outputs(self) -> dict[str, str]:
-        """Topics that its node publishes beside the command, each with the value's attribute."""
+        """Topics that its node also publishes, each with the value's attribute."""
         return dict(getattr(self.kind, "outputs", {}))
 
     @property
@@ -237,7 +237,7 @@ def find_controller(reference: str) -> ControllerChoice:
         reference: a registered name, or ``package.module:Class``.
 
     Raises:
-        ConfigurationError: there is no such controller, or its node's name is taken by another.
+        ConfigurationError: there is no such controller, or its node's name is in use by another.
     """
     if reference == EXTERNAL:
         return ControllerChoice(EXTERNAL, EXTERNAL, f"{_HERE}.external:External")

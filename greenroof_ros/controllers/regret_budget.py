@@ -12,7 +12,8 @@ from greenroof_ros.model.soil import roof_after_tick, soil_of
 
 _log = logging.getLogger(__name__)
 
-# Water lost to a low outlet cannot be pumped until it rains: it counts as missing this long (s).
+# Water lost to a low outlet cannot be pumped until it rains: it is treated as missing this long
+# (s).
 _LOST_S = 604_800.0
 
 WAITING_BUDGET = Parameter(
@@ -37,14 +38,14 @@ class RegretBudget:
 
         L = sum of tau (|x2 - x2*| - |x2_onoff - x2*|),   D = sum of tau |x2_onoff - x2*|.
 
-    A gain from waiting counts as negative: it pays for later losses. If L, plus the cost of filling
-    the roof as on/off has, is above
+    A gain from waiting is treated as negative: it pays for later losses. If L, plus the cost of
+    filling the roof as on/off has, is above
 
         waiting_budget x2* + waiting_share D,
 
     forecasts of rain do not count, and the controller fills the roof like on/off. They count again
-    when the roof is filled and L is within the limit, which grows with D. So at any time, whatever
-    the forecasts said, if on/off has cost D, this controller has cost at most
+    when the roof is filled and L is within the limit, which grows with D. So at any time,
+    regardless of the forecasts predict, if on/off has cost D, this controller has cost at most
 
         (1 + waiting_share) D + waiting_budget x2*,
 
@@ -57,7 +58,7 @@ class RegretBudget:
 
     If the cistern overflows while the controller waits, it loses water that on/off has pumped by
     then. This costs nothing until a drought empties the cistern. Then the water is missing, and L
-    grows, until the drought ends, whatever the limit. The loss is counted when it occurs, and
+    grows, until the drought ends, regardless of the limit. The loss is counted when it occurs, and
     forecasts do not count until D has made up for it. So it happens once, not in every drought.
 
     While the controller waits, a low outlet of the cistern can drain the water meant for the roof.

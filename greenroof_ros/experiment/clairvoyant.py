@@ -1,4 +1,4 @@
-"""The least total deviation that any controller could reach: a linear program."""
+"""The minimum total deviation that any controller could reach: a linear program."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BLOCK_S = 60.0
 
 
 class NoBoundError(Exception):
-    """The solver found no optimum; its own message says why."""
+    """The solver found no optimum; its own message states why."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     - In a tick the volume changes at most by tau (r a2 - e - q_drain) plus what the pumps can
       lift. That is tau times the largest command times the full flow, Eq. (3e), at the initial
       cistern volume plus all rain until then, since outflow and pumping only lower it. It is 0 in
-      frost, below the pumps' suction level, and if even the roof's least volume reaches a2 z_veg.
-      A roof that runs dry loses all that it held, which is at least its least volume.
+      frost, below the pumps' suction level, and if even the roof's minimum volume reaches a2 z_veg.
+      A roof that runs dry loses all that it held, which is at least its minimum volume.
     - It changes at least by tau (r a2 - e - q_drain). The range of q_drain, Eq. (4), covers the
       volumes that the roof can have; it is 0 if they are all below z_cap.
     - The volumes that the roof can have are found by following both ends of their range with the
@@ -64,7 +64,7 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
       what stays below the suction level, plus one tick's flow, because the last tick that pumped
       began at the suction level or above. It is also at most all that the cistern ever held.
 
-    On a measured roof the limits apply to the volume after a tick minus a slope times the volume
+    On a measured soil the limits apply to the volume after a tick minus a slope times the volume
     before it. The drainage layer plays no part; doc/explanation/bound.md has the proof.
 
     The program neglects the following, which can leave a gap: the outflow of the cistern; that the
@@ -74,10 +74,10 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     In blocks of n ticks the program has one volume for each: the mean. The sum of \|x - x*\| over
     the block is at least n \|mean - x*\| (Jensen). With G_k the sum of the largest changes before
     tick k, G_k - x_{k,2} never falls, and so neither do its means from block to block: the mean
-    volume rises at most as the mean of G does. The same holds for the least changes, and the limits
-    of the volume hold for its mean. So the bound stays valid. On the paper's soil the bound never
-    rises if blocks are enlarged to whole multiples. On a measured roof, which has other limits for
-    each size of blocks, it can rise by up to 0.4 %.
+    volume rises at most as the mean of G does. The same holds for the minimum changes, and the
+    limits of the volume hold for its mean. So the bound stays valid. On the paper's soil the bound
+    never rises if blocks are enlarged to whole multiples. On a measured soil, which has other
+    limits for each size of blocks, it can rise by up to 0.4 %.
 
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
@@ -137,12 +137,12 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Value
 
     With y_b the mean of x2 - x2* in block b, in units of x2*, and n_b its ticks, it minimises the
     sum of n_b (p_b + m_b) subject to y_b = p_b - m_b = y_{b-1} + c_b, where y_{-1} is 0 and p, m
-    and c have bounds. On a measured roof y_{b-1} has a factor. In the optimum p_b or m_b is 0, so
+    and c have bounds. On a measured soil y_{b-1} has a factor. In the optimum p_b or m_b is 0, so
     that limits of y_b are limits of each.
 
     The cost is the dual's: every variable z is between two numbers, and the balance A z is 0. So
-    for any multipliers v, the sum of the least values of (w - A'v) z is a lower bound of w z,
-    whatever the solver's tolerance.
+    for any multipliers v, the sum of the minimum values of (w - A'v) z is a lower bound of w z,
+    regardless of the solver's tolerance.
 
     Args:
         run: the run.
@@ -169,16 +169,16 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Value
     floor, ceiling = means(limits.low), means(limits.high)
     if limits.slope is None:
         factors = np.ones(len(edges))
-        least = np.diff(means(_sums(run.x2, limits.least)), prepend=0)
-        greatest = np.diff(means(_sums(run.x2, limits.greatest)), prepend=0)
+        minimum = np.diff(means(_sums(run.x2, limits.minimum)), prepend=0)
+        maximum = np.diff(means(_sums(run.x2, limits.maximum)), prepend=0)
     else:
-        factors, least, greatest = _changes(limits, limits.slope, edges)
-        least, greatest = (part / unit + factors - 1 for part in (least, greatest))
+        factors, minimum, maximum = _changes(limits, limits.slope, edges)
+        minimum, maximum = (part / unit + factors - 1 for part in (minimum, maximum))
     zero = np.zeros_like(floor)
-    lower = np.concatenate([np.maximum(floor, 0), np.maximum(-ceiling, 0), least])
+    lower = np.concatenate([np.maximum(floor, 0), np.maximum(-ceiling, 0), minimum])
     # If nothing can be pumped both are equal, and rounding must not set them apart.
     upper = np.concatenate(
-        [np.maximum(ceiling, 0), np.maximum(-floor, 0), np.maximum(greatest, least)]
+        [np.maximum(ceiling, 0), np.maximum(-floor, 0), np.maximum(maximum, minimum)]
     )
     blocks = len(edges)
     step = diags([np.ones(blocks), -factors[1:]], [0, -1])
@@ -201,48 +201,48 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Value
 def _changes(
     limits: RoofRange, slope: Values, edges: NDArray[np.int64]
 ) -> tuple[Values, Values, Values]:
-    """Return how the mean of each block of a measured roof follows from the one before it.
+    """Return how the mean of each block on a measured soil follows from the one before it.
 
     Returns:
-        A factor, and the least and the largest of a block's mean minus that factor times the mean
-        before (m3), each of shape (B,). The factor is 0 for blocks that do not follow one of the
-        same length; then these are the limits of the volume.
+        A factor, and the smallest and the largest of a block's mean minus that factor times the
+        mean before (m3), each of shape (B,). The factor is 0 for blocks that do not follow one of
+        the same length; then these are the limits of the volume.
     """
     floor, ceiling = limits.low, limits.high
     sizes = np.diff(edges, append=len(floor))
     factors = np.zeros(len(edges))
-    least, greatest = (
+    minimum, maximum = (
         np.add.reduceat(volumes, edges) / sizes for volumes in (floor, ceiling)
     )
     block = sizes[0]
     following = int(np.count_nonzero(sizes == block)) - 1
     if following > 0:
         count = following * block
-        factor, low, high = _composed(slope, limits.least, limits.greatest, block)
+        factor, low, high = _composed(slope, limits.minimum, limits.maximum, block)
         factor, low, high = factor[:count], low[:count], high[:count]
         mean = factor.reshape(following, block).mean(axis=1)
         # A tick's factor differs a little from its block's.
         off = factor - np.repeat(mean, block)
         ends = off * floor[:count], off * ceiling[:count]
         factors[1 : following + 1] = mean
-        least[1 : following + 1] = (low + np.minimum(*ends)).reshape(-1, block).mean(axis=1)
-        greatest[1 : following + 1] = (high + np.maximum(*ends)).reshape(-1, block).mean(axis=1)
-    return factors, least, greatest
+        minimum[1 : following + 1] = (low + np.minimum(*ends)).reshape(-1, block).mean(axis=1)
+        maximum[1 : following + 1] = (high + np.maximum(*ends)).reshape(-1, block).mean(axis=1)
+    return factors, minimum, maximum
 
 
 def _composed(
-    slope: Values, least: Values, greatest: Values, ticks: int
+    slope: Values, minimum: Values, maximum: Values, ticks: int
 ) -> tuple[Values, Values, Values]:
-    """Return slope, least and greatest of ``ticks`` ticks in a row, from each tick on.
+    """Return slope, minimum and maximum of ``ticks`` ticks in a row, from each tick on.
 
-    Slopes are not negative, so that the least result comes from the least volume.
+    Slopes are not negative, so that the minimum result comes from the minimum volume.
     """
-    factor, low, high = slope, least, greatest
+    factor, low, high = slope, minimum, maximum
     for done in range(1, ticks):
         following = slope[done:]
         factor = following * factor[:-1]
-        low = following * low[:-1] + least[done:]
-        high = following * high[:-1] + greatest[done:]
+        low = following * low[:-1] + minimum[done:]
+        high = following * high[:-1] + maximum[done:]
     return factor, low, high
 
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from greenroof_ros.common.conditions import read_interlocks
 from greenroof_ros.common.disk import DISK
 
-# The file's name in the directory of a run, beside the bag, and its name once it is full.
+# The file's name in the directory of a run, next to the bag, and its name once it is full.
 INCIDENTS = "incidents.jsonl"
 _OLDER = f"{INCIDENTS}.1"
 # Size at which the file is renamed, replacing the one before: over a thousand incidents (bytes).

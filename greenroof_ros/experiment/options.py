@@ -95,7 +95,7 @@ def add_controller_arguments(
     """
     group.add_argument(
         "--controller", default=default, metavar="NAME",
-        help=f"{', '.join(controller_names())}, or package.module:Class of your own; in a graph "
+        help=f"{', '.join(controller_names())}, or package.module:Class for your own; in a graph "
         "also external, a node that you run yourself (default: %(default)s)",
     )
     # Its parameters are options, so its name is needed before the rest is parsed.
@@ -188,7 +188,7 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
         "--evapotranspiration", metavar="METHOD",
         help="fao56: computed by FAO-56 Penman-Monteith; hargreaves: from temperature alone, by "
         "FAO-56 Eq. 52; monthly: the site's monthly_evapotranspiration; or the name of the weather "
-        "file's own column, such as published (default: the file's own, otherwise the first of "
+        "file's own column, for example published (default: the file's own, otherwise the first of "
         "these three for which it has what is needed)",
     )
 

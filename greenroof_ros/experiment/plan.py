@@ -65,7 +65,7 @@ def recursion_plan(run: Run, max_command: float = 1.0) -> PlanResult:
 
     :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` plans the whole run, after which
     nothing counts, in steps of five minutes, or of a ten-thousandth of a long run. It does not
-    simplify the soil. Its total bounds the least possible total from above, on every site.
+    simplify the soil. Its total bounds the minimum possible total from above, on every site.
 
     Args:
         run: as for :func:`run_plan`.

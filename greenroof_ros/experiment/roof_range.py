@@ -18,15 +18,15 @@ ROUNDING = 1e-9
 
 
 class RoofRange(NamedTuple):
-    """Limits of the roof's volume, whatever the controller does; volumes in m3."""
+    """Limits of the roof's volume, regardless of what the controller does; volumes in m3."""
 
     low: Values
-    """least volume, shape (N+1,)"""
+    """minimum volume, shape (N+1,)"""
     high: Values
     """largest volume, shape (N+1,)"""
-    least: Values
-    """least of the volume after each tick minus slope times the volume before it, shape (N,)"""
-    greatest: Values
+    minimum: Values
+    """minimum of the volume after each tick minus slope times the volume before it, shape (N,)"""
+    maximum: Values
     """largest of the same, shape (N,)"""
     unpumped: Values
     """largest change in each tick without pumping, shape (N,)"""
@@ -53,7 +53,7 @@ def roof_range(
     for fell, potential, most in zip(
         array("d", rain * site.a2), array("d", evapotranspiration), array("d", pumped), strict=True
     ):
-        # Nothing is pumped if even the roof's least volume is above its target.
+        # Nothing is pumped if even the roof's minimum volume is above its target.
         tick = low, high, fell, potential, most if low <= target else 0.0
         if isinstance(soil, PaperSoil):
             after = _of_paper(site, soil, *tick)
@@ -73,7 +73,7 @@ def _of_paper(
     Args:
         site: its parameters.
         soil: of the site.
-        low: least volume before the tick (m3).
+        low: minimum volume before the tick (m3).
         high: largest volume before it (m3).
         rain: on the roof (m3/s).
         potential: evapotranspiration of plants that lack no water (m3/s).
@@ -110,10 +110,10 @@ def _of_measured(
     site: Site, soil: MeasuredSoil, low: float, high: float, rain: float, potential: float,
     most: float,
 ) -> tuple[float, ...]:
-    """Follow the range of the volume in the substrate of a measured roof, as :func:`_of_paper`.
+    """Follow the range of the volume in the substrate of a measured soil, as :func:`_of_paper`.
 
     The share of arriving water that stays falls with the volume; evaporation and the excess above
-    field capacity rise with it. So the change without pumping is largest at the least volume. The
+    field capacity rise with it. So the change without pumping is largest at the minimum volume. The
     volume after a tick rises with the volume before it, by about the slope of the chord over the
     range. Minus this slope times the volume before, its limits are close together.
     """
@@ -140,16 +140,16 @@ def _ends(
     site: Site, soil: MeasuredSoil, low: float, high: float, arriving: float, potential: float,
     line: float,
 ) -> list[float]:
-    """Return candidates for the least and largest volume after a tick, minus a line (m3).
+    """Return candidates for the smallest and largest volume after a tick, minus a line (m3).
 
     Between the wilting point, the onset of stress and field capacity the volume after a tick is a
     concave parabola of the volume before it, and continuous; to subtract a line changes neither. So
-    the least is at an end of these pieces, and the largest at an end or at a parabola's vertex.
+    the minimum is at an end of these pieces, and the largest at an end or at a parabola's vertex.
 
     Args:
-        site: of a measured roof.
+        site: with a measured soil.
         soil: of the site.
-        low: least volume before the tick (m3).
+        low: minimum volume before the tick (m3).
         high: largest volume before the tick (m3).
         arriving: rain and pumped water (m3/s).
         potential: evapotranspiration of plants that lack no water (m3/s).

@@ -98,7 +98,7 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         yield (
             "FROST", f"{summary['frost_hours']:.1f} h",
             "at or below 0 degC, nothing pumped; "
-            f"{summary['precipitation_in_frost_mm']:.1f} mm of snow or rain counted as rain",
+            f"{summary['precipitation_in_frost_mm']:.1f} mm of snow or rain treated as rain",
         )
     for quantity, hours in summary["filled"].items():
         yield "FILLED", quantity, ", ".join(hours)

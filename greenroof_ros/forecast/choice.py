@@ -87,7 +87,7 @@ def check_skill(text: str) -> None:
     """Check a skill's name, or the path of its file.
 
     Raises:
-        ValueError: it is neither; the message says what it must be.
+        ValueError: it is neither; the message states what it must be.
     """
     if text not in SKILLS and not text.lower().endswith(".yaml"):
         raise ValueError(must_be_one_of(SKILLS, text, ", or a FILE.yaml"))
@@ -97,7 +97,7 @@ def choose(text: str) -> ForecastChoice:
     """Return the choice of a model by its name, or of an archive by its path.
 
     Raises:
-        ValueError: it is neither; the message says what it must be.
+        ValueError: it is neither; the message states what it must be.
     """
     if text in MODELS:
         return ForecastChoice(text)

@@ -21,7 +21,7 @@ _HOUR_S = 3600.0
 
 
 class NoForecastError(Exception):
-    """There is no forecast for now; the message says why."""
+    """There is no forecast for now; the message states why."""
 
 
 class ForecastFile:
@@ -143,8 +143,8 @@ class LiveForecast:
         shorter = f", or a horizon of at most {always} h" if always >= 1 and due >= HOUR else ""
         return (
             f"the forecast issued at {to_people(issue.issued)} ends at {to_people(end)}, before "
-            f"the {duration(due.total_seconds())} look-ahead does; the hours after it count as "
-            f"dry. An issue must have {needed} h to last until it is too old, not {issue.hours} h"
+            f"the {duration(due.total_seconds())} look-ahead does; the hours after it are treated "
+            f"as dry. An issue must have {needed} h to last until too old, not {issue.hours} h"
             f"{shorter}"
         )
 

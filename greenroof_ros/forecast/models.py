@@ -108,7 +108,7 @@ class ForecastModel(ABC):
         return None
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
-        """Return the time from which on these hours are assumed, not known; None if all are known.
+        """Return the time from which on these hours are assumed; None if all are known.
 
         That is the end of the records if the hours extend past it.
         """
@@ -166,8 +166,8 @@ class FileModel(ForecastModel):
 
     The newest is the last that was available by the start of the hour. After its end there is no
     rain, as after all forecasts, and evapotranspiration repeats its last day, or its last hour if
-    it is shorter than a day. Without a column of evapotranspiration the records' values count as
-    known. If the records' rain is late (``rain_late``), forecasts of rain are as late.
+    it is shorter than a day. Without a column of evapotranspiration the records' values are treated
+    as known. If the records' rain is late (``rain_late``), forecasts of rain are as late.
     """
 
     def __init__(self, archive: Archive, weather: Weather, all_members: bool) -> None:
@@ -307,7 +307,7 @@ def _drawn(climate: Climate, records: bytes, first: int) -> Array:
     chances = [np.random.default_rng([_RECORDS, block % 2**32]) for block in blocks]
     begin = first - blocks.start * _BLOCK
     for _ in range(_SWEEPS):
-        # The same number for an hour since 1970, whichever hours are asked for.
+        # The same number for an hour since 1970, no matter which hours are asked for.
         numbers = np.concatenate([chance.random(_BLOCK) for chance in chances])[begin:]
         for hours in turns:
             mean = pull[hours] * (normal[hours] + normal[hours + 2])
@@ -323,7 +323,7 @@ class ErrorModel(ForecastModel):
     Errors are correlated from issue to issue: zeta and xi of an issue are sums over the white noise
     of this and earlier issues, weighted by exp(-age / persistence). Each noise depends only on the
     seed, the member's number and the time of issue: the same seed gives the same forecasts,
-    whichever are asked for first.
+    no matter which are asked for first.
 
     The evapotranspiration of an issue is multiplied by exp(e g - e^2 / 2), whose mean is 1. e grows
     from 0 to the skill's constant as the unknown share of the rain does, and g is drawn like xi.

@@ -123,7 +123,7 @@ class PerfectForecast:
     """Knows the weather of the next M ticks, as the paper assumes.
 
     Attributes:
-        repeats_from: the earliest time from which its values are assumed, not known.
+        repeats_from: the earliest time from which its values are assumed.
         longest: length of its longest issue (h); None if it has no end.
         notes: what of a file's forecasts could not be used as it is.
     """

@@ -3,13 +3,13 @@
 The service has two interfaces for the same variables: *forecast*, with one series of each, and
 *ensemble*, with one of each member (``precipitation``, ``precipitation_member01``, ...). Their
 answers are read like files of the service (:mod:`greenroof_ros.formats.open_meteo`). An answer does
-not say which model run it is from. Here it counts as issued in the hour in which it arrived, and as
-available from its arrival, so nothing is known too early. Data of Open-Meteo are under the licence
-CC BY 4.0.
+not state which model run it is from. It is assumed to be issued in the hour in which it arrived,
+and as available from its arrival, so nothing is known too early. Data of Open-Meteo are under the
+licence CC BY 4.0.
 
 The service allows 600 requests a minute and 10,000 a day, one at a time; an ensemble of many
-variables counts as several. One an hour is far below that. The wait doubles with each failure, from
-a minute to at most an hour; a refusal such as 429 can ask for a longer one (``Retry-After``).
+variables counts several times. One an hour is far below that. The wait doubles with each failure,
+from a minute to at most an hour; a refusal such as 429 can ask for a longer one (``Retry-After``).
 """
 
 from __future__ import annotations
@@ -71,10 +71,10 @@ _STORED_NAME, _MOST_STORED = re.compile(r"\d{14}\.csv"), 2_000_000_000
 
 
 class ServiceError(Exception):
-    """The service gave no forecast; the message says why.
+    """The service gave no forecast; the message states why.
 
     Attributes:
-        wait: how long the service asks to be left alone (s); None if it does not say.
+        wait: how long the service asks to be left alone (s); None if it does not state this.
     """
 
     def __init__(self, why: str, wait: float | None = None) -> None:
@@ -151,7 +151,7 @@ class Service:
             raise ServiceError(f"{self._url}: its answer {error.wrong}") from error
 
     async def _request(self, now: datetime) -> tuple[str, bytes]:
-        """Return an answer and its tag; the last answer if the service says it still holds (304).
+        """Return an answer and its tag; the last answer if that still holds (status 304).
 
         Raises:
             ServiceError: the service refuses or sends too much, or a clock is wrong.
@@ -289,7 +289,7 @@ class Fetcher:
                 replace_text(self._archive / f"{issue.order[1]:%Y%m%d%H%M%S}.csv", text)
                 self._stored = issue
                 _remove_oldest(self._archive)
-        except Exception as error:  # whatever failed, the next forecast is requested
+        except Exception as error:  # for any error, the next forecast is requested
             self.problem = str(error) or type(error).__name__
             requested_wait = error.wait if isinstance(error, ServiceError) else None
             wait = max(self._wait, min(requested_wait or 0.0, _LONGEST_WAIT_S))
@@ -316,7 +316,7 @@ class Fetcher:
 
 
 def _remove_oldest(archive: Path) -> None:
-    """Remove the oldest kept forecasts beyond the limit; other files are nobody's to remove."""
+    """Remove the oldest kept forecasts beyond the limit; other files are never removed."""
     stored = sorted(file for file in archive.iterdir() if _STORED_NAME.fullmatch(file.name))
     size = 0
     for file in reversed(stored):

@@ -71,7 +71,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     A record is for the hour that starts at its time, as in the paper. But rain is for the hour
     before: the service's current observations call it ``pcpn_amt_pst1hr``, and by the column
     ``Weather`` it rains at a wet row's time and an hour before about equally often, and less often
-    an hour after. So rain is recorded an hour late; ``rain_late`` of the records says so, and
+    an hour after. So rain is recorded an hour late; ``rain_late`` of the records states this, and
     forecasts are compared accordingly. Flags ``M`` (missing) and ``NA`` make a value missing even
     if one is given. Other flags, such as ``E`` (estimated by the service), do not. A row that ends
     before the first observation, as the service writes for hours without any, is all missing.
@@ -146,7 +146,7 @@ def _quantity(name: str) -> str | None:
 
 
 def _check_kind(table: Table, names: Iterable[str], quantities: Container[str]) -> None:
-    """Refuse a file that does not have each hour's rain, and say what it is."""
+    """Refuse a file that does not have each hour's rain, and state what it is."""
     if any(_LONGER in name for name in names):
         what = "holds days or months, not hours"
     elif PRECIPITATION not in quantities:

@@ -550,7 +550,7 @@ def _windows(
 ) -> Iterator[tuple[datetime, NDArray[np.float64]]]:
     """Yield the times of issue, ``every`` hours from 00 UTC on, and the values after each.
 
-    The values have a row for each N up to the greatest, and as many days; NaN if missing.
+    The values have a row for each N up to the maximum, and as many days; NaN if missing.
     """
     days = {int(name[-1]): series for name, series in previous.values.items()}
     most = max(days)

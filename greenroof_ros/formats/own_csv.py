@@ -52,14 +52,14 @@ _FORECAST = {
 # Of a live site's file only the last bytes are read, enough for 100 members of 36 days.
 _MOST_BYTES, _CHUNK = 16_000_000, 1_000_000
 _COMMENT = re.compile(r"\s*(#|$)")
-# What comments at the head of a weather file may say: its place, the height of the wind, and the
+# What comments at the head of a weather file may state: its place, the height of the wind, and the
 # delay of the rain's time.
 _ENDS = {
     "latitude": Range(-90.0, 90.0, "degrees"), "longitude": Range(-180.0, 180.0, "degrees"),
     "wind_height": Range(0.5, 100.0, "m"), "rain_late": Range(0.0, 1.0, "h"),
 }
 _ABOUT = re.compile(rf"\b({'|'.join(_ENDS)})\s*[:=]\s*([-+]?\d+(?:\.\d*)?)", re.IGNORECASE)
-# Least share of an hour's rows to know its rain; another quantity needs one value.
+# Minimum share of an hour's rows to know its rain; another quantity needs one value.
 _ENOUGH = 0.75
 # Other names of quantities, and units of amounts in a row.
 _SYNONYMS = {"rain": PRECIPITATION}
@@ -69,7 +69,7 @@ _OPTIONAL = {"available", "member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEM
 
 
 def recognises(_file: Path, _head: bytes, /) -> bool:
-    """Any file: this format is the last that is tried, and its errors say what is expected."""
+    """Any file: this format is the last that is tried, and its errors state what is expected."""
     return True
 
 
@@ -163,7 +163,7 @@ def _means(
 
 
 def _about(file: Path) -> dict[str, float]:
-    """Return what the comments at the head of a file say about it, by the names of ``_ENDS``."""
+    """Return what the comments at the head of a file state about it, by the names of ``_ENDS``."""
     found = {}
     with file.open(encoding="utf-8-sig") as stream:
         for number, line in enumerate(itertools.takewhile(_COMMENT.match, stream), 1):

@@ -39,20 +39,20 @@ HUMIDITY = "relative humidity"
 DEW_POINT = "dew point"
 
 Limits: TypeAlias = tuple[str, float, float]
-"""A unit, and the least and the largest plausible value in it."""
+"""A unit, and the smallest and the largest plausible value in it."""
 
 NEARLY = {
     PRECIPITATION: 0.5, EVAPOTRANSPIRATION: 2.5, "wind speed": 1.0, RADIATION: 15.0,
     HUMIDITY: 5.0,
 }
-"""How far outside its range a value counts as the end of the range, in the unit of its quantity.
+"""How far outside its range a value is set to the end of the range, in the quantity's unit.
 
 Models round, and interpolate below 0: rain of -0.1 mm and radiation of -0.3 W/m2 are seen. A
 pyranometer has an offset of up to 15 W/m2 at night (ISO 9060, first class). Dew is negative
 evapotranspiration, of at most some 0.1 mm/h. A humidity sensor is off by up to 5 %.
 """
 
-# Quantity: unit, least and largest plausible value. A value above the world record of an hour's
+# Quantity: unit, smallest and largest plausible value. A value above the world record of an hour's
 # rain, or of a day's evapotranspiration, shows a wrong unit.
 QUANTITIES: dict[str, Limits] = {
     PRECIPITATION: ("mm/h", 0.0, 500.0),
@@ -106,7 +106,7 @@ class Records:
         left_out: what could not be used as it is, in sentences that name it.
         empty: quantities of the files without any value.
         places: latitude and longitude (degrees) of each file that gives them, by file.
-        wind_height: height at which the wind was measured (m); None if the site file says.
+        wind_height: height at which the wind was measured (m); None if it is in the site file.
     """
 
     files: tuple[Path, ...]
@@ -498,7 +498,7 @@ class Archive:
 def newest_issue(first: datetime, hour: int) -> tuple[int, int]:
     """Return the time of the issue that is the newest in an hour of the records.
 
-    An issue counts as known from its time of issue on; callers subtract a service's delay from
+    An issue is treated as known from its time of issue on; callers subtract a service's delay from
     ``hour``. It is the newest until the next one. If records do not begin on a whole hour of UTC,
     an issue counts from the first hour of the records that begins after it. An issue made before
     the records keeps its own time; the first record then stands for the hours before it.
@@ -693,9 +693,9 @@ class Table:
     ) -> NDArray[np.float64]:
         """Return a column's values in our unit, shape (rows,); NaN for those that cannot be used.
 
-        A value just outside the range counts as its end. A code such as -999, a word, a negative
-        value of what cannot be negative, and a few other values that are not plausible are left
-        out. The notes name them all.
+        A value just outside the range is treated as its end. A code such as -999, a word, a
+        negative value of what cannot be negative, and a few other values that are not plausible are
+        left out. The notes name them all.
 
         Args:
             column: its name.
@@ -740,8 +740,8 @@ class Table:
         ):
             first = (wrong or codes)[0]
             self.numbers(column, limits, unit, {"", *cells[:first]} - {cells[first]}, hint)
-        self._note(column, near, f"counts as the end of its range, {low:g} to {high:g} {own_unit}")
-        self._note(column, codes + wrong, "is no plausible value, and counts as missing")
+        self._note(column, near, f"is set to the end of its range, {low:g} to {high:g} {own_unit}")
+        self._note(column, codes + wrong, "is no plausible value, and is treated as missing")
         return values
 
     def _note(self, column: str, rows: Sequence[int], what: str) -> None:
@@ -804,7 +804,7 @@ class Table:
             time = self._on_clock(column, row, time, zone, before)
         if time.tzinfo is None:
             raise self.refuse(
-                f"must say its offset from UTC, as in {DEFAULT_START}{hint}", column, row
+                f"must give its offset from UTC, as in {DEFAULT_START}{hint}", column, row
             )
         return time
 
@@ -894,7 +894,7 @@ def table_of(
 ) -> Table:
     """Return lines of CSV as a table; a quoted cell must end in its line.
 
-    Cells are separated by commas, semicolons or tabs, whichever the header has most of. A number
+    Cells are separated by commas, semicolons or tabs: what the header has most of. A number
     may have a decimal comma.
 
     Args:

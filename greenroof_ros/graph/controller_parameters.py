@@ -22,7 +22,7 @@ _CHANGES = 50
 
 
 class ControllerParameters:
-    """A controller made from the parameters of its node, which may change in a run if they say so.
+    """A controller made from its node's parameters, which may change in a run if declared so.
 
     Attributes:
         controller: the controller.

@@ -45,7 +45,7 @@ def importing_ros() -> Iterator[None]:
     """Guard imports that need ROS 2.
 
     Raises:
-        ConfigurationError: ROS 2 is not installed; the message says what to do.
+        ConfigurationError: ROS 2 is not installed; the message states what to do.
     """
     try:
         yield
@@ -68,7 +68,7 @@ def choose_transport() -> None:
     ``LOCALHOST``), UDP uses all network interfaces. A profiles file named by the user and another
     middleware are left alone.
 
-    With ``LOCALHOST`` the middleware would add shared memory whatever a profiles file says.
+    With ``LOCALHOST`` the middleware would add shared memory regardless of the profiles file.
     ``SYSTEM_DEFAULT`` is set instead, with a profiles file that binds all sockets to loopback.
     """
     import rclpy

@@ -86,7 +86,7 @@ class GraphNode(Node):
         """Do what is due by the wall clock; called 20 times a second."""
 
     def on_stop(self) -> None:
-        """Close what is open; called once at the end, whatever the reason."""
+        """Close what is open; called once at the end, regardless of the reason."""
 
     def progress(self) -> dict[str, Any]:
         """Return the node's additions to each of its reports."""

@@ -97,7 +97,7 @@ def _checked(parameter: Parameter, value: Any) -> Any:
     """Return a value of a parameter in the parameter's type.
 
     Raises:
-        ValueError: it is wrong; the message says what it must be.
+        ValueError: it is wrong; the message states what it must be.
     """
     kind = type(parameter.default)
     if kind in (int, float):

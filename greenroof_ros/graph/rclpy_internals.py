@@ -14,7 +14,7 @@ _CLOCK = "/clock"  # rclpy's name
 
 
 class NoClockSubscription:
-    """Mixin beside ``Node`` that keeps rclpy from subscribing to the clock in simulated time.
+    """Mixin for ``Node`` that keeps rclpy from subscribing to the clock in simulated time.
 
     rclpy's own subscription, to ``/clock`` even in a namespace, costs 35 us of processor time per
     tick in each node. rclpy opens it with this method, and has no public way to prevent it.

@@ -64,7 +64,7 @@ class Reports:
         """Return the node's status with these values, and all values in it.
 
         The level is ERROR if they have a failure, and WARN if they have warnings. A node that waits
-        for its peers is OK, with a code that says so.
+        for its peers is OK, with a code for this.
         """
         level, code = DiagnosticStatus.OK, ""
         if "failure" in values:

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 # The states of a node: it waits for its peers; they are there; the run is over; it ends.
 STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "ended")
 
-# Roles in the interface that code treats specially, and how to name one whose node is not known.
+# Roles in the interface that code treats specially, and how to name one whose node is unknown.
 PLANT, PUMP, RECORDER = "plant", "pump", "recorder"
 ROLES = {"controller": "the controller", PUMP: "the pump driver"}
 
@@ -39,7 +39,7 @@ class PumpState:
 
     @classmethod
     def read(cls, message: str) -> PumpState:
-        """Return what a message says; its text is the reason of an unknown state if it is wrong."""
+        """Return a message's content; its text is the reason of an unknown state if it is wrong."""
         try:
             content = json.loads(message)
         except (ValueError, RecursionError):

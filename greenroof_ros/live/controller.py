@@ -133,7 +133,7 @@ class LiveControllerNode(LiveNode):
         )
 
     def _command(self, allowed: bool) -> bool:
-        """Publish the command: the controller's, or on/off's without a forecast; 0 on bad inputs.
+        """Publish the command: the controller's, or on/off without forecast; 0 on bad inputs.
 
         Args:
             allowed: whether it may pump.
@@ -229,7 +229,7 @@ class LiveControllerNode(LiveNode):
         """Set the expected change of the levels in a tick, from the gauge's rain and the flow.
 
         The flow is the pump's, or follows from the command if none was ever received. If it is not
-        good now, it counts as 0: the pump may be at rest, and a still level is then not frozen.
+        good now, it is treated as 0: the pump may be stopped, and a still level is then not frozen.
         Snow reaches no tank before it melts, so what falls in frost does not count.
         """
         site, flow = self._site, self._flow.value if self._flow.good else 0.0

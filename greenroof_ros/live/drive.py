@@ -123,7 +123,7 @@ class DriveChoice:
                 why = drive.simulator_problem()
             except DriveError as error:
                 if time.monotonic() > until:
-                    why = f"nobody answers there ({error})"
+                    why = f"no one answers there ({error})"
                 time.sleep(0.1)
             finally:
                 drive.line.close()
@@ -133,8 +133,9 @@ class DriveChoice:
     def stopper(self) -> StopDrive:
         """Return a function that stops the drive without the pump node.
 
-        It takes the pump node's process id, and returns whether the drive reports the pump at rest,
-        and the outcome in words. A drive that another program runs is left alone, with False.
+        It takes the pump node's process id, and returns whether the drive reports the pump as
+        stopped, and the outcome in words. A drive that another program runs is left alone, with
+        False.
 
         Raises:
             ConfigurationError: the file or the address is wrong.
@@ -153,7 +154,7 @@ class DriveChoice:
                     f"another program (process {error.holder}) runs the drive, and may run the "
                     "pump: the drive is left to it"
                 )
-            except Exception as error:  # whatever the error, somebody must check the pump
+            except Exception as error:  # for any error, someone must check the pump
                 return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
             message = f"bringup ordered the drive to stop; it then reported: {status}"
             return (True, message) if status.at_rest else (False, f"{message}; {_MAY_RUN}")
@@ -175,7 +176,7 @@ def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
          "needs --drive-at, such as tcp://192.168.0.20:502, gateway://..., /dev/ttyUSB0 or "
          "mqtt://..."),
         (drive is not None and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
-         "leaves the pump to somebody else's node, --drive to the pump node; give only one"),
+         "leaves the pump to someone else's node, --drive to the pump node; give only one"),
     )
     files = [
         str(Path(file).resolve()) if file else ""

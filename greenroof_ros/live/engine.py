@@ -47,10 +47,10 @@ _JUMP_TOLERANCE = Parameter(
 )
 
 
-# The greatest age of each topic that nodes act on in a live graph.
+# The maximum age of each topic that nodes act on in a live graph.
 LIMITS = {
     topic.name: Parameter(
-        age.parameter, age.default, "s", 0.1, age.most, f"greatest age of {age.quantity}"
+        age.parameter, age.default, "s", 0.1, age.most, f"maximum age of {age.quantity}"
     )
     for topic in read_topics().values() if (age := topic.greatest_age) is not None
 }

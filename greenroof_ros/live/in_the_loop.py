@@ -45,11 +45,11 @@ class DriveInLoop:
     """The pump node of a simulated run, a process of its own, which runs a drive.
 
     Used in a ``with`` statement, which begins when the drive can run, and stops the drive at its
-    end, whatever the pump node reported.
+    end, regardless of what the pump node reported.
 
     Attributes:
         log: the incidents of the drive.
-        may_run: a warning that the pump may still run after the end; empty if it is at rest.
+        may_run: a warning that the pump may still run after the end; empty if it is stopped.
     """
 
     def __init__(
@@ -78,14 +78,14 @@ class DriveInLoop:
 
     @property
     def may_run(self) -> str:
-        """A warning that the pump may still run after the end; empty if it is at rest."""
+        """A warning that the pump may still run after the end; empty if it is stopped."""
         return self._supervisor.may_run
 
     def __enter__(self) -> DriveInLoop:
         """Start the pump node, and wait until it can run its drive.
 
         So no run starts that cannot pump. A stop or fault latched in an earlier run keeps the pump
-        off in this one; a warning says so.
+        off in this one; a warning states this.
 
         Raises:
             NodeFailed: the node ended or hangs, or the drive could not be run within 60 s.

@@ -23,7 +23,7 @@ UNCONFIGURED, INACTIVE, ACTIVE = (
 
 
 class RefusedError(Exception):
-    """A transition is not possible now; the message says why. The node keeps its state."""
+    """A transition is not possible now; the message states why. The node keeps its state."""
 
 
 class Transitions(Protocol):
@@ -35,7 +35,7 @@ class Transitions(Protocol):
     """
 
     def requested(self) -> None:
-        """Note that somebody requests a transition."""
+        """Note that someone requests a transition."""
 
     def configure(self) -> None:
         """Do what leads from *unconfigured* to *inactive*."""

@@ -59,16 +59,16 @@ class LiveSite:
         refuse(
             (arguments.sensors is None, "--sensors FILE", None,
              "is missing: a live site needs it to know where the levels are measured; or give "
-             "--sensors external, if nodes of your own publish /cistern/level and /roof/level"),
+             "--sensors external, if your own nodes publish /cistern/level and /roof/level"),
             (drive is None and not arguments.pump, "--drive NAME", None,
              "is missing: a live site needs it to know the pump's drive, and --drive-at its "
-             "address; or give --pump external, if a node of your own runs the pump"),
+             "address; or give --pump external, if your own node runs the pump"),
             (others_weather and has_forecast, "--forecast", arguments.forecast,
              "is for the weather node, which --weather external replaces"),
             (not others_weather and not has_forecast and self.controller.needs_forecast,
              "--forecast FILE.csv", None,
              f"is missing: {self.controller.name} needs a forecast; or give --weather external, "
-             "if a node of your own publishes it, or --controller onoff or lookahead, which need "
+             "if your own node publishes it, or --controller onoff or lookahead, which need "
              "no forecast"),
         )
         self.sensors = None
@@ -88,8 +88,8 @@ class LiveSite:
             (not others_weather and not has_forecast and arguments.thermometer is None
              and not has_thermometer,
              "--thermometer external", None,
-             "is missing: without --forecast FILE.csv only a thermometer can say whether there is "
-             "frost; give it if a node of your own publishes /gauge/temperature (degC), or add a "
+             "is missing: without --forecast FILE.csv only a thermometer can show whether there "
+             "is frost; give it if your own node publishes /gauge/temperature (degC), or add a "
              "thermometer to the file of --sensors, or give a forecast"),
             (has_thermometer and arguments.thermometer is not None, "--thermometer", EXTERNAL,
              "contradicts the file of --sensors, which has a thermometer"),
@@ -177,7 +177,7 @@ def make_parser() -> Parser:
         prog="greenroof live",
         usage="%(prog)s [options]",
         description="Keep a site with sensors and a pump running, by the system clock; nothing is "
-        "simulated. It does not end by itself: Ctrl-C or SIGTERM stops the pump, and then the "
+        "simulated. It does not end automatically: Ctrl-C or SIGTERM stops the pump, and then the "
         "nodes.",
         epilog="examples:\n"
         "  greenroof live --sensors sensors.yaml --forecast forecast.csv \\\n"
@@ -193,8 +193,8 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
-        help="file of the sensors, on Modbus or MQTT (see config/sensors.yaml); external: nodes "
-        "of your own publish the levels",
+        help="file of the sensors, on Modbus or MQTT (see config/sensors.yaml); external: your "
+        "own nodes publish the levels",
     )
     group.add_argument(
         "--forecast", metavar="{FILE.csv,open-meteo}",
@@ -216,13 +216,13 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--thermometer", choices=[EXTERNAL],
-        help="external: a node of your own publishes /gauge/temperature (degC), if the file of "
-        "--sensors has no thermometer; without --forecast nothing else can say whether there is "
+        help="external: your own node publishes /gauge/temperature (degC), if the file of "
+        "--sensors has no thermometer; without --forecast nothing else can show whether there is "
         "frost",
     )
     group.add_argument(
         "--weather", choices=[EXTERNAL],
-        help="external: a node of your own publishes weather and forecast",
+        help="external: your own node publishes weather and forecast",
     )
     group.add_argument(
         "--restarts", type=within(0, 1000, int), default=10, metavar="N",

@@ -1,7 +1,7 @@
 """The pump node of a simulated run with a drive in the loop.
 
 It acts in lockstep with the plant, once command, levels and frost of a tick have arrived, and runs
-a drive. :mod:`greenroof_ros.live.pump_behaviour` says what it does, and which services it has.
+a drive. :mod:`greenroof_ros.live.pump_behaviour` describes what it does, and its services.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class LoopPumpNode(Lifecycle, SimulationNode):
         if self.lockstep.run is not None or why == "":
             return None
         return Problem.of(
-            "no_run", why=why or "it is not known yet whether the drive is the drive simulator"
+            "no_run", why=why or "it is still unknown whether the drive is the drive simulator"
         )
 
     def _refuse_other_speed(self) -> None:

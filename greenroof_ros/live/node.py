@@ -161,7 +161,7 @@ class LiveNode(GraphNode):
             self.report_state()
 
     def _warn(self, now: float) -> None:
-        """Log each publisher that is not heard, once; drop the warning when it has gone."""
+        """Log each publisher that is not responding, once; drop the warning when it has gone."""
         before = self.warnings
         self.warnings = [
             sentence for publishers in self._subscribed if (sentence := publishers.warning(now))

@@ -1,7 +1,7 @@
 """The pump node of a live site.
 
 It acts every tau of the site, on the newest values, and lets the pump run only on fresh, good ones.
-:mod:`greenroof_ros.live.pump_behaviour` says what it does, and which services it has.
+:mod:`greenroof_ros.live.pump_behaviour` describes what it does, and its services.
 """
 
 from __future__ import annotations

@@ -3,15 +3,16 @@
 It is a lifecycle node. *configure* connects to the drive and reads its nameplate and its own
 communication timeout; *activate* lets the pump run, unless that timeout is off, too long or
 unreadable; *deactivate* ramps down; *cleanup* stops and disconnects. ``~/stop`` (std_srvs/SetBool)
-with true holds the pump: it stays off, whatever is commanded, also after a restart; with false it
-ends any hold. ``~/hold`` (rcl_interfaces/SetParametersAtomically) holds it for an ``owner``, with
-a ``reason`` and an end, ``until`` (s since 1970), if they are given. ``~/reset``
+with true holds the pump: it stays off, regardless of the command, also after a restart; with false
+it ends any hold. ``~/hold`` (rcl_interfaces/SetParametersAtomically) holds it for an ``owner``,
+with a ``reason`` and an end, ``until`` (s since 1970), if they are given. ``~/reset``
 (std_srvs/Trigger), for a person at the pump, clears a latched fault and an unknown state;
-``~/clear``, for the page, clears only a fault that needs nobody there (speed_not_followed). If the
-site file allows it, ``~/dose`` (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and
-``asked_at``, the present time in s since 1970) delivers a volume once, or says why not. /pump/flow
-is published once per tick in every state. In between, the drive can be stopped by wall time.
-/pump/state says what the pump does, and why.
+``~/clear``, for the page, clears only a fault that needs no person at the pump
+(speed_not_followed). If the site file allows it, ``~/dose``
+(rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and
+``asked_at``, the present time in s since 1970) delivers a volume once, or reports why not.
+/pump/flow is published once per tick in every state. In between, the drive can be stopped by wall
+time. /pump/state reports what the pump does, and why.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ COMMAND_LIMIT = LIMITS["/pump/command"]
 _WAIT_S = 1.0
 # How long a suspend of the machine is reported (s).
 _REPORTED_S = 60.0
-# How often the node tries to start by itself, and how often it reports on the drive (s).
+# How often the node tries to start automatically, and how often it reports on the drive (s).
 _AGAIN_S, _REPORT_S = 0.5, 0.2
 
 _OWN = (
@@ -91,9 +92,9 @@ _OWN = (
     Parameter(
         "exchange_period", 0.1, "s", 0.02, 1.0, "time between two rounds of requests to the drive",
     ),
-    Parameter("autostart", False, meaning="configure and activate by itself, with retries"),
+    Parameter("autostart", False, meaning="configure and activate automatically, with retries"),
     Parameter(
-        "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "greatest communication timeout that the "
+        "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "maximum communication timeout that the "
         "drive itself may have",
     ),
     Parameter(
@@ -101,7 +102,7 @@ _OWN = (
         "would run on when this machine fails: DANGEROUS",
     ),
     Parameter(
-        "local_settings_stop_the_pump", False, meaning="confirms that somebody has set the pump "
+        "local_settings_stop_the_pump", False, meaning="confirms that someone has set the pump "
         "to stop when the bus connection ends, and has seen it stop; needed if the setting cannot "
         "be read",
     ),
@@ -120,7 +121,7 @@ def common_parameters(site: Site) -> list[Parameter]:
 class PumpBehaviour:
     """Runs the pump of a node as commanded, unless an interlock is active.
 
-    The node, in a live graph or in a simulated one, says when to act: it calls :meth:`step`.
+    The node, in a live graph or in a simulated one, reports when to act: it calls :meth:`step`.
     """
 
     def __init__(
@@ -170,7 +171,7 @@ class PumpBehaviour:
         self._settings = PumpSettings(**settings)
         own_name = node.get_fully_qualified_name().strip("/").replace("/", "-")
         self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
-        # Time after which a drive that is not heard is at rest (s).
+        # Time after which a drive that is not responding is stopped (s).
         self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
         if self._without_timeout:
             self._drive_stops_after = math.inf
@@ -251,18 +252,18 @@ class PumpBehaviour:
         self.step(boot_time())
 
     def cleanup(self) -> None:
-        """Stop the drive, confirm that it is at rest, and disconnect; refused until it is."""
+        """Stop the drive, confirm that it is stopped, and disconnect; refused until it is."""
         self._disconnect(_WAIT_S)
 
     def requested(self) -> None:
-        """End the autostart: somebody else now controls the lifecycle."""
+        """End the autostart: someone else now controls the lifecycle."""
         self._autostart = False
 
     def stop(self) -> None:
-        """Stop the drive and confirm that it is at rest, whatever ends the node.
+        """Stop the drive and confirm that it is stopped, regardless of what ends it.
 
         Raises:
-            OSError: that could not be confirmed; the node's exit code also says so.
+            OSError: that could not be confirmed; the node's exit code also shows this.
         """
         try:
             self._disconnect(math.inf)
@@ -285,7 +286,7 @@ class PumpBehaviour:
 
         Raises:
             RefusedError: it takes longer; stopping continues.
-            OSError: the drive did not answer at the end, or is not at rest.
+            OSError: the drive did not answer at the end, or is not stopped.
         """
         if not self._exchange.started:
             return
@@ -399,7 +400,8 @@ class PumpBehaviour:
         reasons = (
             [*self._reasons_against(now)], _fault(status),
             status is not None and status.at_rest,
-            # Decide again every second, since a drive that is not heard comes to rest at some time.
+            # Decide again every second, since a drive that is not responding comes to rest at some
+            # time.
             status is None and not self._decision.at_rest and now // 1,
         )
         if reasons != self._reasons:
@@ -433,7 +435,7 @@ class PumpBehaviour:
         if absence is not None:
             yield absence
         if not self._is_active:
-            # While the drive is not heard, the refusal may be out of date.
+            # While the drive is not responding, the refusal may be out of date.
             yield self._not_active("inactive", "" if absence else self._lifecycle.refusal)
             return
         status = self._exchange.status(now)
@@ -474,7 +476,7 @@ class PumpBehaviour:
         return None
 
     def _value(self, name: str) -> float | None:
-        """Return the value of an input; None if it is not known."""
+        """Return the value of an input; None if it is unknown."""
         entry = self._inputs.get(name)
         return float(entry.value) if self._node.acted and entry is not None and entry.good else None
 
@@ -525,7 +527,7 @@ class PumpBehaviour:
         return decision
 
     def _elapsed(self) -> float:
-        """Return the time since the last call (s); a pause of this process counts as one tick."""
+        """Return the time since the last call (s); a pause of this process is one tick."""
         before, self._stepped = self._stepped, self._clock()
         dt, tau = self._stepped - before, self._site.tau
         if dt > tau + PAUSE_S:
@@ -630,7 +632,7 @@ class PumpBehaviour:
         problem = bad_inputs(self._inputs[name] for name in of_code)
         if problem is None:
             return ""
-        unknown = code == "frost_unknown" and problem.code == "input_refused"  # a NaN says so
+        unknown = code == "frost_unknown" and problem.code == "input_refused"  # NaN: unknown
         return "temperature_unknown" if unknown else problem.code
 
     def _diagnose_dose(self) -> None:
@@ -751,5 +753,5 @@ def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:
 
 
 def _fault(status: DriveStatus | None) -> str:
-    """Return a drive's fault, except a stop by its own timeout, which clears by itself."""
+    """Return a drive's fault, except a stop by its own timeout, which clears automatically."""
     return "" if status is None or status.timed_out else status.fault

@@ -2,8 +2,8 @@
 
 ``python -m greenroof_ros.live.sensors --sensors sensors.yaml`` makes a node for each section of the
 file, such as /cistern_sensor, which publishes /cistern/level: once per period for a sensor on
-Modbus, at each message for a sensor on MQTT. A bad reading is not published, and /diagnostics says
-why; the last value then becomes too old for its readers.
+Modbus, at each message for a sensor on MQTT. A bad reading is not published, and /diagnostics
+reports why; the last value then becomes too old for its readers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from greenroof_ros.live.node import LiveNode
 from greenroof_ros.live.reports import ERROR, STALE, WARN
 from greenroof_ros.model.site import Site
 
-# After this many periods without a reading, good or bad, the reader of a device counts as hung.
+# After this many periods without a reading, good or bad, the reader of a device is treated as hung.
 _PERIODS = 5
 # After this time without a first reading, the node reports what it waits for (s).
 _AWAITED_S = 5.0
@@ -69,7 +69,7 @@ class SensorNode(LiveNode):
             line = lines.setdefault(sensor.connection, SensorLine(sensor.address))
             age = values[quantity.limit]
             self._reader = ModbusReader(sensor, unit, line, age, quantity.spread_s)
-            # Besides, the other sensors on its line can take half of the greatest age.
+            # Besides, the other sensors on its line can take half of the maximum age.
             self._hangs_s = _PERIODS * sensor.period + age / 2
         else:
             self._reader = MqttReader(quantity.node, sensor, unit, quantity.spread_s)
@@ -94,7 +94,7 @@ class SensorNode(LiveNode):
             self._published = reading.read_at
             self._value = reading.value
             if reading.value is not None:
-                # An empty tank or a pump at rest reads slightly below 0: noise, or a shifted zero.
+                # An empty tank or a stopped pump reads slightly below 0: noise, or a shifted zero.
                 self._value = max(reading.value, self._lowest)
                 self.publish(self._topic, self._value)
             self.reports.numbers[self._part] = {"value": self._value}

@@ -50,7 +50,7 @@ from greenroof_ros.model.site import edited
 _NOTIFY_S = 1.0
 _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
 # How long the list of what is missing must be unchanged before it is printed (s), and how long
-# after the start something that has not come yet counts as late, not as lost (s).
+# after the start something that has not come yet is treated as late, not as lost (s).
 _LISTED_S, _LATE_S = 1.0, 60.0
 # How long to wait at the end for the summary to be written (s).
 _WRITTEN_S = 5.0
@@ -64,7 +64,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     """Start the nodes of a live site and keep them running until a signal comes.
 
     Returns:
-        The exit code: 0 if the site was asked to stop and the pump is at rest.
+        The exit code: 0 if the site was asked to stop and the pump is stopped.
 
     Raises:
         ConfigurationError: a graph runs already, ROS 2 is missing, a parameter file is wrong, or
@@ -96,7 +96,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
                 for node in nodes:
                     supervisor.add(node)
                 _supervise(site, supervisor, record, start, signals)
-        except Exception as error:  # whatever the error, the summary must not say "running"
+        except Exception as error:  # for any error, the summary must not state "running"
             signals.ignore()
             return _report_end(record, supervisor, error)
 
@@ -392,7 +392,7 @@ def _configuration(
 ) -> list[Path]:
     """Save the configuration of this start; on a full disk, in memory and with a warning.
 
-    After a power cut nobody is there to make room, and the plants need water.
+    After a power cut no one is there to make room, and the plants need water.
 
     Args:
         site: the site as the command line describes it.

@@ -35,7 +35,7 @@ from greenroof_ros.live.drives.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.live.supervision import SOCKET, read_report
 
 # How long to wait after asking a process to end before killing it (s). The pump node gets longer:
-# it waits until the pump is at rest, for as long as the speed falls.
+# it waits until the pump is stopped, for as long as the speed falls.
 ENDING_S, PUMP_ENDING_S = 8.0, 40.0
 # How long killing a process may take (s).
 KILLING_S = 5.0
@@ -52,13 +52,13 @@ _LOG_BYTES, _WRITTEN_S = 10_000_000, 2.0
 # A gap longer than this means that this process was paused (s): the nodes were not silent then.
 _PAUSE_S = 1.0
 
-# Live: a pump node that is silent for this long (s) is killed, unless it last reported the pump at
-# rest; nodes report four times a second.
+# Live: a pump node that is silent for this long (s) is killed, unless it last reported that the
+# pump is stopped; nodes report four times a second.
 SILENT_S = 2.0
 # The longest wait before a restart (s): it is 1, 2, 4, ... s, by the restarts in the last 10 min.
 _LONGEST_WAIT_S = 10.0
 _WINDOW_S = 600.0
-# How long a killed node still counts as a second publisher after its restart (s).
+# How long a killed node is still treated as a second publisher after its restart (s).
 _LIVE_LEASE_S = "3"
 # Nodes without which the site works; a node that needs a gauge reports its absence itself.
 _NOT_REQUIRED = {
@@ -71,7 +71,7 @@ logging.raiseExceptions = False
 atexit.unregister(logging.shutdown)
 
 # Stops the drive without the pump node, given that node's process id; returns whether the drive
-# reports the pump at rest, and the outcome in words.
+# reports the pump as stopped, and the outcome in words.
 StopDrive = Callable[[int], tuple[bool, str]]
 
 
@@ -177,11 +177,11 @@ class Supervisor:
 
     Not over topics: discovery can take seconds, and a supervisor must not miss a report. A pump
     node that has died cannot stop the drive. So leaving the ``with`` block ends all nodes and then
-    stops the drive, whatever the pump node reports.
+    stops the drive, regardless of what the pump node reports.
 
     Attributes:
         nodes: the started processes of nodes, by name.
-        may_run: a warning that the pump may still run after the end; empty if it is at rest.
+        may_run: a warning that the pump may still run after the end; empty if it is stopped.
     """
 
     def __init__(
@@ -500,7 +500,7 @@ class LiveSupervisor(Supervisor):
         return f"had not answered for {limit:g} s{stopped}: killed"
 
     def _pump_at_rest(self) -> bool:
-        """Whether the pump node last reported the pump at rest: read, or concluded by timeout."""
+        """Whether the pump node last reported that the pump is stopped: read, or by timeout."""
         return self.last.get(PUMP, {}).get("stands") is True
 
     def _handle_failure(self, name: str, failure: str, now: float) -> None:

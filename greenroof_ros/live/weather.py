@@ -69,7 +69,7 @@ def parameters(site: Site) -> list[Parameter]:
         ),
         Parameter(
             "fetch", "", meaning="fetch the FILE.csv of forecast from this interface of "
-            "Open-Meteo, and also keep each new one next to it; empty: somebody else writes the "
+            "Open-Meteo, and also keep each new one next to it; empty: someone else writes the "
             "file",
             among=("", *INTERFACES),
         ),
@@ -85,8 +85,8 @@ def parameters(site: Site) -> list[Parameter]:
             "may have been issued",
         ),
         Parameter(
-            "unknown_frost_may_pump", False, meaning="true: an unknown temperature counts as no "
-            "frost; false: it keeps the pumps off",
+            "unknown_frost_may_pump", False, meaning="true: an unknown temperature is treated as "
+            "no frost; false: it keeps the pumps off",
         ),
         *live_parameters(_GAUGES),
     ]
@@ -267,7 +267,7 @@ class LiveWeatherNode(LiveNode):
             return
         bad, well, problem = None, f"{gauge.name} is good", gauge.problem
         if part not in self._gauges and not gauge.publishers.count:
-            well = f"nobody publishes {gauge.name}"
+            well = f"no one publishes {gauge.name}"
         elif problem is not None and problem.code == "input_recovering" and (
             part not in self._gauges  # it has just come for the first time
         ):

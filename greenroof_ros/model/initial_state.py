@@ -40,7 +40,7 @@ def site_state(site: Site) -> tuple[float, float] | None:
 def default_state(site: Site) -> tuple[str, tuple[float, float]]:
     """Return the state that a run begins in by default: its name and its volumes (m3).
 
-    It is the site file's own, or else low-low. The drainage layer of a measured roof always begins
+    It is the site file's own, or else low-low. The drainage layer of a measured soil always begins
     with the site file's ``initial_layer``: the states do not include it.
     """
     state = site_state(site)
@@ -52,7 +52,7 @@ def check_volumes(site: Site, cistern: float, roof: float, keys: tuple[str, str]
     """Refuse initial volumes that the site cannot hold, and warn of a roof fuller than its soil.
 
     The plant has no rim: rain can raise the roof above the soil's capacity. It then drains slowly,
-    on a measured roof in the first tick. A run can begin in any state in which another one ends.
+    on a measured soil in the first tick. A run can begin in any state in which another one ends.
 
     Args:
         site: the site.

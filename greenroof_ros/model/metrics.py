@@ -32,7 +32,7 @@ _JOULES_PER_KWH = 3.6e6
 _RUNS = f"{RUNNING_SHARE:.0%} of the maximum flow"
 # A roof drains water that came within this many hours; as many hours without rain end an event.
 _DRAINS_H = 6
-# Sums of rain are rounded: 20 mm must not count as more than 20 mm.
+# Sums of rain are rounded: 20 mm must not be treated as more than 20 mm.
 _ROUNDING_MM = 1e-6
 
 NEAR_TARGET = 0.05
@@ -58,7 +58,7 @@ class Samples:
         pump: from the cistern to the roof (m3/s).
         drainage: off the roof (m3/s).
         evapotranspiration: off the roof, at most what it held (m3/s).
-        layer: water volume in the drainage layer of a measured roof (m3); 0 on others.
+        layer: water volume in the drainage layer of a measured soil (m3); 0 on others.
         potential: evapotranspiration of plants that lack no water (m3/s).
         time: start of each sample, since the run's start (s).
         mains: from the mains into the cistern (m3/s); 0 if there is no valve.
@@ -197,7 +197,7 @@ class Metric:
 
     @property
     def description(self) -> str:
-        """Unit and meaning, as a table shows them beside the number."""
+        """Unit and meaning, as a table shows them next to the number."""
         return self.meaning if self.unit == "1" else f"{self.unit}, {self.meaning}"
 
 
@@ -326,7 +326,7 @@ METRICS = (
         lambda site, samples: samples.roof, _last, ".6g",
     ),
     Metric(
-        "final_layer_m3", "m3", "drainage layer at the end", "of a measured roof",
+        "final_layer_m3", "m3", "drainage layer at the end", "of a measured soil",
         lambda site, samples: None if site.drainage_storage is None else samples.layer,
         _last, ".6g",
     ),
@@ -436,7 +436,7 @@ class Metrics:
     """The metrics of a run in progress, tick by tick; ``metrics["pumped_m3"]`` is one of them."""
 
     def __init__(self) -> None:
-        """Start with pumps at rest."""
+        """Start with pumps stopped."""
         self._totals: dict[str, Any] = {}
         self._weeks: Values | float = 0.0
         self._done = 0  # ticks that are in the totals

@@ -1,6 +1,6 @@
 """The exact plant: Eqs. (1)-(4) of the paper, stepped by Euler's rule.
 
-Eq. (4) is in :mod:`greenroof_ros.model.soil`, with the soil of a measured roof, which can have a
+Eq. (4) is in :mod:`greenroof_ros.model.soil`, with the measured soil, which can have a
 third state: the water in its drainage layer.
 """
 
@@ -123,8 +123,8 @@ class Plant:
 
     Attributes:
         x1: water volume in the cistern (m3).
-        x2: water volume in the green roof (m3), on a measured roof in its substrate.
-        layer: water volume in the drainage layer of a measured roof (m3), at first the site's
+        x2: water volume in the green roof (m3), on a measured soil in its substrate.
+        layer: water volume in the drainage layer of a measured soil (m3), at first the site's
             ``initial_layer``; always 0 on other roofs.
     """
 

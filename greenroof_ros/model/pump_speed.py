@@ -15,13 +15,13 @@ import math
 from greenroof_ros.model.site import Site
 
 STANDSTILL = 0.02
-"""a pump is at rest up to this share of its rated speed, either way: noise of a drive's reading"""
+"""a pump is stopped if its speed is at most this share of the rated one: noise of a reading"""
 
 
 def flow_at(site: Site, speed: float, cistern_level: float) -> float:
     """Return the flow (m3/s) of pumps at a speed; 0 if they lift no water to the roof.
 
-    Pumps at rest deliver nothing, even from a cistern above the roof: a check valve is assumed. At
+    Stopped pumps deliver nothing, even from a cistern above the roof: a check valve is assumed. At
     speed 1 the result has the bits of :func:`greenroof_ros.model.plant.maximum_pump_flow`.
 
     Args:

@@ -101,8 +101,8 @@ class Pump:
     """The pumps behind the switch that protects them.
 
     Once on, they stay on for ``minimum_on``; while the command is 0, they run at the last positive
-    command. Once off, they stay off for ``minimum_off``, whatever the command. A run begins with
-    pumps that have been off for long enough.
+    command. Once off, they stay off for ``minimum_off``, regardless of the command. A run begins
+    with pumps that have been off for long enough.
 
     The switch sees what is delivered, not what is commanded. If Eq. (3a) stops the flow, by the
     true levels, the time on ends, however short it was, and a time off begins, as with a float

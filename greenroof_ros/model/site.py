@@ -57,7 +57,7 @@ PLACE = (
     "crop_coefficient",
 )
 """What the weather of a site depends on, including computed evapotranspiration."""
-# Optional parameters that belong together: each needs the others of its line. A measured roof can
+# Optional parameters that belong together: each needs the others of its line. A measured soil can
 # lack a drainage layer.
 _TOGETHER = (
     (("field_capacity", "wilting_point", "depletion_fraction"), ()),
@@ -73,7 +73,7 @@ _TOGETHER = (
 class Site:
     """The parameters of Table I under the paper's symbols, and optional ones.
 
-    Unit, range and meaning of each stand beside it; :func:`site_parameters` lists them.
+    Unit, range and meaning of each stand next to it; :func:`site_parameters` lists them.
     """
 
     a1: float = entry("bottom surface area of the cistern", *_POSITIVE, unit="m2")
@@ -92,7 +92,7 @@ class Site:
     )
     z_soil: float = entry("soil depth of the roof", *_POSITIVE, unit="m")
     z_cap: float = entry(
-        "water that the soil holds before it drains: a2 z_soil, on a measured roof a2 z_soil "
+        "water that the soil holds before it drains: a2 z_soil, on a measured soil a2 z_soil "
         "field_capacity; computed if left out", *_POSITIVE, unit="m3",
     )
     K: float = entry("saturated hydraulic conductivity", *_POSITIVE, unit="m/s")
@@ -110,7 +110,7 @@ class Site:
         "elevation of the pumps above the cistern's base", *_NOT_NEGATIVE, unit="m",
     )
     z_H: float = entry(
-        "least water level above the pumps' base that they need", *_NOT_NEGATIVE, unit="m",
+        "minimum water level above the pumps' base that they need", *_NOT_NEGATIVE, unit="m",
     )
     g: float = entry("acceleration due to gravity", *_POSITIVE, unit="m/s2")
     epsilon: float = entry("steepness of the smooth model's sigmoids", *_POSITIVE, unit="1")
@@ -162,7 +162,7 @@ class Site:
         *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_layer: float = entry(
-        "volume in the drainage layer at the start of a run, whatever the initial state",
+        "volume in the drainage layer at the start of a run, regardless of the initial state",
         *_NOT_NEGATIVE, unit="m3", default=0.0,
     )
     pump_efficiency: float = entry(
@@ -270,12 +270,12 @@ class Site:
 
     @cached_property
     def wilting_volume(self) -> float:
-        """Water on a measured roof that plants cannot take (m3)."""
+        """Water on a measured soil that plants cannot take (m3)."""
         return self.a2 * self.z_soil * (self.wilting_point or 0.0)
 
     @cached_property
     def available_volume(self) -> float:
-        """TAW: what plants can take from a measured roof at field capacity (m3), FAO-56 Eq. 82."""
+        """TAW: what plants can take from a measured soil at field capacity (m3), FAO-56 Eq. 82."""
         return self.z_cap - self.wilting_volume
 
     @cached_property
@@ -312,7 +312,7 @@ class Site:
     def roof_level(self, x2: float) -> float:
         """Depth of a water volume x2 (m3) on the roof (m).
 
-        On a measured roof this is the water in the substrate, without the drainage layer.
+        On a measured soil this is the water in the substrate, without the drainage layer.
         """
         return x2 / self.a2
 
@@ -393,7 +393,7 @@ def edited(path: Path, values: Mapping[str, Any]) -> str:
 
 
 def _with(text: str, values: Mapping[str, str]) -> str:
-    """Return YAML with one line per key, whatever its form was, and with other values."""
+    """Return YAML with one line per key, in any original form, and with other values."""
     yaml, stream = site_yaml(), io.StringIO()
     site = yaml.load(text)
     site.fa.set_block_style()
@@ -449,7 +449,7 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[
     _, line, base = entries.pop(_EXTENDS)
     chain = (*extended_by, path.resolve())
     expected = (
-        "must be the name of another site file, such as site.yaml, beside this one or of this "
+        "must be the name of another site file, such as site.yaml, next to this one or of this "
         "package"
     )
     if isinstance(base, str) and (following := _base(path, base)).exists():

@@ -4,7 +4,7 @@ Each equation is a function: :func:`f` is Eq. (5), :func:`psi` (6), :func:`q_out
 :func:`q_pump` (8) and :func:`q_drain` (9). The last four also give the derivatives that Eq. (10)
 needs.
 
-The soil of a measured roof replaces Eq. (9) unchanged: it is continuous, and smooth except at the
+A measured soil replaces Eq. (9) unchanged: it is continuous, and smooth except at the
 wilting point, the onset of stress and field capacity.
 """
 from __future__ import annotations
@@ -40,10 +40,10 @@ def psi(y: float, epsilon: float) -> tuple[float, float]:
     if y > epsilon:
         root = math.sqrt(y)
         return root, 0.5 / root
-    least = 2 / 3 * math.sqrt(epsilon)
+    minimum = 2 / 3 * math.sqrt(epsilon)
     if y > 0:
-        return least + y**1.5 / (3 * epsilon), math.sqrt(y) / (2 * epsilon)
-    return least, 0.0
+        return minimum + y**1.5 / (3 * epsilon), math.sqrt(y) / (2 * epsilon)
+    return minimum, 0.0
 
 
 def q_out(site: Site, x1: float) -> tuple[float, float]:

@@ -21,13 +21,14 @@ Drainage = Callable[[Site, float], tuple[float, float]]  # at a volume, and its 
 
 # Rain raises the paper's roof by at most this much above its target (m).
 _ABOVE_M = 0.15
-# Only an infinite volume would fill the soil to field capacity: this share of TAW counts as full.
+# Only an infinite volume would fill the soil to field capacity: this share of TAW is treated as
+# full.
 _ALMOST_FULL = 1 - 1e-9
 # lasting_share adds at least this share of the water that plants can take (1): smaller differences
 # would be rounding errors.
-_LEAST_ADDED = 0.005
-# Least result of lasting_share (1): a storm that fills the substrate leaves no difference.
-_LEAST_LASTING = 1e-3
+_MIN_ADDED = 0.005
+# Minimum result of lasting_share (1): a storm that fills the substrate leaves no difference.
+_MIN_LASTING = 1e-3
 
 
 class SoilSlopes(NamedTuple):
@@ -61,7 +62,7 @@ class PaperSoil:
     """Table I's soil: it keeps all water below its capacity, and drains above it by Eq. (4).
 
     Attributes:
-        measured: whether it is the soil of a measured roof.
+        measured: whether it is a measured soil.
         above_target: how far rain can raise it above its target (m3).
         retains_all_below: volume below which all arriving water stays, and evaporation is only
             limited by the water that is there (m3); 0 if there is no such volume.
@@ -411,10 +412,10 @@ class MeasuredSoil:
         the fuller substrate lets more of each rain pass and, if plants lack water, gives more to
         them. A storm that fills both leaves no difference.
         """
-        added = max(self._site.x2_star - x2, _LEAST_ADDED * self._available)
+        added = max(self._site.x2_star - x2, _MIN_ADDED * self._available)
         fades = self.free_changes(x2 + added, *weather) - changes
         ends = 1 + np.cumsum(fades) / added
-        return np.asarray(np.maximum(ends - fades / added / 2, _LEAST_LASTING))
+        return np.asarray(np.maximum(ends - fades / added / 2, _MIN_LASTING))
 
     def follow(
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,

@@ -138,7 +138,7 @@ class PlantNode(SimulationNode):
             return 0.0
         wait = self._began + self._tick * self._site.tau / self._speed - time.monotonic()
         if wait < -_LATE_S:
-            self._began -= wait  # a real pump's least times must not pass faster than real time
+            self._began -= wait  # a real pump's minimum times must not pass faster than real time
         return max(0.0, wait)
 
     def _levels(self) -> tuple[float, float]:

@@ -26,7 +26,8 @@ from greenroof_ros.recording.trajectory import Trajectory
 Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]
 
-# Topic: column of a trajectory. A sample needs the first four; the others count as 0 if missing.
+# Topic: column of a trajectory. A sample needs the first four; the others are treated as 0 if
+# missing.
 _NEEDED = {
     "/roof/level": "roof",
     "/cistern/level": "cistern",
@@ -47,7 +48,8 @@ _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 # A live graph publishes NaN if it does not know the value, as defined in the interface.
 _MAY_BE_UNKNOWN = ("/weather/frost",)
 
-# A smaller share of wrong values in a topic counts as a sensor's outliers; a larger is a mistake.
+# A smaller share of wrong values in a topic is treated as a sensor's outliers; a larger is a
+# mistake.
 _MOST_OUTLIERS = 0.01
 
 # Tolerance for a value at the limit that was rounded elsewhere.
@@ -108,7 +110,7 @@ def load_bag(
     """
     recorded = _read_series(bag, repair)
     notes = [
-        f"{topic} is not in the bag and counts as 0" for topic in _COLUMNS if topic not in recorded
+        f"{topic} is not in the bag; assumed 0" for topic in _COLUMNS if topic not in recorded
     ]
     interface, highest = read_topics(), _highest_of_site(site)
     series = {}
@@ -382,5 +384,5 @@ def _gap_note(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str:
         named.append(f"and {len(gaps) - _MOST_NAMED} more, {hours.sum():.3g} h in all")
     return (
         f"no message came from {', '.join(named)}: command, weather and flows are unknown there "
-        "and count as 0, and the levels keep their last values"
+        "and are treated as 0, and the levels keep their last values"
     )

@@ -143,7 +143,7 @@ class LiveBag:
             self._fail(error, now)
 
     def close(self) -> None:
-        """Close the file being written; :attr:`problem` says if that fails."""
+        """Close the file being written; :attr:`problem` reports if that fails."""
         try:
             if self._file is not None:
                 self._close(self._file)
@@ -363,7 +363,7 @@ def next_file(files: Sequence[Path], bag: Path) -> Path:
 
 
 def recovered_bag(bag: Path) -> Path:
-    """Return the default path of a damaged bag's recovery, beside it."""
+    """Return the default path of a damaged bag's recovery, next to it."""
     place = bag.resolve()
     return place.parent / f"{place.name}-recovered"
 
@@ -461,7 +461,7 @@ def _metadata(files: Sequence[FileIndex]) -> str:
             "starting_time": {"nanoseconds_since_epoch": start},
             "message_count": sum(of_file.message_count for of_file in statistics),
             "topics_with_message_count": list(topics.values()),
-            # Refers to whole files; the chunks are compressed, as the mcap files say themselves.
+            # Refers to whole files; the chunks are compressed, as the mcap files state themselves.
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": [file.name for file in files],

@@ -20,7 +20,7 @@ from zstandard import ZstdCompressor
 # A message's opcode and length; its channel, sequence number and two times. Its data follow.
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_OPCODE, _BEFORE_DATA = int(Opcode.MESSAGE), 22
-# Size of the records at which a chunk ends by itself (bytes), as in the library.
+# Size of the records at which a chunk ends automatically (bytes), as in the library.
 _CHUNK_BYTES = 1024 * 1024
 
 

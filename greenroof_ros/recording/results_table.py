@@ -48,7 +48,7 @@ def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
 def differing(rows: Sequence[Mapping[str, object]]) -> list[str]:
     """Return the keys that distinguish rows, those with more than one value, in their order.
 
-    These alone name the runs in tables and titles. A key that a row lacks counts as None.
+    These alone name the runs in tables and titles. A key that a row lacks is treated as None.
     """
     keys = dict.fromkeys(key for row in rows for key in row)
     return [key for key in keys if len({row.get(key) for row in rows}) > 1]

@@ -218,7 +218,7 @@ class Contents(NamedTuple):
         schemas: by number.
         channels: by number.
         counts: number of whole messages, by the number of their channel.
-        expected: number of messages that it held, by channel, as far as it says so itself.
+        expected: number of messages that it held, by channel, as far as it states this.
         closed: whether its summary is whole; ``expected`` is then complete.
         damaged: number of bytes in which messages may be lost.
         together: how many messages most often share one time.
@@ -290,7 +290,7 @@ def read_contents(data: FileBytes) -> Contents:
 
 
 def is_intact(data: FileBytes) -> bool:
-    """Return whether no bit of a closed file has changed, as its checksums say.
+    """Return whether no bit of a closed file has changed, as its checksums show.
 
     Without a checksum of its data, which other recorders leave out, that is unknown: false.
     """

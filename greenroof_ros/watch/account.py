@@ -20,12 +20,12 @@ HOLDS_NS = 600_000_000_000
 
 _ROOF, _CISTERN, _RAIN = "/roof/level", "/cistern/level", "/weather/precipitation"
 _EVAPORATED, _FLOW = "/weather/evapotranspiration", "/pump/flow"
-# Only the plant publishes these: if they are heard, it is a simulation.
+# Only the plant publishes these: if they are received, it is a simulation.
 _OUTFLOW, _DRAINAGE = "/cistern/outflow", "/roof/drainage"
 _OF_PLANT = (_OUTFLOW, _DRAINAGE)
 TOPICS = (_ROOF, _CISTERN, _RAIN, _EVAPORATED, _FLOW, *_OF_PLANT)
 
-# When this many values wait, they are counted even if nobody asks for totals.
+# When this many values wait, they are counted even if no one asks for totals.
 _MOST_WAITING = 200_000
 
 _OF_RAIN = _RAIN, _FLOW, _DRAINAGE
@@ -111,13 +111,13 @@ class Account:
     """The sums of one run, or of a live site since the watcher began.
 
     A value holds until the next value of its topic. In a simulation that is one tick, and the sums
-    equal the run's summary; a tick that was not heard is a gap. On a live site a value holds for
+    equal the run's summary; a tick that was not received is a gap. On a live site a value holds for
     10 min at most, and then there is a gap, too. Nothing is guessed in a gap. All is summed up to
     the roof's last level.
 
-    Flows that nobody measures on a live site are computed from the levels: the overflow by Eq. (2),
-    and the drainage by Eq. (4), which begins at the soil's capacity, or for a measured roof by
-    :mod:`greenroof_ros.model.soil`. The drainage layer of a measured roof holds the site's
+    Flows that no one measures on a live site are computed from the levels: the overflow by Eq. (2),
+    and the drainage by Eq. (4), which begins at the soil's capacity, or for a measured soil by
+    :mod:`greenroof_ros.model.soil`. The drainage layer of a measured soil holds the site's
     ``initial_layer`` when the account begins.
 
     Attributes:
@@ -137,7 +137,7 @@ class Account:
         self._topics: dict[str, _Pending] = {}
         self._combined: dict[str, Any] = {}  # results of metrics.Metric.combine
         self._roofs: tuple[float, float] | None = None  # first and last volume (m3)
-        self._layer = site.initial_layer  # in the drainage layer of a measured roof (m3)
+        self._layer = site.initial_layer  # in the drainage layer of a measured soil (m3)
         self._adds = 0
         self._waiting = 0  # values added since `add` last counted
         self._ended = False
@@ -148,7 +148,7 @@ class Account:
 
     @property
     def measured(self) -> bool:
-        """Whether drainage or overflow is heard; on a live site both are computed."""
+        """Whether drainage or overflow is received; on a live site both are computed."""
         return any(topic in self._topics for topic in _OF_PLANT)
 
     def add(self, topic: str, times: Stamps, values: Values) -> None:
@@ -202,7 +202,7 @@ class Account:
         if not self._topics:
             return None
         newest = max(pending.last for pending in self._topics.values())
-        # A topic that was never received counts as silent since the first value of any topic.
+        # A topic that was never received is treated as silent since the first value of any topic.
         oldest = min(pending.first for pending in self._topics.values())
         if self._ended:
             return newest

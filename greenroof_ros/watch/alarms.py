@@ -37,10 +37,10 @@ _SEVERITY = {ERROR: 0, STALE: 1, WARN: 2}
 OTHER = "There is no advice for this; read the log of the node that reports it."
 FOREIGN = "Reported by another device or program, not by the green roof: see its instructions."
 
-# A command of ROS says nothing to whoever stands at the pump.
-_RESET = "the page of the site says how"
+# A ROS command means nothing to a person at the pump.
+_RESET = "the page of the site shows how"
 _PUMP_INPUTS = {interlock.input for interlock in read_interlocks().values()} - {""}
-# For other parts: the parts of the same node that say more.
+# For other parts: the parts of the same node that give more detail.
 _DETAILED_BY = {
     "delivery": ("levels",), "frost": ("forecast",),
     "refused": ("command", "levels", "frost", "inputs"),
@@ -79,7 +79,7 @@ class Alarm:
         ended_at: when it ended; None if it has not.
         wall: when it began (steady clock, s).
         ended_wall: when it ended (steady clock, s).
-        acknowledged: the trouble as somebody acknowledged it; None if nobody has.
+        acknowledged: the trouble as someone acknowledged it; None if no one has.
     """
 
     trouble: Trouble
@@ -92,7 +92,7 @@ class Alarm:
 
     @property
     def is_serious(self) -> bool:
-        """Whether it counts as an alarm, not a warning; other devices cause only warnings."""
+        """Whether it is treated as an alarm, not a warning; other devices cause only warnings."""
         return bool(self.trouble.role) and self.trouble.level in (ERROR, STALE)
 
     @property
@@ -106,7 +106,7 @@ class Alarm:
     ) -> dict[str, Any]:
         """Return it as a row of the document, without its times in words.
 
-        ``plain`` says whether ``do`` is written for this code: an operator then reads ``do``
+        ``plain`` is whether ``do`` is written for this code: an operator then reads ``do``
         instead of the node's own words in ``what``.
 
         Args:
@@ -140,7 +140,7 @@ class Alarms:
         """Start without alarms.
 
         Args:
-            namespace: of the graph; nodes in other namespaces count as other devices.
+            namespace: of the graph; nodes in other namespaces are treated as other devices.
         """
         self.registry = Registry(namespace, self._on_event)
         self.shown = True
@@ -199,7 +199,7 @@ class Alarms:
         def order(name: str) -> tuple[bool, bool, int, bool, int, float]:
             alarm = present[name]
             trouble = alarm.trouble
-            # First the pump node (without it nobody knows whether the pump runs), then its state.
+            # First the pump node (without it no one knows whether the pump runs), then its state.
             rank = {(PUMP, ""): 0, (PUMP, PUMP): 1}.get((trouble.role, trouble.part), 2)
             return (
                 not trouble.role, name in causes, rank, alarm.is_acknowledged,
@@ -255,7 +255,7 @@ class Alarms:
     def advice(self) -> Any:
         """Return what to do now: about the cause of the first alarm that is not acknowledged.
 
-        If it is only a hold, somebody wanted that: what to do about a second trouble is added.
+        If it is only a hold, that is intended: what to do about a second trouble is added.
         """
         present = {row["id"]: row for row in self.rows() if row["over"] is None}
         rows = sorted(present.values(), key=lambda row: row["acknowledged"])
@@ -276,9 +276,10 @@ class Alarms:
 def find_causes(troubles: Mapping[str, Trouble]) -> dict[str, str]:
     """Return the name of the root cause of each alarm that follows from another one.
 
-    The pump's state follows from the part that says more about its reason. Missing input of a node
-    follows from trouble with the publisher. An error does not follow from a warning, and a state of
-    the pump that needs somebody at it follows from nothing: advice on its cause would hide that.
+    The pump's state follows from the part that reports more about its reason. Missing input of a
+    node follows from trouble with the publisher. An error does not follow from a warning, and a
+    state of the pump that needs a person at it follows from nothing: advice on its cause would hide
+    that.
 
     Args:
         troubles: of the graph's own nodes, the older ones first.
@@ -315,7 +316,7 @@ def _candidates(
     more = (interlock.parts if interlock else ()) if state else _DETAILED_BY.get(part, ())
     yield from (name for name in (f"{node}: {part}" for part in more) if name in troubles)
     if part == "inputs":
-        # A part of the pump node that stops the pump because of that input says more.
+        # A part of the pump node that stops the pump because of that input reports more.
         yield from (
             name for name, other in troubles.items()
             if other.role == PUMP and other.part in _PUMP_INPUTS

@@ -2,7 +2,7 @@
 
 The files of this package's recorders grow by whole chunks. The end of the last whole record is
 remembered, so each byte is read once. A file may be truncated, damaged, removed as the oldest of
-its bag, or replaced by another one of the same name: nothing is raised; the batch says so.
+its bag, or replaced by another one of the same name: nothing is raised; the batch states this.
 
 A process of its own reads, with the lowest priority on the machine. A thread could not: a thread
 that waits for the processor while it holds Python's lock also stops the page, on a busy machine for
@@ -73,7 +73,7 @@ class Batch:
         problem: why part of the bag cannot be read; empty if all of it can.
         progress: how far the bag was read, if that takes long; otherwise empty.
         more: whether there is more to read at once.
-        replaced: whether another bag has taken its place; it must be read from the start.
+        replaced: whether another bag has replaced it; it must be read from the start.
     """
 
     numbers: list[tuple[str, Stamps, Values]] = field(default_factory=list)
@@ -336,7 +336,7 @@ class BagProcess:
                 try:
                     batch = pickle.load(stream)  # noqa: S301 - from main below alone
                     self._on_batch(self, batch)
-                except Exception as error:  # whatever the error, it is shown
+                except Exception as error:  # for any error, it is shown
                     self.read = replace(self.read, more=False, problem=(
                         "The recording is no longer read; later values are missing "
                         f"({type(error).__name__}{f': {error}' if str(error) else ''})."

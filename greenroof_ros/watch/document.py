@@ -45,7 +45,7 @@ HOURS, _POINTS = Range(0.1, 168.0), 400
 _MOST_ALARMS, _MOST_EVENTS = 55_000, 25_000
 
 _HEADINGS = {
-    "none": "Nothing is heard yet", "ended": "Ended run", "live": "Live site",
+    "none": "Nothing received yet", "ended": "Ended run", "live": "Live site",
     "simulated": "Simulated run", "loop": "Simulated site with a drive",
 }
 
@@ -53,7 +53,7 @@ _HEADINGS = {
 def document(store: GraphStore, wall: float) -> dict[str, Any]:
     """Return everything that page and status show, below 100 kB, as plain texts.
 
-    Each part is made on its own: one that cannot be made is replaced, and a note says so.
+    Each part is made on its own: one that cannot be made is replaced, and a note states this.
 
     Args:
         store: state of the graph.
@@ -91,13 +91,13 @@ def _document(store: GraphStore, wall: float) -> dict[str, Any]:
     serious += lasting
     own = len(present) > lasting
     summary = parts.make("The summary", lambda: {
-        "word": "Nothing is heard yet:" if store.mode == "none"
+        "word": "Nothing received yet:" if store.mode == "none"
         else _word(serious, warnings, following, over, known) + _starts(store),
         "sentence": _sentence(store, shown, waits),
         "level": "error" if serious or stop["warning"]
         else "warn" if warnings or store.mode == "none"
         else _level(shown, over=over > 0, known=known),
-    }, {"word": "Alarms are not known.", "sentence": "", "level": "stale"})
+    }, {"word": "Alarms are unknown.", "sentence": "", "level": "stale"})
     result = {
         "heading": parts.make("The heading", lambda: _heading(store), "Green roof"),
         "mode": store.mode,
@@ -124,7 +124,7 @@ def _document(store: GraphStore, wall: float) -> dict[str, Any]:
     if parts.failed:
         result["alarms_known"] = known and "Alarms" not in parts.failed
         if not result["alarms_known"]:
-            summary["word"] = "Alarms are not known."
+            summary["word"] = "Alarms are unknown."
         if summary["level"] == "ok":
             summary["level"] = "warn"
     return result | {"notes": [*parts.notes, *notes]}
@@ -199,7 +199,7 @@ def _word(alarms: int, warnings: int, following: int, over: int, known: bool) ->
     ]
     if over:
         counts[-1] += ", over" if over == 1 else ", all over"
-    none = "No alarms" if known else "Alarms are not known"
+    none = "No alarms" if known else "Alarms are unknown"
     more = f" ({following} more caused by these)" if following else ""
     return f"{', '.join(counts) or none}{more}."
 
@@ -209,9 +209,9 @@ def _starts(store: GraphStore) -> str:
 
 
 def _level(shown: dict[str, Tile], *, over: bool, known: bool) -> str:
-    """Return the level without alarms: ``ok``, ``warn``, or ``stale`` if alarms are not known.
+    """Return the level without alarms: ``ok``, ``warn``, or ``stale`` if alarms are unknown.
 
-    It is never ``ok`` beside a tile that says otherwise, even if there is nothing to do.
+    It is never ``ok`` next to a tile that reports otherwise, even if there is nothing to do.
     """
     attention = (
         over or any(shown[tank]["state"] != "good" for tank in ("roof", "cistern"))
@@ -228,7 +228,7 @@ def _sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     if roof["state"] in ("unknown", "alarm"):
         level_clause = f"The roof's level is {roof['value']}"
         if roof["stale"]:
-            level_clause = f"The roof's level is not known now ({roof['sentence']})"
+            level_clause = f"The roof's level is unknown now ({roof['sentence']})"
     else:
         judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")
         level_clause = f"The roof {verb} {judged}{roof['sentence']}"
@@ -240,9 +240,9 @@ def _sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
 def _pump_clause(pump: Tile, verb: str) -> str:
     state, why = pump["state"], pump["why"]
     if pump["alarm"]:
-        return f"it is not known whether the pump {verb} at rest"
+        return f"it is unknown whether the pump {verb} stopped"
     if state == "unknown":
-        return "it is not known what the pump does"
+        return "it is unknown what the pump does"
     if state in ("running", "starting", "stopping"):
         clause = f"the pump {verb} {state}"
         return f"{clause} at {tiles.flow(pump['number'])}" if pump["number"] else clause
@@ -274,7 +274,7 @@ def _advice(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     if roof == "high" and runs:
         return "The roof has enough water, and the pump runs: check whether it should."
     if roof == "high":
-        return "Nothing to do: the roof drains and dries by itself."
+        return "Nothing to do: the roof will drain and dry."
     if roof != "low" or waits:
         return "Nothing to do."
     if runs:
@@ -299,7 +299,7 @@ def _account(store: GraphStore) -> dict[str, Any]:
     }
     if store.site.mains_level is None:
         del labels["mains"]
-    since, sentence = "", "not known yet"
+    since, sentence = "", "still unknown"
     if account.since is not None:
         since = f"since {words.date_and_time(account.since / 1e9, store.site.zone)}"
         if not account.measured:

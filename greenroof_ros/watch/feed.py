@@ -58,8 +58,8 @@ _CLOCK = "/clock"
 class Ticks:
     """The simulated time of each message of a run, by the number that its publisher gave it.
 
-    In lockstep the j-th message of a topic belongs to tick j - 1. The order of arrival says less:
-    the plant's next clock may arrive before the messages of the tick before it.
+    In lockstep the j-th message of a topic belongs to tick j - 1. The order of arrival is less
+    reliable: the plant's next clock may arrive before the messages of the tick before it.
 
     Attributes:
         newest_ns: the newest time of the clock (ns since 1970); 0 before the first.
@@ -192,7 +192,7 @@ class Feed:
         except FutureTimeoutError:
             what = "the pump node was not asked, and nothing was done"
             if not future.cancel():
-                what = "it is not known whether the pump node did that"
+                what = "it is unknown whether the pump node did that"
             raise PumpRequestError(f"The watcher is busy: {what}.") from None
 
     def _drop_before_stop(self) -> None:
@@ -200,7 +200,7 @@ class Feed:
         for action, _, before in self._requests:
             if action != "stop" and before.set_running_or_notify_cancel():
                 before.set_exception(PumpRequestError(
-                    "Nothing was done: somebody is asking to stop the pump."
+                    "Nothing was done: someone is asking to stop the pump."
                 ))
         self._requests = [request for request in self._requests if request[0] == "stop"]
 
@@ -227,7 +227,7 @@ class Feed:
         """Do a step; if it fails, show the error and return True."""
         try:
             act()
-        except Exception as error:  # whatever the error, the others go on
+        except Exception as error:  # for any error, the others go on
             self._problem = (
                 f"Something could not be shown; the rest goes on ({type(error).__name__}: {error})."
             )
@@ -352,7 +352,7 @@ class Feed:
         wanted = live
         if self._running:
             factor = self._factor
-            # The speed of a run that has not begun, or that stands still, is not known.
+            # The speed of a run that has not begun, or that stands still, is unknown.
             wanted = listens if not factor else factor <= FASTEST
         if wanted == listens:
             return
@@ -452,9 +452,9 @@ class Feed:
         return not read.problem and (read.more or now - recorded.grew_at < _WAIT_S)
 
     def _shows_samples(self, now: float) -> bool:
-        """Return whether the run is too fast to be heard in full, and no recording is here.
+        """Return whether the run is too fast to be received in full, and no recording is here.
 
-        If none is to be read, also while the run's speed is not known yet.
+        If none is to be read, also while the run's speed is still unknown.
         """
         if not self._follows:
             return self._running and not self._subscribed_since
@@ -484,8 +484,8 @@ class Feed:
             notes.append(f"Another graph runs here; {self._bag} is shown.")
         if self._follows and self._shows_samples(now):
             notes.append(
-                "Shows samples: the run is too fast to be heard in full, and there is no recording "
-                "of it here."
+                "Shows samples: the run is too fast to be received in full, and there is no "
+                "recording of it here."
             )
         self._store.set_present(
             mode=mode, factor=self._factor if self._running else None,

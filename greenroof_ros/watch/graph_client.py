@@ -29,7 +29,7 @@ DIAGNOSTICS = "/diagnostics"
 
 
 class PumpRequestError(Exception):
-    """The pump node did not confirm a request; the message says why.
+    """The pump node did not confirm a request; the message states why.
 
     Attributes:
         answered: whether it answered at all.
@@ -138,7 +138,7 @@ class GraphClient:
     def hold_pump(
         self, owner: str, reason: str = "", until: float | None = None, timeout_s: float = 3.0
     ) -> str:
-        """Hold the pump until somebody releases it, or until a time.
+        """Hold the pump until someone releases it, or until a time.
 
         Args:
             owner: who requests it.
@@ -160,7 +160,7 @@ class GraphClient:
         return self._request("stop", timeout_s, data=False)
 
     def clear_fault(self, timeout_s: float = 3.0) -> str:
-        """Clear the pump's latched fault if nobody must see it; returns and raises likewise."""
+        """Clear the latched fault if that may be done from afar; returns and raises likewise."""
         return self._request("clear", timeout_s)
 
     def reset_fault(self, timeout_s: float = 3.0) -> str:

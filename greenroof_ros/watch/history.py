@@ -1,4 +1,4 @@
-"""The past of a value for its chart: least, greatest and last value of short stretches of time."""
+"""The past of a value for its chart: minimum, maximum and last value of short stretches of time."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class History:
 
     def __init__(self) -> None:
         """Start without values."""
-        # Of each stretch: the time of its greatest change, and of its last value (ns); its least,
-        # greatest and last value, and how great that change was.
+        # Of each stretch: the time of its maximum change, and of its last value (ns); its minimum,
+        # maximum and last value, and how great that change was.
         self._times: Stamps = np.empty((0, 2), dtype=np.int64)
         self._rows: Values = np.empty((0, 4))
         self._first: tuple[int, float] | None = None  # time (ns) and value
@@ -81,8 +81,8 @@ class History:
             steps: whether the value changes in steps, rather than slowly.
 
         Returns:
-            Rows of a time (s), and the least, the greatest, and the last value of a stretch. It is
-            the time of the last value; for steps, of the greatest change, and the last value before
+            Rows of a time (s), and the minimum, the maximum, and the last value of a stretch. It is
+            the time of the last value; for steps, of the maximum change, and the last value before
             a stretch without values, or of all, has another row: a step is where it happened. The
             first value has a row of its own.
         """
@@ -116,10 +116,10 @@ class History:
 
 
 class Gaps:
-    """When a value was not known, although its topic went on with another value in its place.
+    """When a value was unknown, although its topic went on with another value in its place.
 
     Attributes:
-        is_unknown: whether the value is not known now.
+        is_unknown: whether the value is unknown now.
     """
 
     def __init__(self) -> None:
@@ -145,11 +145,11 @@ class Gaps:
                 self.add(min(now, self._known_at), math.inf)
 
     def add(self, begin: float, end: float) -> None:
-        """Add that the value was not known from one time to another (s)."""
+        """Add that the value was unknown from one time to another (s)."""
         self._times = [*self._times[1 - _MOST_UNKNOWN:], (begin, end)]
 
     def at(self, times: Values) -> NDArray[np.bool_]:
-        """Return for each of these times (s) whether the value was not known."""
+        """Return for each of these times (s) whether the value was unknown."""
         unknown = np.zeros(len(times), dtype=bool)
         for begin, end in self._times:
             unknown |= (times > begin) & (times < end)
@@ -179,12 +179,12 @@ def _condensed(times: Stamps, rows: Values, stretch_ns: int) -> tuple[Stamps, Va
     begins = np.flatnonzero(np.diff(times[:, 1] // stretch_ns, prepend=-1))
     is_unknown = np.append(begins[1:], len(times)) - 1
     low, high = np.minimum.reduceat(rows[:, 0], begins), np.maximum.reduceat(rows[:, 1], begins)
-    greatest = np.maximum.reduceat(rows[:, 3], begins)
-    is_greatest = rows[:, 3] == np.repeat(greatest, is_unknown - begins + 1)
-    changes = np.flatnonzero(is_greatest)
+    maximum = np.maximum.reduceat(rows[:, 3], begins)
+    is_maximum = rows[:, 3] == np.repeat(maximum, is_unknown - begins + 1)
+    changes = np.flatnonzero(is_maximum)
     changes = changes[np.searchsorted(changes, begins)]
     spans = np.column_stack((times[changes, 0], times[is_unknown, 1]))
-    return spans, np.column_stack((low, high, rows[is_unknown, 2], greatest))
+    return spans, np.column_stack((low, high, rows[is_unknown, 2], maximum))
 
 
 def stretch_of(first: int, last: int, points: int) -> int:

@@ -100,7 +100,7 @@ def listen(host: str, port: int | None) -> Listener:
 
 
 def new_token() -> str:
-    """Return a token that nobody can guess: 192 random bits."""
+    """Return a token that no one can guess: 192 random bits."""
     return secrets.token_urlsafe(24)
 
 
@@ -129,7 +129,7 @@ def read_token(file: Path) -> str:
     if mode & 0o077:
         raise refuse(
             "other users may read or change it: remove it, and the next start makes a new token; "
-            "or protect it with chmod 600, if nobody has read it"
+            "or protect it with chmod 600, if no one has read it"
         )
     if not _TOKEN.fullmatch(token):
         raise refuse(

@@ -12,10 +12,10 @@ from greenroof_ros.watch.history import Values
 AHEAD_S = 12 * 3600.0
 """How far ahead is shown (s)."""
 
-# Fewer members than this have no tenth: their range is from the least to the greatest.
+# Fewer members than this have no tenth: their range is from the minimum to the maximum.
 _TENTHS = 10
 ALIKE_M = 0.0005
-"""Levels that differ by less than this count as equal (m)."""
+"""Levels that differ by less than this are treated as equal (m)."""
 # A smaller flow is rounding of the solver (m3/s): 6 mL/min.
 _PUMPS = 1e-7
 
@@ -100,7 +100,7 @@ class Forecast(_Steps):
 
 
 def _ranges(values: Values) -> tuple[Values, Values]:
-    """Return the range of the members: 10 to 90 %; if they are few, the least to the greatest."""
+    """Return the range of the members: 10 to 90 %; if they are few, the minimum to the maximum."""
     if len(values) < _TENTHS:
         return values.min(axis=0), values.max(axis=0)
     low, high = np.percentile(values, (10, 90), axis=0)

@@ -20,8 +20,8 @@ _ENDING_S = 3.0
 def watcher(name: str, namespace: str, *options: str) -> Iterator[None]:
     """Run ``greenroof watch`` during a run; print its output, which begins with its address.
 
-    The watcher ends with the run, however that ends. If it cannot start or ends early, a line says
-    so, and the run goes on.
+    The watcher ends with the run, however that ends. If it cannot start or ends early, a line
+    states this, and the run goes on.
 
     Args:
         name: of the watcher, for its lines.

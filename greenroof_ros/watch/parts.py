@@ -38,7 +38,7 @@ class Parts:
         try:
             part = make()
             json.dumps(part, allow_nan=False)
-        except Exception as error:  # whatever it is, the stop and the other parts are shown
+        except Exception as error:  # for any error, the stop and the other parts are shown
             self.failed[name] = plain(f"{type(error).__name__}: {error}", 200)
             text = traceback.format_exc()
             if text not in _PRINTED and len(_PRINTED) < 100:

@@ -28,8 +28,8 @@ from greenroof_ros.watch.wire import WireStatus
 from greenroof_ros.watch.words import plain, sentence
 
 OK, WARN, ERROR, STALE = range(4)
-# After this silence (s) a node counts as not heard, as in bringup; it reports four times a second.
-# Other devices report once a second; their limit is the default of diagnostic_aggregator.
+# After this silence (s) a node is treated as not responding, as in bringup; it reports four times a
+# second. Other devices report once a second; their limit is the default of diagnostic_aggregator.
 SILENT_S, _FOREIGN_SILENT_S = 2.0, 5.0
 # A silent node may be replaced by another process; after this time (s) it is gone.
 _GONE_S = 10.0
@@ -41,7 +41,7 @@ _SPEED_S, _SPEED_MOST_S = 1.0, 3.0
 # each, statuses of other devices, and characters of a name. A graph has seven nodes.
 _NODES, _PARTS, _FOREIGN, _NAME = 32, 24, 200, 160
 _NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
-# The greatest tick of a run, and the first time (ns since 1970) that does not fit into 64 bits.
+# The maximum tick of a run, and the first time (ns since 1970) that does not fit into 64 bits.
 _LAST_TICK, _LAST_NS = 2**40, 2**63
 # While all nodes have run for less than this (s), what is missing may still come: the site starts.
 _START_S = 60.0
@@ -144,7 +144,7 @@ class Node:
 
     @property
     def hold(self) -> str:
-        """Who holds the pump, until when and why; empty if nobody does."""
+        """Who holds the pump, until when and why; empty if no one does."""
         return _hold_text(self.values)
 
     @property
@@ -189,7 +189,7 @@ class Registry:
         """Start without nodes.
 
         Args:
-            namespace: such as ``/site1``; nodes in other namespaces count as other devices.
+            namespace: such as ``/site1``; nodes in other namespaces are treated as other devices.
             on_event: called with each event, in a sentence.
         """
         self.runs = 0
@@ -217,7 +217,7 @@ class Registry:
         self, wall: float, statuses: Sequence[WireStatus], *, stamp_ns: int = 0,
         arrived: float | None = None, tau: float = 1.0,
     ) -> None:
-        """Receive the statuses of one or more messages; whatever they hold, nothing is raised.
+        """Receive the statuses of one or more messages; no content raises an exception.
 
         Args:
             wall: now (steady clock, s).
@@ -256,7 +256,7 @@ class Registry:
             # An unknown level is an error.
             known[key] = _PartStatus(
                 status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
-                sentence(status.message) or "says nothing",
+                sentence(status.message) or "reports nothing",
                 plain(status.values.get("code", ""), _NAME), wall, first, good,
                 tuple(topic.removeprefix(self._namespace.rstrip("/")) for topic in topics.split()),
                 plain(status.values.get("fault", status.values.get("warning", ""))),
@@ -561,7 +561,7 @@ def _trouble_of_part(node: Node, part: str, reported: _PartStatus) -> Trouble:
         interlock = read_interlocks().get(code)
         latched = interlock is not None and interlock.kind == LATCHED
         if node.may_turn:
-            level = ERROR  # it may flood the roof, whatever is commanded
+            level = ERROR  # it may flood the roof, regardless of the command
             code = code if latched else "stands_unknown"
         elif node.hold and node.values.get("stands") is False and not latched:
             code = "stop_not_followed"

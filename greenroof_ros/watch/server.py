@@ -2,7 +2,8 @@
 
 Everybody who reaches the address may look, and may stop the pump; if there is a token, only with
 the token. A hold may be released here if that was allowed, which needs a token. With it, a fault
-that needs nobody at the pump may also be cleared, and a dose given if the site file allows doses.
+that needs no person at the pump may also be cleared, and a dose given if the site file allows
+doses.
 
 Each path is a route, and none leads to a file. Another page in the same browser can do nothing: a
 request must name this host (not another name that leads here), and an action needs a header that
@@ -97,7 +98,7 @@ class ServerEvent:
 
 
 class EventStream:
-    """The document and the series, made again while somebody reads them.
+    """The document and the series, made again while someone reads them.
 
     A reader gets the newest event when it has read the one before. Events in between are
     dropped: a thousand slow readers need no more memory than one.
@@ -121,11 +122,11 @@ class EventStream:
         """Yield events as they come, only the newest.
 
         Charts that cannot be made are left out, with a reason. If there is no document at all, the
-        error is printed and every stream ends: a page then says that it is not connected, rather
+        error is printed and every stream ends: a page then reports that it is not connected, rather
         than showing old values as present ones, and keeps its stop.
 
         Args:
-            hours: of the past in the series; 0 for the summary alone, for a page that nobody sees.
+            hours: of the past in the series; 0 for the summary alone, for a page that no one sees.
         """
         wanted: tuple[str | float, ...] = ("state", hours) if hours else ("summary",)
         sent: dict[str | float, ServerEvent] = {}
@@ -282,7 +283,7 @@ class _PageApplication:
         page of this server (DNS rebinding).
         """
         if self._names is not None and _host_of(request) not in self._names:
-            raise web.HTTPForbidden(reason="this host name is not known here; use localhost")
+            raise web.HTTPForbidden(reason="this host name is unknown here; use localhost")
         if request.method == "POST" or request.path == "/events":
             given = request.headers.get("Authorization", "")
             if self._token is not None and not hmac.compare_digest(
@@ -370,7 +371,7 @@ class _PageApplication:
             traceback.print_exc()
             ok = False
             sentence = (
-                "It is not known whether that was done: the watcher failed "
+                "It is unknown whether that was done: the watcher failed "
                 f"({type(error).__name__}: {error})."
             )
         sentence = words.sentence(sentence)
@@ -404,9 +405,9 @@ def _host_of(request: web.Request) -> str | None:
 
 
 def _of_another_page(request: web.Request) -> bool:
-    """Return whether the browser says that a page of another site makes the request.
+    """Return whether the browser reports that a page of another site makes the request.
 
-    Browsers say so in Sec-Fetch-Site; over plain HTTP to another machine only in Origin.
+    Browsers report it in Sec-Fetch-Site; over plain HTTP to another machine only in Origin.
     """
     site, origin = (request.headers.get(name) for name in ("Sec-Fetch-Site", "Origin"))
     if site is not None:

@@ -1,6 +1,6 @@
 """What may be done to the pump from here: stop it, release it, clear a fault, give a dose.
 
-It needs nothing that tiles, alarms or account need: whatever cannot be shown, the pump can be
+It needs nothing that tiles, alarms or account need: even if those cannot be shown, the pump can be
 stopped.
 """
 
@@ -19,17 +19,17 @@ LOCK_OUT = (
     "Anyone working on the pump must lock it out at the pump itself; this page does not."
 )
 _THEN = (
-    "The pump then starts by itself when the controller asks for it and nothing else keeps it off, "
-    "but not before its shortest time off has passed. "
+    "The pump then starts automatically when the controller asks for it and nothing else keeps it "
+    "off, but not before its shortest time off has passed. "
 )
 
 
 def stop_of(store: GraphStore) -> dict[str, Any]:
     """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
 
-    It is stopped if somebody holds it and it stands; the hold alone only says that it should stand.
+    It is stopped if someone holds it and it stands; the hold alone only means that it should stand.
     ``call`` and ``release`` are the commands to hold and release it; empty if that would do
-    nothing. Entries in ``_here`` say whether an action is allowed here, entries in ``_then`` what
+    nothing. Entries in ``_here`` state whether an action is allowed here, entries in ``_then`` what
     happens then. A request for a dose sends ``asked_at`` back: a delayed request is too old.
     """
     two = store.graph.two_pumps(store.wall)
@@ -40,8 +40,8 @@ def stop_of(store: GraphStore) -> dict[str, Any]:
     stopped, warning = bool(hold) and at_rest, two
     if hold and not at_rest and not is_silent:
         warning = (
-            "Stop was accepted, but the pump still turns, or it is not known whether it is at "
-            "rest. Stop it at its drive's panel if it is not at rest within seconds."
+            "Stop was accepted, but the pump still turns, or it is unknown whether it is "
+            "stopped. Stop it at its drive's panel if it is not stopped within seconds."
         )
     report = store.pump_report
     off = report is not None and report.state in ("off", "held", "fault") and at_rest
@@ -50,9 +50,9 @@ def stop_of(store: GraphStore) -> dict[str, Any]:
         "label": "The pump is held off" if stopped
         else "Keep the pump off" if off else "Stop the pump",
         "sentence": two or "There is no pump node that could be stopped from here."
-        if node is None else ("It was held off when last heard. " if hold and is_silent else "")
+        if node is None else ("It was held off at last contact. " if hold and is_silent else "")
         + ("The pump is held" if stopped else "Holds the pump")
-        + " off until somebody releases it. " + LOCK_OUT,
+        + " off until someone releases it. " + LOCK_OUT,
         "warning": warning,
         "call": "" if node is None or stopped else command_for(node.name, "hold"),
         "release": "" if node is None or not hold else command_for(node.name, "release"),
@@ -68,41 +68,41 @@ def _allowed(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, A
 
     Args:
         node: the pump node, if it is online and releasing is allowed; otherwise None.
-        at_rest: whether the pump is at rest.
+        at_rest: whether the pump is stopped.
         area: of the roof (m2).
     """
-    greatest = None if node is None else node.values.get("greatest_dose")
+    maximum = None if node is None else node.values.get("greatest_dose")
     hold = "" if node is None else node.hold
     fault, unknown, refusal, no_dose = (
         "" if node is None else node.text(key)
         for key in ("fault", "unknown", "no_clear", "no_dose")
     )
-    doses = isinstance(greatest, (int, float))
+    doses = isinstance(maximum, (int, float))
     dose = {} if node is None else node.values.get("dose") or {}
-    least = 0.0 if node is None else float(node.values.get("least_dose") or 0.0)
+    minimum = 0.0 if node is None else float(node.values.get("least_dose") or 0.0)
     return {
         "release_here": bool(hold) and at_rest,
         "release_then": _then(fault, unknown) + LOCK_OUT,
         "clear_here": bool(fault) and not refusal and at_rest,
         "clear_then": f"The fault is cleared: {fault}. " + _then(hold, unknown) + LOCK_OUT,
         "no_clear": refusal if fault else "",
-        "greatest_dose": greatest if doses else None,
-        "least_dose": least if doses else None,
-        "dose_limits": _limits(least, float(greatest or 0.0), area) if doses else "",
+        "greatest_dose": maximum if doses else None,
+        "least_dose": minimum if doses else None,
+        "dose_limits": _limits(minimum, float(maximum or 0.0), area) if doses else "",
         "dose": sentence(str(dose.get("said", ""))) if isinstance(dose, dict) else "",
         "dose_here": doses and not no_dose,
         "asked_at": time.time() if doses and not no_dose else None,
-        "dose_then": "The pump then delivers this volume once, whatever the controller asks for, "
-        "but not above the roof's target. It ends early if anything keeps the pump off. "
+        "dose_then": "The pump then delivers this volume once, regardless of what the controller "
+        "asks for, but not above the roof's target. It ends early if anything keeps the pump off. "
         + LOCK_OUT,
         "no_dose": no_dose if doses else "",
     }
 
 
-def _limits(least: float, most: float, area: float) -> str:
+def _limits(minimum: float, most: float, area: float) -> str:
     """Return between which volumes (m3) a dose must be, and how much that is on the roof (m2)."""
-    volumes = f"from {least:.3f} to {most:g} m³" if least else f"at most {most:g} m³"
-    depths = [words.rain(volume / area) for volume in (least, most) if volume and area]
+    volumes = f"from {minimum:.3f} to {most:g} m³" if minimum else f"at most {most:g} m³"
+    depths = [words.rain(volume / area) for volume in (minimum, most) if volume and area]
     return volumes + (f", which is {' to '.join(depths)} of water on the roof" if depths else "")
 
 
@@ -116,7 +116,7 @@ def bare_stop() -> dict[str, Any]:
     """Return a stop that needs nothing to be known: the pump node is asked, if there is one."""
     return {
         "possible": True, "stopped": False, "node": None, "label": "Stop the pump",
-        "sentence": "Holds the pump off until somebody releases it. " + LOCK_OUT,
+        "sentence": "Holds the pump off until someone releases it. " + LOCK_OUT,
         "warning": "", "call": "", "release": "", "hold": None, "clear_call": "",
         **_allowed(None, at_rest=False),
     }

@@ -1,6 +1,6 @@
 """Everything known about one graph, as it comes: newest values, past, and reports of the nodes.
 
-*Now* is the newest value of each topic, whichever way it came. The *past* is what charts and
+*Now* is the newest value of each topic, from either source. The *past* is what charts and
 account use; it comes in the order of time, from the recording if there is one, and may be some
 seconds behind. :mod:`.document` makes from it what people see.
 """
@@ -40,7 +40,7 @@ _NUMBER = "std_msgs/msg/Float64"
 # No quantity of any site is greater than this in any unit, even if its topic has no limit.
 _LARGEST = 1e9
 # A value is stale after this many of its usual intervals, and at the earliest after the second (s).
-# The usual interval counts as the third (s) at most.
+# The usual interval is assumed to be at most the third (s).
 INTERVALS, _STALE_S, _LONGEST_S = 3, 5.0, 600.0
 # Times of a graph are before this (ns since 1970): the year 2116.
 _LATEST_NS = 2**62
@@ -455,13 +455,13 @@ class GraphStore:
 
     @property
     def plan(self) -> Plan | None:
-        """The newest plan; None if it is not known, or there is none."""
+        """The newest plan; None if it is unknown, or there is none."""
         at, plan = self._plan
         return plan if at > self._past_plan[0] else self._if_current(self._past_plan[1])
 
     @property
     def forecast(self) -> Forecast | None:
-        """The newest forecast of rain; None if it is not known."""
+        """The newest forecast of rain; None if it is unknown."""
         return self._if_current(self._forecast)
 
     def _if_current(self, newest: _Outlook | None) -> _Outlook | None:
@@ -500,7 +500,7 @@ class GraphStore:
             self._update_controller(now)
             pump = self.pump
             if pump is not None and "flow" in pump.values:
-                # While the flow is not known, its topic says 0.
+                # While the flow is unknown, its topic reports 0.
                 known = pump.values["flow"] is not None
                 self.unknown_flow.update(self._stamp or now, known=known)
 

@@ -20,7 +20,7 @@ from greenroof_ros.watch import words
 from greenroof_ros.watch.outlook import ALIKE_M, Plan, RainAmount
 from greenroof_ros.watch.store import GraphStore
 
-# Most controllers look hours ahead; a shorter forecast says nothing about the rain to come (s).
+# Most controllers look hours ahead; a shorter forecast contains nothing about the rain to come (s).
 SOON_S = 600.0
 # Weather services renew their forecasts hourly, each from a model run that comes every 6 h: an
 # older forecast has missed such a run (s).
@@ -41,20 +41,20 @@ def _tile(
 ) -> Tile:
     """Return the tile of a topic; ``judged`` gives state and sentence for its value.
 
-    A missing or stale value is unknown; for a stale value the sentence says what was last heard,
-    and when. A value that is not plausible is an alarm.
+    A missing or stale value is unknown; for a stale value the sentence states what was last
+    received, and when. A value that is not plausible is an alarm.
     """
     newest = store.newest.get(topic)
     number = None if newest is None else newest.value
     if number is not None:
         text, (state, sentence) = words.value_of(topic, number), judged(number)
     elif newest is None:
-        text, state, sentence = words.UNKNOWN, "unknown", "nothing heard from it yet"
+        text, state, sentence = words.UNKNOWN, "unknown", "nothing received from it yet"
     else:
         text, state, sentence = words.NOT_PLAUSIBLE, "alarm", "its sensor's value is impossible"
     stale = newest is not None and newest.stale
     if newest is not None and newest.stale:
-        sentence = f"{text} when last heard at {store.time_of_day(newest.time_ns / 1e9)}"
+        sentence = f"{text} at last contact, {store.time_of_day(newest.time_ns / 1e9)}"
         text, number, state = words.UNKNOWN, None, "unknown"
     return {
         "label": label, "value": text, "number": number, "state": state, "sentence": sentence,
@@ -136,7 +136,7 @@ def cistern(store: GraphStore) -> Tile:
 def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """Return the tile of the pump: its state, and below it the flow, the command, and why.
 
-    ``alarm`` is whether the pump may turn and nobody knows it; ``idle`` whether it is off only
+    ``alarm`` is whether the pump may turn and no one knows it; ``idle`` whether it is off only
     because the controller commands nothing.
 
     Args:
@@ -156,14 +156,14 @@ def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     state, why = _state(store, report)
     parts = []
     if may_turn:
-        parts.append("it is not known whether it is at rest")
+        parts.append("it is unknown whether it is stopped")
         state, why = "unknown", why if report is not None else ""
     elif not speed_known:
-        parts.append("its drive is not heard: at rest when last heard, or stopped by its timeout")
+        parts.append("its drive is not responding: stopped at last contact, or by its timeout")
     if pumped is not None:
         parts.append(words.NOT_PLAUSIBLE if pumped.value is None else flow(pumped.value))
     elif not flow_known and not may_turn:
-        parts.append("its flow is not known")
+        parts.append("its flow is unknown")
     if command is not None:
         parts.append(_commanded(command.value, _is(store)))
     newest = pumped if pumped is not None else command
@@ -174,9 +174,9 @@ def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
         place = -1 if pumped is None or command is None else -2
         parts[place] = f"last known {parts[place]}"
     if not parts and state == "unknown":
-        parts.append("nothing heard from it yet")
+        parts.append("nothing received from it yet")
     if stale and state != words.UNKNOWN:
-        parts.insert(0, f"{state} when last heard")
+        parts.insert(0, f"{state} at last contact")
     name = "" if node is None else node.name
     kept_off = store.present_value(_FROST) or any(row["id"] == f"{name}: {PUMP}" for row in wrong)
     quiet = state == "held" and node is not None and node.code_of(PUMP) == "quiet_hours"
@@ -215,7 +215,7 @@ def _state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
         if share is None:
             return "unknown", "neither flow nor command is known"
         if store.mode in ("live", "loop"):
-            return "unknown", "nothing is heard from its node"
+            return "unknown", "its node is not responding"
         return ("off", why) if share == 0 or why else ("running", "")
     rests = "it rested between two runs" if store.ended else "it rests between two runs"
     return ("running", "") if pumps_run(site, pumped.value) else ("off", why or rests)
@@ -355,7 +355,7 @@ def _aim(store: GraphStore, plan: Plan | None, now: float | None) -> str:
 
 
 def why_not_yet(store: GraphStore) -> str:
-    """Return why a controller lets a roof stay too dry for now; empty if that is not known."""
+    """Return why a controller lets a roof stay too dry for now; empty if that is unknown."""
     forecast, now, level, plan = store.forecast, store.now, store.present_value(_ROOF), store.plan
     if (
         forecast is None or now is None or level is None or plan is None or store.ended

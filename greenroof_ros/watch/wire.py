@@ -141,7 +141,7 @@ def statuses(cursor: _Cursor) -> tuple[int, list[WireStatus]]:
             key, value = cursor.text(), cursor.text()
             if place < _VALUES:
                 values[key] = value
-        # An unknown level counts as ERROR, the worst level that somebody can do something about.
+        # An unknown level is treated as ERROR, the worst level that someone can do something about.
         statuses.append(WireStatus(name, level if level <= 3 else 2, message, values))
     return stamp, statuses
 

@@ -42,7 +42,7 @@ def quantity(value: float, unit: str, decimals: int, factor: float = 1.0) -> str
 
 
 def value_of(topic: str, value: float) -> str:
-    """Write a value of a topic, or a difference of values, as the interface says: ``45.3 mm``.
+    """Write a value of a topic, or a difference of values, as the interface reports: ``45.3 mm``.
 
     Args:
         topic: its name in the interface.
@@ -74,7 +74,7 @@ def command(share: float) -> str:
 
 
 def length_of_time(seconds: float) -> str:
-    """Write a duration as people say it: ``40 s``, ``12 min``, ``3.5 h``."""
+    """Write a duration as people write it: ``40 s``, ``12 min``, ``3.5 h``."""
     if not math.isfinite(seconds):
         return UNKNOWN
     if seconds < 90:

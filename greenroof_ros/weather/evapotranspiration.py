@@ -2,7 +2,7 @@
 
 Allen, Pereira, Raes and Smith, *Crop evapotranspiration*, FAO Irrigation and Drainage Paper 56,
 Rome 1998. Equation numbers are from this paper; the package ``eto`` implements the equations.
-Hargreaves' equation needs only a day's least and greatest temperature.
+Hargreaves' equation needs only a day's minimum and maximum temperature.
 """
 
 from __future__ import annotations
@@ -130,8 +130,8 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
     if RADIATION in records.values:
         result = _stretches(site, records, {**values, RADIATION: records.values[RADIATION]})
     if np.isnan(result).any():
-        least, greatest = _daily_extremes(records, site)
-        computed = _stretches(site, records, {**values, "Tmin": least, "Tmax": greatest})
+        minimum, maximum = _daily_extremes(records, site)
+        computed = _stretches(site, records, {**values, "Tmin": minimum, "Tmax": maximum})
         result = np.where(np.isnan(result), computed, result)
     return result * 24 * site.crop_coefficient
 
@@ -141,7 +141,7 @@ def _stretches(
 ) -> NDArray[np.float64]:
     """Return :func:`hourly` of each gap-free stretch; NaN in gaps.
 
-    Each by itself, because a night has the cloudiness of the evening before.
+    Each separately, because a night has the cloudiness of the evening before.
     """
     unknown = np.isnan(sum(values.values()))  # a sum that includes a NaN is NaN
     result = np.full(records.hours, np.nan)
@@ -188,18 +188,18 @@ def monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
 def _daily_extremes(
     records: Records, site: Site
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Least and largest temperature (degC) of each hour's day; NaN for an incomplete day."""
+    """Smallest and largest temperature (degC) of each hour's day; NaN for an incomplete day."""
     assert site.utc_offset is not None
     temperature = records.values["temperature"]
     # Unknown hours of the first day before the records, and of the last day after them.
     before = int((records.first.timestamp() / 3600 + site.utc_offset) % 24)
     after = -(before + records.hours) % 24
     days = np.pad(temperature, (before, after), constant_values=np.nan).reshape(-1, 24)
-    least, largest = (
+    minimum, largest = (
         np.repeat(extreme(days, axis=1), 24)[before : before + records.hours]
         for extreme in (np.min, np.max)
     )
-    return least, largest
+    return minimum, largest
 
 
 def why_missing(records: Records, hours: NDArray[np.int64]) -> str:
@@ -227,7 +227,7 @@ Days = NDArray[np.datetime64]
 _MM_PER_MJ = 0.408  # per m2, FAO-56 Eq. 20
 _DAY_S = 86400
 _PART_S = 300
-# Least share of a day with temperatures to know its extremes, and how far away they may be (d).
+# Minimum share of a day with temperatures to know its extremes, and how far away they may be (d).
 _ENOUGH, _LONGEST_GAP, _FOR_EVER = 0.75, 3, 10**6
 
 
@@ -252,7 +252,7 @@ def evaporable(radiation: Values) -> Values:
     return _MM_PER_MJ * radiation
 
 
-def hargreaves(latitude: float, days: Days, least: Values, greatest: Values) -> Values:
+def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) -> Values:
     """Reference evapotranspiration of whole days (mm/day), FAO-56 Eq. 52, shape (days,).
 
     ET0 = 0.0023 (Tmean + 17.8) sqrt(Tmax - Tmin) Ra with Ra in mm/day and Tmean the mean of the
@@ -262,12 +262,12 @@ def hargreaves(latitude: float, days: Days, least: Values, greatest: Values) -> 
     Args:
         latitude: degrees, north positive.
         days: dates, shape (days,).
-        least: lowest temperature of each day (degC).
-        greatest: highest temperature of each day (degC).
+        minimum: lowest temperature of each day (degC).
+        maximum: highest temperature of each day (degC).
     """
     radiation = evaporable(extraterrestrial_radiation(latitude, days))
-    warmth = (least + greatest) / 2 + 17.8
-    return np.asarray(np.maximum(0.0, 0.0023 * warmth * np.sqrt(greatest - least) * radiation))
+    warmth = (minimum + maximum) / 2 + 17.8
+    return np.asarray(np.maximum(0.0, 0.0023 * warmth * np.sqrt(maximum - minimum) * radiation))
 
 
 def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: float) -> Values:
@@ -322,20 +322,22 @@ def spread_over_day(
     return np.asarray(daily[day] * shares * step_s / totals[day])
 
 
-def extremes_of_days(day: NDArray[np.intp], least: Values, greatest: Values, most: float) -> Values:
-    """Return each day's least and greatest temperature (degC), shape (2, days).
+def extremes_of_days(
+    day: NDArray[np.intp], minimum: Values, maximum: Values, most: float
+) -> Values:
+    """Return each day's minimum and maximum temperature (degC), shape (2, days).
 
-    A day that has less than 0.75 of the greatest number of values has none (NaN).
+    A day that has less than 0.75 of the maximum number of values has none (NaN).
 
     Args:
         day: index of the day of each value.
-        least: temperatures with each day's least among them; NaN if missing.
-        greatest: temperatures with each day's greatest among them, likewise.
+        minimum: temperatures with each day's minimum among them; NaN if missing.
+        maximum: temperatures with each day's maximum among them, likewise.
         most: number of values that a complete day has.
     """
     extremes = np.full((2, day.max() + 1), np.nan)
     for of_days, extreme, values in zip(
-        extremes, (np.fmin, np.fmax), (least, greatest), strict=True
+        extremes, (np.fmin, np.fmax), (minimum, maximum), strict=True
     ):
         extreme.at(of_days, day, values)
         of_days[np.bincount(day, ~np.isnan(values)) < _ENOUGH * most] = np.nan
@@ -348,7 +350,7 @@ class DailyTemperatures(NamedTuple):
     dates: Days
     """of the days, in order"""
     extremes: Values
-    """least and greatest temperature (degC), shape (2, days); NaN if unknown"""
+    """minimum and maximum temperature (degC), shape (2, days); NaN if unknown"""
 
     def far(self, days: Days) -> NDArray[np.bool_]:
         """Return whether days are more than three days from each day with both extremes."""
@@ -374,11 +376,11 @@ class DailyTemperatures(NamedTuple):
         assert site.longitude is not None
         days, day_of_step = np.unique(seconds // _DAY_S, return_inverse=True)
         at = self.dates.astype(np.int64)
-        least, greatest = (
+        minimum, maximum = (
             np.interp(days, at[~np.isnan(values)], values[~np.isnan(values)])
             for values in self.extremes
         )
-        daily = hargreaves(site.latitude, days.astype("datetime64[D]"), least, greatest)
+        daily = hargreaves(site.latitude, days.astype("datetime64[D]"), minimum, maximum)
         east = site.longitude - offset_s / 240
         return spread_over_day(daily, site.latitude, seconds, day_of_step, step_s, east)
 
@@ -386,9 +388,9 @@ class DailyTemperatures(NamedTuple):
 def from_temperatures(records: Records, site: Site) -> Values:
     """Evapotranspiration of the vegetation (mm/day) in each hour by Hargreaves, shape (hours,).
 
-    It is the site's crop coefficient times the reference evapotranspiration, from each day's least
-    and greatest temperature by local standard time. NaN in a day that is more than three days from
-    a day with at least 18 hours of temperature.
+    It is the site's crop coefficient times the reference evapotranspiration, from each day's
+    minimum and maximum temperature by local standard time. NaN in a day that is more than three
+    days from a day with at least 18 hours of temperature.
 
     Raises:
         ConfigurationError: the file has no temperature, the site file lacks its place on earth, or

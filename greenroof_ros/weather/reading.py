@@ -187,7 +187,7 @@ def evapotranspiration(
     for_want = f", for want of {', '.join(lacking)}" if lacking else ""
     if chosen == HARGREAVES:
         return series, chosen, [
-            "evapotranspiration is computed from each day's least and greatest temperature "
+            "evapotranspiration is computed from each day's minimum and maximum temperature "
             f"(hargreaves, FAO-56 Eq. 52){for_want}"
         ]
     if chosen == MONTHLY:

@@ -39,8 +39,8 @@ GAPS = (REFUSE, FILL)
 _PERCENTILE = 95
 # Factor of the percentile from which rain is suspicious; the second below 0 degC.
 _FACTOR, _FROST_FACTOR = 9.0, 5.0
-# Days of the year to either side; least number of wet hours in them for a check.
-_DAYS, _LEAST_WET = 14, 20
+# Days of the year to either side; minimum number of wet hours in them for a check.
+_DAYS, _MIN_WET = 14, 20
 _YEAR = 366
 
 
@@ -238,8 +238,8 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
     way_out = "choose another window, or fill in values from another station"
     if weather.gaps == REFUSE:
         way_out += (
-            "; or fill the gaps (--gaps fill; in a grid, gaps: fill): missing rain counts as none, "
-            "other values are the mean at that time of day over the three days before and after"
+            "; or fill the gaps (--gaps fill; in a grid, gaps: fill): missing rain is treated as "
+            "none, others are the mean at that time of day over the three days before and after"
         )
     own = () if weather.method in COMPUTED else (EVAPOTRANSPIRATION,)
     for quantity in (PRECIPITATION, TEMPERATURE, *own):
@@ -343,7 +343,7 @@ def suspicious_rain(records: Records, hours: range) -> list[str]:
     for day in np.unique(days[there]):
         apart = np.abs(days - day)
         near = rain[wet[np.minimum(apart, _YEAR - apart) <= _DAYS]]
-        if len(near) < _LEAST_WET:
+        if len(near) < _MIN_WET:
             continue
         usual = float(np.percentile(near, _PERCENTILE))
         for hour in wet[there & (days == day)]:

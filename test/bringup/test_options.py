@@ -33,7 +33,7 @@ from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.live_site import make_parser as live_site_parser
 from greenroof_ros.live.supervisor import NodeFailed
 
-NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
+EXTERNAL = ("--sensors", "external", "--pump", "external", "--weather", "external")
 
 
 def bringup(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -59,7 +59,7 @@ def test_a_controller_keeps_what_it_learned_in_its_own_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another controller would not understand the file, and would overwrite it."""
-    monkeypatch.setattr(sys, "argv", ["live", *NOBODY, "--controller", "lookahead"])
+    monkeypatch.setattr(sys, "argv", ["live", *EXTERNAL, "--controller", "lookahead"])
     nodes = LiveSite(live_site_parser().parse_args()).nodes(tmp_path, tmp_path)
     (path,) = (node.parameters["state_file"] for node in nodes if node.name == "lookahead")
     assert path == str(tmp_path / "lookahead.json")
@@ -107,7 +107,7 @@ WRONG = {
         "--forecast FILE.csv: is missing: mpc needs a forecast; or give --weather external",
     f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
-        "say whether there is frost; give it if a node of your own publishes /gauge/temperature",
+        "show whether there is frost; give it if your own node publishes /gauge/temperature",
     f"{WEATHERED} --forecast no.nc": "--forecast = 'no.nc': must be a FILE.csv, which is",
     f"{WEATHERED} --forecast {CHECKOUT}/package.xml": "package.xml': must be a FILE.csv, which is",
     f"{WEATHERED} --weather external --forecast forecast.csv":
@@ -115,7 +115,7 @@ WRONG = {
     f"{SENSED} --drive no_such_drive --drive-at tcp://127.0.0.1:1": "drive = 'no_such_drive': is",
     f"{SENSED} --pump external --thermometer external":
         "--thermometer = 'external': contradicts the file of --sensors, which has a thermometer",
-    f"run --pump external {DRIVE}": "--pump = 'external': leaves the pump to somebody else's node",
+    f"run --pump external {DRIVE}": "--pump = 'external': leaves the pump to someone else's node",
     "run --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
     "run --drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
     f"run {DRIVE} --minimum-on 60": "minimum on and off times: must be set in the pump driver",
@@ -124,7 +124,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("words", WRONG)
-def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, words: str) -> None:
+def test_what_is_wrong_is_reported(monkeypatch: pytest.MonkeyPatch, words: str) -> None:
     assert WRONG[words] in refused(monkeypatch, *words.split())
 
 
@@ -151,7 +151,7 @@ def test_the_depth_of_a_moisture_probes_substrate_is_the_sites(
 def test_a_serial_line_of_a_sensor_and_the_drive(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Only one program can open it, so the sensor or the drive would never be heard."""
+    """Only one program can open it, so the sensor or the drive would never answer."""
     sensors = tmp_path / "sensors.yaml"
     shipped = (CHECKOUT / "config" / "sensors.yaml").read_text()
     sensors.write_text(shipped.replace("tcp://127.0.0.1:5031", "/dev/ttyS0"))
@@ -272,7 +272,7 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
     """Two bringups must not write into one directory; with another domain they would not notice."""
     (tmp_path / "live").mkdir()
     with acquire_file_lock(tmp_path / "live" / "bringup.lock"):
-        done = run_command("bringup.live", *NOBODY, cwd=tmp_path, env=environment(0))
+        done = run_command("bringup.live", *EXTERNAL, cwd=tmp_path, env=environment(0))
     assert done.returncode == 3
     assert done.stderr == (
         "error: --state = 'live': belongs to a running bringup; end it, or use another directory\n"
@@ -303,8 +303,8 @@ def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(
     )
 
 
-def test_a_mistake_is_said_with_its_traceback(capfd: pytest.CaptureFixture[str]) -> None:
-    """By the thread, as all output: the interpreter would block on a stderr that nobody reads."""
+def test_a_mistake_is_reported_with_its_traceback(capfd: pytest.CaptureFixture[str]) -> None:
+    """By the thread, as all output: the interpreter would block on a stderr that no one reads."""
     written: list[tuple[str, ...]] = []
     record: Any = SimpleNamespace(write=lambda *line: written.append(line), wait=lambda: None)
     supervisor: Any = SimpleNamespace(may_run="")
@@ -319,8 +319,8 @@ def test_a_mistake_is_said_with_its_traceback(capfd: pytest.CaptureFixture[str])
 
 
 def test_a_live_site_has_a_controller_that_fits_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The paper's is the default of simulations only; the help says so, with its own parameters."""
-    monkeypatch.setattr(sys, "argv", ["live", *NOBODY])
+    """The paper's is the default of simulations only, as the help states, with its parameters."""
+    monkeypatch.setattr(sys, "argv", ["live", *EXTERNAL])
     parser = live_site_parser()
     assert LiveSite(parser.parse_args()).controller.name == "lookahead"
     text = " ".join(parser.format_help().split())

@@ -57,8 +57,8 @@ def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path, content: str) 
     refusal(NumberFile(file).read, match=r"numbers\.json")
 
 
-def test_a_disk_that_hangs_holds_nobody_up(tmp_path: Path) -> None:
-    """With a pipe that nobody reads, neither waits for ever; the newest is written later."""
+def test_a_disk_that_hangs_holds_no_one_up(tmp_path: Path) -> None:
+    """With a pipe that no one reads, neither waits for ever; the newest is written later."""
     os.mkfifo(tmp_path / ".numbers.json.part")
     numbers = NumberFile(tmp_path / "numbers.json")
     numbers.write({"a": 1.0})
@@ -104,7 +104,7 @@ def test_the_file_is_on_the_disk_before_it_takes_the_place_of_the_old_one(
     assert numbers.read() == {"a": 2.0}
 
 
-def test_what_went_wrong_is_said(tmp_path: Path) -> None:
+def test_what_went_wrong_is_reported(tmp_path: Path) -> None:
     """For as long as it lasts; the next write is tried again, and the next process reads it."""
     (tmp_path / "state").write_text("a file where a directory is due")
     numbers = NumberFile(tmp_path / "state" / "numbers.json")

@@ -126,7 +126,7 @@ def test_a_lock_is_its_process_alone_until_that_ends(length: int, tmp_path: Path
 
 
 def test_another_users_lock_is_a_lock(tmp_path: Path) -> None:
-    """A process of the user nobody (65534) holds it; only root can start that."""
+    """A process of an unprivileged user (65534) holds it; only root can start that."""
     if os.getuid() != 0:
         pytest.skip("only root can become another user")
     code = _HOLDER.replace("lock =", "import os; os.setuid(65534); lock =")
@@ -162,7 +162,7 @@ def test_a_datagram_arrives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     notify("READY=1")
 
 
-def test_a_full_socket_stops_nobody(tmp_path: Path) -> None:
+def test_a_full_socket_stops_no_one(tmp_path: Path) -> None:
     """With a service manager that reads nothing; the time limit is the test."""
     path = tmp_path / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
@@ -190,8 +190,8 @@ def test_what_a_killed_process_leaves_is_removed_at_the_next_start(
     tmp_path: Path, number: signal.Signals
 ) -> None:
     """With what is in it; what a process still uses, even a stopped one, is not touched."""
-    (tmp_path / "somebody's").mkdir()
-    (tmp_path / "greenroof_ros_scratch-link").symlink_to(tmp_path / "somebody's")
+    (tmp_path / "someone's").mkdir()
+    (tmp_path / "greenroof_ros_scratch-link").symlink_to(tmp_path / "someone's")
     with subprocess.Popen(
         [sys.executable, "-c", _SCRATCH, str(tmp_path)], stdout=subprocess.PIPE, text=True
     ) as other:
@@ -208,6 +208,6 @@ def test_what_a_killed_process_leaves_is_removed_at_the_next_start(
                 with scratch_directory(str(tmp_path)) as another:
                     assert mine.is_dir() and another != mine
             assert not mine.exists()
-            assert (tmp_path / "somebody's").is_dir()
+            assert (tmp_path / "someone's").is_dir()
         finally:
             other.kill()

@@ -21,7 +21,7 @@ TOO_LONG_S = 60
 
 
 def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
-    """The oldest are dropped; as soon as somebody reads, output is complete and in order again."""
+    """The oldest are dropped; as soon as someone reads, output is complete and in order again."""
     with full_pipe() as (reading, writing):
         lines = Lines(writing)
         lines.print_line("first\n  more of it, in °C")
@@ -39,7 +39,7 @@ def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
     ]
 
 
-def test_nobody_is_there_to_read() -> None:
+def test_no_one_is_there_to_read() -> None:
     """Output that cannot be written is lost, without an error for the writer."""
     reading, writing = os.pipe()
     os.close(reading)

@@ -47,7 +47,7 @@ def test_after_the_forecast_the_roof_dries_slowly() -> None:
 
 
 def test_after_the_forecast_the_first_mean_is_the_forecasts_own() -> None:
-    """Of its first day, whatever its later steps have."""
+    """Of its first day, with any later steps."""
     edges = growing_steps(48)
     after = AfterForecast(PAPER_SITE, 48, 10)
     forecast = np.where(edges[1:] <= 86_400, 2e-6, 9e-6)

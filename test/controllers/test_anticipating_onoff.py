@@ -48,7 +48,7 @@ def medians(values: Array, weights: Array) -> list[float]:
 def test_it_pumps_the_first_volume_of_the_isotonic_regression(
     rates: list[float], roof: float
 ) -> None:
-    """It pumps while the least median of the missing volume, over all end steps, is above 0."""
+    """It pumps while the minimum median of the missing volume, over all end steps, is above 0."""
     rain = [max(0.0, rate) / 3.6e6 for rate in rates]
     evaporated = [max(0.0, -rate) / 3.6e6 * PAPER_SITE.a2 for rate in rates]
     controller = anticipating(0.8)
@@ -64,7 +64,7 @@ def test_it_pumps_the_first_volume_of_the_isotonic_regression(
         assert command == (0.8 if first > 0 and roof < PAPER_SITE.z_veg else 0.0)
 
 
-def test_a_longer_forecast_does_no_harm_on_a_measured_roof(tmp_path: Path) -> None:
+def test_a_longer_forecast_does_no_harm_on_a_measured_soil(tmp_path: Path) -> None:
     """Twenty days of July with doubled rain, perfect forecasts of two and of ten days.
 
     So much rain flushes pumped water away: relying on it for ten days would be 4 % worse.

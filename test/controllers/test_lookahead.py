@@ -67,7 +67,7 @@ def straight(before: float, after: float) -> float:
 
 
 def exhaustive(tiny: Tiny, groups: Sequence[Sequence[int]]) -> float:
-    """Return the least mean deviation (m3), trying each volume, each water and each level.
+    """Return the minimum mean deviation (m3), trying each volume, each water and each level.
 
     The decision in a state is the same for all members of a group.
     """
@@ -96,14 +96,14 @@ def exhaustive(tiny: Tiny, groups: Sequence[Sequence[int]]) -> float:
         """Return the level to fill to; None to leave the roof alone."""
         members = [member for member, label in enumerate(groups[hour]) if label == group]
         best = None
-        least = worst_mean([cost(hour, member, roof, water, None) for member in members])
+        minimum = worst_mean([cost(hour, member, roof, water, None) for member in members])
         for level in range(roof, TARGET + 1):
             reached = roof + tiny.pumps[hour] - tiny.evaporated[hour]
             if level > roof and (level > reached or level - roof > water):
                 break
             costs = worst_mean([cost(hour, member, roof, water, level) for member in members])
-            if costs < least - 1e-9:
-                best, least = level, costs
+            if costs < minimum - 1e-9:
+                best, minimum = level, costs
         return best
 
     def cost(hour: int, member: int, roof: int, water: int, level: int | None) -> float:
@@ -145,7 +145,7 @@ def tiny_problems(
 
 
 def cost_difference(tiny: Tiny, groups: Sequence[Sequence[int]] = ((0,),) * 5) -> float:
-    """Return the difference of the recursion's cost from the least of all plans (units)."""
+    """Return the difference of the recursion's cost from the minimum of all plans (units)."""
     cost = tiny.solved(np.array(groups).T).cost
     return abs(cost - exhaustive(tiny, groups)) / UNIT
 
@@ -301,7 +301,7 @@ def test_what_it_plans_if_no_rain_comes() -> None:
     fill_to = controller.plan[:, 3]
     assert not fill_to[: wet + 1].any()
     assert fill_to[wet + 1] == pytest.approx(PAPER_SITE.z_veg)
-    assert not fill_to[wet + 2 :].any()  # nothing dries: it holds that by itself
+    assert not fill_to[wet + 2 :].any()  # nothing dries: it holds that without pumping
     assert controller.plan[wet:, 2] == pytest.approx(0.06)  # as full as this with the rain
 
 
@@ -339,7 +339,7 @@ def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain(
 ) -> None:
     """A plan for 12 h is followed for a quarter of an hour; only then is the roof filled.
 
-    A forecast with a gap, in the rain or in evapotranspiration, counts as missing.
+    A forecast with a gap, in the rain or in evapotranspiration, is treated as missing.
     """
     wet = rain_in((3, 6), 0.03), DRY
     missing: tuple[list[float], list[float]] = [], []
@@ -438,7 +438,7 @@ def test_who_fears_the_worst_members_leaves_room_for_them() -> None:
 
 
 def test_from_one_start_to_the_next_it_waits() -> None:
-    """Three minutes at twenty starts an hour, whatever the sensor reads meanwhile."""
+    """Three minutes at twenty starts an hour, regardless of what the sensor reads meanwhile."""
     controller = lookahead()
     started = []
     for second in range(600):
@@ -459,7 +459,7 @@ def test_filling_lasts_as_long_as_the_pumps_must_be_on() -> None:
     assert 118 <= len(on) <= 122 and commands[: len(on)] == on
     assert on[:-3] == pytest.approx([on[0]] * (len(on) - 3), rel=0.02)
     assert plant.levels()[1] == pytest.approx(PAPER_SITE.z_veg, abs=1e-5)
-    lack = PAPER_SITE.z_veg - 1e-7  # at the least command a fill would end sooner
+    lack = PAPER_SITE.z_veg - 1e-7  # at the minimum command a fill would end sooner
     assert lookahead().command(2.3, lack, [DRY], DRY) > 0
     assert lookahead(least_on=300.0).command(2.3, lack, [DRY], DRY) == 0.0
     run = paper_run("--controller", "lookahead", "--minimum-on", "60")

@@ -34,7 +34,7 @@ def test_the_file_a_user_edits_has_the_defaults(name: str) -> None:
 
 
 def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """If pip's part of the installation is missing, the error says so, without a traceback."""
+    """If pip's part of the installation is missing, the error states this, without a traceback."""
     monkeypatch.setitem(sys.modules, "osqp", None)
     choice = find_controller("mpc")
     with pytest.raises(ConfigurationError, match=r"'mpc': cannot be imported: .*osqp"):
@@ -78,7 +78,7 @@ def test_wrong_files(tmp_path: Path, name: str, text: str, message: str) -> None
 @pytest.mark.parametrize(
     ("reference", "message"),
     [
-        ("onof", r"is not known; did you mean onoff\?$"),
+        ("onof", r"is unknown; did you mean onoff\?$"),
         ("pid", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
         ("planning_mpc", "was replaced by lookahead"),
         ("a b:C", "must be of the form package.module:Class"),
@@ -112,9 +112,9 @@ def test_a_node_is_named_after_the_class() -> None:
 def test_classes_that_are_no_controllers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, message: str
 ) -> None:
-    """Whatever the user's module does, the error has the class's path.
+    """Regardless of what the user's module does, the error has the class's path.
 
-    The module is beside the current directory, where a console script finds it, too.
+    The module is next to the current directory, where a console script finds it, too.
     """
     (tmp_path / "mine.py").write_text(code)
     monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
@@ -127,7 +127,7 @@ def test_classes_that_are_no_controllers(
 def test_a_controller_that_a_package_registers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An entry point gives it a name beside this package's controllers."""
+    """An entry point gives it a name next to this package's controllers."""
     example = (CHECKOUT / "examples" / "proportional.py").read_text()
     (tmp_path / "gentle_roofs.py").write_text(example)
     about = tmp_path / "roofs-1.0.dist-info"

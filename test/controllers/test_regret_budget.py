@@ -62,7 +62,7 @@ def test_an_adversary_costs_at_most_the_budget(
 
 
 def test_waiting_ends_with_the_budget(caplog: pytest.LogCaptureFixture) -> None:
-    """Forecast rain never comes: in the end it acts as on/off, and says so once."""
+    """Forecast rain never comes: in the end it acts as on/off, and reports it once."""
     for budget, pumps in ((72.0, False), (0.01, True)):
         controller = lookahead(waiting_budget=budget, waiting_share=0.0)
         inputs = 2.3, 0.04, [COMING], [0.0] * STEPS
@@ -118,8 +118,8 @@ def test_ticks_in_frost_count() -> None:
     assert loss.loss == pytest.approx(1000 * more, rel=1e-6)
 
 
-def test_the_count_on_a_measured_roof_is_what_onoff_has() -> None:
-    """Beside a plant that on/off waters; a roof that was never watered lacks everything.
+def test_the_count_on_a_measured_soil_is_what_onoff_has() -> None:
+    """Next to a plant that on/off waters; a roof that was never watered lacks everything.
 
     Rain falls on two roofs; on the wetter one more of it percolates, so the difference is right
     only if that is followed. While the roof waits, its cistern overflows more. In ticks of ten
@@ -141,7 +141,7 @@ def test_the_count_on_a_measured_roof_is_what_onoff_has() -> None:
 
 
 def test_forecasts_count_again() -> None:
-    """When the roof is filled, and a tenth of on/off's cost has made up for the excess.
+    """When the roof is filled, and a tenth of the cost of on/off has made up for the excess.
 
     That is 100 m3 s: on/off is 0.1 m3 off its target for 10,000 s.
     """

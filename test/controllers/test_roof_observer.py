@@ -1,4 +1,4 @@
-"""How far the controllers that look ahead believe the level sensor."""
+"""How far the controllers that look ahead trust the level sensor."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_pumps_of_another_flow(kind: Callable[..., Any], strength: float) -> Non
     """A driver obeys the commands, with pumps that deliver more or less than the model's.
 
     Only the controller stops them. The roof ends near its target: at most a millimetre plus the
-    inflow during the fifteen seconds until the sensor is believed is too much.
+    inflow during the fifteen seconds until the sensor is trusted is too much.
     """
     controller = kind()
     level, steps = 0.035, [0.0] * STEPS

@@ -29,7 +29,7 @@ FAILURES = {
 }
 
 
-def test_blocks_of_commands_say_so() -> None:
+def test_blocks_of_commands_report_it() -> None:
     assert {page: lines for page in PAGES if (lines := untagged(page))} == {}
 
 
@@ -50,7 +50,7 @@ def simulators_ports() -> None:
             try:
                 tried.bind(("127.0.0.1", port))
             except OSError:
-                pytest.skip(f"port {port} is taken, which the documentation's commands need")
+                pytest.skip(f"port {port} is in use, which the documentation's commands need")
 
 
 @pytest.mark.usefixtures("simulators_ports")

@@ -101,7 +101,7 @@ def study(directory: Path, rows: list[dict[str, Any]]) -> Path:
 
 
 def test_seasons_are_compared_to_on_off(tmp_path: Path) -> None:
-    """Half of on/off's deviation in each of three years gives half, with no width."""
+    """Half of the deviation of on/off in each of three years gives half, with no width."""
     rows = [
         {
             "run": f"{controller}{year}", "controller": controller, "start": f"{year}-05-01",

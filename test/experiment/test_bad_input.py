@@ -30,7 +30,7 @@ OPTIONS = {
     "--weight nan": "--weight",
     "--noise-seed 0.5": "must be a whole number from 0 to 2147483647",
     "--weight 0,1": "must be a number greater than 0 and at most 1000000, with a decimal point",
-    "--gaps fil": "argument --gaps: 'fil' is not known; did you mean fill?",
+    "--gaps fil": "argument --gaps: 'fil' is unknown; did you mean fill?",
     "--speed fast": "must be a number greater than 0 and at most 1e+09, or max, not f",
     "--cistern 60": "--cistern and --roof",
     "--initial low-low --cistern 60 --roof 2": "--initial",
@@ -69,7 +69,7 @@ def test_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
     options: str,
 ) -> None:
-    """The error says what is wrong, where, and what would be right; no files are left."""
+    """The error states what is wrong, where, and what would be right; no files are left."""
     (tmp_path / "full" / "something").mkdir(parents=True)
     for name, hour in (("half.csv", HALF), ("late.csv", H3)):
         (tmp_path / name).write_text(f"{HEADER}\n{hour},{hour},0.0,2.0\n")

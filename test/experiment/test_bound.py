@@ -111,7 +111,7 @@ def test_no_run_is_below(
 def test_in_frost_the_bound_is_the_run(
     site: Site, hours: Hours, cistern: float, roof: float
 ) -> None:
-    """In frost only one run is possible: the roof dries out, drains and fills by itself.
+    """In frost only one run is possible: the roof dries out, drains and fills without pumping.
 
     Only within a rounding of the drainage limit, Eq. (4), does the bound leave open which side
     it is on.
@@ -135,7 +135,7 @@ def test_in_frost_the_bound_is_the_run(
     [
         ("site.yaml", 1.0, "2021-07-07T02:00", 4e-5, 1.00002, 1.001),
         ("site.yaml", 1.0, "2021-07-08T05:00", 4e-5, 1.00002, 1.001),
-        # Drizzle while a measured roof is filled, and a storm.
+        # Drizzle while a roof with a measured soil is filled, and a storm.
         ("site_neubrandenburg.yaml", 10.0, "2021-07-07T02:00", 0.02, 0.9995, 1.001),
         ("site_neubrandenburg.yaml", 10.0, "2021-07-08T05:00", 0.02, 1.0, 1.002),
     ],
@@ -143,9 +143,9 @@ def test_in_frost_the_bound_is_the_run(
 def test_bound_and_plans_are_close(
     tmp_path: Path, base: str, tau: float, start: str, gap: float, recursion: float, ahead: float
 ) -> None:
-    """The least cost of twelve hours lies between the bound and both plans; lookahead is as good.
+    """The minimum cost of twelve hours lies between the bound and both plans; lookahead is as good.
 
-    The recursion keeps the soil's equations: on a measured roof its plan beats the program's.
+    The recursion keeps the soil's equations: on a measured soil its plan beats the program's.
     """
     site = site_file(tmp_path, base=base, tau=tau)
     run = paper_run(
@@ -247,7 +247,7 @@ def test_no_optimum(
     assert captured.out == ""
 
 
-def test_a_slow_one_says_so(
+def test_a_slow_one_reports_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """On standard error, so standard output has only the JSON."""

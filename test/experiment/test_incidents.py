@@ -1,4 +1,4 @@
-"""What counts as an incident, from nodes' reports on their parts; and how it is read back."""
+"""What is treated as an incident, from nodes' reports on their parts; and how it is read back."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_what_has_not_come_yet_is_not_lost() -> None:
     assert log.count == 1
 
 
-def test_a_disk_that_is_full_stops_nobody(tmp_path: Path) -> None:
+def test_a_disk_that_is_full_stops_no_one(tmp_path: Path) -> None:
     """With a directory in place of the file, it cannot be written, and this is reported."""
     messages: list[str] = []
     (tmp_path / INCIDENTS).mkdir()

@@ -37,7 +37,7 @@ def run_in_shell(command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 def test_summary_that_cannot_be_printed(
     tmp_path: Path, redirections: str, why: str | None
 ) -> None:
-    """The run is done, exit code 1, and one sentence says where its summary is."""
+    """The run is done, exit code 1, and one sentence states where its summary is."""
     done = run_in_shell(f"$SIMULATE {redirections}", tmp_path)
     assert (done.returncode, done.stdout) == (1, "")
     file = tmp_path / "run" / "summary.json"
@@ -80,7 +80,7 @@ def test_file_that_has_no_room(tmp_path: Path, command: str, file: str) -> None:
     assert (done.returncode, done.stderr) == (1, f"error: {file}: File too large\n")
 
 
-def test_output_that_nobody_reads(tmp_path: Path) -> None:
+def test_output_that_no_one_reads(tmp_path: Path) -> None:
     """As with '| head': no message, and the run's directory is complete."""
     done = run_in_shell("{ $SIMULATE --json; echo $? >code; } | :", tmp_path)
     assert (tmp_path / "code").read_text() == "1\n"

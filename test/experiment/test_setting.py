@@ -1,4 +1,4 @@
-"""What a result says before its figures: site, weather and period, and what misleads about it."""
+"""What a result states before its figures: site, weather and period, and what may mislead."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def table(*lines: str) -> list[list[str]]:
     (("--controller", "mpc", "--hours", "0.0025", "--start", "2021-07-08T09:00"),
      "9 s", "10 s", "0.0", "2021-07-08T09:00-05:00"),
 ])
-def test_a_run_shorter_than_the_look_ahead_says_so(
+def test_a_run_shorter_than_the_look_ahead_reports_it(
     options: tuple[str, ...], length: str, ahead: str, rain: str, first: str
 ) -> None:
     (note,) = paper_run(*options).notes()
@@ -202,7 +202,7 @@ def test_there_are_examples() -> None:
 
 
 def test_a_rain_gauge_is_enough_for_a_bound_and_a_study(tmp_path: Path) -> None:
-    """Both say what is assumed without temperature."""
+    """Both state what is assumed without temperature."""
     (tmp_path / "gauge.csv").write_text("time,rain [mm]\n" + "".join(
         f"2021-07-07T{hour:02}:00-05:00,{hour % 3}\n" for hour in range(24)
     ))

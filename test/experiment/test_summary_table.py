@@ -1,4 +1,4 @@
-"""The table at the end of a run: readable sentences, whatever the summary holds."""
+"""The table at the end of a run: readable sentences, regardless of what the summary holds."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import greenroof_ros
 from greenroof_ros.experiment.summary import versions, versions_text
 
 
-def test_the_source_is_a_hash_and_the_version_says_so() -> None:
+def test_the_source_is_a_hash_and_the_version_reports_it() -> None:
     """A hash of the names and contents of all Python files, in order; not a commit."""
     package = Path(greenroof_ros.__file__).resolve().parent
     digest = hashlib.sha256()

@@ -51,7 +51,7 @@ def rain() -> dict[int, Array]:
 def test_the_climate_is_torontos(rain: dict[int, Array]) -> None:
     """The rain of the file's constants agrees with the records.
 
-    Its wet hours, its mean, and what the greatest tenth and hundredth of the wet hours exceed; from
+    Its wet hours, its mean, and what the highest tenth and hundredth of the wet hours exceed; from
     the records themselves, and by integration. And how often two hours some hours apart are wet.
     """
     climate = REAL.climate
@@ -124,7 +124,7 @@ def test_coherence() -> None:
 
 
 def test_skill_files(tmp_path: Path) -> None:
-    """A file's numbers count as they are, and a run keeps a copy of it; errors name the line."""
+    """A file's numbers are used as they are, and a run keeps a copy of it; errors name the line."""
     package = (shared_directory() / "config" / "forecasts" / "skill.yaml").read_text()
     file = tmp_path / "mine.yaml"
     file.write_text(package.replace("persistence: 4", "persistence: 1"))
@@ -187,7 +187,7 @@ def ahead(rain: dict[int, Array]) -> dict[int, Array]:
 def test_as_good_as_services(observed: Array, ahead: dict[int, Array]) -> None:
     """r, POD and FAR of sums over 1, 6, 12 and 24 h, one to five days ahead: skill ``real``.
 
-    Within the spread of the services, or as far from it as doc/explanation/forecasts.md says.
+    Within the spread of the services, or as far from it as doc/explanation/forecasts.md states.
     """
     spread = services()
     for day in (1, 2, 3, 5):

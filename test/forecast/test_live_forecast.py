@@ -91,11 +91,11 @@ def test_an_age_is_written_as_people_say_it(file: Path, limit: float, words: str
         live(file, limit=limit).at(SIX + timedelta(seconds=limit + 1))
 
 
-# The hours of an issue, its age (h), a horizon (h), and what is said about it.
+# The hours of an issue, its age (h), a horizon (h), and the sentence about it.
 SHORT = {
     "a day for five": (
         24, 0.5, 120.0, r"ends at 2026-07-02 06:00\S*, before the 120 h look-ahead does; the hours "
-        r"after it count as dry\. .* must have 122 h .* not 24 h, or a horizon of at most 22 h$",
+        r"after it are treated as dry\. .* have 122 h .* not 24 h, or a horizon of at most 22 h$",
     ),
     "long enough until it is an hour old": (
         49, 1.5, 48.0, "must have 50 h .* not 49 h, or a horizon of at most 47 h$",
@@ -221,7 +221,7 @@ def test_later_issues_are_kept_and_earlier_ones_are_not_read(file: Path) -> None
 
 @pytest.mark.parametrize("text", ["one issue", "one line"])
 def test_a_file_without_a_whole_issue_in_its_last_16_mb(file: Path, text: str) -> None:
-    """The limit is named, whatever the file is."""
+    """The limit is named, regardless of what the file is."""
     if text == "one line":
         file.write_text(f"issued,time,precipitation [mm/h]\n{'x' * 20_000_000}")
     else:

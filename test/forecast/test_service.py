@@ -156,7 +156,7 @@ def test_a_service_is_left_alone_for_a_day_at_most(tmp_path, asks):
 
 
 def test_what_is_new_in_any_hour_and_quantity_is_kept():
-    """The same values count as unchanged, although the first hours passed; any new value counts."""
+    """The same values are unchanged, although the first hours passed; any new value counts."""
     issued = _now().replace(minute=0, second=0, microsecond=0)
     before = Issue(issued, Path(), None, np.zeros((1, 48)), np.ones(48), np.ones(48))
     same = {
@@ -198,7 +198,7 @@ def test_what_is_kept_is_an_archive_without_repetitions(server, tmp_path):
      ([1.9, 0.2, 0.1, 0.1], [False, True, True, True])],
 )
 def test_the_oldest_kept_forecasts_go_beyond_the_limit(server, tmp_path, sizes, kept):
-    """What nobody prunes fills the disk: an hourly ensemble is 4 GB a year. Other files stay."""
+    """What no one prunes fills the disk: an hourly ensemble is 4 GB a year. Other files stay."""
     archive = tmp_path / "kept"
     archive.mkdir()
     files = [archive / f"2020010{day}000000.csv" for day in range(1, len(sizes) + 1)]
@@ -211,7 +211,7 @@ def test_the_oldest_kept_forecasts_go_beyond_the_limit(server, tmp_path, sizes, 
     assert len(list(archive.iterdir())) == sum(kept) + 2
 
 
-def test_a_place_that_is_not_known():
+def test_a_place_that_is_unknown():
     nowhere = replace(SITE, longitude=None)
     refusal(Service, nowhere, match="longitude: must be in the site file")
 
@@ -336,7 +336,7 @@ def test_an_arrival_before_the_issue_is_refused(tmp_path):
     refusal(read_archive, file, SITE, match="line 2: available.*must not be before")
 
 
-def test_the_fetched_forecast_says_when_it_arrived(server, tmp_path):
+def test_the_fetched_forecast_reports_when_it_arrived(server, tmp_path):
     before = _now()
     Fetcher(_service(server), tmp_path / "f.csv", tmp_path / "kept", 1800).fetch()
     (file,) = (tmp_path / "kept").iterdir()
@@ -346,8 +346,8 @@ def test_the_fetched_forecast_says_when_it_arrived(server, tmp_path):
     assert file.stem == f"{issue.available:%Y%m%d%H%M%S}"
 
 
-def test_the_services_wind_is_at_ten_metres_whatever_the_sites_is(server):
-    """A wind of 10 m taken for one of 2 m would be a third too fast in Penman-Monteith."""
+def test_the_services_wind_is_at_ten_metres_regardless_of_the_sites_is(server):
+    """A wind at 10 m treated as at 2 m would be a third too fast in Penman-Monteith."""
     for height in (2.0, 3.5):
         low = replace(SITE, wind_height=height)
         there, here = (

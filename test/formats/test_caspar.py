@@ -63,7 +63,7 @@ def write(
 
 
 def test_hours_are_differences_of_the_nearest_points_sums(tmp_path: Path) -> None:
-    """In mm; the sum before the first hour counts as 0, although its value is missing."""
+    """In mm; the sum before the first hour is treated as 0, although its value is missing."""
     archive = read_archive(write(tmp_path / "2021070800.nc"), TORONTO)
     assert (archive.kind, archive.delay, archive.members) == ("CaSPAr, HRDPS", 5.0, 1)
     (issue,) = archive.issues

@@ -49,7 +49,7 @@ def run(weather: Weather, start: str, hours: int) -> WeatherSeries:
     return WeatherSeries(weather, site, datetime.fromisoformat(start), 6 * hours)
 
 
-def test_value_beside_a_missing_flag_is_none(tmp_path: Path) -> None:
+def test_value_next_to_a_missing_flag_is_none(tmp_path: Path) -> None:
     """The service repeats the last value there, which is no dew point; an estimated one is."""
     stale, flag = ("Dew Point Temp (°C)", "3.0"), "Dew Point Temp Flag"
     path = changed(tmp_path, 24, (6, *stale), (6, flag, "E"), (7, *stale), (7, flag, "M"))

@@ -183,7 +183,7 @@ def test_shifted_files_join_without_a_gap(tmp_path: Path) -> None:
     assert joined.evapotranspiration.tobytes() == whole.evapotranspiration.tobytes()
 
 
-def test_run_says_what_was_moved(tmp_path: Path) -> None:
+def test_run_reports_what_was_moved(tmp_path: Path) -> None:
     """In the summary of a run."""
     write(tmp_path)
     done = run_command(

@@ -92,7 +92,7 @@ def weather(directory: Path, site: Site = TORONTO, **columns: Sequence[Any]) -> 
 def test_one_value(
     tmp_path: Path, name: str, quantity: str, value: Any, expected: float
 ) -> None:
-    """A small negative value counts as 0, another as missing; the note names value and time."""
+    """A small negative value is treated as 0, another as missing; the note names value and time."""
     read = weather(tmp_path, **{name: among(value, USUAL[name])})
     at = 30 - (quantity in read.shifted)
     # The records begin with the first whole hour, at the answer's first time.
@@ -150,7 +150,7 @@ def test_codes_alone(tmp_path: Path, name: str, code: Any) -> None:
 
 
 def test_a_pressure_of_zero(tmp_path: Path) -> None:
-    """A sensor's fault, below the least plausible pressure."""
+    """A sensor's fault, below the minimum plausible pressure."""
     read = weather(tmp_path, surface_pressure=[1001.0] * 30 + [0, -1] * 4 + [1001.0] * 34)
     assert read.values["station pressure"] == pytest.approx([100.1] * 71)
 
@@ -187,7 +187,7 @@ def test_a_loggers_columns(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("height", [2.0, 3.5, 20.0])
 def test_the_services_wind_is_at_ten_metres(tmp_path: Path, height: float) -> None:
-    """Whatever the site's own anemometer measures at."""
+    """At any height of the site's own anemometer."""
     records = weather(tmp_path, replace(TORONTO, wind_height=height))
     expected = weather(tmp_path, replace(TORONTO, wind_height=10.0))
     assert np.array_equal(records.evapotranspiration, expected.evapotranspiration)
@@ -430,7 +430,7 @@ def test_forms_of_the_services_csv(tmp_path: Path, form: str) -> None:
 
 
 def test_no_hourly_section(tmp_path: Path) -> None:
-    """JSON with only days says so."""
+    """JSON with only days reports it."""
     file = tmp_path / "gem_2021070700.json"
     file.write_text('{"daily": {"time": ["2021-07-07"], "precipitation_sum": [1.0]}}')
     refusal(read_archive, file, TORONTO, match="has no hourly values, only daily; download hourly")
@@ -550,7 +550,7 @@ def test_french_and_older_names(tmp_path: Path, form: str) -> None:
     ],
 )
 def test_files_that_do_not_suffice(tmp_path: Path, header: str, row: str, what: str) -> None:
-    """The message says what the file is and what to download."""
+    """The message states what the file is and what to download."""
     file = tmp_path / "climate.csv"
     file.write_text(f"{header}\n{row}\n", encoding="utf-8-sig")
     reason = refusal(read_weather, [file], TORONTO)
@@ -638,7 +638,7 @@ def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path, rest: str) -> N
     ],
 )
 def test_other_forms_of_times(tmp_path: Path, time: str, what: str) -> None:
-    """The message says what is wrong with them."""
+    """The message states what is wrong with them."""
     refusal(read_weather, [local(tmp_path, [time])], EASTERN, match=what)
 
 
@@ -728,7 +728,7 @@ def test_far_north(tmp_path: Path, latitude: float) -> None:
 
 @pytest.mark.parametrize("offset", [0, -18000, 3600])
 def test_an_answer_with_unixtime(tmp_path: Path, offset: int) -> None:
-    """``timeformat=unixtime`` is in UTC, whatever the zone of the answer: the same weather.
+    """``timeformat=unixtime`` is in UTC, regardless of the zone of the answer: the same weather.
 
     date -u -d 2021-07-07T05:00 +%s: 1625634000.
     """

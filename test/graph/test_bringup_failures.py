@@ -39,7 +39,7 @@ def started(
 
 
 def assert_ended_early(process: Process, status: str, reason: str) -> None:
-    """The run says how and where it ended, and how to open what was recorded."""
+    """The run reports how and where it ended, and how to open what was recorded."""
     run = process.cwd / "run"
     summary = summary_of(run)
     assert summary["status"] == status
@@ -146,7 +146,7 @@ def test_a_graph_of_its_own(domain: int, tmp_path: Path) -> None:
 
 
 def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
-    """Bringup starts no second graph beside nodes that were started by hand."""
+    """Bringup starts no second graph next to nodes that were started by hand."""
     weather = Process(domain, "nodes.weather", cwd=tmp_path)
     wait_for(lambda: udp_addresses_of(weather.process.pid), 60, "the start of the node")
     time.sleep(0.5)  # until it has announced its name
@@ -196,7 +196,7 @@ WRONG = {
 def test_a_controller_that_hangs_or_fails_ends_the_run(
     domain: int, tmp_path: Path, case: str
 ) -> None:
-    """In one line with its place; the bag is closed, and the summary says why."""
+    """In one line with its place; the bag is closed, and the summary states why."""
     name, code, reason = WRONG[case]
     text = MINE.replace(name, code)
     for other in ("AT_START", "IN_TICK"):

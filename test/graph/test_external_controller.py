@@ -1,4 +1,4 @@
-"""A controller that is somebody else's node, in a run: the example, and broken ones."""
+"""A controller that is someone else's node, in a run: the example, and broken ones."""
 
 from __future__ import annotations
 

@@ -261,8 +261,8 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
         assert process.wait(120) == 0, process.stderr()
     bring_up(domain, tmp_path, *sites["site1"], output="alone")
     for name in ("bag_0.mcap", "metadata.yaml"):
-        alone, beside = (tmp_path / run / "bag" / name for run in ("alone", "site1"))
-        assert beside.read_bytes() == alone.read_bytes()
+        alone, second = (tmp_path / run / "bag" / name for run in ("alone", "site1"))
+        assert second.read_bytes() == alone.read_bytes()
     for site, topics in (("site1", MPC_TOPICS), ("site2", bag_topics())):
         assert messages_of(tmp_path / site).keys() == {f"/{site}{topic}" for topic in topics}
     assert summary_of(tmp_path / "site1")["parameters"]["weight"] == 0.02

@@ -52,7 +52,7 @@ BROKEN = {
             "states = node.create_publisher(String, 'pump/state', qos)\n"
             "said = lambda: states.publish(String(data='{\"state\": \"running\"}'))\n"
             "watchdog = node.create_timer(SILENCE, lambda: (on_silence(), said()),",
-            "has stopped after", r"/pump/state says 'running' at the end of the silence",
+            "has stopped after", r"/pump/state reports 'running' at the end of the silence",
         ),
         (
             'state["weather/frost"] != 0', 'math.isnan(state["weather/frost"])',
@@ -142,7 +142,7 @@ def test_example_passes_and_broken_drivers_fail_for_what_is_broken(
     assert not wrong or not wrong_verdicts(domain, tmp_path / "again"), wrong
 
 
-def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(domain: int, tmp_path: Path) -> None:
+def test_without_a_driver_or_with_a_second_graph_it_explains(domain: int, tmp_path: Path) -> None:
     absent = Process(domain, "check_pump", "--node", "pumpe", "--wait", "1", cwd=tmp_path)
     publisher = 'node.create_publisher(Float64, "pump/command", qos)\nwatchdog = '
     driver = start(domain, tmp_path, "taken", changed(EXAMPLE, "\nwatchdog = ", "\n" + publisher))

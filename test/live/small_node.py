@@ -1,6 +1,6 @@
 """A small node for the tests: without ROS, but with socket, signals and exit of a real node.
 
-Its first argument says what it does, or has the names of several nodes with commas. Its second is
+Its first argument states what it does, or has the names of several nodes with commas. Its second is
 the directory ``marks`` with files by which a test observes and controls it.
 """
 
@@ -38,7 +38,7 @@ def main() -> None:
             report("starting" if waits else "ready", node=node)
         time.sleep(0.05)
     while True:
-        state = marks / f"{kind}-says"
+        state = marks / f"{kind}-reports"
         numbers: dict[str, object] = {}
         if state.exists():
             numbers["pump_state"], numbers["pump_why"] = state.read_text().split(": ", 1)

@@ -111,7 +111,7 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
         site.messages.clear()
         site.values["/cistern/level"] = cistern(time.monotonic())
         site.during(4)
-        # Nor does a pump that has been silent for longer than flow_limit: it may be at rest.
+        # Nor does a pump that has been silent for longer than flow_limit: it may be stopped.
         del site.values["/pump/flow"]
         site.during(9)
         # A command 0 for another reason, e.g. this process was paused, is only temporary.
@@ -154,7 +154,8 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
             site.until(degraded, LATE, case)
             since = re.search(r"since (\S+ \S+), ", site.diagnoses["/mpc: forecast"].message)
             assert since and began <= datetime.fromisoformat(since[1]) <= datetime.now(UTC)
-            # All commands are on/off's, even if the controller is asked again and refuses again.
+            # All commands are the on/off controller's, even if the controller is asked again and
+            # refuses again.
             commands_before = len(commands)
             site.during(1)
             assert {value for _, value in commands[commands_before:]} == {1.0}
@@ -289,7 +290,7 @@ def test_a_class_that_asks_for_it_knows_the_rain_of_the_gauge(site: Site) -> Non
 
 
 def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:
-    """Its commands grow by a thousandth each time, across on/off's turn and across a restart.
+    """Its commands grow by a thousandth each time, across the turn of on/off and a restart.
 
     With a file that does not have its values, it starts from the beginning.
     """
@@ -412,7 +413,7 @@ AT_ZERO: dict[str, tuple[str, list[int], list[float]]] = {
 
 
 @pytest.mark.parametrize("section", AT_ZERO)
-def test_the_noise_of_a_sensor_at_zero_counts_as_zero(observer: Observer, section: str) -> None:
+def test_the_noise_of_a_sensor_at_zero_is_treated_as_zero(observer: Observer, section: str) -> None:
     """Nothing holds less than no water, so the topic begins at 0; a frost is below 0."""
     _, read, published = AT_ZERO[section]
     remaining, names = cycle(read), list({"cistern": 0, "roof": 0, section: 0})
@@ -515,7 +516,7 @@ def test_a_node_keeps_answering_while_it_reads_a_large_file(site: Site) -> None:
 
 @pytest.mark.parametrize("horizon", [120.0, 13.0])
 def test_a_short_forecast_keeps_no_pump_off(site: Site, horizon: float) -> None:
-    """What is short is said first, and the controller commands by what is there."""
+    """What is short is named first, and the controller commands by what is there."""
     file = site.cwd / "forecast.csv"
     write_forecast(file, timedelta(minutes=1), 0.0, 12.0)
     commands, frost = site.be_dry(), site.listen("/weather/frost")
@@ -551,10 +552,10 @@ LACKING: dict[str, tuple[bool, bool, str, str, str]] = {
 
 @pytest.mark.parametrize("name", LACKING)
 def test_advice_is_by_what_the_site_has(site: Site, name: str) -> None:
-    """An owner without a file is not told to renew it; one with a thermometer, to check that."""
+    """An owner without a file is not asked to renew it; one with a thermometer, to check that."""
     fetched, measured, forecast, frost, never = LACKING[name]
     options: dict[str, Any] = {"forecast": site.cwd / "forecast.csv"}
-    if fetched:  # nobody answers there
+    if fetched:  # no one answers there
         options |= {"fetch": "forecast", "fetch_url": "http://127.0.0.1:1/v1/forecast"}
     with site.live("weather", gauge_limit=1.0, recovery_time=0.3, **options):
         if measured:

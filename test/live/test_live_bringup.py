@@ -33,7 +33,7 @@ from simulators import Simulator, serial_line
 from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.live.pumping.ledger import Ledger
 
-NOBODY = (
+EXTERNAL = (
     "--controller", "mpc", "--sensors", "external", "--pump", "external", "--weather", "external",
 )
 QUICK = "/**:\n  ros__parameters:\n    recovery_time: 1.0\n"
@@ -210,7 +210,7 @@ class Hardware(Simulator):
         write_forecast(self.cwd / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
 
     def in_the_loop(self, *options: str, output: str, stderr: int | None = None) -> Process:
-        """Start a simulated run with the drive and a short least time off."""
+        """Start a simulated run with the drive and a short minimum time off."""
         (self.cwd / "pump.yaml").write_text("/**/pump:\n  ros__parameters:\n    least_off: 1.0\n")
         return Process(
             self.domain, "bringup", "--output", output, "--drive", self.file, "--drive-at",
@@ -246,7 +246,7 @@ def hardware(
 def test_a_live_site_with_drive_and_sensors(
     domain: int, tmp_path: Path, site: Site, hardware: Hardware
 ) -> None:
-    """The controller pumps and the roof rises; a drive that cannot be stopped is said to run.
+    """The controller pumps and the roof rises; an unstoppable drive is reported as running.
 
     Everything missing at the start has a line with what to do, and the list shrinks as things
     arrive. In a namespace; the drive's own timeout is off, so it stops nothing here.
@@ -293,7 +293,7 @@ def test_a_live_site_with_drive_and_sensors(
 def test_both_level_sensors_on_one_serial_line(
     domain: int, tmp_path: Path, hardware: Hardware
 ) -> None:
-    """The pump stops while their process is dead, and for one that is silent beside the other.
+    """The pump stops while their process is dead, and for one that is silent next to the other.
 
     A dead process is one incident and one restart, and the sensor that answers is never lost.
     """
@@ -330,7 +330,7 @@ def test_both_level_sensors_on_one_serial_line(
 def test_its_status_is_an_alarm_while_a_dead_pump_node_is_not_replaced(
     domain: int, tmp_path: Path, hardware: Hardware
 ) -> None:
-    """A node that died earlier is never heard. Here bringup is suspended, and cannot replace it."""
+    """A node that died earlier never reports. Here bringup is suspended, and cannot replace it."""
 
     def status() -> tuple[int, list[str]]:
         done = run_command("status", cwd=tmp_path, env=environment(domain))
@@ -407,10 +407,10 @@ def test_a_start_with_slow_gauges_is_no_incident(
     stream.close()
     assert "thermometer" in "".join(str(document["notes"]) for document in while_up)
     # The test's drive file differs from the shipped one, which lasts.
-    beside = ("drive_file_unverified", "drive_lost")
+    expected = ("drive_file_unverified", "drive_lost")
     alarms = {
         (row["id"], row["what"]) for document in while_up for row in document["alarms"]
-        if row["code"] not in beside
+        if row["code"] not in expected
     }
     assert not alarms
     if not any("drive_lost" in str(document["alarms"]) for document in while_up):
@@ -422,7 +422,7 @@ def test_a_start_with_slow_gauges_is_no_incident(
 def test_a_second_publisher_of_the_flow_in_the_loop(
     domain: int, tmp_path: Path, site: Site, hardware: Hardware
 ) -> None:
-    """The plant cannot know which flow is the drive's: the run ends, and all say why."""
+    """The plant cannot know which flow is the drive's: the run ends, and all state why."""
     (port,) = free_ports(1)
     page = Process(domain, "watch", "--port", str(port), cwd=tmp_path)
     wait_for(page.stdout, 60, "the page")
@@ -471,7 +471,7 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
                 ), 60, "the end of the hang",
             )
             began = time.monotonic()
-        # The nodes' end, and at most 2 s for output that nobody reads.
+        # The nodes' end, and at most 2 s for output that no one reads.
         assert time.monotonic() - began < 30
         summary = summary_of(run)
         stamps = [stamp for stamp, _ in flows(run / "bag")]
@@ -484,7 +484,7 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
 
 
 def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) -> None:
-    """After a power cut nobody is there to make room; existing files are not removed.
+    """After a power cut no one is there to make room; existing files are not removed.
 
     A missing recording is an alarm, and does not end the recorder.
     """
@@ -497,7 +497,7 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
         with (disk / "other").open("wb", buffering=0) as stream, suppress(OSError):
             while True:
                 stream.write(bytes(4096))
-        with live(domain, tmp_path, *NOBODY) as process:
+        with live(domain, tmp_path, *EXTERNAL) as process:
             alarm = "incident 1: recorder: nothing is recorded: "
             process.until_printed(alarm, 60)
             process.until_printed("/roof/level has not come", 50)
@@ -509,7 +509,7 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
 
 @pytest.mark.parametrize("hardware", ["20"], indirect=True)
 def test_a_drive_in_the_loop(tmp_path: Path, hardware: Hardware) -> None:
-    """At real time unless an option says otherwise; the drive stands at the end, even an early one.
+    """At real time unless an option sets otherwise; the drive stands at the end, even an early one.
 
     A blocked terminal stops no pump, although the plant is in the process that prints.
     """
@@ -525,7 +525,7 @@ def test_a_drive_in_the_loop(tmp_path: Path, hardware: Hardware) -> None:
     summary = summary_of(tmp_path / "early")
     assert summary["reason"] == "node pump ended (SIGKILL)"
     assert 1 < summary["last_tick"] < 3600
-    # A fault belongs to the drive: it stops the next run's pump, and bringup says so and where.
+    # A fault belongs to the drive: it stops the next run's pump, and bringup reports it and where.
     (state,) = (Path(os.environ["XDG_STATE_HOME"]) / "greenroof_ros").glob("*.json")
     ledger = Ledger(state, time.time)
     ledger.fault("the drive reports: overload", "drive_fault")
@@ -576,7 +576,7 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
 def test_a_site_that_is_stopped_while_it_starts_ends_with_0(domain: int, tmp_path: Path) -> None:
     """Before any node is there, and while sensors are missing and it waits for them."""
     for early in (True, False):
-        with live(domain, tmp_path, *NOBODY) as process:
+        with live(domain, tmp_path, *EXTERNAL) as process:
             wait_for((tmp_path / "run").exists, 60, "the directory")
             if not early:
                 process.until_printed("missing:", 60)
@@ -586,7 +586,7 @@ def test_a_site_that_is_stopped_while_it_starts_ends_with_0(domain: int, tmp_pat
 def test_a_forecast_file_that_is_missing_at_the_start(
     domain: int, tmp_path: Path, site: Site
 ) -> None:
-    """The site starts, says which file is missing, and waters by the level; the file ends that.
+    """The site starts, reports which file is missing, and waters by the level; the file ends that.
 
     Its directory is missing, too.
     """
@@ -668,23 +668,23 @@ def test_a_forecast_service_that_gives_none(domain: int, tmp_path: Path, site: S
         stream.close()
     service.process.terminate()
     assert "Check the thermometer" in advice()["thermometer_lost"]
-    assert "it is asked again by itself" in advice()["forecast_service_silent"]
+    assert "it is asked again automatically" in advice()["forecast_service_silent"]
     texts = "\n".join([*site.messages, process.stderr(), json.dumps(shown)])
-    assert "newer file" not in texts and "Check whatever" not in texts
+    assert "newer file" not in texts and "Check the program" not in texts
     assert "site needs a thermometer" not in texts
     assert not re.search(r"\d\.\d{3,} (h|min|s)\b", texts)
 
 
 def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
     """The next bringup continues in the same directory, with a new file in the bag."""
-    with live(domain, tmp_path, *NOBODY) as process:
+    with live(domain, tmp_path, *EXTERNAL) as process:
         wait_for(lambda: len(process.nodes()) == 2, 60, "nodes")
         wait_for((tmp_path / "run" / "bag" / "bag_0.mcap").exists, 60, "a bag")
         nodes = list(process.nodes().values())
         process.process.kill()
         wait_for(lambda: not any(map(alive, nodes)), 60, "the end of the nodes")
         assert summary_of(tmp_path / "run")["status"] == "running"
-        again = Process(domain, "bringup.live", "--state", "run", *NOBODY, cwd=tmp_path)
+        again = Process(domain, "bringup.live", "--state", "run", *EXTERNAL, cwd=tmp_path)
         wait_for((tmp_path / "run" / "bag" / "bag_1.mcap").exists, 60, "its next file")
         assert "bringup was killed, or the power failed" in again.stderr()
         assert summary_of(tmp_path / "run")["last_time"]["status"] == "running"

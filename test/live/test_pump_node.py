@@ -1,4 +1,4 @@
-"""The pump node against a simulated drive: whatever goes wrong, the motor stands soon after.
+"""The pump node against a simulated drive: after any fault the motor stops soon.
 
 The motor's state is read at the simulator's workbench, not from the node. What happens if the node,
 bringup or the drive fails is in the sample of the campaign, test_faults.py.
@@ -71,7 +71,7 @@ def test_lifecycle(rig: PumpRig) -> None:
     assert rig.change("deactivate")
     rig.until_at_rest()
     wait_for(lambda: rig.change("cleanup"), LATE, "the end of the ramp")
-    assert rig.drive.speed() == 0.0  # it releases a drive only at rest
+    assert rig.drive.speed() == 0.0  # it releases only a stopped drive
     assert rig.lifecycle_state() == "unconfigured"
     assert rig.tick(0.5) == 0.0
     wait_for(lambda: rig.change("configure"), LATE, "the drive")
@@ -156,14 +156,14 @@ def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> No
     rig.observer.until(lambda: rig.drive.speed() == 0.0, LATE, "the watchdog")
     assert time.monotonic() - began > 2.5
     rig.observer.until(lambda: rig.shows("command", STALE, "command_limit"), LATE, "the reason")
-    assert rig.tick(0.5) == 0.0  # after a silence the first command finds the pump at rest
+    assert rig.tick(0.5) == 0.0  # after a silence the first command finds the pump stopped
     rig.run()
     words = "did not answer at the end", "only its own panel can stop it now"
     ends_in_words(rig, node, "silence", *words)
 
 
-def test_what_the_drive_file_says(rig: PumpRig) -> None:
-    """Its time after power-up without guarding, and its least speed.
+def test_what_the_drive_file_reports(rig: PumpRig) -> None:
+    """Its time after power-up without guarding, and its minimum speed.
 
     0.4 of the flow from 3 m is a speed of 0.60, s^2 = (0.16 42.2 + 13) / 55.2: below 0.9.
     """
@@ -180,7 +180,7 @@ def test_what_the_drive_file_says(rig: PumpRig) -> None:
     assert rig.lifecycle_state() == "active"
     while time.monotonic() - began < 4:  # it connected after this began
         assert rig.tick(0.4) == 0.0
-    rig.tick_until(0.4, lambda: rig.drive.speed() > 0.89, 60, "a pulse at the least speed")
+    rig.tick_until(0.4, lambda: rig.drive.speed() > 0.89, 60, "a pulse at the minimum speed")
     assert "a pulse" in rig.state
     assert rig.shows("drive timeout", OK, "beware: a changed 58.14 to 58.16 is in force only")
 
@@ -194,7 +194,7 @@ def test_after_an_unexpected_error_the_motor_stands(rig: PumpRig) -> None:
 
 
 def ends_in_words(rig: PumpRig, node: subprocess.Popen[str], fault: str, *words: str) -> None:
-    """If the stop at the end fails, exit code 1 and an error that says what can still stop it.
+    """If the stop at the end fails, exit code 1 and an error that reports what can still stop it.
 
     If the middleware is slow to end, as on a busy machine, the kernel ends the node.
     """
@@ -267,7 +267,7 @@ def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
 
 
 def test_commands_that_must_not_pump(rig: PumpRig) -> None:
-    """Negative, of two publishers, of one not heard: off, with its name, and it recovers."""
+    """Negative, of two publishers, of a silent one: off, with its name, and it recovers."""
     rig.start()
     rig.run()
     rig.until_at_rest(-1.0)
@@ -275,7 +275,7 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     rig.until_code("pump", "command_unknown", -1.0)
     assert rig.observer.values("/pump: pump")["cause"] == rig.code("command") == "input_refused"
     rig.run()
-    rig.until_reported("limits", WARN, "taken as 1", command=5.0)
+    rig.until_reported("limits", WARN, "treated as 1", command=5.0)
     # The second has the same name as the first: endpoints count, not names.
     name = rig.node.get_name()
     twin = Node(name, context=rig.observer.context, start_parameter_services=False)
@@ -332,7 +332,7 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     stays_off(STOPPED)
     assert rig.call(SetBool, "stop", data=False).success
     rig.run()
-    words = "is not at rest at the end", "its own timeout of 1.5 s must stop it"
+    words = "is not stopped at the end", "its own timeout of 1.5 s must stop it"
     ends_in_words(rig, node, "stuck_running", *words)
 
 
@@ -369,7 +369,7 @@ def test_quiet_hours_are_of_the_sites_time(rig: PumpRig) -> None:
     assert min(rig.flows[50:60]) > 0
 
 
-def test_a_hold_is_kept_over_restarts_and_ends_by_itself(rig: PumpRig) -> None:
+def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> None:
     """By the command, with its end and its reason; who releases it need not be its owner."""
     node = rig.start()
     rig.run()
@@ -521,7 +521,7 @@ def test_a_dose_by_the_page(rig: PumpRig) -> None:
             answering = pool.submit(urlopen, request, timeout=300)
             rig.tick_until(0.0, answering.done, LATE, "an answer")
             reply = json.load(answering.result())
-        # Otherwise the watcher has not heard the pump node yet.
+        # Otherwise the watcher has not received the pump node yet.
         assert reply["ok"] or "no pump node" in reply["sentence"], reply
         return bool(reply["ok"])
 
@@ -547,7 +547,7 @@ def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig
 
 
 def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Old inputs do not count; the node reports that nobody watched the pump meanwhile.
+    """Old inputs do not count; the node reports that no one watched the pump meanwhile.
 
     In an hour a low outlet takes 0.5 m: this is not a fault.
     """

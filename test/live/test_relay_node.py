@@ -46,7 +46,7 @@ def test_a_command_below_all_is_delivered_in_pulses(rig: PumpRig) -> None:
 
 
 def test_check_pump_finds_it_right(rig: PumpRig) -> None:
-    """At command 1, at which a relay stays on; the check acts as all peers, so nobody publishes."""
+    """At command 1, at which a relay stays on; the check acts as all peers, so no one publishes."""
     rig.remove_publishers()
     node = rig.start(drive="tasmota")
     check = Process(

@@ -156,7 +156,7 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(site: Site) -> None:
     os.kill(site.pid("pump"), signal.SIGKILL)
     time.sleep(0.2)
     site.end()
-    assert len(site.stops) == 2  # at the end, whatever the pump node says
+    assert len(site.stops) == 2  # at the end, regardless of what the pump node reports
     assert [reason for _, reason in site.failures] == [
         "ended (SIGKILL); starts again in 1 s",
         "did not stop the drive; the drive stands",
@@ -165,8 +165,8 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(site: Site) -> None:
 
 
 def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(site: Site) -> None:
-    """What it says of the pump counts, not its state's words: an *off* may not reach the drive."""
-    (site.marks / "pump-says").write_text("off: no connection to the drive")
+    """What it reports of the pump counts, not its state: an *off* may not reach the drive."""
+    (site.marks / "pump-reports").write_text("off: no connection to the drive")
     site.add("pump")
     for stands, limit in ((True, 5), (False, 2)):
         (site.marks / "pump-stands").write_text(json.dumps(stands))
@@ -260,13 +260,13 @@ def _open_files() -> Counter[str]:
 
 
 @limits(silence_s=3.0)
-def test_a_log_that_cannot_be_written_delays_nobody(site: Site) -> None:
+def test_a_log_that_cannot_be_written_delays_no_one(site: Site) -> None:
     """Supervision goes on; what was printed meanwhile is in the log afterwards.
 
     A supervisor that was itself stopped blames no node: what it missed is not a silence.
     """
     log = site.directory / "weather.log"
-    os.mkfifo(log)  # opening it for writing blocks until somebody reads
+    os.mkfifo(log)  # opening it for writing blocks until someone reads
     site.add("weather", "pump")
     site.until_ready()
     site.during(3)
@@ -347,7 +347,7 @@ _STRANGE = [
 ]
 
 
-def test_what_a_node_of_another_version_says() -> None:
+def test_what_a_node_of_another_version_reports() -> None:
     """Readers continue, and show what can be read."""
     shown: list[str] = []
     log, start = IncidentLog(shown.append), _StartReport("")

@@ -14,13 +14,13 @@ KEYS = ("--cistern", "--roof")
 
 
 def test_what_rain_makes_of_a_full_roof_is_taken(caplog: pytest.LogCaptureFixture) -> None:
-    """34.4 m3 plus 1.825 m on 68.8 m2, a day's greatest rain: a run may start there, not above."""
+    """34.4 m3 plus 1.825 m on 68.8 m2, a day's maximum rain: a run may start there, not above."""
     check_volumes(PAPER_SITE, 399.9, 159.9, KEYS)
     with pytest.raises(ConfigurationError, match=r"--roof = 160.0: must be at most 159.96 m3"):
         check_volumes(PAPER_SITE, 60.0, 160.0, KEYS)
 
 
-def test_above_the_soil_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_above_the_soil_is_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     """45.7 may be the target in mm: more than the soil holds is accepted with a warning."""
     for _ in range(3):
         check_volumes(PAPER_SITE, 60.0, 45.7, KEYS)

@@ -42,7 +42,7 @@ def test_each_tank_changes_by_what_flows(
 ) -> None:
     """Each tick, to 1e-9 m3; flows are limited only if they would overdraw a tank.
 
-    A measured roof counts with its substrate and drainage layer together. The cistern's outflow
+    A measured soil counts with its substrate and drainage layer together. The cistern's outflow
     includes both outlets, Eq. (2) for each.
     """
     plant = Plant(site, cistern * site.a1, roof * site.z_cap)

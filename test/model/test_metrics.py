@@ -1,4 +1,4 @@
-"""Metrics: by hand, and with the same bits whatever the blocks in which they are summed."""
+"""Metrics: by hand, and with the same bits regardless of the blocks in which they are summed."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_an_hour_holds_its_first_start_no_more(gap: int, busiest: int) -> None:
     ([1e-6 * (k % 2) for k in range(100)], 0, 0),  # the noise of a flow meter
     ([8.42e-5, 8.43e-5, 8.42e-5], 1, 1),
 ])
-def test_what_counts_as_running(flows: list[float], starts: int, ticks: int) -> None:
+def test_what_is_treated_as_running(flows: list[float], starts: int, ticks: int) -> None:
     metrics = metrics_of(site_with(tau=1.0), [
         *((75.0, 1.0, 1.0, 0.0, Flows(0.0, flow, 0.0, 0.0, False)) for flow in flows),
         (75.0, 1.0, 0.0, 0.0, STILL),
@@ -222,7 +222,7 @@ def test_a_storm_has_more(depth: float, expected: bool) -> None:
     assert results.get("rain_kept_share_hour") == (0.0 if expected else None)
 
 
-def test_every_bit_whatever_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_bit_regardless_of_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four days of 5 min with storms of ten hours; in blocks of 1, 7 and 1000 ticks."""
     site, results = site_with(tau=300.0, starts_per_hour=3.0), []
     ticks = [

@@ -83,7 +83,7 @@ def test_pumps_run_between_the_thresholds_only(x1: float, x2: float, runs: bool)
 
 @pytest.mark.parametrize("site", [PAPER_SITE, MEASURED])
 def test_the_command_to_a_volume_leads_there(site: Site) -> None:
-    """A litre more in a tick, in rain and sun; 0 if it comes by itself or pumps are too weak."""
+    """A litre more in a tick, in rain and sun; 0 if it rains enough or pumps are too weak."""
     plant, weather = Plant(site, 75.0, 0.5 * site.x2_star), (1e-6, 2e-6)
     state = site, soil_of(site), plant.x1, plant.x2
     target = plant.x2 + 1e-3

@@ -26,6 +26,6 @@ def test_three_points_by_hand() -> None:
     ],
 )
 def test_refusals(flow: list[float], head: list[float], reason: str) -> None:
-    """Each error says what is needed."""
+    """Each error states what is needed."""
     with pytest.raises(ValueError, match=reason):
         fit_pump_curve(flow, head)

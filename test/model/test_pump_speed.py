@@ -25,7 +25,7 @@ WEAK = replace(PAPER_SITE, c_hat=15.0)
         # 13 m of lift need sqrt(13 / 55.2) = 0.48529 of the speed.
         (PAPER_SITE, 0.4852, 3.0, 0.0), (PAPER_SITE, 0.4854, 3.0, 9.913047e-5),
         (WEAK, 1.0, 0.5, 0.0),
-        # At rest nothing flows, not even from 20 m of water to a roof at 16 m.
+        # Without rotation nothing flows, not even from 20 m of water to a roof at 16 m.
         (PAPER_SITE, 0.0, 3.0, 0.0), (PAPER_SITE, 0.0, 20.0, 0.0),
     ],
 )

@@ -108,13 +108,13 @@ def test_minimum_times_by_hand(
     [(6, 2.5, 3), (5, 2.5, 2), (1.1, 0.1, 11), (0.01, 1, 1)],
 )
 def test_minimum_times_last_whole_ticks(seconds: float, tau: float, ticks: int) -> None:
-    """The first whole number of ticks that is not shorter, whatever the binary digits of tau."""
+    """The first whole number of ticks that is not shorter, for any binary digits of tau."""
     commands = commands_let_through(SensorPumpErrors(minimum_on=seconds), [1] + [0] * 20, tau=tau)
     assert commands == [1] * ticks + [0] * (21 - ticks)
 
 
 def test_a_full_roof_stops_them_and_begins_a_time_off() -> None:
-    """Eq. (3a) uses the true level; a flow that stops because of it counts as switched off."""
+    """Eq. (3a) uses the true level; a flow that stops because of it is treated as switched off."""
     times = SensorPumpErrors(minimum_on=10, minimum_off=3)
     roofs = [EMPTY, EMPTY, FULL, EMPTY, EMPTY, EMPTY, FULL]
     assert commands_let_through(times, [1] * 7, roofs=roofs) == [1, 1, 0, 0, 0, 1, 0]

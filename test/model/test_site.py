@@ -21,7 +21,7 @@ MEASURED = {
     "field_capacity": 0.6, "wilting_point": 0.05, "depletion_fraction": 0.5,
     "drainage_storage": 0.01, "drainage_time": 600.0,
 }
-"""parameters of a measured roof"""
+"""parameters of a roof with a measured soil"""
 
 
 def write(directory: Path, *extra: str, **changes: object) -> Path:
@@ -211,7 +211,7 @@ def test_a_decimal_comma_is_named(tmp_path: Path) -> None:
 
 
 def test_a_site_that_extends_another(tmp_path: Path) -> None:
-    """It has only what differs, and so may its base; its text is complete by itself."""
+    """It has only what differs, and so may its base; its text is complete automatically."""
     write(tmp_path)
     (tmp_path / "roof.yaml").write_text(
         "extends: my site.yaml\na2: 100.0  # m2\n   # measured\ninitial_layer: 0.0\n"
@@ -246,7 +246,7 @@ def test_a_site_that_extends_another(tmp_path: Path) -> None:
     written.write_text(edited(child, {"z_o": 2.5}))
     night = replace(base, time_zone="Europe/Berlin", utc_offset=1.0, quiet_hours=("20:00-21:00",))
     assert read_site(written) == replace(night, z_o=2.5)
-    # A site of this package needs no copy beside the file.
+    # A site of this package needs no copy next to the file.
     child.write_text("extends: site_neubrandenburg.yaml\na1: 50.0\n")
     measured = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml")
     assert read_site(child) == replace(measured, a1=50.0)
@@ -260,7 +260,7 @@ def test_what_cannot_be_extended(tmp_path: Path) -> None:
         ("3", "child.yaml, line 1: extends = 3: must be the name of another site file, such as"),
         ("absent.yaml", "child.yaml, line 1: extends = 'absent.yaml': must be the name of "),
         ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of another "
-         "site file, such as site.yaml, beside this one or of this package; this is a ring: "
+         "site file, such as site.yaml, next to this one or of this package; this is a ring: "
          f"{child} extends {tmp_path / 'circle.yaml'} extends {child}"),
         ("base.yaml", f"base.yaml, line {len(TABLE_I) + 1}: a3: is not a parameter of a site"),
     ):
@@ -268,7 +268,7 @@ def test_what_cannot_be_extended(tmp_path: Path) -> None:
         (tmp_path / "circle.yaml").write_text("extends: child.yaml\n")
         write(tmp_path, "a3: 5.0").rename(tmp_path / "base.yaml")
         assert refusal(child).startswith(str(tmp_path / reason))
-    # Of the files before a ring, nothing is said.
+    # Of the files before a ring, nothing is reported.
     child.write_text("extends: child.yaml\n")
     outside = tmp_path / "outside.yaml"
     outside.write_text("extends: child.yaml\n")
@@ -276,7 +276,7 @@ def test_what_cannot_be_extended(tmp_path: Path) -> None:
 
 
 def test_a_run_and_a_study_keep_the_whole_site(tmp_path: Path) -> None:
-    """In another directory the base file is not beside it."""
+    """In another directory the base file is not next to it."""
     file = tmp_path / "mine.yaml"
     file.write_text("extends: site_catchment.yaml\na1: 50.0\ninitial_cistern: 42.5\n")
     run = paper_run("--controller", "onoff", "--hours", "1", "--site", str(file))

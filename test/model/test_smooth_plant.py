@@ -52,7 +52,7 @@ def test_linear_model_equals_complex_steps(
     np.testing.assert_allclose(computed, slope, rtol=0, atol=1e-9 * np.abs(slope).max() + 5e-16)
     # Complex steps lose digits if a derivative is near the smallest float.
     np.testing.assert_allclose(model.B, B, rtol=0, atol=1e-9 * np.abs(B).max() + 1e-250)
-    # On a measured roof 1 - S^2 cancels.
+    # On a measured soil 1 - S^2 cancels.
     cancels = 0.0 if site.field_capacity is None else 1e-15 * site.tau * site.a2 + 1e-250
     np.testing.assert_allclose(model.C, C, rtol=1e-12, atol=cancels)
     # The terms of f cancel; the rest is right to 1e-9 of the terms.

@@ -1,4 +1,4 @@
-"""The soil of a measured roof, by hand: its differential equations have solutions."""
+"""The measured soil, by hand: its differential equations have solutions."""
 
 from __future__ import annotations
 

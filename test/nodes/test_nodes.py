@@ -236,7 +236,7 @@ def section(text: str, heading: str) -> dict[str, str]:
     return {name: " ".join(meaning.split()) for name, meaning in entries}
 
 
-def test_the_greatest_age_of_what_a_sensor_says_is_its_readers() -> None:
+def test_the_maximum_age_of_what_a_sensor_reports_is_its_readers() -> None:
     """The sensor file's check and the readers of the topic use the same parameter."""
     assert {quantity.topic_name: quantity.limit for quantity in QUANTITIES.values()} == {
         quantity.topic_name: LIMITS[quantity.topic_name].name for quantity in QUANTITIES.values()

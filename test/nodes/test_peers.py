@@ -42,7 +42,7 @@ class Nodes:
         return self.started[name].stderr()
 
     def code(self, name: str) -> int:
-        """Wait until a node ends by itself, and return its exit code."""
+        """Wait until a node ends on its own, and return its exit code."""
         code = self.started[name].wait(300)
         # If the middleware is slow to end, the kernel ends the node, which has printed everything.
         return int("error: " in self.log(name)) if code == -signal.SIGALRM else code
@@ -58,7 +58,7 @@ def test_started_by_hand_gives_the_bag_of_bringup(
 ) -> None:
     """Equal in every byte; each node starts while the others wait for it, by name.
 
-    All end by themselves with exit code 0.
+    All end on their own with exit code 0.
     """
     weather = nodes.node("weather", run_length=360)
     weather.until_printed("waiting for plant\n")
@@ -125,7 +125,7 @@ def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
 
 
 def test_a_plant_that_stood_still_makes_up_for_nothing(nodes: Nodes, observer: Observer) -> None:
-    """Otherwise a real pump's least times, which are counted in ticks, would pass too fast."""
+    """Otherwise a real pump's minimum times, which are counted in ticks, would pass too fast."""
     times = observer.times("/roof/level")
     nodes.node("weather")
     nodes.node("onoff")

@@ -46,7 +46,7 @@ def test_rosbags_decodes_it(recorded: Path) -> None:
 
 
 def test_full_disk(domain: int, tmp_path: Path) -> None:
-    """A disk that fills up is an error that says so, and the bag can be recovered."""
+    """A disk that fills up is an error that reports it, and the bag can be recovered."""
     disk = tmp_path / "disk"
     with small_disk(disk, "200k"):
         process = Process(

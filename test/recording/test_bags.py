@@ -114,7 +114,7 @@ def test_a_bag_that_was_cut_keeps_its_whole_ticks(tmp_path: Path, size: int) -> 
 
 
 def test_hostile_files_do_no_harm(tmp_path: Path) -> None:
-    """Whatever the file contains: complete parts are restored, or there is a clear error."""
+    """For any content of the file: complete parts are restored, or there is a clear error."""
     write_bag(tmp_path / "bag", 64)
     written, random = (tmp_path / "bag" / "bag_0.mcap").read_bytes(), Random(1)
     (tmp_path / "hostile").mkdir()
@@ -157,7 +157,7 @@ def chunks(bag: Path) -> list[ChunkIndex]:
 def lost_ticks(tmp_path: Path, written: list[tuple[str, int, int, bytes]]) -> list[int]:
     """Recover a bag as a user would; return the lost ticks, which it must name.
 
-    Whatever was damaged: what comes out was written, in whole ticks.
+    For any damage: what comes out was written, in whole ticks.
     """
     done = run_command("recover", "bag", "--output", "new", cwd=tmp_path, env=environment(0))
     restored = messages_of(tmp_path / "new" / "new_0.mcap")
@@ -187,7 +187,7 @@ DAMAGE: dict[str, tuple[Callable[[Path, list[ChunkIndex]], object], list[int]]] 
     "the length of a chunk": (
         lambda bag, parts: flipped(bag, parts[1].chunk_start_offset + 3, 0), [],
     ),
-    "the greatest length": (
+    "the maximum length": (
         lambda bag, parts: damaged(bag, parts[1].chunk_start_offset + 1, b"\xff" * 8), [],
     ),
     "the length of a chunk's data": (
@@ -223,7 +223,7 @@ DAMAGE: dict[str, tuple[Callable[[Path, list[ChunkIndex]], object], list[int]]] 
 
 
 @pytest.mark.parametrize("what", DAMAGE)
-def test_what_is_whole_is_recovered_whatever_is_damaged(tmp_path: Path, what: str) -> None:
+def test_what_is_whole_is_recovered_after_any_damage(tmp_path: Path, what: str) -> None:
     written = write_bag(tmp_path / "bag", 361)
     damage, lost = DAMAGE[what]
     damage(tmp_path / "bag", chunks(tmp_path / "bag"))
@@ -499,7 +499,7 @@ def files_messages(file: Path) -> set[tuple[str, int]]:
 @pytest.mark.parametrize("metadata", [True, False])
 @pytest.mark.parametrize("what", ["a chunk", "a file", "half a file", "all but the name"])
 def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, what: str, metadata: bool) -> None:
-    """An older one, too. It says what was lost by topic, whether or not metadata.yaml is there."""
+    """An older one, too. It lists what was lost by topic, with and without metadata.yaml."""
     sent = split_bag(tmp_path / "bag")
     file = tmp_path / "bag" / "bag_1.mcap"
     had = files_messages(file)

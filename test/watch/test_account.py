@@ -30,9 +30,9 @@ SUMMED = {
 OVER_TICKS = {"stress": "stress_hours", "deviation": "mean_deviation_mm"}
 STORM = ("--start", "2021-07-08T12:00-05:00", "--cistern", "75.5", "--roof", "34.39")
 MEASURED = CONFIG / "site_neubrandenburg.yaml"
-# A storm on a full roof beside a full cistern; a roof with nothing to evaporate; half an hour of
-# rain on a measured roof, with a drainage layer that counts as storage and drains at first, and dry
-# plants; a low outlet, through which the detention volume drains.
+# A storm on a full roof next to a full cistern; a roof with nothing to evaporate; half an hour of
+# rain on a measured soil, with a drainage layer that is treated as storage and drains at first, and
+# dry plants; a low outlet, through which the detention volume drains.
 RUNS = {
     "storm": ("--hours", "0.5", *STORM),
     "empty": ("--hours", "0.2", "--start", "2021-07-07T14:00-05:00", "--cistern", "10",
@@ -145,7 +145,7 @@ def test_the_runs_reach_what_they_are_for(runs: dict[str, Simulated]) -> None:
     assert summaries["low outlet"]["outflow_m3"] > 10
 
 
-def test_a_driver_that_says_more_than_the_cistern_gave() -> None:
+def test_a_driver_that_reports_more_than_the_cistern_gave() -> None:
     """In a simulation with a pump driver the plant's own flow counts, as in its summary."""
     plant, metrics = Plant(PAPER_SITE, 0.25, 1.0), Metrics()
     rows = []
@@ -180,7 +180,7 @@ def filled(topics: Recorded, site: Site = PAPER_SITE, *, live: bool = False) -> 
     return account
 
 
-def test_a_tick_that_was_not_heard_is_a_gap_and_what_was_refused_acted_as_nothing() -> None:
+def test_a_tick_that_was_not_responding_is_a_gap_and_what_was_refused_acted_as_nothing() -> None:
     """An implausible value is NaN here; in a simulation that is not a gap."""
     topics = steady(101, **{"/pump/flow": 1e-3, "/weather/precipitation": 1e-6})
     topics["/weather/precipitation"][1][50:60] = np.nan
@@ -210,7 +210,7 @@ def live_topics() -> Recorded:
 
 
 def test_a_live_value_holds_for_ten_minutes_and_a_refused_one_is_unknown() -> None:
-    """From 0.4 s, when the last topic was first heard, to 3600 s, except 1620 + 600 to 3240 s."""
+    """From 0.4 s, when the last topic first came, to 3600 s, except 1620 + 600 to 3240 s."""
     account = filled(live_topics(), live=True)
     totals = account.totals()
     assert account.since == START + 400_000_000
@@ -229,7 +229,7 @@ def test_a_live_value_holds_for_ten_minutes_and_a_refused_one_is_unknown() -> No
 
 
 def test_flows_are_summed_up_to_the_last_level() -> None:
-    """A level that comes every 5 s shows all of a steady flow, at whatever time one looks."""
+    """A level that comes every 5 s shows all of a steady flow, at any time."""
     topics = live_topics()
     times = START + SECOND * np.arange(3601)
     for topic in TOPICS[2:5]:
@@ -243,12 +243,12 @@ def test_flows_are_summed_up_to_the_last_level() -> None:
             for topic, (times, values) in topics.items() if topic in TOPICS[:5]
         }, live=True)
         totals = account.totals()
-        # From 0.4 s on, when the last topic was first heard; the level then is of 0 s.
+        # From 0.4 s on, when the last topic was first received; the level then is of 0 s.
         assert totals["unexplained"] == pytest.approx(0.4 * 8e-3, rel=1e-6), second
 
 
 def test_a_topic_that_falls_silent_stops_the_account_for_ten_minutes_only() -> None:
-    """The flow is last heard at 100 s, and holds until 700 s; then the account no longer waits."""
+    """The flow comes last at 100 s, and holds until 700 s; then the account no longer waits."""
     account = Account(PAPER_SITE)
     account.live = True
     for second in range(0, 3600, 20):
@@ -277,7 +277,7 @@ def test_what_was_never_heard_is_unknown_and_not_nothing() -> None:
     assert account.gap_s == pytest.approx(3599.6)
 
 
-def test_memory_is_bounded_while_nobody_looks() -> None:
+def test_memory_is_bounded_while_no_one_looks() -> None:
     """Half a million values: those already counted are dropped."""
     account = Account(PAPER_SITE)
     topics = steady(1000)

@@ -141,7 +141,7 @@ def test_two_faults_of_a_drive_are_two_alarms() -> None:
 
 
 def test_another_code_is_another_alarm() -> None:
-    """It begins when the code changes, is an event, and nobody has seen it yet."""
+    """It begins when the code changes, is an event, and no one has seen it yet."""
     local = "drive", WARN, "the drive: it is in local control", "drive_local"
     alarms = heard((1.0, pump(RIGHT)), (1000.0, pump(WRONG)))
     alarms.acknowledge("/pump: drive")
@@ -196,7 +196,7 @@ def test_what_is_over_is_kept_for_a_while() -> None:
     assert [row["over"] for row in alarms.rows()] == [float(at) for at in range(24, 4, -1)]
 
 
-def test_a_node_that_is_not_heard() -> None:
+def test_a_node_that_is_not_responding() -> None:
     """After 2 s this is one alarm; its earlier alarms follow from it, as last reported."""
     said = pump(WRONG, ("levels", OK, "good"))
     alarms = heard((0.0, said))
@@ -206,7 +206,7 @@ def test_a_node_that_is_not_heard() -> None:
     assert follows(alarms) == {"/pump": None, "/pump: drive": "/pump"}
     row = rows(alarms)["/pump"]
     assert (row["level"], row["since"], alarms.counts()) == ("stale", 20.0, (1, 0, 1))
-    assert "Nobody here knows whether the pump runs" in alarms.advice()
+    assert "No one here knows whether the pump runs" in alarms.advice()
     alarms.receive(3.0, 30.0, said)
     assert present(alarms) == ["/pump: drive"]
 
@@ -221,18 +221,18 @@ _NAMES = "two processes report under this name: host 0 and host 1"
 @pytest.mark.parametrize(("steps", "alarms_then", "events"), [
     # A part that its node no longer mentions.
     ([(0.0, pump(RIGHT)), *each_quarter(2.25, pump(), begin=0.25)],
-     {"/pump: drive": ("stale", "not heard for 2 s")}, []),
+     {"/pump: drive": ("stale", "no message for 2 s")}, []),
     # The end of a run or of a node is not an alarm.
     ([(0.0, pump(BAD)), (0.5, pump(BAD, state="finished")), (1.0, pump(BAD, state="ended")),
       (60.0, [])], {}, []),
     ([(0.0, pump(BAD)), (0.5, pump(BAD, state="ended")), (60.0, [])], {}, ["/pump ended"]),
-    # A node that failed says why.
+    # A node that failed reports why.
     ([(0.0, mpc()), (0.5, mpc(state="ended", failure=WHY)), (60.0, [])],
      {"/mpc": ("error", f"ended: {WHY}")}, ["/mpc ended"]),
     # A restart is an event; alarms of the previous process are over.
     ([(0.0, pump(BAD)), (5.0, pump(process="host 2", state="starting"))], {},
      ["/pump was started again"]),
-    # Two processes with one name: not a restart each time, but an alarm while both are heard.
+    # Two processes with one name: not a restart each time, but an alarm while both report.
     (each_quarter(5, *TWICE), {"/pump": ("error", _NAMES)}, ["/pump was started again"]),
     ([*each_quarter(5, *TWICE), *each_quarter(5, TWICE[1], begin=5.0)], {},
      ["/pump was started again"]),
@@ -339,7 +339,7 @@ def test_a_state_of_the_pump_that_its_cause_does_not_tell(
     assert advice in alarms.advice()
     alarms.update(2.1, 2.1)  # the last report of a node that is silent now
     assert rows(alarms)["/pump: pump"]["follows"] is None
-    assert "Nobody here knows whether the pump runs" in alarms.advice()
+    assert "No one here knows whether the pump runs" in alarms.advice()
 
 
 @pytest.mark.parametrize(("state", "part", "code"), [
@@ -348,7 +348,7 @@ def test_a_state_of_the_pump_that_its_cause_does_not_tell(
     ("roof_level_unknown", "levels", "input_frozen"), ("frost", "frost", "frost"),
     ("frost_unknown", "frost", "temperature_unknown"), ("two_pumps", "flow", "two_pumps"),
 ])
-def test_a_state_follows_from_the_part_that_says_more(state: str, part: str, code: str) -> None:
+def test_a_state_follows_from_the_part_that_reports_more(state: str, part: str, code: str) -> None:
     """And from no other part of the pump."""
     for said, cause in ((part, f"/pump: {part}"), ("state file", None)):
         alarms = heard((0.0, pump(
@@ -374,7 +374,7 @@ def test_every_code_has_its_advice() -> None:
 
 
 def test_every_interlock_has_its_place() -> None:
-    """It needs somebody at the pump, a part of the node says more, or its own text says all."""
+    """It needs someone at the pump, a part of the node reports more, or its own text states all."""
     complete = {
         "cistern_low", "quiet_hours", "longest_run", "daily_volume", "daily_run",
     }
@@ -479,7 +479,7 @@ def test_the_end_of_another_graph_is_no_alarm() -> None:
 
 
 def test_other_devices() -> None:
-    """They have 5 s, and a device heard only once is not missed; they never count as an error."""
+    """They have 5 s; a device received only once is not missed; they are never errors."""
     once, often = WireStatus("/camera", OK, "fine"), WireStatus("disk usage", ERROR, "99 %")
     alarms = heard((0.0, [once, often]))
     assert present(alarms) == ["disk usage"]
@@ -515,7 +515,7 @@ _STATUSES = st.builds(
 @settings(max_examples=40)
 @given(st.lists(st.tuples(st.sampled_from([0.0, 0.1, 3.0]), st.lists(_STATUSES, max_size=6)),
                 max_size=6))
-def test_nothing_that_is_said_raises(messages: list[tuple[float, list[WireStatus]]]) -> None:
+def test_nothing_that_is_reported_raises(messages: list[tuple[float, list[WireStatus]]]) -> None:
     """And everything shown can be printed, and sent as JSON in UTF-8."""
     alarms, wall = Alarms(), 0.0
     for passed, statuses in messages:
@@ -534,7 +534,7 @@ def test_nothing_that_is_said_raises(messages: list[tuple[float, list[WireStatus
             assert len(row["what"]) <= 501
 
 
-def test_a_watcher_that_stood_still_takes_nobody_for_silent() -> None:
+def test_a_watcher_that_stood_still_takes_no_one_for_silent() -> None:
     alarms = heard((0.0, [*pump(RIGHT), *mpc()]))
     alarms.registry.excuse_silence(6.0)
     alarms.receive(6.0, 6.0, mpc())  # the first of the waiting messages
@@ -579,7 +579,7 @@ def test_what_is_missing_while_a_site_starts_is_no_alarm(
     ("drive", "drive_lost"),
 ])
 def test_what_is_lost_or_wrong_while_a_site_starts_is_an_alarm(part: str, code: str) -> None:
-    """A sensor or drive that was there; and whatever needs a person."""
+    """A sensor or drive that was there; and all that needs a person."""
     alarms = heard(
         (1.0, pump((part, OK, "good"), up_s=1.0)),
         (2.0, pump((part, ERROR, "is wrong", code), up_s=2.0)),
@@ -589,7 +589,7 @@ def test_what_is_lost_or_wrong_while_a_site_starts_is_an_alarm(part: str, code: 
 
 @pytest.mark.parametrize("others", [
     mpc(up_s=5000.0),  # the others go on: a node was started again
-    mpc(),  # of a version that does not say
+    mpc(),  # of a version that does not report it
 ])
 def test_a_node_that_is_started_again_is_no_start_of_the_site(others: list[WireStatus]) -> None:
     alarms = heard((0.0, [

@@ -139,7 +139,7 @@ def test_what_the_recorder_has_flushed_is_there(tmp_path: Path) -> None:
     run.writer.close()
 
 
-def test_damage_is_said_and_the_rest_is_read(finished: Run, tmp_path: Path) -> None:
+def test_damage_is_reported_and_the_rest_is_read(finished: Run, tmp_path: Path) -> None:
     """Any bytes of the file can be wrong: nothing raises, and other chunks are read."""
     content = finished.file.read_bytes()
     expected = {topic: dict(pairs) for topic, pairs in finished.numbers.items()}

@@ -1,4 +1,4 @@
-"""Watchers beside real runs: alarms come and go, a stop holds, and the bag stays the same."""
+"""Watchers next to real runs: alarms come and go, a stop holds, and the bag stays the same."""
 
 from __future__ import annotations
 
@@ -133,11 +133,11 @@ def test_the_page_follows_a_dose_until_it_is_delivered(domain: int, tmp_path: Pa
         page.wait_for_selector("#dose-button", state="visible")
         assert page.inner_text("#dose-label").strip() == "Dose (m³)"
         volume = page.locator("#dose-volume")
-        least, most = (float(volume.get_attribute(name)) for name in ("min", "max"))
-        assert 0 < least < 0.1 < most == 0.2
-        depths = [f"{1000 * volume / site.a2:.1f}\N{NO-BREAK SPACE}mm" for volume in (least, most)]
+        minimum, most = (float(volume.get_attribute(name)) for name in ("min", "max"))
+        assert 0 < minimum < 0.1 < most == 0.2
+        depths = [f"{1000 * each / site.a2:.1f}\N{NO-BREAK SPACE}mm" for each in (minimum, most)]
         assert page.inner_text("#dose-limits") == (
-            f"from {least:.3f} to 0.2 m³, which is {' to '.join(depths)} of water on the roof"
+            f"from {minimum:.3f} to 0.2 m³, which is {' to '.join(depths)} of water on the roof"
         )
         page.evaluate("""() => {
             const answer = document.getElementById("answer");

@@ -1,4 +1,4 @@
-"""``greenroof bridge`` beside real runs and a real broker: what it publishes and obeys."""
+"""``greenroof bridge`` next to real runs and a real broker: what it publishes and obeys."""
 
 from __future__ import annotations
 
@@ -131,8 +131,8 @@ def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
     assert (said["roof_level"], said["pump"], said["problem"]) == (None, "unknown", None)
 
 
-def test_alarms_are_said_by_code() -> None:
-    graph, held = store("live"), "held: the levels are not known"
+def test_alarms_are_reported_by_code() -> None:
+    graph, held = store("live"), "held: the levels are unknown"
     assert (state(graph)["problem"], state(graph)["condition"]) == ("OFF", "none")
     graph.add_statuses(1.0, node("/pump", "pump", ("pump", ERROR, held, "roof_level_unknown")))
     said, alarms = state(graph, 1.0), alarms_of(read_document(graph, 1.0))
@@ -143,11 +143,12 @@ def test_alarms_are_said_by_code() -> None:
     )
 
 
-# --- beside a run ---------------------------------------------------------------------------------
+# --- next to a run
+# ---------------------------------------------------------------------------------
 
 
 @needs_mosquitto
-def test_it_says_what_a_simulated_run_does_and_nothing_can_be_stopped(
+def test_it_reports_what_a_simulated_run_does_and_nothing_can_be_stopped(
     domain: int, tmp_path: Path
 ) -> None:
     """An old state is not retained; after a kill it is offline."""
@@ -244,7 +245,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
 
 
 @needs_mosquitto
-def test_it_logs_in_and_says_once_why_it_cannot(domain: int, tmp_path: Path) -> None:
+def test_it_logs_in_and_reports_once_why_it_cannot(domain: int, tmp_path: Path) -> None:
     """For encryption see test_mqtt_sensors.py."""
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
     words, login = tmp_path / "words", tmp_path / "login.yaml"

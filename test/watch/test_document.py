@@ -167,14 +167,14 @@ def test_levels(name: str, site: Site, level: float, state: str, sentence: str) 
     ({"roof_level": 0.04}, "off", "nothing is commanded", "warn",
      "Nothing to do now: the controller commands no pumping now."),
     ({"roof_level": 0.05}, "off", "nothing is commanded", "warn",
-     "Nothing to do: the roof drains and dries by itself."),
+     "Nothing to do: the roof will drain and dry."),
     ({"roof_level": -1.0}, "off", "nothing is commanded", "warn",
      "Nothing is reported as wrong, but some values are unknown"),
     ({"cistern_level": 0.7}, "off", "nothing is commanded", "warn", "Nothing to do."),
     ({"cistern_level": -1.0}, "off", "nothing is commanded", "warn",
      "Nothing is reported as wrong, but some values are unknown"),
 ])
-def test_the_simulated_pump_says_why_it_stands_and_the_page_what_to_do(
+def test_the_simulated_pump_reports_why_it_stands_and_the_page_what_to_do(
     values: dict[str, float], state: str, why: str, level: str, advice: str
 ) -> None:
     """A roof that is not as wanted is no alarm, and not fine."""
@@ -202,7 +202,7 @@ def test_the_simulated_pump_stands_in_quiet_hours() -> None:
         assert ("waiting for rain" in said) == (begins == "05:02"), said
 
 
-def test_the_pump_node_says_how_it_is() -> None:
+def test_the_pump_node_reports_how_it_is() -> None:
     """In a bag; for its messages on /diagnostics see below."""
     graph = watched()
     for later, said, state, why in (
@@ -239,7 +239,7 @@ def test_rain_and_what_is_to_come() -> None:
 
 
 def test_what_is_known_by_words_alone() -> None:
-    """If nobody hears a controller's command, it is not shown as working."""
+    """If no one hears a controller's command, it is not shown as working."""
     graph = GraphStore()
     pump_says(graph, 100.0, "held: there is frost")
     graph.add_statuses(100.0, node("/mpc", "controller"))
@@ -376,7 +376,7 @@ def test_a_value_that_does_not_come_any_more_is_stale() -> None:
     tile = document["tiles"]["roof"]
     assert [*stale, tile["stale"]] == [False, True]
     assert (tile["value"], tile["state"]) == ("unknown", "unknown")
-    assert tile["sentence"] == "45.3 mm when last heard at 00:01:10"
+    assert tile["sentence"] == "45.3 mm at last contact, 00:01:10"
     assert not document["tiles"]["cistern"]["stale"]
     assert document["tiles"]["summary"]["level"] == "warn"
     add_values(graph, 90, 91, {"/roof/level": 0.0453})
@@ -437,7 +437,7 @@ def test_nothing_of_an_ended_run_is_stale_and_it_has_no_future() -> None:
 def test_headings() -> None:
     graph = GraphStore()
     for mode, factor, heading in (
-        ("none", None, "Nothing is heard yet"),
+        ("none", None, "Nothing received yet"),
         ("simulated", 30.0, "Simulated run, 30 times real time"),
         ("simulated", 1.01, "Simulated run, at real time"),
         ("simulated", math.nan, "Simulated run"),
@@ -514,10 +514,10 @@ def test_notes() -> None:
     assert shown(graph)["notes"] == []
     graph.set_site(SITE, "Levels are judged by the paper's site, a.yaml.")
     graph.set_present(mode="live", factor=None, note="Shows samples: no bag.")
-    graph.add_statuses(100.0, node("/weather", "weather", forecast_by="forecasts by somebody"), 0)
+    graph.add_statuses(100.0, node("/weather", "weather", forecast_by="forecasts by someone"), 0)
     assert shown(graph)["notes"] == [
         "Levels are judged by the paper's site, a.yaml.", "Shows samples: no bag.",
-        "Forecasts by somebody.",
+        "Forecasts by someone.",
     ]
 
 
@@ -551,9 +551,9 @@ def test_what_stop_does_as_the_pump_is(
     assert "must lock it out at the pump itself" in told["sentence"]
 
 
-STARTS, STAYS = "The pump then starts by itself", "It stays off all the same"
+STARTS, STAYS = "The pump then starts automatically", "It stays off all the same"
 SLOW = {"fault": "slow", "no_clear": ""}
-LEAK = {"fault": "a leak", "no_clear": "somebody has to look"}
+LEAK = {"fault": "a leak", "no_clear": "someone has to look"}
 LOST = {"unknown": "the file cannot be read"}
 
 
@@ -573,7 +573,7 @@ LOST = {"unknown": "the file cannot be read"}
 def test_what_may_be_released_here(
     hold: Any, more: dict[str, Any], release: str, clear: str
 ) -> None:
-    """Any hold, and a fault that needs nobody at the pump, only if it was allowed."""
+    """Any hold, and a fault that needs no person at the pump, only if it was allowed."""
     graph = watched()
     said = {"hold": hold, "stands": True, **more}
     pump_says(graph, 100.0, "held: stopped", **said)
@@ -588,23 +588,23 @@ def test_what_may_be_released_here(
     assert "must lock it out at the pump itself" in stop["clear_then"]
 
 
-@pytest.mark.parametrize(("said", "greatest", "here"), [
+@pytest.mark.parametrize(("said", "maximum", "here"), [
     ({"greatest_dose": 0.5, "no_dose": ""}, 0.5, True),
     ({"greatest_dose": 0.5, "no_dose": "the pump may not run: there is frost"}, 0.5, False),
     ({"greatest_dose": None, "no_dose": "the site file allows no dose"}, None, False),
     ({"greatest_dose": "1"}, None, False),
 ])
 def test_where_a_dose_may_be_given(
-    said: dict[str, Any], greatest: float | None, here: bool
+    said: dict[str, Any], maximum: float | None, here: bool
 ) -> None:
     graph = watched()
     pump_says(graph, 100.0, "off: the command is 0", stands=True, **said)
     assert not shown(graph)["stop"]["dose_here"]
     graph.allow_release = True
     stop = shown(graph)["stop"]
-    assert (stop["greatest_dose"], stop["dose_here"]) == (greatest, here)
-    assert stop["no_dose"] == (said["no_dose"] if greatest else "")
-    assert not shown(graph, 105.0)["stop"]["dose_here"]  # it is no longer heard
+    assert (stop["greatest_dose"], stop["dose_here"]) == (maximum, here)
+    assert stop["no_dose"] == (said["no_dose"] if maximum else "")
+    assert not shown(graph, 105.0)["stop"]["dose_here"]  # it no longer responds
 
 
 def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
@@ -613,9 +613,9 @@ def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
     document = shown(graph, 103.0)
     pump, stop = document["tiles"]["pump"], document["stop"]
     assert stop["hold"] is None
-    assert not stop["stopped"] and stop["sentence"].startswith("It was held off when last heard.")
-    assert pump["value"] == "unknown" and pump["sentence"].startswith("held when last heard")
-    assert "it is not known what the pump does" in document["tiles"]["summary"]["sentence"]
+    assert not stop["stopped"] and stop["sentence"].startswith("It was held off at last contact.")
+    assert pump["value"] == "unknown" and pump["sentence"].startswith("held at last contact")
+    assert "it is unknown what the pump does" in document["tiles"]["summary"]["sentence"]
 
 
 def with_pump(graph: GraphStore, state: str, **said: Any) -> dict[str, Any]:
@@ -627,7 +627,7 @@ def with_pump(graph: GraphStore, state: str, **said: Any) -> dict[str, Any]:
     return shown(graph)
 
 
-LOST = "off: no connection to the drive; it is not known whether the pump is at rest"
+LOST = "off: no connection to the drive; it is unknown whether the pump is stopped"
 
 
 def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
@@ -638,9 +638,9 @@ def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
     assert (tile["value"], tile["state"], tile["alarm"]) == ("unknown", "unknown", True)
     assert tile["number"] is None and "L/min" not in tile["sentence"]
-    assert tile["sentence"].startswith("it is not known whether it is at rest; commanded 100")
+    assert tile["sentence"].startswith("it is unknown whether it is stopped; commanded 100")
     assert (summary["level"], summary["word"]) == ("error", "1 alarm, 1 warning.")
-    assert summary["sentence"].endswith("it is not known whether the pump is at rest.")
+    assert summary["sentence"].endswith("it is unknown whether the pump is stopped.")
     first = document["alarms"][0]
     assert (first["id"], first["level"]) == ("/pump: pump", "error")
     assert "Go and see" in document["advice"]
@@ -657,22 +657,22 @@ def test_what_is_known_of_the_pump(said: dict[str, Any], value: str, alarm: bool
     tile = with_pump(graph, state, **said)["tiles"]["pump"]
     assert (tile["value"], tile["alarm"]) == (value, alarm)
     assert ("60.0 L/min" in tile["sentence"]) == (said["flow"] is not None)
-    assert ("flow is not known" in tile["sentence"]) == (said["flow"] is None)
+    assert ("flow is unknown" in tile["sentence"]) == (said["flow"] is None)
     tile = tile_of(graph, "pump", 103.0)  # its node is gone: it ran
     assert (tile["value"], tile["alarm"]) == ("unknown", True)
 
 
-def test_a_drive_that_is_not_heard_has_no_flow_although_it_stands() -> None:
-    """It stood when last heard, or must stand by now: that is not a measured 0.0 L/min."""
+def test_a_drive_that_is_not_responding_has_no_flow_although_it_stands() -> None:
+    """It stood at last contact, or must stand by now: that is not a measured 0.0 L/min."""
     tile = with_pump(
         watched(pump_command=0.5), "off: no connection to the drive", stands=True, speed=None,
         flow=0.0,
     )["tiles"]["pump"]
     assert (tile["value"], tile["number"], tile["alarm"]) == ("off", None, False)
-    assert tile["sentence"].startswith("its drive is not heard: at rest when last heard, or")
+    assert tile["sentence"].startswith("its drive is not responding: stopped at last contact, or")
 
 
-def test_a_flow_that_is_not_known_is_a_gap() -> None:
+def test_a_flow_that_is_unknown_is_a_gap() -> None:
     """In the chart and the account, from when it was last known until it is known again."""
     graph = watched("live", pump_flow=1e-3)
     graph.update(99.0, START / 1e9 + 60)
@@ -709,14 +709,14 @@ def with_outlook(mean: float, *, command: float = 0.0, plan: Any = None) -> dict
     return {**document["tiles"], "advice": document["advice"]}
 
 
-def test_a_pump_that_waits_for_rain_says_so() -> None:
+def test_a_pump_that_waits_for_rain_reports_it() -> None:
     """Members of half to one and a half times 32 mm: a tenth is below 19, a tenth above 45."""
     tiles = with_outlook(0.032)
     assert tiles["summary"]["sentence"] == (
         "The roof is too dry, 10.7 mm below its target; the pump is waiting for rain: 32 mm "
         "(19 to 45) by 04:00."
     )
-    # The sign does not contradict the roof's tile, which says too low.
+    # The sign does not contradict the roof's tile, which reports too low.
     assert (tiles["summary"]["level"], tiles["advice"]) == ("warn", "Nothing to do.")
     pumps_before = [[1800.0, 1e-3, 0.036], [43200.0, 0.0, 0.04]]
     for mean, more in (
@@ -726,7 +726,7 @@ def test_a_pump_that_waits_for_rain_says_so() -> None:
         assert ("waiting" in summary["sentence"], summary["level"]) == (False, "warn")
 
 
-def test_a_roof_that_will_be_too_wet_is_said_in_words() -> None:
+def test_a_roof_that_will_be_too_wet_is_reported_in_words() -> None:
     """From when the line of the chart leaves the band, which ends at 47.985 mm.
 
     From 40 mm at 01:01 to 50 mm at 02:01 that is after 0.7985 h; from the present 35 mm at 00:01
@@ -768,7 +768,7 @@ def test_what_began_before_the_clock_of_a_run_is_of_its_clock() -> None:
 
 
 @pytest.mark.parametrize(("second", "level", "word", "value"), [
-    (5, "stale", "Alarms are not known.", "off"),
+    (5, "stale", "Alarms are unknown.", "off"),
     (20, "error", "1 alarm, 1 incident, over.", "unknown"),
     (60, "warn", "2 incidents, all over.", "off"),
 ])
@@ -791,7 +791,7 @@ def test_an_incident_of_a_recording_stands_while_it_did(
         return
     row, other = document["alarms"]
     assert (row["id"], row["what"]) == ("pump: drive", "no connection to the drive")
-    assert row["since_text"] == "00:00:10" and "The drive is not heard" in row["do"]
+    assert row["since_text"] == "00:00:10" and "The drive is not responding" in row["do"]
     assert row["over_text"] == ("00:00:30" if second == 60 else "")
     assert (other["id"], other["over_text"]) == ("mpc", "00:00:12")
     assert ("0.0 L/min" in tile["sentence"]) == bool(tile["why"]) == (value == "off")
@@ -824,7 +824,7 @@ def test_a_recording_has_no_stop_and_is_never_said_to_be_fine(
     tiles, summary = document["tiles"], document["tiles"]["summary"]
     assert (tiles["pump"]["state"], tiles["controller"]["value"]) == (state, "not recorded")
     assert not document["stop"]["possible"] and not document["alarms_known"]
-    assert (summary["word"], summary["level"]) == ("Alarms are not known.", level)
+    assert (summary["word"], summary["level"]) == ("Alarms are unknown.", level)
     assert document["notes"] == ["A recording does not tell which alarms there were."]
     assert document["advice"] == "The run is over: this is not the present."
 
@@ -886,7 +886,7 @@ def test_a_new_forecast_is_an_event_when_the_rain_is_another() -> None:
     )
 
 
-def test_a_flood_of_statuses_crowds_nobody_out_and_leaves_a_short_document() -> None:
+def test_a_flood_of_statuses_crowds_no_one_out_and_leaves_a_short_document() -> None:
     """10,000 statuses a message, texts of 1 MB: own alarms stay, and memory is bounded.
 
     The names of own nodes are forged, too, from before the graph was there.
@@ -942,7 +942,7 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
     graph.add_plan(START, np.array([[3600.0, 0, 0.040], [7200.0, 0, 0.050]]))
     plan_lasts(graph, 60, 720)
     graph.add_plan(START + 720 * SECOND, np.array([[3600.0, 0, 0.030], [7200.0, 0, 0.030]]))
-    # What is heard is read from the bag as well, some seconds later.
+    # What is received is read from the bag as well, some seconds later.
     graph.add_plan(START, np.array([[3600.0, 0, 0.040], [7200.0, 0, 0.050]]))
     plan_lasts(graph, 780, 9000)
     assert read_series(graph, 3)["lines"]["roof_expected"] == []  # it is still to come
@@ -994,7 +994,7 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
     assert tile_of(graph, "rain", 0.0)["sentence"] == "no forecast is known"
     assert "plan" not in tile_of(graph, "controller", 0.0)["sentence"]
     assert read_series(graph, 24)["forecast"] == read_series(graph, 24)["plan"] == []
-    # The newest are shown as soon as they are heard, whatever is still read.
+    # The newest are shown as soon as they are received, even while reading.
     forecast(graph, now_ns, ENSEMBLE)
     graph.add_plan(now_ns, plan + np.array([0, 1e-4, 0]), past=False)
     forecast(graph, early_ns, 2 * ENSEMBLE)
@@ -1107,7 +1107,7 @@ def _fail(*_: Any, **__: Any) -> Any:
     "alarms.Alarms.rows", "alarms.Alarms.counts", "alarms.Alarms.events", "alarms.Alarms.update",
     "store.GraphStore.incidents",
 ])
-def test_whatever_cannot_be_shown_the_pump_can_be_stopped(
+def test_if_a_part_cannot_be_shown_the_pump_can_be_stopped(
     place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     graph = watched("live")
@@ -1164,7 +1164,7 @@ def test_a_flow_below_1_percent_of_the_pumps_flow_is_no_running_pump(
      "ahead"),
     (None, 12, ""),
 ])
-def test_a_controller_that_leaves_a_dry_roof_dry_says_why(
+def test_a_controller_that_leaves_a_dry_roof_dry_reports_why(
     rain: float | None, hours: float, why: str
 ) -> None:
     """A level that the roof has already is no aim; without a forecast none is spoken of."""
@@ -1199,19 +1199,19 @@ def test_quiet_hours_are_no_warning() -> None:
     assert document["alarms"] == []
 
 
-@pytest.mark.parametrize(("least", "limits"), [
+@pytest.mark.parametrize(("minimum", "limits"), [
     (0.00688, "from 0.007 to 0.688 m³, which is 0.1 mm to 10 mm of water on the roof"),
     (0.0, "at most 0.688 m³, which is 10 mm of water on the roof"),
     (0.0344, "from 0.034 to 0.688 m³, which is 0.5 mm to 10 mm of water on the roof"),
 ])
-def test_a_dose_has_its_limits_and_is_followed(least: float, limits: str) -> None:
+def test_a_dose_has_its_limits_and_is_followed(minimum: float, limits: str) -> None:
     """The paper's bed has 68.8 m2."""
     graph = watched("live")
     graph.allow_release = True
     dose = {"said": "the dose of 0.5 m3 was delivered"}
     graph.add_statuses(100.0, node(
         "/pump", "pump", **pump_report("off: nothing is commanded"), stands=True,
-        greatest_dose=0.688, least_dose=least, dose=dose,
+        greatest_dose=0.688, least_dose=minimum, dose=dose,
     ))
     stop = shown(graph)["stop"]
     assert stop["dose_limits"] == limits

@@ -1,4 +1,4 @@
-"""What a watcher receives from real graphs: each value at its tick, whatever the speed."""
+"""What a watcher receives from real graphs: each value at its tick, regardless of the speed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from greenroof_ros.watch.store import GraphStore
 LEVEL = "/roof/level"
 FORECASTS = {"/forecast/precipitation", "/forecast/evapotranspiration"}
 NUMBERS = MPC_TOPICS - {"/clock"} - FORECASTS
-HEARD, READ = "graph", "bag"  # the threads that hear and read
+HEARD, READ = "graph", "bag"  # the threads that listen and read
 
 
 class Kept(GraphStore):
@@ -51,7 +51,7 @@ class Kept(GraphStore):
     def __init__(self) -> None:
         self.values: defaultdict[tuple[str, str], dict[int, Any]] = defaultdict(dict)
         self.present: list[tuple[str, str]] = []
-        self.runs = -1  # it starts once by itself
+        self.runs = -1  # it starts once on its own
         super().__init__()
 
     def _keep(self, topic: str, time_ns: int, value: Any) -> None:
@@ -117,8 +117,8 @@ def _shown(watched: Kept) -> dict[str, Any]:
 def ended(watched: Kept, run: Path) -> None:
     """Wait until the run has ended, and its recording was read completely.
 
-    The present values do not show this: they are heard before they are read, perhaps a tick beyond
-    the recording, and come from the first topic of the last batch that was read.
+    The present values do not show this: they are received before they are read, perhaps a tick
+    beyond the recording, and come from the first topic of the last batch that was read.
     """
     wait_for(lambda: watched.mode == "ended", 120, "the end of the run")
     bag = recorded(run)
@@ -139,7 +139,7 @@ def up_to(last_ns: int, values: dict[int, Any]) -> dict[int, Any]:
 
 
 @contextmanager
-def somebody(domain: int) -> Iterator[Callable[..., None]]:
+def someone(domain: int) -> Iterator[Callable[..., None]]:
     """Be a foreign node, which publishes the given statuses on /diagnostics, with a time."""
     with in_domain(domain):
         peer = Peer(domain, "stranger")
@@ -188,7 +188,7 @@ def test_what_is_heard_is_the_bags(domain: int, tmp_path: Path) -> None:
 def test_of_a_fast_run_the_bag_is_read_or_samples_are_shown(
     domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Only /diagnostics is heard; the water account equals the run's own summary."""
+    """Only /diagnostics is received; the water account equals the run's own summary."""
     monkeypatch.setattr(feed, "FASTEST", 0.0)  # on a busy machine it can be slow
     options = ("--controller", "onoff", "--hours", "0.25", *STORM)
     with fed(domain) as (watched, _):
@@ -235,7 +235,7 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
         assert time.monotonic() - began < 15
         return str(refused.value)
 
-    with fed(domain) as (watched, feed), somebody(domain) as say:
+    with fed(domain) as (watched, feed), someone(domain) as say:
 
         def stop_of(*pumps: DiagnosticStatus) -> dict[str, Any]:
             say(*pumps)
@@ -251,7 +251,7 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
 
 def test_a_bag_that_is_followed_before_its_run_is_described(domain: int, tmp_path: Path) -> None:
     """The controller is read at the end; events before any value are in the run's time."""
-    with fed(domain, tmp_path / "bag") as (watched, _), somebody(domain) as say:
+    with fed(domain, tmp_path / "bag") as (watched, _), someone(domain) as say:
         wait_for(
             lambda: any("There is no recording at" in note for *_, note in watched.present), 60,
             "the note",
@@ -278,9 +278,9 @@ def test_a_bag_that_is_followed_before_its_run_is_described(domain: int, tmp_pat
 def test_a_live_site_after_a_run_has_nothing_of_it(domain: int) -> None:
     """A watcher that continues does not show a simulation's level as the site's.
 
-    Before both nothing is heard, and after them it ends at once.
+    Before both nothing is received, and after them it ends at once.
     """
-    with fed(domain) as (watched, _), somebody(domain) as say:
+    with fed(domain) as (watched, _), someone(domain) as say:
         wait_for(lambda: watched.present, 60, "a word")
         assert watched.present == [("none", "")]
 
@@ -306,7 +306,7 @@ class Broken(Kept):
         raise ValueError("broken")
 
 
-def test_a_stop_is_answered_whatever_else_fails(domain: int) -> None:
+def test_a_stop_is_answered_if_all_else_fails(domain: int) -> None:
     with in_domain(domain), Feed(Broken()) as feed:
         time.sleep(0.5)
         began = time.monotonic()
@@ -317,7 +317,7 @@ def test_a_stop_is_answered_whatever_else_fails(domain: int) -> None:
 
 def test_a_stop_goes_before_what_was_asked_before_it_which_is_not_done() -> None:
     """A release that is done after a stop would undo it."""
-    feed = Feed(Kept())  # not entered: nobody answers
+    feed = Feed(Kept())  # not entered: no one answers
     answers: dict[int, str] = {}
 
     def ask(number: int, action: str) -> None:
@@ -331,4 +331,4 @@ def test_a_stop_goes_before_what_was_asked_before_it_which_is_not_done() -> None
     wait_for(lambda: len(answers) == 2, 60, "the end of what came before a stop")
     assert [action for action, *_ in feed._requests] == ["stop", "stop", "release"]
     assert answers.keys() == {0, 2}
-    assert {*answers.values()} == {"Nothing was done: somebody is asking to stop the pump."}
+    assert {*answers.values()} == {"Nothing was done: someone is asking to stop the pump."}

@@ -61,7 +61,7 @@ class Pump(Peer):
 
 
 def test_hold(place: int) -> None:
-    """The pump node's message is returned; if it does not say that it holds, that is an error."""
+    """The pump node's message is returned; if it does not state that it holds, that is an error."""
     client = GraphClient("", lambda *_: None)
     client.connect_pump("/pump")
     pump = Pump(place)

@@ -137,7 +137,7 @@ def test_hostile_diagnostics_are_cut() -> None:
 
 
 def test_the_newest_that_is_heard_is_shown_while_the_bag_is_read() -> None:
-    """Level, forecast and plan of now; an empty plan says that it is unchanged.
+    """Level, forecast and plan of now; an empty plan reports that it is unchanged.
 
     If no bag comes, they become the past.
     """

@@ -19,18 +19,18 @@ def ticks(count: int) -> tuple[np.ndarray, np.ndarray]:
 def in_plain_python(
     times: np.ndarray, values: np.ndarray, stretch: int, steps: bool
 ) -> list[list[float]]:
-    """Return of each stretch (ns) the time of its greatest change or its end (s), and its values.
+    """Return of each stretch (ns) the time of its maximum change or its end (s), and its values.
 
     Before and after them are the first and the last value.
     """
     rows: dict[int, list[float]] = {}
-    greatest, before = {}, values[0]
+    maximum, before = {}, values[0]
     for at, value in zip(times.tolist(), values.tolist(), strict=True):
         key, change = at // stretch, abs(value - before)
         row = rows.setdefault(key, [at / 1e9, value, value, value])
-        time = at / 1e9 if not steps or change > greatest.get(key, -1.0) else row[0]
+        time = at / 1e9 if not steps or change > maximum.get(key, -1.0) else row[0]
         rows[key] = [time, min(row[1], value), max(row[2], value), value]
-        greatest[key], before = max(change, greatest.get(key, -1.0)), value
+        maximum[key], before = max(change, maximum.get(key, -1.0)), value
     first, last = ([times[i] / 1e9, *[values[i]] * 3] for i in (0, -1))
     stretches = list(rows.values())
     return [
@@ -64,7 +64,7 @@ def test_batches_of_any_size_give_every_extreme(
 def test_a_step_is_where_it_happened(points: int, noise: float) -> None:
     """It stays there while values go on, in stretches of 20 s, or of 10 min in two points.
 
-    The newest values are only heard; those before them are still on their way.
+    The newest values are only received; those before them are still on their way.
     """
     history, ran = History(), 487  # s: within a stretch of either length
     times = START + SECOND * np.arange(1200)
@@ -135,7 +135,7 @@ def test_a_batch_longer_than_a_week_keeps_its_end() -> None:
     assert [row[3] for row in rows] == [float(hour) for hour in range(2 * most, 3 * most)]
 
 
-def test_times_at_which_a_value_was_not_known() -> None:
+def test_times_at_which_a_value_was_unknown() -> None:
     """From when it was last known until it is known again; the newest may still last."""
     rows = [[float(at), 1.0, 1.0, 1.0] for at in range(0, 100, 10)]
     unknown = Gaps()

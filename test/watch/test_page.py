@@ -41,7 +41,7 @@ Open = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A headless browser; a stop request soon reports that nobody answers."""
+    """A headless browser; a stop request soon reports that no one answers."""
     with pytest.MonkeyPatch.context() as patch, started_browser() as started:
         patch.setattr(feed, "_STOP_S", 0.5)
         yield started
@@ -209,8 +209,8 @@ def test_it_shows_the_words_of_the_document(ended_run: tuple[GraphStore, Any]) -
     assert not page.locator("#stop").is_visible()  # no pump node is there
 
 
-def test_it_says_how_it_is_by_word_shape_and_colour(open_page: Open) -> None:
-    """A silent topic is unknown, with the last value heard; so is a pump that may turn."""
+def test_it_reports_how_it_is_by_word_shape_and_colour(open_page: Open) -> None:
+    """A silent topic is unknown, with the last value received; so is a pump that may turn."""
     watched, said = site_watched(), mpc()
     page = open_page(watched, said)
     looks = []
@@ -225,20 +225,20 @@ def test_it_says_how_it_is_by_word_shape_and_colour(open_page: Open) -> None:
             page.locator("#summary").evaluate("(summary) => getComputedStyle(summary).borderColor"),
         ))
     assert len(set(looks)) == len({shape for shape, _ in looks}) == 3
-    why = "off: it is not known whether the pump is at rest"
+    why = "off: it is unknown whether the pump is stopped"
     said[:] = node("/pump", "pump", ("pump", 1, why), **pump_report(why), stands=False,
                    speed=None, flow=None)
     tile = until_shown(page, ".tile[data-key=pump][data-tone=error]", "unknown")
-    until_shown(page, "#summary[data-level=error]", "it is not known whether the pump was at rest")
+    until_shown(page, "#summary[data-level=error]", "it is unknown whether the pump was stopped")
     assert "L/min" not in tile.inner_text() and "\noff" not in tile.inner_text()
     wait_for(lambda: page.evaluate("charts.rows.flow.at(-1).v") is None, 60, "a gap")
     watched.set_present(mode="simulated", factor=30.0, note="")
     until_shown(page, ".tile.stale[data-key=roof] .value", "unknown")
     roof = page.locator(".tile[data-key=roof]")
     sentence = roof.locator(".sentence").text_content()
-    assert re.fullmatch(r"[\d.]+\u00a0mm when last heard at [\d:]+", sentence)
+    assert re.fullmatch(r"[\d.]+\u00a0mm at last contact, [\d:]+", sentence)
     wait_for(lambda: roof.locator(".fill").bounding_box()["width"] == 0, 60, "an empty gauge")
-    assert roof.locator(".state").inner_text().strip() == "not known"
+    assert roof.locator(".state").inner_text().strip() == "unknown"
 
 
 def test_hostile_texts_are_texts(open_page: Open) -> None:
@@ -264,8 +264,8 @@ def test_hostile_texts_are_texts(open_page: Open) -> None:
 def test_it_fits_every_width(open_page: Open) -> None:
     """No list is cut at its end, no texts overlap, not even three references, or leave their tile.
 
-    The target of 450 mm in 500 mm of soil is in the middle of its tile. Events scroll by themselves
-    only beside the account, not on a phone, which shows no scrollbar.
+    The target of 450 mm in 500 mm of soil is in the middle of its tile. Events scroll automatically
+    only next to the account, not on a phone, which shows no scrollbar.
     """
     watched = site_watched("simulated")
     for number in range(60):
@@ -331,7 +331,7 @@ def test_a_recording_has_no_tick_and_shows_its_incidents(open_page: Open) -> Non
     watched = site_watched()
     watched.recorded_controller = "onoff"
     page = open_page(watched)
-    until_shown(page, "#summary", "Alarms are not known")
+    until_shown(page, "#summary", "Alarms are unknown")
     assert page.locator(".tile[data-key=controller] .state").inner_text().strip() == "worked"
     assert "ok" not in page.locator("#summary-shape").get_attribute("href")
     over = incident("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, BEGIN + 90.0)
@@ -424,7 +424,7 @@ def test_lines_and_blocks_are_where_values_were(open_page: Open) -> None:
     assert begin <= newest - 10 < newest < end <= newest + 80
     assert pumped == pytest.approx([12.0, 480.0])
     assert page.evaluate(READ, ["pump", "flow", newest - 5]) == "12.0 (12.0 to 480.0) L/min"
-    # Blocks are named beside their chart.
+    # Blocks are named next to their chart.
     assert [text.split("\n") for text in page.locator(".charts .head").all_inner_texts()] == [
         ["Roof level", "measured", "its range", "good"], ["Cistern level"],
         ["Pump", "flow", "its range"], ["Rain and evapotranspiration", "rain"],
@@ -448,7 +448,7 @@ def test_the_pumps_line_ends_with_its_tile_and_stops_when_it_stopped(open_page: 
     assert reads == ["480.0 L/min", "0.0 L/min", "0.0 L/min"]
 
 
-# Of a rectangle of a chart's canvas (values on its axes): the greatest opacity of this colour.
+# Of a rectangle of a chart's canvas (values on its axes): the maximum opacity of this colour.
 OPACITY = """([key, from, to, high, low, ink]) => {
   const { plot } = charts.views.get(key);
   const [x0, x1] = [from, to].map((t) => Math.floor(plot.valToPos(charts.ms(t), "x", true)));
@@ -579,7 +579,7 @@ WRITTEN = """(at) => {
 
 @pytest.mark.parametrize("zone", ["Asia/Kathmandu", "America/Toronto"])
 def test_every_time_is_by_the_sites_clock(open_page: Open, zone: str) -> None:
-    """Heading, axis, pointer and answers, whatever the browser's zone: it is UTC here.
+    """Heading, axis, pointer and answers, regardless of the browser's zone: it is UTC here.
 
     Toronto's clocks went back an hour at 06:00 UTC on 7 November 2021, in the middle of the charts.
     """
@@ -716,7 +716,7 @@ def test_alarms_are_acknowledged_and_events_listed(open_page: Open) -> None:
         watched.add_event(BEGIN, "/mpc: weight was changed from 2 to 1")
         wait_for(lambda n=number: events.count() >= count + 2 * n, 60, "the events")
         assert events.count() == count + 2 * number
-    # The alarm disappears just as somebody presses its button.
+    # The alarm disappears just as someone presses its button.
     button = other.element_handle()
     said.clear()
     watched.alarms = Alarms()  # of another graph
@@ -725,7 +725,7 @@ def test_alarms_are_acknowledged_and_events_listed(open_page: Open) -> None:
     until_shown(page, "#answer.failed", "This alarm is no longer listed.")
 
 
-def test_what_to_do_is_said_once_and_not_when_it_is_over(open_page: Open) -> None:
+def test_what_to_do_is_reported_once_and_not_when_it_is_over(open_page: Open) -> None:
     """Two parts report the drive's fault; what to do about it is at the top, for every reader."""
     fault = "the drive reports: overheat"
 
@@ -745,8 +745,8 @@ def test_what_to_do_is_said_once_and_not_when_it_is_over(open_page: Open) -> Non
     assert todo not in page.locator("body").inner_text()
 
 
-def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:
-    """Here no pump node answers, and the page must say so; it also works by keyboard.
+def test_stop_asks_once_and_reports_what_came_of_it(open_page: Open) -> None:
+    """Here no pump node answers, and the page must report it; it also works by keyboard.
 
     If the stop was only accepted, the button stays. Answer and warning disappear when the pump
     stands; the command that releases the pump is shown for as long as it is stopped.
@@ -765,7 +765,7 @@ def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:
     assert not page.locator("#ask").is_visible()
     stop.focus()
     stop.press("Enter")
-    until_shown(page, "#ask", "somebody releases it. Anyone working on the pump must lock it out")
+    until_shown(page, "#ask", "someone releases it. Anyone working on the pump must lock it out")
     page.keyboard.press("Escape")
     assert posted(page) == []
     stop.click()
@@ -791,9 +791,9 @@ def test_stop_asks_once_and_says_what_came_of_it(open_page: Open) -> None:
 
 
 def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: Any) -> None:
-    """Without the right token the page says that it is missing, and shows nothing.
+    """Without the right token the page states that it is missing, and shows nothing.
 
-    The volume is the one named in the question; if no dose is permitted, the page says why.
+    The volume is the one named in the question; if no dose is permitted, the page states why.
     """
     watched = site_watched("loop")
     watched.allow_release = True
@@ -812,7 +812,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         until_shown(page, "#release", "must lock it out at the pump itself")
         assert not page.locator("#release-by-hand").is_visible()
         page.locator("#release-button").click()
-        until_shown(page, "#ask", "starts by itself when the controller asks for it")
+        until_shown(page, "#ask", "starts automatically when the controller asks for it")
         page.locator("#ask-no").click()
         assert posted(page) == []
         page.locator("#release-button").click()
@@ -852,7 +852,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         assert page.said == []
 
 
-def test_what_is_not_heard_now_is_said_to_be_of_before(browser: Any) -> None:
+def test_what_is_not_responding_now_is_reported_to_be_of_before(browser: Any) -> None:
     """For a hidden page, and for one that lost its connection; then it is updated again."""
     hide = """(hidden) => {
         Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
@@ -887,7 +887,7 @@ def _fail(*_: Any) -> Any:
 @pytest.mark.parametrize("broken", [
     "tiles.rain", "tiles.pump", "document.document", "server.document", "server.series",
 ])
-def test_a_fresh_page_has_its_stop_whatever_cannot_be_shown(
+def test_a_fresh_page_has_its_stop_if_a_part_cannot_be_shown(
     browser: Any, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
     """Neither a tile, nor the charts, nor even the whole document is needed for it."""

@@ -154,13 +154,13 @@ def test_only_the_page_itself_acts(
             with closing(Stream(port, **headers)) as stream:
                 assert f" {status} " in stream.head()
             assert request(port, "GET", "/").status == 200
-        for said, ok in ((body, status == 200), (b'{"id": "/nobody"}', False)):
+        for said, ok in ((body, status == 200), (b'{"id": "/unknown"}', False)):
             answer = request(port, "POST", "/acknowledge", said, **headers)
             assert (answer.status, answer.json()["ok"]) == (status, ok)
         assert shown(watched)["alarms"][0]["acknowledged"] == (status == 200)
 
 
-def test_a_stop_that_did_not_take_hold_says_so_and_many_are_one(
+def test_a_stop_that_did_not_take_hold_reports_it_and_many_are_one(
     port: int, watched: GraphStore
 ) -> None:
     """No request waits for the others."""
@@ -227,7 +227,7 @@ def test_a_dose_without_volume_or_time_is_refused(watched: GraphStore) -> None:
     assert shown(watched)["events"] == []
 
 
-def test_what_says_nothing_is_refused(port: int) -> None:
+def test_what_reports_nothing_is_refused(port: int) -> None:
     """A body that is not an object with a text, impossible hours, and any other method."""
     for method in ("PUT", "OPTIONS", "HEAD", "BREW"):
         answer = request(port, method, "/stop", **ACT, Origin="http://evil.example")
@@ -305,7 +305,7 @@ def test_broken_requests_stop_nothing(
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_silent_connections_keep_nobody_away(
+def test_silent_connections_keep_no_one_away(
     port: int, look: Callable[..., Stream], watched: GraphStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Three times the permitted number."""
@@ -381,7 +381,7 @@ def test_each_message_is_compressed_for_all_and_read_by_any(look: Callable[..., 
     """As a browser reads gzip: one stream, from any first message on."""
     hostile = "</script><img src=x onerror=alert(1)>\n\nevent: state\ndata: {}\n\n\ud800\0\u2028"
     messages = [ServerEvent("state", {"n": n, "text": hostile * 10}) for n in range(20)]
-    name, data, *rest = messages[0].plain.split(b"\n")  # one event, whatever its text
+    name, data, *rest = messages[0].plain.split(b"\n")  # one event, with any text
     assert (name, json.loads(data[6:])["text"], rest) == (b"event: state", hostile * 10, [b"", b""])
     for first in (0, 7):
         unpacking = zlib.decompressobj(wbits=31)
@@ -400,7 +400,7 @@ def test_each_message_is_compressed_for_all_and_read_by_any(look: Callable[..., 
     assert text.startswith(b"event: state\ndata: {")
 
 
-def test_who_does_not_read_is_skipped_and_costs_nobody_anything(
+def test_who_does_not_read_is_skipped_and_costs_no_one_anything(
     port: int, look: Callable[..., Stream], watched: GraphStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It gets no queue; when it reads again, it soon has the newest state."""
@@ -448,7 +448,7 @@ def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
     port: int, look: Callable[..., Stream], capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A page then says that it is not connected: nothing old is shown as present."""
+    """A page then reports that it is not connected: nothing old is shown as present."""
 
     def fail(store: GraphStore, wall: float) -> None:
         raise RuntimeError("this document cannot be made")
@@ -463,7 +463,7 @@ def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
     assert next(look().events())[0] == "state"
 
 
-def test_a_page_that_nobody_sees_gets_the_summary_alone(
+def test_a_page_that_no_one_sees_gets_the_summary_alone(
     look: Callable[..., Stream], watched: GraphStore
 ) -> None:
     """For its title: on changes, and now and then to confirm the connection."""

@@ -176,7 +176,7 @@ class Repeater:
 
 
 def test_a_drive_that_has_a_fault_is_an_alarm(domain: int, tmp_path: Path) -> None:
-    """With its code. A hold is a warning; so is a drive file nobody has verified."""
+    """With its code. A hold is a warning; so is a drive file no one has verified."""
     namespace = "--namespace", "site1"
     with running_pump(domain, tmp_path) as (_, drive):
         def until(code: int, pump: str) -> dict[str, Any]:
@@ -203,12 +203,12 @@ def stop(domain: int, cwd: Path) -> None:
     from ros_rig import Observer
     from std_srvs.srv import SetBool
 
-    with in_domain(domain), closing(Observer(domain, cwd)) as somebody:
-        assert somebody.call(SetBool, "/site1/pump/stop", data=True).success
+    with in_domain(domain), closing(Observer(domain, cwd)) as operator:
+        assert operator.call(SetBool, "/site1/pump/stop", data=True).success
 
 
 def test_it_needs_no_terminal_and_leaves_nothing(domain: int, tmp_path: Path) -> None:
-    """Over ssh and by cron: no standard input, and the same bytes whatever TERM is."""
+    """Over ssh and by cron: no standard input, and the same bytes for any TERM."""
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
     outputs = set()
     for term in ("xterm-256color", ""):

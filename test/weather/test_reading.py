@@ -238,7 +238,7 @@ def test_months_far_from_each_other() -> None:
 
 
 def test_value_that_one_file_lacks(tmp_path: Path) -> None:
-    """The other file's value is used, whichever comes first."""
+    """The other file's value is used, in either order."""
     lacking = piece(tmp_path / "a.csv", 0, 30, rain=False)
     expected = read_weather([JULY], TORONTO)
     for files in ([lacking, JULY], [JULY, lacking]):
@@ -359,7 +359,7 @@ def test_long_gaps_have_the_mean_of_the_days_about_them() -> None:
 
 @pytest.mark.parametrize("name", ["weather.csv", "weather.json"])
 def test_a_weather_file_that_is_too_large_is_refused_at_once(tmp_path: Path, name: str) -> None:
-    """Its size is known before it is read; the message says what to do."""
+    """Its size is known before it is read; the message states what to do."""
     file = tmp_path / name
     with file.open("w") as stream:
         stream.write("time,precipitation [mm/h]\nwet\n")

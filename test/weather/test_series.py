@@ -103,7 +103,7 @@ def test_years_take_no_more_memory_than_hours() -> None:
 # --- gaps that were filled ------------------------------------------------------------------------
 
 
-def test_missing_rain_counts_as_none_and_every_hour_is_named() -> None:
+def test_missing_rain_is_treated_as_none_and_every_hour_is_named() -> None:
     plain, weather = (read_weather([JULY], TORONTO, gaps=gaps) for gaps in (REFUSE, FILL))
     missing = np.flatnonzero(np.isnan(plain.precipitation)).tolist()
     assert weather.precipitation.tolist() == np.nan_to_num(plain.precipitation).tolist()

@@ -127,7 +127,7 @@ def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
 
 
 def test_what_a_file_of_elsewhere_is(tmp_path: Path) -> None:
-    """A run refuses it; here its distance is said: a degree of latitude is 111.2 km."""
+    """A run refuses it; here its distance is given: a degree of latitude is 111.2 km."""
     file = open_meteo(tmp_path / "answer.json", latitude=44.63)
     said = about(tmp_path, file)
     assert said["format"] == "Open-Meteo"
@@ -138,7 +138,7 @@ def test_what_a_file_of_elsewhere_is(tmp_path: Path) -> None:
 
 
 def test_what_a_rain_gauges_file_is(tmp_path: Path) -> None:
-    """Its zone is the site's; without monthly means it is said what is lacking."""
+    """Its zone is the site's; without monthly means the message names what is lacking."""
     file = logger(tmp_path / "logger.csv")
     place = site_file(tmp_path, time_zone="America/Toronto")
     said = about(tmp_path, file, "--site", place)
@@ -174,12 +174,12 @@ def test_years_are_summed(tmp_path: Path) -> None:
     [
         ("time,rain_mm\n2021-07-01T00:00Z,1\n", None, "rain.csv, line 1: 'rain_mm': a column must"),
         ("time,rain [mm]\n2021-07-01 00:00,1\n", None,
-         "rain.csv, line 2: time = '2021-07-01 00:00': must say its offset from UTC"),
+         "rain.csv, line 2: time = '2021-07-01 00:00': must give its offset from UTC"),
         ("time,rain [mm]\n2021-07-01T00:00Z,1\n", "rain.csv", "--output = 'rain.csv': exists"),
         ("time,rain [mm]\n2021-07-01T00:00Z,1\n", "rain.txt", "--output = 'rain.txt': must be"),
     ],
 )
-def test_what_is_wrong_is_said(
+def test_what_is_wrong_is_reported(
     tmp_path: Path, text: str, output: str | None, message: str
 ) -> None:
     (tmp_path / "rain.csv").write_text(text)

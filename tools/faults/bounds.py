@@ -62,7 +62,7 @@ def bounds(site: Site) -> dict[str, float]:
         # The same for an intermittent level: it first arrives for 2 s.
         "intermittent": 2.0 + _limit("/cistern/level") + site.tau + step,
         "frost": _limit("/weather/frost") + step,
-        # The drive stops by itself, or bringup stops it.
+        # The drive stops automatically, or bringup stops it.
         "drive": DRIVE_TIMEOUT_S + end,
         "supervised": SILENCE_S + end,
         # For this time the slowest permitted ramp can explain the speed.

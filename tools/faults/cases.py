@@ -40,7 +40,7 @@ class Expected:
         names: node or topic that the reason of the end must name; if the rig does not end, that
             bringup must print.
         never: conditions that must not be shown.
-        recovery: ``heals``: the pump runs again by itself; ``latches``: only after ~/reset;
+        recovery: ``heals``: the pump runs again automatically; ``latches``: only after ~/reset;
             ``either``; ``stays``: it stays off; ``ends``: bringup and all its processes end; for a
             simulation ``same``: it runs to its end, with an unchanged bag.
         watch: how long the pump must run on (s).
@@ -120,7 +120,7 @@ def _processes(repeats: int) -> Iterator[Case]:
         for fault in ("kill", "term", "stop short", "stop long"):
             for node in (*PROCESSES, "bringup"):
                 yield Case(rig, fault, node, number, _process(node, fault))
-        # A requested end is no failure, whatever happened before.
+        # A requested end is no failure.
         yield Case(rig, "term after an incident", "bringup", number, _process("bringup", "term"))
     for number, drive in enumerate(DRIVES):
         rig = f"site:{drive}"
@@ -139,7 +139,7 @@ def _processes(repeats: int) -> Iterator[Case]:
 
 _LOST = _pump("drive_lost")
 _DRIVE: dict[str, Expected] = {
-    # An absurd value is outside the drive file's range of the speed and not believed, as if there
+    # An absurd value is outside the drive file's range of the speed and implausible, as if there
     # were no answer. A drive that has power again is as before, and reports no fault.
     **dict.fromkeys(
         ("refused", "dropped", "half_open", "silence", "late", "garbage", "wrong_unit",
@@ -157,7 +157,7 @@ _DRIVE: dict[str, Expected] = {
     # As in PX4: silent for 7 s of 9.
     "intermittent": Expected(bound="intermittent drive", signs=_LOST),
 }
-# A Danfoss's speed is a share of its reference. Twice that share is believed, as a speed that does
+# A Danfoss's speed is a share of its reference. Twice that share is accepted, as a speed that does
 # not follow.
 _OF_MAKE = {
     ("danfoss_fc202", "absurd_value"): Expected(
@@ -166,7 +166,7 @@ _OF_MAKE = {
 # Drive faults on a serial line, which has no connections; a restarted simulator's line would have
 # another name.
 _SERIAL = tuple(name for name in _DRIVE if name not in ("refused", "timeout_off", "local"))
-# The motor does not stop, whatever the order: there must be an alarm, and the fault latches.
+# The motor does not stop, regardless of the command: there must be an alarm, and the fault latches.
 _UNSTOPPABLE = ("speed_stays", "stuck_running", "contactor")
 
 
@@ -493,7 +493,7 @@ def _intruders(repeats: int) -> Iterator[Case]:
         for topic in _RECEIVED:
             yield Case(rig, "intruder", topic, number, _TWO_PUMPS if topic == "/pump/flow" else
                        Expected(stops=None))
-        # Every topic that a live node hears, whoever publishes it: 10,000 hostile messages.
+        # Every topic that a live node receives, from any publisher: 10,000 hostile messages.
         for topic in (*_OBEYED, *_RECEIVED, *GAUGES):
             yield Case(rig, "10000 hostile", topic, number, Expected(
                 stops=None, bound="command", signs=_OBEYED.get(topic, ())))
@@ -540,7 +540,7 @@ RELAYED = (*_OBEYED, *FORECASTS, *_OF_PLANT)
 def _relayed(repeats: int) -> Iterator[Case]:
     """Yield the cases of relayed topics: a missing message stalls the tick, a late one delays it.
 
-    A wrong level is believed, because a plant could have it.
+    A wrong level is accepted, because a plant could have it.
     """
     for number in range(repeats):
         for topic in RELAYED:

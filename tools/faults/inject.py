@@ -306,7 +306,7 @@ def _rewrite_timeout(rig: Rig, case: Case, undo: ExitStack) -> None:
     undo.callback(rig.truth.inject_drive, "none")
     os.kill(rig.pids()["pump"], signal.SIGKILL)
     wait(lambda: "nothing is sent" in rig.watcher.last.get("pump: drive", ""), 40, "a silence")
-    assert rig.truth.runs(), "the motor stopped by itself"
+    assert rig.truth.runs(), "the motor stopped on its own"
     rig.truth.inject_drive("none")
     if case.target == "stop requested":
         rig.watcher.stop(True)

@@ -29,7 +29,7 @@ _RECOVERY_S = 75.0
 _LISTED_S = 60.0
 # Time within which bringup must end once the pump stands (s).
 _END_S = 50.0
-_LEAST_SPEED = 0.05
+_MIN_SPEED = 0.05
 _STEADY_S = 6.0
 # Time after which no alarm of the fault may be shown any more (s); a gauge or a forecast file that
 # is good again counts only after a while.
@@ -52,7 +52,7 @@ class Outcome:
         reason: of the end, as text.
         lost: seconds that a bag lacks, or ticks in a simulation; None if nothing could be lost.
         recovery: what happened afterwards.
-        recovered: time until the pump ran again (s); None if it did not by itself.
+        recovered: time until the pump ran again (s); None if it did not automatically.
         wrong: deviations from what must happen; empty if there are none.
     """
 
@@ -97,7 +97,7 @@ class Rigs:
             task(self._rig)
         except BrokenError as error:
             outcome.fail(f"rig: {error}")
-        except Exception as error:  # whatever failed, the next case needs a new rig
+        except Exception as error:  # for any error, the next case needs a new rig
             outcome.fail(f"{type(error).__name__}: {error}")
         ends = case.expected.recovery in ("ends", "stays") or case.fault == "full disk"
         if outcome.wrong or ends:
@@ -143,8 +143,8 @@ def run_case(
         rig.until_running()
     outcome.bound = bounds(rig.site)[case.expected.bound]
     _fault(rig, case, rng, outcome, hold)
-    if rig.truth.greatest > 1.001:
-        outcome.fail(f"the pump turned at {rig.truth.greatest:.3f} of its rated speed")
+    if rig.truth.maximum > 1.001:
+        outcome.fail(f"the pump turned at {rig.truth.maximum:.3f} of its rated speed")
     if isinstance(rig, SiteRig) and rig.levels()[0] < rig.site.suction_level - _DRY_M:
         outcome.fail("the pump ran dry")
 
@@ -198,7 +198,7 @@ def _fault(
         if case.fault == "unstoppable":
             outcome.to_safe = time.monotonic() - began
         time.sleep(hold)
-        if expected.stops is False and rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
+        if expected.stops is False and rig.truth.minimum(began, time.monotonic()) < _MIN_SPEED:
             outcome.fail(f"the pump stopped, but should have run on: {_reported(rig, began)}")
         if shown := rig.signs(began, incidents).intersection(expected.never):
             outcome.fail(f"shown without a reason: {shown}")
@@ -278,7 +278,7 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
     if expected == "stays":
         since = time.monotonic()
         time.sleep(5.0)
-        if rig.truth.greatest_speed(since, time.monotonic()) > _LEAST_SPEED:
+        if rig.truth.greatest_speed(since, time.monotonic()) > _MIN_SPEED:
             outcome.fail("the pump ran again")
         outcome.recovery = "stayed off"
         return
@@ -289,7 +289,7 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
             outcome.recovery, outcome.recovered = "ran again", time.monotonic() - began
             _check_no_alarm(rig, case, outcome)
             if expected == "latches":
-                outcome.fail("the fault did not latch: the pump ran again by itself")
+                outcome.fail("the fault did not latch: the pump ran again automatically")
             return
         if rig.watcher.pump_state == "fault" and expected != "heals":
             time.sleep(RAMP_S + 1.0)  # the fault may have latched while the pump turned
@@ -300,7 +300,7 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
     if rig.watcher.pump_state != "fault" and expected == "latches":
         outcome.fail(f"no latched fault: {rig.watcher.last.get('pump: pump')}")
     greatest_speed = rig.truth.greatest_speed(time.monotonic() - 0.5, time.monotonic())
-    if greatest_speed > _LEAST_SPEED:
+    if greatest_speed > _MIN_SPEED:
         outcome.fail(f"the pump turns at {greatest_speed:.2f} while its fault is latched")
     answer = rig.watcher.reset()
     try:

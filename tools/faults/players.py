@@ -22,7 +22,7 @@ ON_S, OFF_S = 2.0, 7.0
 # Prefix of the topics on which the nodes publish if the campaign stands between them.
 TRUE = "/true"
 HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e-9, -1e300)
-# Values too large for other topics; as a command they count as 1.
+# Values too large for other topics; as a command they are treated as 1.
 HUGE = (101.0, 1e9, 1.7976931348623157e308)
 # Wrong values that look right, by topic: an offset, or a value of its own.
 _WRONG: dict[str, Callable[[float], float]] = {

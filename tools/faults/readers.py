@@ -29,7 +29,7 @@ READERS, STOPPED_S = 4, 6.5
 _PAUSE_S, _APART_S = (0.1, 0.5), 0.4
 # Simulated per wall time, so that the run lasts for all stops.
 _SPEED = 20.0
-_LEAST_SPEED = 0.05
+_MIN_SPEED = 0.05
 # Like ``ros2 topic echo``: it uses only this package's rule for when to end, and the middleware's
 # own settings, including shared memory.
 _READER = """
@@ -68,7 +68,7 @@ class _Readers:
             time.sleep(max(0.0, at - time.monotonic()))
             process.send_signal(number)
             if process.poll() is not None:
-                raise BrokenError(f"a reader ended by itself: exit code {process.returncode}")
+                raise BrokenError(f"a reader ended on its own: exit code {process.returncode}")
 
     def signal(self, number: signal.Signals) -> None:
         for process in self._processes:
@@ -142,7 +142,7 @@ def _check_round(
     rig = rigs[case.target]
     if rig.main.process.poll() is not None:
         raise BrokenError(f"{case.target} ended in round {number}: {rig.main.stderr()[-400:]}")
-    if rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
+    if rig.truth.minimum(began, time.monotonic()) < _MIN_SPEED:
         texts = [text for at, _, text in rig.watcher.texts if at >= began]
         outcome.fail(f"the pump stopped in round {number}: {texts[:8]}")
         rig.until_running(steady_s=6.0)

@@ -522,7 +522,7 @@ class FlowRig(PlayedRig):
 def pump_node(
     rig: Rig, *more: str, domain: int | None = None, module: str = "live.pump"
 ) -> Process:
-    """Start a pump node by itself at a rig's drive."""
+    """Start only a pump node at a rig's drive."""
     options = {
         **{name: str(value).lower() for name, value in rig.pump_parameters.items()},
         "site_file": rig.site_file, "drive": rig.drive_file,
@@ -564,7 +564,7 @@ class LoopRig(Rig):
 
 
 class RelayedRig(Rig):
-    """The same with each node started by itself, and the campaign between them."""
+    """The same with each node started separately, and the campaign between them."""
 
     pump_parameters = LOOP_SHORTENED
 

@@ -60,8 +60,8 @@ def run_case(case: Case, directory: Path, outcome: Outcome) -> None:
         if file.read_bytes() != good:
             outcome.fail("a bad answer changed the file of forecasts")
         if case.target == "limit" and min(waits) < 120:
-            outcome.fail(f"asked again after {min(waits):g} s, where Retry-After says 120 s")
-        # If a connection breaks, the HTTP library repeats the request once by itself.
+            outcome.fail(f"asked again after {min(waits):g} s, where Retry-After reports 120 s")
+        # If a connection breaks, the HTTP library repeats the request once automatically.
         if len(waits) > _MOST_REQUESTS or server.requests - 1 > 2 * len(waits):
             outcome.fail(f"the service was asked {server.requests - 1} times in {_HOURS} h")
         forecast = LiveForecast(ForecastFile(file), site, 120.0, _ISSUE_LIMIT_S, False)

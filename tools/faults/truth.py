@@ -19,7 +19,7 @@ _PERIOD_S = 0.05
 _CAPACITY = 7200
 # How far back to look for a break in running (s).
 _HISTORY_S = 15.0
-# Speed below which the motor is at rest (share of rated speed). It is below the drivers' limit,
+# Speed below which the motor is stopped (share of rated speed). It is below the drivers' limit,
 # because a true speed has no noise.
 AT_REST = 0.005
 # Speed above which it runs.
@@ -30,7 +30,7 @@ class Truth:
     """Reads the workbenches of drive and site, in a thread of its own."""
 
     def __init__(self, drive: Address, site: Address | None = None) -> None:
-        self.greatest = 0.0
+        self.maximum = 0.0
         self.samples: deque[tuple[float, float]] = deque(maxlen=_CAPACITY)  # time (s), speed
         self._drive = Workbench(drive)
         self._site = None if site is None else Workbench(site, SITE_FAULTS)
@@ -53,7 +53,7 @@ class Truth:
                 before = time.monotonic()
                 speed = self._drive.speed()
                 self.samples.append(((before + time.monotonic()) / 2, speed))
-                self.greatest = max(self.greatest, speed)
+                self.maximum = max(self.maximum, speed)
 
     def inject_drive(self, fault: str, parameter: int = DEFAULT) -> None:
         assert fault in FAULTS
@@ -97,11 +97,11 @@ class Truth:
         return next((at for at, speed in self._from(since) if speed <= AT_REST), None)
 
     def greatest_speed(self, since: float, until: float) -> float:
-        """Return the greatest speed between two times."""
+        """Return the maximum speed between two times."""
         return max((v for at, v in self._from(since) if at <= until), default=0.0)
 
-    def least(self, since: float, until: float) -> float:
-        """Return the least speed between two times."""
+    def minimum(self, since: float, until: float) -> float:
+        """Return the minimum speed between two times."""
         return min((v for at, v in self._from(since) if at <= until), default=0.0)
 
     def _newest_first(self) -> Iterator[tuple[float, float]]:

@@ -155,7 +155,7 @@ class Watcher:
             self.publish(topic, value)
         elif self._topics[topic].type.endswith("DiagnosticArray"):
             status = DiagnosticStatus(
-                name="/onoff", message="ready", hardware_id="nobody",
+                name="/onoff", message="ready", hardware_id="none",
                 values=[KeyValue(key="role", value="controller"), KeyValue(key="x", value="{")],
             )
             self._publishers[topic].publish(DiagnosticArray(status=[status]))

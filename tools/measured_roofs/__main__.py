@@ -1,4 +1,4 @@
-"""The measured roofs: ``python tools/measured_roofs DIRECTORY``, which has the files of both.
+"""Two roofs with records, Neubrandenburg and Berlin: ``python tools/measured_roofs DIRECTORY``.
 
 Each roof is fitted on one half of its warm seasons and judged on the other, both ways, and compared
 with SWMM as its authors calibrated it and with a bucket of one parameter. Needs the extras [study]
@@ -8,7 +8,7 @@ judged there too.
 
 DIRECTORY holds for each roof NAME, neubrandenburg and berlin, files from KWB-R/keys.lid:
 NAME.inp, its model for SWMM 5; NAME_temperature_daily.txt, a line for each day: station, year,
-month, day, greatest and least temperature (degC); and CSV compressed by xz, with columns
+month, day, maximum and minimum temperature (degC); and CSV compressed by xz, with columns
 "time" (ISO 8601, local), "rain [mm/5min]" and "runoff [mm/5min]": neubrandenburg_5min.csv.xz has
 both, berlin_rain_5min.csv.xz and berlin_runoff_5min.csv.xz have one each.
 """
@@ -43,7 +43,7 @@ from greenroof_ros.model.site import read_site
 from greenroof_ros.model.soil import MeasuredSoil
 
 OURS, SWMM, BUCKET = MODELS = "fitted roof", "SWMM", "bucket"
-LEAST_MM = 5.0
+MIN_MM = 5.0
 
 
 def start_site(roof):
@@ -91,20 +91,20 @@ def judge(roof, directory, scratch):
     theirs = swmm(roof, directory, record, scratch)
     counted = comparable(record) & warm(record) & ~np.isnan(theirs)
     halves = tuple(halve(record, counted).values())
-    least = least_reading(record)
+    minimum = least_reading(record)
     missing = np.isnan(record.runoff) & warm(record)
     broken = sum(missing[storm.first:storm.end].any() for storm in storms(record))
     rows, answers = [], []
     notes = [
-        f"{roof.name}: the meter's greatest value is {np.nanmax(record.runoff):.3f} mm. The "
+        f"{roof.name}: the meter's maximum value is {np.nanmax(record.runoff):.3f} mm. The "
         f"{broken} storms with a step without one are left out for every model."
     ]
     for half, fitted_on, judged_on in (("earlier", 0, 1), ("later", 1, 0)):
         fitted = fit(site, record, halves[fitted_on])
         simple = bucket(record, halves[fitted_on])
         models = {
-            OURS: fitted.simulated.runoff, SWMM: np.where(theirs < least, 0.0, theirs),
-            BUCKET: np.where(simple < least, 0.0, simple),
+            OURS: fitted.simulated.runoff, SWMM: np.where(theirs < minimum, 0.0, theirs),
+            BUCKET: np.where(simple < minimum, 0.0, simple),
         }
         notes += [
             f"{roof.name}, fitted on the {half} half: {fit_of.name} = {fit_of.value:.4g}"
@@ -116,7 +116,7 @@ def judge(roof, directory, scratch):
         rows += [(roof.name, model, scored(record, runoff, steps))
                  for model, runoff in models.items()]
         for storm in storms(record):
-            if storm.rain >= LEAST_MM and steps[storm.first:storm.end].all():
+            if storm.rain >= MIN_MM and steps[storm.first:storm.end].all():
                 measured = answer(storm, record, record.runoff)
                 answers += [(roof.name, model, measured, answer(storm, record, runoff))
                             for model, runoff in models.items()]

@@ -30,8 +30,8 @@ def swmm(roof: Roof, directory: Path, record: RoofRecord, scratch: Path) -> Valu
         for time, rain in zip(times, np.nan_to_num(record.rain), strict=True) if rain > 0
     ), encoding="utf-8")
     (scratch / temperature_file).write_text("".join(
-        f"{station} {' '.join(date.split('-'))} {greatest} {least}\n"
-        for date, (greatest, least)
+        f"{station} {' '.join(date.split('-'))} {maximum} {minimum}\n"
+        for date, (maximum, minimum)
         in temperatures(directory / f"{roof.name}_temperature_daily.txt").items()
     ), encoding="utf-8")
     model = scratch / f"{roof.name}-swmm.inp"

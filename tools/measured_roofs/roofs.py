@@ -1,4 +1,4 @@
-"""The two measured roofs, as records in this project's format.
+"""The roofs in Neubrandenburg and Berlin, as records in this project's format.
 
 Rain and runoff every five minutes and daily temperatures, from the repository KWB-R/keys.lid
 (Kompetenzzentrum Wasser Berlin, MIT). Its files are not part of this repository.
@@ -22,7 +22,7 @@ STEP_S = 300
 
 
 class Roof(NamedTuple):
-    """A measured roof; its files begin with its name."""
+    """A roof; its files begin with its name."""
 
     name: str
     rain: str
@@ -58,9 +58,9 @@ def read_roof(roof: Roof, directory: Path, site: Site, scratch: Path) -> RoofRec
                          "greatest temperature [degC]"])
         for slot in range(first, max(rain) + 1):
             time = datetime.fromisoformat(str(np.datetime64(slot * STEP_S, "s")))
-            greatest, least = extremes[time.date().isoformat()]
+            maximum, minimum = extremes[time.date().isoformat()]
             writer.writerow([
-                time.isoformat(), _cell(rain.get(slot)), _cell(runoff.get(slot)), least, greatest,
+                time.isoformat(), _cell(rain.get(slot)), _cell(runoff.get(slot)), minimum, maximum,
             ])
     return read_csv_record(file, site)
 
@@ -81,11 +81,11 @@ def _series(file: Path, column: str) -> dict[int, float]:
 
 
 def temperatures(file: Path) -> dict[str, tuple[float, float]]:
-    """Return greatest and least temperature (degC) by date."""
+    """Return maximum and minimum temperature (degC) by date."""
     extremes = {}
     for line in file.read_text(encoding="utf-8").splitlines():
-        _, year, month, day, greatest, least = line.split()
-        extremes[f"{int(year)}-{int(month):02}-{int(day):02}"] = (float(greatest), float(least))
+        _, year, month, day, maximum, minimum = line.split()
+        extremes[f"{int(year)}-{int(month):02}-{int(day):02}"] = (float(maximum), float(minimum))
     return extremes
 
 

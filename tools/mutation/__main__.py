@@ -42,7 +42,7 @@ _POINTLESS = re.compile(
     r"|ReplaceComparisonOperator_(Eq_Is|NotEq_IsNot|Is_Eq|IsNot_NotEq))"
 )
 # A mutant hangs if it takes longer than this many times the unchanged code, plus this time (s).
-_TIMES_AS_LONG, _LEAST_LIMIT_S = 5.0, 60.0
+_TIMES_AS_LONG, _MIN_LIMIT_S = 5.0, 60.0
 _Z = 1.96  # for an interval of 95 %
 
 _interrupted: list[int] = []  # signals received
@@ -100,7 +100,7 @@ def limit_of(command: str) -> float:
     done = subprocess.run(shlex.split(command), check=False, capture_output=True, text=True)
     if done.returncode != 0:
         raise SystemExit(f"{done.stdout}\nthe tests fail on the unchanged code: {command}")
-    return _LEAST_LIMIT_S + _TIMES_AS_LONG * (time.monotonic() - began)
+    return _MIN_LIMIT_S + _TIMES_AS_LONG * (time.monotonic() - began)
 
 
 def judge(folder: str, entry: dict[str, Any], size: int, seed: int) -> tuple[Row, list[Survivor]]:
@@ -190,7 +190,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="seed of the sample (default: 1)")
     parser.add_argument(
         "--output", type=Path, default=Path("runs/mutation.csv"),
-        help="the table; survivors are in a file beside it (default: runs/mutation.csv)",
+        help="the table; survivors are in a file next to it (default: runs/mutation.csv)",
     )
     arguments = parser.parse_args()
     unknown = [folder for folder in arguments.folders if folder not in folders]

@@ -8,7 +8,7 @@ perfect one. Each run is a file in DIR; the same command continues after an inte
 the documentation's tables and figure are made; the README has some of its numbers.
 
 Assumed: evapotranspiration is the site file's monthly mean as a half sine over the day. Hours that
-the gauge lacks count as dry. GFS's fifth day is left out.
+the gauge lacks are treated as dry. GFS's fifth day is left out.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class Roof:
     target: float
 
 
-# At the paper's target; and the measured roof at the target of its own site file.
+# At the paper's target; and the Neubrandenburg roof at the target of its own site file.
 ROOFS = {
     "measured": Roof("site_catchment.yaml", 0.0457),
     "measured, target 39 mm": Roof("site_catchment.yaml", 0.039),

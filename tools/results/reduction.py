@@ -77,7 +77,7 @@ def seasons(study: Path) -> Rows:
 
     The mean deviation is over all years (mm). Its ratio to the first on/off on the same roof has a
     95 % interval. The row also has the number of years in which it is below on/off, and the ratio
-    to the least possible if the study has it.
+    to the minimum possible if the study has it.
     """
     rows = read(study / "results.csv")
     columns = [
@@ -99,11 +99,11 @@ def seasons(study: Path) -> Rows:
         outcomes = [mean, *against.mean, against.better, against.years]
         if own[0]["bound_m3"]:
             names = (*names, "over_least")
-            total, least = (
+            total, minimum = (
                 np.mean([float(row[name]) for row in own])
                 for name in ("total_deviation_m3", "bound_m3")
             )
-            outcomes.append(total / least)
+            outcomes.append(total / minimum)
         table.append({
             **dict(zip(columns, case, strict=True)),
             **dict(zip(names, map(str, outcomes), strict=True)),

@@ -1,7 +1,7 @@
 """Every kind of alarm of the fault campaign, on the page in Chromium.
 
 ``pytest tools/watch/alarms.py -s`` does each case to a real live site as ``make faults`` does, and
-keeps each fault for longer than the limit after it was reported. Whatever a node reports as wrong
+keeps each fault for longer than the limit after it was reported. All that a node reports as wrong
 on ``/diagnostics`` must appear on the page within the limit, with the condition's code, and
 disappear within it afterwards. A change that lasts less than the limit may be missed, but each kind
 must show its own alarm: one that the campaign expects, or one of the node with the fault.

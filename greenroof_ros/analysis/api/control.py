@@ -140,7 +140,7 @@ def parameters_of(instance: Controller, choice: ControllerChoice) -> dict[str, f
     }
     if "horizon" in choice.parameters and "horizon" not in values:
         raise ConfigurationError(
-            "must have its parameter horizon as an attribute, or its forecast's length is not "
-            "known; or give the class, and horizon=", key=f"an instance of {choice.name}",
+            "must have its parameter horizon as an attribute, or its forecast's length is "
+            "unknown; or give the class, and horizon=", key=f"an instance of {choice.name}",
         )
     return values

@@ -1,6 +1,6 @@
 """The environment ``GreenRoof-v0`` of Gymnasium, the interface of reinforcement learning.
 
-Gymnasium before 1.0 finds it by itself; later versions look for none, so import this module:
+Gymnasium before 1.0 finds it automatically; later versions look for none, so import this module:
 
     import gymnasium
     import greenroof_ros as gr

@@ -84,7 +84,7 @@ class Result:
         - ``outflow_m3_per_s``: from the cistern to the sewer
         - ``drainage_m3_per_s``: off the roof
         - ``frost``: 1 in frost, else 0
-        - ``drainage_layer_m3``: water volume in the drainage layer of a measured roof
+        - ``drainage_layer_m3``: water volume in the drainage layer of a measured soil
 
         The flows of the last row are not applied: the run ends in its state.
 
@@ -168,7 +168,7 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
     Args:
         path: a run directory, also one that :meth:`Result.save` wrote, a bag, or a single .mcap
             file.
-        site: the site, or its file; by default the one beside the bag, or else the paper's.
+        site: the site, or its file; by default the one next to the bag, or else the paper's.
 
     Returns:
         The columns of :attr:`Result.trajectory`.

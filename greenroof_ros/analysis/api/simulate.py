@@ -73,7 +73,7 @@ def simulate(
         The metrics, the trajectory with a chart of it, and a way to save both.
 
     Raises:
-        ConfigurationError: an input is wrong; the message says which, and what would be right.
+        ConfigurationError: an input is wrong; the message states which, and what would be right.
 
     Example:
         >>> import greenroof_ros as gr
@@ -163,7 +163,7 @@ def compare(
     """Simulate several controllers with the same inputs.
 
     Args:
-        controllers: each by a name for table and chart. A result is taken as it is, so that
+        controllers: each by a name for table and chart. A result is used as it is, so that
             parameters can differ.
         inputs: of :func:`simulate`, for all of them.
 

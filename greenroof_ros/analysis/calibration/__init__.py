@@ -1,1 +1,1 @@
-"""Fitting a measured roof and its pumps: records, checks of records, fits, site file, page."""
+"""Fitting a measured soil and the pumps: records, checks of records, fits, site file, page."""

@@ -29,7 +29,7 @@ def read_bag_record(bag: Path, site: Site) -> RoofRecord:
     level at its beginning. If ``/roof/drainage`` is not recorded, or is always 0, runoff does not
     count.
 
-    Evapotranspiration that the run computed (``fao56`` in the files beside its bag) contains the
+    Evapotranspiration that the run computed (``fao56`` in the files next to its bag) contains the
     crop coefficient of the run's site, and is divided by it. A weather file's own column and the
     forecasts of a live site do not contain it, so other evapotranspiration is used as it is.
 

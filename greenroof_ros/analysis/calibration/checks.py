@@ -1,6 +1,6 @@
 """Checks of a record and of its fit, and other findings: one function for each check.
 
-The bounds separate the records of the two measured roofs (Neubrandenburg 2014 and 2015, Berlin
+The bounds separate the records of two roofs (Neubrandenburg 2014 and 2015, Berlin
 2019, April to October, in windows of 30 to 100 days) from the same records with a wrong unit, a
 shifted clock or a broken sensor. Bounds for levels do so with simulated levels of these roofs.
 """
@@ -131,17 +131,18 @@ def outages_found(record: RoofRecord) -> Iterator[Finding]:
 # clocks can differ by minutes, and a level's rises are between means of half an hour.
 _LONGEST_DELAY_S, _MOST_SHIFT_S = 4 * HOUR_S, 26 * HOUR_S
 _EARLY_STEPS, _EARLY_S = {"runoff": 1, "level": 2}, 2 * HOUR_S
-# The least correlation that counts, and the least ratio of the best correlation to the one without
-# a shift. An early response is always wrong: in 64 windows of 30 and 60 days of the two measured
-# roofs this ratio is at most 1.03; with a clock an hour early it is above 1.1 in 47 of them.
+# The minimum correlation that counts, and the minimum ratio of the best correlation to the one
+# without a shift. An early response is always wrong: in 64 windows of 30 and 60 days of the two
+# roofs this ratio is at most 1.03; with a clock an hour early it is above 1.1 in 47 of
+# them.
 _CLEAR, _EARLY_BETTER, _LATE_BETTER = 0.1, 1.1, 1.5
 
 
 def _clock(record: RoofRecord) -> Iterator[Finding]:
     """Find a roof that responds before the rain, or hours after it.
 
-    Only rises of runoff or level count: how long runoff continues after rain says nothing about
-    clocks. A level's rise is between two means of half an hour, to reduce a sensor's noise.
+    Only rises of runoff or level count: how long runoff continues after rain indicates nothing
+    about clocks. A level's rise is between two means of half an hour, to reduce a sensor's noise.
     """
     column, series = next(iter(record.measured.items()))
     if column == "runoff":
@@ -179,7 +180,7 @@ def _clock(record: RoofRecord) -> Iterator[Finding]:
 def _rises(values: Values, count: int) -> Values:
     """Return the mean of ``count`` values from each value on, less the mean of as many before it.
 
-    Unknown values and values before the first count as 0. Shape (values - count + 1,).
+    Unknown values and values before the first are treated as 0. Shape (values - count + 1,).
     """
     weights = np.repeat([1.0, -1.0], count) / count
     return np.convolve(np.nan_to_num(values), weights)[count - 1:len(values)]
@@ -193,35 +194,35 @@ def _rises(values: Values, count: int) -> Values:
 # Irrigation Symposium, 2000).
 _MOST_A_DAY = 20.0
 # Less than the best day of a month has, as a share of what the sun above the atmosphere could
-# evaporate. By Hargreaves' equation the best day has at least 0.12 at the two measured roofs, and
-# 0.08 in eleven years of Toronto, in the coldest months; a twelfth of the right value is at most
-# 0.04, in summer. A bound in mm cannot separate the two.
-_LEAST_OF_SUN, _FEWEST_DAYS = 0.06, 30
-# The least rain and pumped water for a fit (mm), and more rain than falls in weeks (mm a day).
-_LEAST_RAIN, _MOST_RAIN_A_DAY = 20.0, 60.0
+# evaporate. By Hargreaves' equation the best day has at least 0.12 at the roofs in Neubrandenburg
+# and Berlin, and 0.08 in eleven years of Toronto, in the coldest months; a twelfth of the right
+# value is at most 0.04, in summer. A bound in mm cannot separate the two.
+_MIN_OF_SUN, _FEWEST_DAYS = 0.06, 30
+# The minimum rain and pumped water for a fit (mm), and more rain than falls in weeks (mm a day).
+_MIN_RAIN, _MOST_RAIN_A_DAY = 20.0, 60.0
 # The largest excess of runoff over water, summed over storms, as a share of their runoff: at most
-# 0.13 for the measured roofs; with a wrong unit at least 0.21, mostly 0.4. And in mm, so that a few
-# drops do not count.
-_MOST_EXCESS, _LEAST_EXCESS = 0.25, 5.0
-# The greatest share of a storm of 5 mm or more that runs off: at least 0.13, and with a wrong unit
+# 0.13 for both roofs; with a wrong unit at least 0.21, mostly 0.4. And
+# in mm, so that a few drops do not count.
+_MOST_EXCESS, _MIN_EXCESS = 0.25, 5.0
+# The maximum share of a storm of 5 mm or more that runs off: at least 0.13, and with a wrong unit
 # at most 0.08; with three such storms in 90 days. A shorter record can be from a dry month.
-_LEAST_SHARE, _LARGE, _FEWEST_LARGE, _LONG_DAYS = 0.1, 5.0, 3, 90
+_MIN_SHARE, _LARGE, _FEWEST_LARGE, _LONG_DAYS = 0.1, 5.0, 3, 90
 # A roof keeps at most the soil's volume and this much more of a storm (mm).
 _EXTRA_STORAGE = 20.0
 # Rise of levels in storms of 1 mm and more, as a share of their water: 0.4 to 1.1, and with a wrong
 # unit at most 0.09 or at least 6; with three such storms.
-_LEAST_RISE, _MOST_RISE, _COUNTS, _FEWEST_STORMS = 0.1, 2.0, 1.0, 3
+_MIN_RISE, _MOST_RISE, _COUNTS, _FEWEST_STORMS = 0.1, 2.0, 1.0, 3
 # Duration of the means before and after a storm, which reduce a sensor's noise (s).
 _MEAN_S = 1800
 # More water than this (mm), even from many storms, must cause some runoff if it also exceeds what
-# the soil can hold. The measured roofs had no runoff from 44 mm in four weeks.
+# the soil can hold. Both roofs had no runoff from 44 mm in four weeks.
 _LEAVES_SOME = 80.0
 # Runoff of a record as a share of its water, if there is any: at least 0.0025 in windows of 30 days
 # or more, and with runoff in m instead of mm at most 0.0007.
-_LEAST_OF_WATER = 0.001
-# The measured roofs are not watered: they dry out, and bounds allow for evaporation meanwhile. A
-# watered roof evaporates at the full rate, at most 1.3 times the rate of the reference grass
-# (FAO-56, Eq. 72: 1.05 to 1.3).
+_MIN_OF_WATER = 0.001
+# Neither roof is watered: they dry out, and bounds allow for
+# evaporation meanwhile. A watered roof evaporates at the full rate, at most 1.3 times the rate of
+# the reference grass (FAO-56, Eq. 72: 1.05 to 1.3).
 _WATERED_S, _FULL_RATE = 7 * DAY_S, 1.3
 
 
@@ -238,7 +239,7 @@ def _watered(record: RoofRecord) -> Steps:
 def _gain_without_runoff(record: RoofRecord, site: Site, runoff: Values) -> Values:
     """Return the gain of a roof without runoff up to each step (mm), shape (steps + 1,).
 
-    A dry roof must be able to hold the greatest rise of this gain. Water in steps with unknown
+    A dry roof must be able to hold the maximum rise of this gain. Water in steps with unknown
     runoff does not count. From a roof with a pump, evapotranspiration is subtracted at its full
     rate, because a good controller pumps no more than that, and nothing while it rains often
     enough.
@@ -271,20 +272,20 @@ def _evapotranspiration(record: RoofRecord, site: Site) -> Iterator[Finding]:
         )
     if site.latitude is None or record.steps * record.step_s < _FEWEST_DAYS * DAY_S:
         return
-    least = _LEAST_OF_SUN * evaporable(extraterrestrial_radiation(site.latitude, days))
-    if np.all(totals < least):
+    minimum = _MIN_OF_SUN * evaporable(extraterrestrial_radiation(site.latitude, days))
+    if np.all(totals < minimum):
         best = int(np.argmax(totals))
         yield FINDINGS.make(
             "unit-error", "month", column,
-            most=float(totals[best]), day=str(days[best]), bound=float(least[best]),
+            most=float(totals[best]), day=str(days[best]), bound=float(minimum[best]),
         )
 
 
 def _rain(record: RoofRecord) -> Iterator[Finding]:
     rain, days = float(np.nansum(record.rain)), _days(record)
-    if rain + float(np.nansum(record.pumped)) < _LEAST_RAIN:
+    if rain + float(np.nansum(record.pumped)) < _MIN_RAIN:
         yield FINDINGS.make(
-            "unit-error", "little rain", "rain", rain=rain, days=days, bound=_LEAST_RAIN,
+            "unit-error", "little rain", "rain", rain=rain, days=days, bound=_MIN_RAIN,
         )
     if days > 7 and rain / days > _MOST_RAIN_A_DAY:
         yield FINDINGS.make("unit-error", "much rain", "rain", rain=rain, days=days)
@@ -313,10 +314,10 @@ def _level(record: RoofRecord, site: Site, level: Values) -> Iterator[Finding]:
         if inflow >= _COUNTS and not np.isnan(rise):
             rises.append((inflow, rise))
     inflow, risen = (sum(depths) for depths in zip(*rises, strict=True)) if rises else (1.0, 1.0)
-    if len(rises) >= _FEWEST_STORMS and not _LEAST_RISE < risen / inflow < _MOST_RISE:
+    if len(rises) >= _FEWEST_STORMS and not _MIN_RISE < risen / inflow < _MOST_RISE:
         yield FINDINGS.make(
             "unit-error", "rises", "level",
-            risen=risen, came=inflow, least=_LEAST_RISE, most=_MOST_RISE,
+            risen=risen, came=inflow, least=_MIN_RISE, most=_MOST_RISE,
         )
 
 
@@ -327,7 +328,7 @@ def _runoff(record: RoofRecord, site: Site, runoff: Values) -> Iterator[Finding]
     """
     known = ~np.isnan(runoff) & ~np.isnan(record.rain)
     inflow, outflow = float(np.sum(record.water[known])), float(np.sum(runoff[known]))
-    if 0 < outflow < _LEAST_OF_WATER * inflow and (
+    if 0 < outflow < _MIN_OF_WATER * inflow and (
         not _watered(record).any()
         or greatest_rise(_gain_without_runoff(record, site, runoff)) > _most_storage(site)
     ):
@@ -338,8 +339,8 @@ def _storm_runoff(record: RoofRecord, site: Site, runoff: Values) -> Iterator[Fi
     """Find runoff that exceeds the water of storms, or is less than any roof lets run off.
 
     Water and runoff are of a storm and the day after it (mm). Storms with gaps do not count. The
-    least share of runoff is not checked in storms on a watered roof, because a controller can make
-    room for a storm.
+    minimum share of runoff is not checked in storms on a watered roof, because a controller can
+    make room for a storm.
     """
     water, watered, capacity = record.rain + record.pumped, _watered(record), 1000 * site.z_soil
     balances = []
@@ -349,7 +350,7 @@ def _storm_runoff(record: RoofRecord, site: Site, runoff: Values) -> Iterator[Fi
         if not math.isnan(inflow + outflow):
             balances.append((outflow - inflow, outflow, inflow, storm.first))
     excess = sum(max(0.0, surplus) for surplus, *_ in balances)
-    if excess > max(_LEAST_EXCESS, _MOST_EXCESS * sum(outflow for _, outflow, *_ in balances)):
+    if excess > max(_MIN_EXCESS, _MOST_EXCESS * sum(outflow for _, outflow, *_ in balances)):
         _, outflow, inflow, first = max(balances)
         yield FINDINGS.make(
             "unit-error", "excess", "runoff", gone=outflow, came=inflow, when=record.time(first),
@@ -366,7 +367,7 @@ def _storm_runoff(record: RoofRecord, site: Site, runoff: Values) -> Iterator[Fi
         outflow / inflow for _, outflow, inflow, first in balances
         if inflow >= _LARGE and not watered[first]
     ]
-    if len(shares) >= _FEWEST_LARGE and _days(record) >= _LONG_DAYS and max(shares) < _LEAST_SHARE:
+    if len(shares) >= _FEWEST_LARGE and _days(record) >= _LONG_DAYS and max(shares) < _MIN_SHARE:
         yield FINDINGS.make(
             "unit-error", "shares", "runoff", percent=100 * max(shares), storms=len(shares),
             large=_LARGE,
@@ -378,7 +379,7 @@ def _storm_runoff(record: RoofRecord, site: Site, runoff: Values) -> Iterator[Fi
 # More runoff than this (mm), after this long (s) without rain, has no explanation.
 _UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
 # A level rises without rain if means of this duration (s), of at least this many values, differ by
-# this much (mm) and by this many times the greatest fall, after a day without rain. Noise of 2 mm
+# this much (mm) and by this many times the maximum fall, after a day without rain. Noise of 2 mm
 # makes a rise of 2 mm; a sensor that is warmed by the sun rises and falls equally.
 _RISE_S, _RISE_VALUES, _RISE, _RISE_TO_FALL = 6 * HOUR_S, 6, 5.0, 3.0
 

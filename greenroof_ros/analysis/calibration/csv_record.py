@@ -37,12 +37,12 @@ from greenroof_ros.weather.evapotranspiration import (
 
 TIME = "time"
 REFERENCE = "reference evapotranspiration"
-_COURSE, _LEAST, _GREATEST = "temperature", "least temperature", "greatest temperature"
-# For each quantity: unit, least and greatest believable value, and examples of units of a column.
-# Limits of amounts are per hour. The greatest rain in a minute was less (WMO: 31.2 mm, Unionville
+_COURSE, _MINIMUM, _MAXIMUM = "temperature", "least temperature", "greatest temperature"
+# For each quantity: unit, minimum and maximum believable value, and examples of units of a column.
+# Limits of amounts are per hour. The maximum rain in a minute was less (WMO: 31.2 mm, Unionville
 # 1956), and no roof gives back more than its rain. A W/m2 evaporates 0.0015 mm/h: the sun's
-# 1361 W/m2 and warmer air cannot evaporate more than 3 mm/h. The least level allows for a sensor's
-# zero error and noise.
+# 1361 W/m2 and warmer air cannot evaporate more than 3 mm/h. The minimum level allows for a
+# sensor's zero error and noise.
 _WATER: Limits = ("mm/h", 0.0, 1900.0)
 _LEVEL: Limits = ("m", -0.1, 100.0)
 _QUANTITIES: dict[str, tuple[Limits, str]] = {
@@ -53,7 +53,7 @@ _QUANTITIES: dict[str, tuple[Limits, str]] = {
     "level": (_LEVEL, "m mm cm"),
     "cistern level": (_LEVEL, "m mm cm"),
     "pump state": (("1", 0.0, 1.0), "1 %"),
-    **dict.fromkeys((_COURSE, _LEAST, _GREATEST), (QUANTITIES[_COURSE], "degC")),
+    **dict.fromkeys((_COURSE, _MINIMUM, _MAXIMUM), (QUANTITIES[_COURSE], "degC")),
 }
 # How many of a unit make one m, 1 or degC.
 _PER_OURS = {"m": 1.0, "cm": 100.0, "mm": 1000.0, "1": 1.0, "%": 100.0, "degC": 1.0}
@@ -211,7 +211,7 @@ def _columns(table: Table) -> dict[str, tuple[str, str]]:
         ("rain" in columns, "there must be a column 'rain [mm]'"),
         ("runoff" in columns or "level" in columns,
          "there must be a column 'runoff [mm]' or 'level [m]'"),
-        (REFERENCE in columns or _COURSE in columns or {_LEAST, _GREATEST} <= set(columns),
+        (REFERENCE in columns or _COURSE in columns or {_MINIMUM, _MAXIMUM} <= set(columns),
          "there must be a column 'reference evapotranspiration [mm]', 'temperature [degC]', or "
          "both 'least temperature [degC]' and 'greatest temperature [degC]'"),
         ("pump state" not in columns or "cistern level" in columns,
@@ -336,7 +336,7 @@ def _from_temperatures(
 
     Raises:
         ConfigurationError: the site has no place; or temperatures are too far apart to show a day's
-            extremes, too far from a day that counts, or least above greatest.
+            extremes, too far from a day that counts, or minimum above maximum.
     """
     if site.latitude is None or site.longitude is None:
         raise ConfigurationError(
@@ -353,15 +353,15 @@ def _from_temperatures(
     dates, day = np.unique(
         np.array([time.date() for time in rows.times], dtype="datetime64[D]"), return_inverse=True
     )
-    low, high = (_COURSE, _COURSE) if _COURSE in numbers else (_LEAST, _GREATEST)
-    least, greatest = extremes = extremes_of_days(
+    low, high = (_COURSE, _COURSE) if _COURSE in numbers else (_MINIMUM, _MAXIMUM)
+    minimum, maximum = extremes = extremes_of_days(
         day, numbers[low], numbers[high], DAY_S / record.step_s if _COURSE in numbers else 1.0
     )
-    crossed = np.flatnonzero(least > greatest)
+    crossed = np.flatnonzero(minimum > maximum)
     if len(crossed):
         raise ConfigurationError(
-            f"on {dates[crossed[0]]} the least temperature, {least[crossed[0]]:g} degC, is above "
-            f"the greatest, {greatest[crossed[0]]:g} degC", file=record.source,
+            f"on {dates[crossed[0]]} the minimum temperature, {minimum[crossed[0]]:g} degC, is "
+            f"above the maximum, {maximum[crossed[0]]:g} degC", file=record.source,
         )
     there = ~np.isnan(extremes).any(axis=0)
     if not there.any():

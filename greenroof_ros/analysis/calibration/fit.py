@@ -53,7 +53,7 @@ HARDLY = 0.5
 """If half an interval exceeds this share of the value or range, the data hardly constrain it."""
 _END = 0.005
 _CONFIDENCE = 0.95
-# A group with more than this share of the information about a parameter says it alone.
+# A group with more than this share of the information about a parameter determines it alone.
 _ALONE = 0.99
 FILLED = "filled"
 # Share of the available water on the roof at first, if nothing is known about it.
@@ -68,8 +68,8 @@ class FitRange:
     Attributes:
         name: of a site's parameter, or ``filled``: the share of the available water that is on the
             roof when the record begins.
-        low: least value.
-        high: greatest value.
+        low: minimum value.
+        high: maximum value.
         logarithmic: whether its scale is logarithmic.
     """
 
@@ -120,7 +120,7 @@ _TYPICAL_STORAGE = 0.02
 
 
 def measured_roof(site: Site) -> Site:
-    """Return a site as a measured roof, with typical values of parameters that it lacks."""
+    """Return a site with a measured soil, with typical values of parameters that it lacks."""
     if site.field_capacity is None:
         site = replace(
             site, field_capacity=0.35, wilting_point=0.02, depletion_fraction=0.5,
@@ -139,12 +139,12 @@ _DEPLETION = 0.5
 def reachable_target(site: Site) -> Site:
     """Return the site with a target that its roof can hold; unchanged if it holds the present one.
 
-    Water above field capacity drains, so pumping to a target there would never end. A record says
-    nothing about the target. It is set half-way between wilting point and field capacity, and the
-    site's owner is asked to choose another.
+    Water above field capacity drains, so pumping to a target there would never end. A record
+    reports nothing about the target. It is set half-way between wilting point and field capacity,
+    and the site's owner is asked to choose another.
 
     Args:
-        site: of a measured roof.
+        site: with a measured soil.
     """
     if site.x2_star < site.z_cap:
         return site
@@ -209,7 +209,7 @@ def fit(
     site: Site, record: RoofRecord, steps: Steps,
     update_progress: UpdateProgress = lambda text, share: None,
 ) -> Fit:
-    """Fit a measured roof to some steps of a record.
+    """Fit a measured soil to some steps of a record.
 
     Sums of runoff and means of the level are fitted to the measured ones by least squares within
     bounds. Each is over an hour, or over eight steps (at most four days) if that is longer,
@@ -236,23 +236,23 @@ def fit(
     at = np.clip(as_it_was, 0.01, 0.99)
     residuals, weeks = _comparison(record, steps)
     stages = _Stages(update_progress)
-    least = least_reading(record)
+    minimum = least_reading(record)
 
-    def simulated(shares: Values, least: float) -> tuple[Site, Simulated]:
+    def simulated(shares: Values, minimum: float) -> tuple[Site, Simulated]:
         values = {span.name: span.value(share) for span, share in zip(every, shares, strict=True)}
         filled = values.pop(FILLED)
         z_cap = site.a2 * site.z_soil * values["field_capacity"]
         fitted = replace(site, z_cap=z_cap, **values)  # type: ignore[arg-type]
-        return fitted, simulate(fitted, record, filled, least)
+        return fitted, simulate(fitted, record, filled, minimum)
 
-    def differences(shares: Values, least: float = least) -> Values:
+    def differences(shares: Values, minimum: float = minimum) -> Values:
         stages.simulated()
-        return residuals(simulated(shares, least)[1])
+        return residuals(simulated(shares, minimum)[1])
 
     def jacobian() -> Values:
         """Return the derivatives of residuals by the shares of ranges, shape (n, ranges).
 
-        The meter has no least reading here, because that turns a smooth simulation into steps. A
+        The meter has no minimum reading here, because that turns a smooth simulation into steps. A
         short difference across a few steps makes a parameter look identified, or equal columns
         look different.
         """
@@ -314,7 +314,7 @@ def fit(
         assert site.drainage_time is not None
         reason = f"steps of {time_name(record.step_s)} are too long to identify it"
         parameters.insert(3, FittedParameter(_DRAINAGE, site.drainage_time, np.nan, np.nan, reason))
-    fitted, shown = simulated(at, least)
+    fitted, shown = simulated(at, minimum)
     update_progress("done", 1.0)
     return Fit(fitted, parameters, shown)
 
@@ -460,10 +460,10 @@ def freedom(jacobian: Values, groups: NDArray[np.int64]) -> Values:
 def grouped_intervals(
     jacobian: Values, residuals: Values, groups: NDArray[np.int64]
 ) -> Values:
-    """Return half of each parameter's 95 % interval; few groups may say most about it.
+    """Return half of each parameter's 95 % interval; few groups may determine most of it.
 
-    By :func:`half_intervals` with the degrees of :func:`freedom`. If one group alone says nearly
-    everything about a parameter, nothing shows how it would vary, and its half is infinite.
+    By :func:`half_intervals` with the degrees of :func:`freedom`. If one group alone determines
+    nearly everything about a parameter, nothing shows how it would vary, and its half is infinite.
 
     Args:
         jacobian: at the fit, shape (n, parameters).

@@ -37,7 +37,7 @@ from greenroof_ros.model.site import site_parameters
 MEASURED, SIMULATED = "measured", "simulated"
 # A scatter leaves out points with both values below this share of the largest: there are thousands
 # of them, all in one corner.
-_LEAST_SHOWN = 0.01
+_MIN_SHOWN = 0.01
 
 
 def render(
@@ -95,7 +95,7 @@ def _figure(
     span_s = max(HOUR_S, round(record.step_s))
     days, points = (
         _combined(quantity, record, halves, simulated, *span)
-        for span in ((DAY_S, 0.0), (span_s, _LEAST_SHOWN))
+        for span in ((DAY_S, 0.0), (span_s, _MIN_SHOWN))
     )
     name = f"calibration-{quantity}"
     adds_up = COMBINE[quantity] is sums
@@ -138,11 +138,11 @@ def _figure(
 
 def _combined(
     quantity: str, record: RoofRecord, halves: Mapping[str, Steps], simulated: Values, span_s: int,
-    least: float,
+    minimum: float,
 ) -> Rows:
     """Return sums or means over a time as rows, with the residual: simulated less measured.
 
-    Pairs with both values at most ``least`` of the largest in their half are left out.
+    Pairs with both values at most ``minimum`` of the largest in their half are left out.
     """
     rows: Rows = []
     for part, steps in halves.items():
@@ -153,7 +153,7 @@ def _combined(
         )
         times = np.unique(seconds // span_s) * span_s * 1000
         larger = np.maximum(ours, theirs)
-        for place in np.flatnonzero((larger > least * larger.max()) | (least == 0)):
+        for place in np.flatnonzero((larger > minimum * larger.max()) | (minimum == 0)):
             was, now = theirs[place], ours[place]
             rows.append({
                 "t": int(times[place]), "part": part, MEASURED: short(was), SIMULATED: short(now),

@@ -40,14 +40,14 @@ _FEWEST_RUNS = 10
 # 1977, doi:10.1080/03610927708827533). Huber's weights come first: they have a unique solution.
 _BIWEIGHT = 4.685
 _HUBER_ROUNDS, _MOST_ROUNDS, _SETTLED = 5, 50, 1e-3
-# For shares: the step of derivatives, and the least value.
-_SHARE, _LEAST_SHARE = 1e-4, 1e-3
-# The least typical residual: no level is known better than this (m).
-_LEAST_M = 1e-4
+# For shares: the step of derivatives, and the minimum value.
+_SHARE, _MIN_SHARE = 1e-4, 1e-3
+# The minimum typical residual: no level is known better than this (m).
+_MIN_M = 1e-4
 # A larger rise, in typical residuals, is not noise: two levels of white noise are this far apart
 # once in a million times.
 _RISE = 7.0
-# In steps: the least delay to report, and runs too short to distinguish from shorter ones.
+# In steps: the minimum delay to report, and runs too short to distinguish from shorter ones.
 _NAMED, _SHORT = 0.5, 2
 # No pump lifts this many times the flow of its curve, or less than that flow over this.
 _BELIEVABLE = 10.0
@@ -188,8 +188,8 @@ class _CisternFall:
         """
         from scipy.optimize import least_squares
 
-        low = np.array([-latest, *[_LEAST_SHARE] * 2])[:shares]
-        high = np.array([latest, *[1 / _LEAST_SHARE] * 2])[:shares]
+        low = np.array([-latest, *[_MIN_SHARE] * 2])[:shares]
+        high = np.array([latest, *[1 / _MIN_SHARE] * 2])[:shares]
         at = np.array([0.0, 1.0, 1.0])[:shares]
         weights = np.ones(len(self._sizes))
         for rounds in range(_MOST_ROUNDS):
@@ -202,7 +202,7 @@ class _CisternFall:
             at = solution.x
             squares = np.bincount(self._number, self.residuals(at) ** 2)
             size = np.sqrt(squares / (self._sizes - 1))
-            typical = max(float(np.median(size)), _LEAST_M)
+            typical = max(float(np.median(size)), _MIN_M)
             relative = size / typical
             before, weights = weights, np.maximum(1 - (relative / _BIWEIGHT) ** 2, 0.0) ** 2
             if rounds < _HUBER_ROUNDS:
@@ -233,11 +233,11 @@ def fit_pumps(site: Site, record: RoofRecord) -> PumpFit:
 
         q(z) = Q sqrt(1 + (z - Z) / H),  H = Z + c_hat - d,  Q^2 = H / (pipe_resistance - a_hat),
 
-    with Z the mean level. Q is the flow at Z, and H says how it depends on the level. At a command
-    below 1 they lift that share of q. The levels of each run, with some time before and after it,
-    are fitted by least squares after their mean is removed. So a sensor's offset does not matter,
-    and its noise averages over all levels of a run. The delay of the pump state is also fitted: the
-    levels before and after a run show when the cistern falls.
+    with Z the mean level. Q is the flow at Z, and H describes how it depends on the level. At a
+    command below 1 they lift that share of q. The levels of each run, with some time before and
+    after it, are fitted by least squares after their mean is removed. So a sensor's offset does not
+    matter, and its noise averages over all levels of a run. The delay of the pump state is also
+    fitted: the levels before and after a run show when the cistern falls.
 
     Runs in which the cistern rises by more than noise are left out. The others have less weight the
     less they fit (Tukey's biweight, of a run's residuals over the median run's). Intervals are by

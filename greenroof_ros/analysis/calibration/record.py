@@ -19,12 +19,12 @@ Values = NDArray[np.float64]
 Steps = NDArray[np.bool_]
 HOUR_S, DAY_S = 3600, 86400
 
-# The least time between two storms, and how long a roof responds after rain (s). The halves of a
+# The minimum time between two storms, and how long a roof responds after rain (s). The halves of a
 # record are also split after that long without water.
 _STORM_GAP_S, _AFTER_S = 6 * HOUR_S, DAY_S
 # An unknown storm is forgotten after this long (s) and this much reference evapotranspiration (mm).
 _FORGOTTEN_S, _FORGOTTEN_MM = 7 * DAY_S, 20.0
-# Rain beside an outage and runoff (mm), and rise of the level (m), that show water: more than a
+# Rain next to an outage and runoff (mm), and rise of the level (m), that show water: more than a
 # drizzle, than a tip, and than noise.
 _RAINED_MM, _RAN_MM, _ROSE_M = 1.0, 0.1, 0.003
 
@@ -94,7 +94,7 @@ class RoofRecord:
 
     @property
     def water(self) -> Values:
-        """Rain and pumped water on the roof (mm); unknown amounts count as 0."""
+        """Rain and pumped water on the roof (mm); unknown amounts are treated as 0."""
         return np.asarray(np.nan_to_num(self.rain) + np.nan_to_num(self.pumped))
 
     @property
@@ -113,7 +113,7 @@ class RoofRecord:
     def complete(self) -> Steps:
         """Steps with rain, pumped and :attr:`measured`, also one step before and after.
 
-        A sensor that failed in a step often recorded only a part of the step beside it.
+        A sensor that failed in a step often recorded only a part of the step next to it.
         """
         series = [self.rain, self.pumped, *self.measured.values()]
         missing = np.isnan(series).any(axis=0)
@@ -157,7 +157,7 @@ Amounts add up. Levels do not: their sum would depend on the length of gaps in t
 
 
 def greatest_rise(values: Values) -> float:
-    """Return the greatest rise of a value above an earlier value."""
+    """Return the maximum rise of a value above an earlier value."""
     return float(np.max(values - np.minimum.accumulate(values)))
 
 
@@ -205,7 +205,7 @@ def outages(record: RoofRecord) -> list[Outage]:
     """Return the outages of rain gauge and pump meter after which the roof is unknown.
 
     A storm may have come in them. Its water is gone after about a week, and not before 20 mm could
-    evaporate. Outages of at most an hour count only if it rained in the hours beside them, more
+    evaporate. Outages of at most an hour count only if it rained in the hours next to them, more
     water than before runs off by an hour later, or the level has risen.
     """
     lost = gaps(np.isnan(record.rain) | np.isnan(record.pumped))

@@ -1,4 +1,4 @@
-"""Simulation of a measured roof under a record's weather and pumping, as its meters show it."""
+"""Simulation of a measured soil under a record's weather and pumping, as its meters show it."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ class Simulated(NamedTuple):
     """water level in the substrate at the beginning of each step (m), shape (steps,)"""
 
 
-def simulate(site: Site, record: RoofRecord, filled: float, least: float = 0.0) -> Simulated:
-    """Simulate a measured roof through a record's steps.
+def simulate(site: Site, record: RoofRecord, filled: float, minimum: float = 0.0) -> Simulated:
+    """Simulate a measured soil through a record's steps.
 
     The result matches :class:`greenroof_ros.model.plant.Plant` with short ticks, because
     percolation is solved for a whole step. Runoff is solved for a constant inflow; so steps longer
     than ten minutes are divided while water arrives, and steps longer than an hour always. Water
-    arrives evenly within a step. Unknown rain counts as 0. The soil is computed only in steps in
-    which water moves, which are few in a dry week.
+    arrives evenly within a step. Unknown rain is treated as 0. The soil is computed only in steps
+    in which water moves, which are few in a dry week.
 
     Args:
         site: with a ``field_capacity``.
         record: rain, pumped water and reference evapotranspiration.
         filled: share of the available water on the roof at first, 0 to 1.
-        least: runoff of a step (mm) below which a meter shows 0.
+        minimum: runoff of a step (mm) below which a meter shows 0.
     """
     volume_flow = site.a2 / 1000 / record.step_s  # m3/s of a mm in a step
     water = record.water
@@ -73,14 +73,14 @@ def simulate(site: Site, record: RoofRecord, filled: float, least: float = 0.0) 
             layer = max(0.0, layer + seconds * (percolated - drained))
         x2 = max(0.0, x2 + seconds * (inflow - percolated - evaporated))
     runoff = np.add.reduceat(flows * durations, starts) * 1000 / site.a2
-    runoff = np.where(runoff < least, 0.0, runoff)
+    runoff = np.where(runoff < minimum, 0.0, runoff)
     return Simulated(runoff, volumes[starts] / site.a2)
 
 
 def least_reading(record: RoofRecord) -> float:
     """Return the runoff of a step (mm) below which a record's meter shows 0.
 
-    It is the least reading above 0. A tipping bucket misses nothing, because less than a tip adds
+    It is the minimum reading above 0. A tipping bucket misses nothing, because less than a tip adds
     to the next. For it, and without a meter, the result is 0.
     """
     if record.runoff is None:
@@ -96,7 +96,7 @@ def _counted(readings: Values, last_decimal: float) -> bool:
 
     A reading of n tips with a rounding error up to h limits a tip to (reading - h) / n to
     (reading + h) / n. Its n follows from the range of tips that earlier readings allow, because
-    rounding can make the least reading alone wrong by half a tip.
+    rounding can make the minimum reading alone wrong by half a tip.
     """
     low, high = 0.0, 2 * float(readings[0])
     for reading in readings.tolist():

@@ -93,7 +93,7 @@ def edited_site_file(file: Path, entries: Entries, heading: Sequence[str]) -> st
         site[name] = values[name]
         _comment(site, name, f"# {_UNITS[name]:<7} {reason}")
     if missing:
-        site.yaml_set_comment_before_after_key(missing[0], before="\nThe measured roof")
+        site.yaml_set_comment_before_after_key(missing[0], before="\nThe measured soil")
     stream = io.StringIO()
     yaml.dump(site, stream)
     text = "\n".join([*(f"# {line}" for line in heading), "", stream.getvalue()])

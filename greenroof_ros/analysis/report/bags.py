@@ -111,7 +111,7 @@ def read_run(path: Path, name: str, site_file: Path | None) -> ReportedRun | Row
     if zone is None and own_site.is_file() and site.utc_offset is not None:
         zone = timezone(timedelta(hours=site.utc_offset))
     if zone is None:
-        notes.append(Note("times are in UTC: no configuration says the offset"))
+        notes.append(Note("times are in UTC: no configuration gives the offset"))
     row = {**about.row, "run": name, "site": site_name, "status": "done"}
     if not closed and kept is None:
         row |= {"frost_pumped_m3": 0.0, "bound_m3": None}
@@ -119,7 +119,7 @@ def read_run(path: Path, name: str, site_file: Path | None) -> ReportedRun | Row
     forecast = sorted((run / "configuration" / "forecast").rglob("*"))
     return replace(
         about,
-        row={**row, **labels(row), "seed": ""},  # a run by itself is no group of seeds
+        row={**row, **labels(row), "seed": ""},  # a single run is no group of seeds
         notes=(*notes, *about.notes),
         load=partial(
             load_bag, bag, site, zone or timezone.utc,
@@ -151,7 +151,7 @@ def _run_bound(
     weather: list[Path], site_file: Path, site: Site, method: str, gaps: str,
     recorded: RecordedTrajectory,
 ) -> float | None:
-    """Return the least total deviation (m3) that a controller could reach in a run's own weather.
+    """Return the minimum total deviation (m3) that a controller could reach in a run's own weather.
 
     None if that is unknown: there are no weather files, or the bag's weather or times differ.
     """
@@ -217,7 +217,7 @@ def near_hours(site: Site, trajectory: Trajectory, band: float) -> float:
 def samples_of(site: Site, trajectory: Trajectory) -> Samples:
     """Return a whole run as samples. Whether a tank's flows were limited is unknown.
 
-    The drainage layer of a measured roof is computed from percolation; it begins with the site's
+    The drainage layer of a measured soil is computed from percolation; it begins with the site's
     ``initial_layer``.
     """
     dt = np.append(np.diff(trajectory.time), site.tau)
@@ -268,7 +268,7 @@ def drawn(trajectory: Trajectory) -> Drawn:
 
 
 def thin(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Return the samples to draw: the first, the last, and the least and largest of each bucket.
+    """Return the samples to draw: the first, the last, and the smallest and largest of each bucket.
 
     Args:
         values: shape (n,).

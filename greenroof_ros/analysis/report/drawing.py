@@ -206,7 +206,7 @@ def value_axis(values: Sequence[float]) -> dict[str, Any]:
     """Return scale and axis of a quantity: around its values, so that their differences are seen.
 
     If a few values are so large that half of the others would share a tenth of a linear axis, it is
-    logarithmic; with values of 0 it is linear below the least other value.
+    logarithmic; with values of 0 it is linear below the smallest other value.
     """
     ordered = sorted(values)
     low, middle, high = ordered[0], ordered[len(ordered) // 2], ordered[-1]

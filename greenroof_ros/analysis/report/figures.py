@@ -65,7 +65,7 @@ class Criterion(NamedTuple):
     column: str
     times: float = 1.0
     step: float = 0.0
-    """least distance of an axis' ticks"""
+    """minimum distance of an axis' ticks"""
 
 
 CRITERIA = (
@@ -177,7 +177,7 @@ def by_setting(report: Report, rows: Sequence[Row], number: int, criterion: Crit
             )
         ]
         if bound is not None:
-            marks.add("dashed: the least possible")
+            marks.add("dashed: the minimum possible")
             layers.insert(0, _least(bound, x=x))
         if theirs:
             marks.add("hollow: the authors' code")
@@ -204,10 +204,10 @@ def _named(marks: Iterable[str]) -> str:
 
 
 def _least(bound: float, **channel: alt.X | alt.Y) -> Chart:
-    """Return the line of the least possible deviation (m3), along x or y."""
+    """Return the line of the minimum possible deviation (m3), along x or y."""
     rule: Chart = alt.Chart(alt.InlineData([{"v": short(bound)}])).mark_rule(
         strokeDash=[6, 3], color="black"
-    ).encode(**channel, tooltip=pointed(("v:Q", "least possible (m³)")))
+    ).encode(**channel, tooltip=pointed(("v:Q", "minimum possible (m³)")))
     return rule
 
 
@@ -325,7 +325,7 @@ def forecast_errors(report: Report) -> Figure:
         ))
     marks = {"filled, solid: mean", "hollow, dashed: mean of the worst tenth"}
     if any(row["bound_m3"] for row in cases):
-        marks.add("dashed, black: the least possible")
+        marks.add("dashed, black: the minimum possible")
     return Figure(
         "forecast-errors", "Deviation under forecast errors", _named(marks), tuple(panels),
         min(len(panels), 3), data,
@@ -333,7 +333,7 @@ def forecast_errors(report: Report) -> Figure:
 
 
 def _errors_chart(report: Report, cases: Sequence[Row], dataset: str) -> Chart:
-    """Return a panel's chart: lines and marks of each series, and the least possible deviation."""
+    """Return a panel's chart: lines and marks of each series, and the minimum deviation."""
     bounds = sorted({row["bound_m3"] for row in cases if row["bound_m3"] is not None})
     values = [*bounds, *(row[column] for row in cases for column in _AMOUNTS.values())]
     skills = dict.fromkeys(
@@ -407,7 +407,7 @@ def by_year(report: Report) -> Figure:
             name = f"seasons-{len(data) + 1}"
             data[name] = [
                 {"series": _series(row, shown), "year": year, "v": short(float(totals.mean())),
-                 "least": short(float(totals.min())), "largest": short(float(totals.max()))}
+                 "minimum": short(float(totals.min())), "largest": short(float(totals.max()))}
                 for row in shown for year, totals in report.years(row)
             ]
             series = list(dict.fromkeys(row["series"] for row in data[name]))
@@ -418,7 +418,7 @@ def by_year(report: Report) -> Figure:
                     **value_axis([row["v"] for row in data[name]]),
                 ),
                 **distinct("series", series, ""),
-                tooltip=pointed("series:N", "year:O", "v:Q", "least:Q", "largest:Q"),
+                tooltip=pointed("series:N", "year:O", "v:Q", "minimum:Q", "largest:Q"),
             )
             title = [place, *([f"forecasts: {forecast}"] if forecast else [])]
             panels.append(Panel(chart, title, height=_HEIGHT, toggle="series"))
@@ -428,7 +428,7 @@ def by_year(report: Report) -> Figure:
 
 
 def comparison_figure(report: Report) -> Figure:
-    """Return the figure of deviations over on/off's with intervals, a panel for each place."""
+    """Return the figure of deviations relative to on/off with intervals, a panel for each place."""
     cases = report.of(SEASONS)
     names = list(map(controller_name, report.controllers))
     panels: list[Panel] = []
@@ -445,7 +445,7 @@ def comparison_figure(report: Report) -> Figure:
         order = [str(row["series"]) for row in data[name]]
         ends = [row[end] for row in data[name] for end in ("low", "high", "v")]
         base = alt.Chart(alt.NamedData(name)).encode(
-            # Each name stands above its interval: beside it there is no room on a phone.
+            # Each name stands above its interval: next to it there is no room on a phone.
             y=alt.Y("series:N", sort=order, title=None, axis=alt.Axis(
                 labelAlign="left", labelPadding=-4, labelOffset=-13, labelLimit=400, domain=False,
                 ticks=False,

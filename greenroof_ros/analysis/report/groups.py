@@ -355,7 +355,7 @@ class Report:
         return f"{text}: {self.heading(row)}" if len(self.windows()) > 1 else text
 
     def best(self) -> list[Row]:
-        """Return the run of each controller with the least deviation, place by place.
+        """Return the run of each controller with the smallest deviation, place by place.
 
         Only single runs count. If all of them are equal, there is no setting.
         """
@@ -382,7 +382,7 @@ class Report:
     def with_forecast_errors(self) -> set[str]:
         """The controllers that ran seasons with imperfect forecasts.
 
-        Other controllers, such as on/off, may use no forecast: they are shown beside any of these.
+        Other controllers, such as on/off, may use no forecast: they are shown with any of these.
         """
         return {row["controller"] for row in self.of(SEASONS) if row["forecast"] != PERFECT}
 
@@ -390,7 +390,7 @@ class Report:
     def plain_onoff(self) -> list[Row]:
         """Of each place, the on/off controller that fills to the target, as in the paper.
 
-        Of several with different shares of the flow, it is the one with the least mean deviation:
+        Of several with different shares of the flow, it has the smallest mean deviation:
         with ticks of some seconds, full flow overshoots the target, which no site would accept.
         """
         (level,) = (known.default for known in OnOff.parameters if known.name == "level")
@@ -400,8 +400,8 @@ class Report:
         )
 
     @cached_property
-    def least(self) -> list[Row]:
-        """Of each place, the cases with the least mean deviation that is possible on a site.
+    def smallest(self) -> list[Row]:
+        """Of each place, the cases with the smallest mean deviation that is possible on a site.
 
         Controllers with perfect forecasts do not count, unless no forecasts here have errors, nor
         do cases that lack years or seeds.
@@ -422,11 +422,11 @@ class Report:
         return self._relative_to(self.plain_onoff)
 
     @cached_property
-    def relative_to_least(self) -> list[Row]:
-        """The same compared with the case of least deviation, if that is not plain on/off."""
+    def relative_to_best(self) -> list[Row]:
+        """The same compared with the case of smallest deviation, if that is not plain on/off."""
         plain = [row["case"] for row in self.plain_onoff]
-        known = {row["place"] for row in self.least if row["case"] in plain}
-        return self._relative_to([row for row in self.least if row["place"] not in known])
+        known = {row["place"] for row in self.smallest if row["case"] in plain}
+        return self._relative_to([row for row in self.smallest if row["place"] not in known])
 
     def _relative_to(self, references: Sequence[Row]) -> list[Row]:
         others, compared = {row["place"]: row for row in reversed(references)}, []
@@ -466,15 +466,15 @@ def by_place(rows: Iterable[Row]) -> list[list[Row]]:
 
 
 def lowest(rows: Iterable[Row]) -> list[Row]:
-    """Return from each place the case with the least total deviation, or several that are equal.
+    """Return from each place the case with the smallest total deviation, or several that are equal.
 
     Cases that lack years or seeds come after all others: they may lack the worst.
     """
-    least: list[Row] = []
+    found: list[Row] = []
     for here in by_place(rows):
         order = [(row["missing"], row[TOTAL]) for row in here]
-        least += [row for row, key in zip(here, order, strict=True) if key == min(order)]
-    return least
+        found += [row for row, key in zip(here, order, strict=True) if key == min(order)]
+    return found
 
 
 def _kinds(rows: Sequence[Row]) -> list[str]:
@@ -498,7 +498,7 @@ def _derived(assumptions: Assumptions) -> list[pl.Expr]:
     """Return what is derived from the results: changes of storage, mass balance errors and money.
 
     The mass balance error, the change of storage that the flows do not explain, is rounding in a
-    simulation. On a site it is whatever was not measured.
+    simulation. On a site it is all that was not measured.
     """
     col = pl.col
     cistern = col("final_cistern_m3") - col("cistern_m3")
@@ -518,6 +518,6 @@ def _derived(assumptions: Assumptions) -> list[pl.Expr]:
         (col("electric_energy_kwh") * assumptions.energy_price).alias("energy_cost"),
         (col("pumped_m3") * assumptions.water_price).alias("water_value"),
         (col(TOTAL) / pl.when(col("bound_m3") > 0).then("bound_m3")).alias("ratio"),
-        # The last sample counts as one tick.
+        # The last sample is treated as one tick.
         (col("near_target_hours") / (col("hours") + col("tau") / 3600)).alias("near_share"),
     ]

@@ -1,4 +1,4 @@
-"""A run in a report: its row of the table, and what its directory says about it."""
+"""A run in a report: its row of the table, and what its directory contains about it."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Note(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ReportedRun:
-    """A run as its files describe it; the defaults stand for anything that they do not say.
+    """A run as its files describe it; the defaults stand for anything that they lack.
 
     Attributes:
         site: the site, Table I.
@@ -96,8 +96,8 @@ class ReportedRun:
         incidents: losses that did not end the run; only the newest if there were very many.
         notes: what a reader should know about it.
         load: reads the trajectory, with further notes; None if no trajectory was kept.
-        bound: returns the least total deviation (m3) that a controller with commands up to 1 could
-            reach in a recorded run, or None if unknown. None if the row has the bound.
+        bound: returns the minimum total deviation (m3) that a controller with commands up to 1
+            could reach in a recorded run, or None if unknown. None if the row has the bound.
         source: the study or run directory that it is from, by a unique name.
         meant: what a name in the row stands for, by column. It shows whether two sources use a
             name for different things.
@@ -242,7 +242,7 @@ def notes_of(row: Row) -> list[Note]:
 def read_about(run: Path, site: Site) -> ReportedRun:
     """Read a run's summary or, if it is missing or damaged, the parameters of its nodes.
 
-    A damaged or foreign file beside a bag leaves a note; the bag is still used. Incidents have a
+    A damaged or foreign file next to a bag leaves a note; the bag is still used. Incidents have a
     file of their own, which exists before the summary lists them.
     """
     about, notes = ReportedRun(site=site), list[Note]()
@@ -250,7 +250,7 @@ def read_about(run: Path, site: Site) -> ReportedRun:
 
     def unused(name: str, wrong: str, reason: object) -> None:
         text = str(reason).removeprefix(f"{run / name}").lstrip(":, ")
-        notes.append(Note(f"{name} beside the bag is {wrong}, and not used: {text}"))
+        notes.append(Note(f"{name} next to the bag is {wrong}, and not used: {text}"))
 
     try:
         incidents = tuple(read_incidents(run))
@@ -277,7 +277,7 @@ def _summary(file: Path) -> Any:
 
 
 def _external_pump(run: Path) -> bool:
-    """Whether a run's node parameters say that the pump flow came from a pump driver."""
+    """Whether a run's node parameters state that the pump flow came from a pump driver."""
     try:
         return bool(_nodes(run / _PARAMETERS)["plant"]["pump"] == "external")
     except Exception:  # no such file, or a foreign one, which can be wrong in any way

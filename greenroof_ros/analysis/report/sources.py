@@ -64,7 +64,7 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
 
     Args:
         paths: study directories, run directories and bags.
-        site_file: the site of all bags, instead of the site file beside each.
+        site_file: the site of all bags, instead of the site file next to each.
 
     Raises:
         ConfigurationError: a path is none of these, its content is wrong, or two have one name.

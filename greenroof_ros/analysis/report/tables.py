@@ -153,7 +153,7 @@ def _cells(report: Report, row: Row, columns: Sequence[Column]) -> list[Cell]:
 # --- columns --------------------------------------------------------------------------------------
 
 _CONTROLLER, _FROM = Column("controller", "controller"), Column("from", "from")
-# Placed after the first results: a directory's name can be long and says little.
+# Placed after the first results: a directory's name can be long and uninformative.
 _RUN = Column("run", "run")
 _NEAR = Column("near target (%)", "near_percent", ".1f")
 
@@ -191,9 +191,9 @@ def _ended(report: Report) -> list[Column]:
 
 
 def _ratio(rows: Sequence[Row]) -> list[Column]:
-    """Return the column of deviations over the least possible, if any is known."""
+    """Return the column of deviations over the minimum possible, if any is known."""
     known = any(row["ratio"] is not None for row in rows)
-    return [Column("over the least possible (1)", "ratio")] * known
+    return [Column("over the minimum possible (1)", "ratio")] * known
 
 
 # --- single runs ----------------------------------------------------------------------------------
@@ -263,7 +263,7 @@ def _of_runs(report: Report, name: str, columns: Sequence[Column], *, folded: bo
 
 def _best(report: Report, best: Sequence[Row]) -> ReportTable:
     """Return the table of each controller's best run."""
-    return _table(report, "Least total deviation of each controller", [
+    return _table(report, "Smallest total deviation of each controller", [
         _CONTROLLER, _FROM, *_ended(report), _metric(TOTAL), *_ratio(report.single),
         *_window(report), _metric("pumped_m3"), _metric("max_command"), _RUN,
     ], best)
@@ -343,7 +343,7 @@ def _seeds(report: Report) -> list[ReportTable]:
         _CONTROLLER, _FROM, *_window(report, SEEDS), Column("seeds", "seeds", "d"),
         Column("skill of the forecasts", "skill"),
         *(Column(f"{amount} (m³)", name, ".2f") for amount, name in amounts.items()),
-        *(Column(f"{amount} over the least (1)", amount) for amount in known),
+        *(Column(f"{amount} over the minimum (1)", amount) for amount in known),
     ], cases)] if cases else []
 
 
@@ -355,7 +355,7 @@ def _seasons(report: Report) -> list[ReportTable]:
     tables = _means(report, cases)
     for other, compared in (
         ("on/off", report.relative_to_onoff),
-        ("the controller with the least deviation", report.relative_to_least),
+        ("the controller with the smallest deviation", report.relative_to_best),
     ):
         if compared and not report.sizing:
             tables.append(_comparisons(report, other, compared))

@@ -31,7 +31,7 @@ LEADING = (
 # Up to this many results are named one by one.
 _MOST_NAMED = 3
 _FORMS = {metric.name: metric.form for metric in METRICS}
-# By kind of cases: what can be too few, the least number, and why. A two-sided sign test of five
+# By kind of cases: what can be too few, the minimum number, and why. A two-sided sign test of five
 # years that all agree has 6 %, of six years 3 %; a tenth of nine seeds is less than one run.
 _FEWEST = {
     SEASONS: ("years", 6, "a lead in all may be chance"),
@@ -98,12 +98,12 @@ def _mean_deviation(row: Row) -> str:
     return _deviation(row[TOTAL]) if mean is None else f"{mean:{_FORMS['mean_deviation_mm']}} mm"
 
 
-def _relative_to_least(row: Row) -> str:
-    return "" if row["ratio"] is None else f", {row['ratio']:.4g} times the least possible"
+def _relative_to_best(row: Row) -> str:
+    return "" if row["ratio"] is None else f", {row['ratio']:.4g} times the minimum possible"
 
 
 def _runs(report: Report, where: Sequence[str], initials: Sequence[str] = ()) -> str:
-    """Say how many runs there are, with their controllers and conditions."""
+    """State how many runs there are, with their controllers and conditions."""
     counts = {name: len(report.settings[name].labels) for name in report.controllers}
     of = _and(
         controller_name(name) + (f" ({count} settings)" if count > 1 else "")
@@ -122,7 +122,7 @@ def _of_run(report: Report, row: Row) -> list[str]:
     return [
         f"A run of {label}: {heading(row, ['site'])}, from {row['from']}: {row['ended']}.",
         f"The roof's total deviation from its target was {_deviation(row[TOTAL])}"
-        f"{_relative_to_least(row)}; it was near the target for "
+        f"{_relative_to_best(row)}; it was near the target for "
         f"{'an unknown part' if near is None else f'{near:.2f}'} "
         f"of {shortest(round(row['hours'], 2))} h.",
         f"The pumps started {counted(int(row['pump_starts'] or 0), 'time')} and lifted "
@@ -137,33 +137,33 @@ def _of_several(report: Report) -> list[str]:
     pumped = [row["pumped_m3"] for row in single if row["pumped_m3"] is not None] or [0.0]
     return [
         _runs(report, _windows(report), report.initials),
-        _least(report),
+        _smallest(report),
         f"Over all runs the total deviation was {min(totals):.2f} to {_deviation(max(totals))}, "
         f"and {min(pumped):.4g} to {_m3('pumped_m3', max(pumped))} were pumped.",
     ]
 
 
-def _least_of(
+def _smallest_of(
     places: Sequence[Sequence[Row]], what: str, deviation: str, named: Callable[..., str]
 ) -> str:
-    """Say what had the least deviation in each place; for many places, which controller how often.
+    """State what had the smallest deviation in each place; for many, which controller how often.
 
-    A tie between controllers is counted as shared.
+    A tie between controllers is treated as shared.
     """
     if not places:
-        return f"All lack years or seeds: it is open which has the least {deviation}."
+        return f"All lack years or seeds: it is open which has the smallest {deviation}."
     if len(places) <= _MOST_NAMED:
-        return f"The least {deviation} was {_and(named(*rows) for rows in places)}."
+        return f"The smallest {deviation} was {_and(named(*rows) for rows in places)}."
     wins: Counter[str] = Counter()
     for rows in places:
         names = {controller_name(row["controller"]) for row in lowest(rows)}
-        wins[f"{names.pop()}'s" if len(names) == 1 else "shared"] += 1
+        wins[f"with {names.pop()}" if len(names) == 1 else "shared"] += 1
     won = _and(f"{label} in {count}" for label, count in wins.most_common())
-    return f"Of {len(places)} {what} the least {deviation} was {won}."
+    return f"Of {len(places)} {what} the smallest {deviation} was {won}."
 
 
-def _least(report: Report) -> str:
-    """Say which run had the least total deviation; for many places, which controller how often."""
+def _smallest(report: Report) -> str:
+    """State which run had the smallest deviation; for many places, which controller how often."""
     apart = report.differing_facts()
 
     def named(*here: Row) -> str:
@@ -175,11 +175,11 @@ def _least(report: Report) -> str:
             text += f" in {heading(first, apart, apart)}"
         if len(report.initials) > 1:
             text += f" from {first['from']}"
-        label = _and(map(who, best)) if others or not rows[1:] else "whatever the controller"
-        text += f" ({label}{_relative_to_least(first)}"
+        label = _and(map(who, best)) if others or not rows[1:] else "regardless of the controller"
+        text += f" ({label}{_relative_to_best(first)}"
         return text + (f"; {who(others[0])} had {others[0][TOTAL]:.2f})" if others else ")")
 
-    return _least_of(
+    return _smallest_of(
         by_place(report.best()), "windows and initial states", "total deviation", named
     )
 
@@ -198,7 +198,7 @@ def _of_seeds(report: Report) -> list[str]:
     worst = max(cases, key=lambda row: row["worst_tenth_m3"] / row[TOTAL] if row[TOTAL] else 0.0)
     return [
         _runs(report, _windows(report), list(dict.fromkeys(row["from"] for row in cases))),
-        _least_of(
+        _smallest_of(
             [lowest(rows) for rows in groups.values()], "windows, initial states and skills",
             "mean total deviation over the seeds",
             lambda *rows: f"{_deviation(rows[0][TOTAL])} ({named(*rows)})",
@@ -212,18 +212,18 @@ def _of_seasons(report: Report) -> list[str]:
     first = _runs(report, _seasons(report))  # these name the initial states
     if report.sizing:
         return [first, *_of_sizes(report.of(SEASONS))]
-    best, apart = by_place(report.least), report.differing_facts(SEASONS)
-    shown = [row["case"] for row in report.least] if len(best) <= _MOST_NAMED else []
+    best, apart = by_place(report.smallest), report.differing_facts(SEASONS)
+    shown = [row["case"] for row in report.smallest] if len(best) <= _MOST_NAMED else []
     compared = [_relative_to_onoff(row) for row in report.relative_to_onoff if row["case"] in shown]
 
     def named(*rows: Row) -> str:
         row, label = rows[0], [f"{who(row)}, forecast {row['forecast']}" for row in rows]
         where = f", {heading(row, apart, apart)}" if apart else ""
-        return f"{_mean_deviation(row)}{_relative_to_least(row)} ({', and '.join(label)}{where})"
+        return f"{_mean_deviation(row)}{_relative_to_best(row)} ({', and '.join(label)}{where})"
 
     return [
         first,
-        _least_of(best, "seasons and initial states", "mean deviation of a season", named),
+        _smallest_of(best, "seasons and initial states", "mean deviation of a season", named),
         *([f"Relative to on/off in the same years it is {_and(compared)}."] if compared else []),
     ]
 
@@ -297,14 +297,14 @@ def _missing(report: Report) -> list[str]:
 
 
 def _too_few(report: Report) -> dict[str, str]:
-    """Say if there are too few years or seeds, by kind of cases."""
+    """State if there are too few years or seeds, by kind of cases."""
     fewest = {
-        kind: min((row[what] for row in report.of(kind)), default=least)
-        for kind, (what, least, _) in _FEWEST.items()
+        kind: min((row[what] for row in report.of(kind)), default=minimum)
+        for kind, (what, minimum, _) in _FEWEST.items()
     }
     return {
-        kind: f"only {fewest[kind]} {what}: with fewer than {least}, {why}"
-        for kind, (what, least, why) in _FEWEST.items() if fewest[kind] < least
+        kind: f"only {fewest[kind]} {what}: with fewer than {minimum}, {why}"
+        for kind, (what, minimum, why) in _FEWEST.items() if fewest[kind] < minimum
     }
 
 
@@ -333,5 +333,5 @@ def _of_results(row: Row, run: ReportedRun) -> list[str]:
          "an hour, the limit set by starts_per_hour in the site file"),
         ((row["frost_pumped_m3"] or 0) > 0, "water was pumped during frost"),
         (run.incidents, f"{run.ended}: something was lost while the run went on; the table of "
-         "incidents says what, when and why"),
+         "incidents lists what, when and why"),
     ) if there]

@@ -66,7 +66,7 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
 
 
 def bound_case(directory: Path, case: Case) -> float:
-    """Return the least total deviation (m3) that a controller with commands up to 1 could reach.
+    """Return the minimum total deviation (m3) that a controller with commands up to 1 could reach.
 
     See :func:`greenroof_ros.experiment.clairvoyant.clairvoyant_bound`.
     """

@@ -125,7 +125,7 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
         except CancelledError as error:  # not by this process: the scheduler is gone
             raise lost from error
         finally:
-            # Cancels running tasks: after an interrupt nobody waits for their results.
+            # Cancels running tasks: after an interrupt no one waits for their results.
             executor.shutdown(wait=False)
             # In a thread, because a worker or scheduler that hangs would never answer.
             deleting = Thread(target=delete, daemon=True)

@@ -59,7 +59,7 @@ from greenroof_ros.weather.series import GAPS, REFUSE, Weather
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors", "bound_block")
 # The keys of a window with lists that multiply the runs.
 _TIMES = ("year", "start", "hours", "evapotranspiration")
-# Error messages that say what each block must be.
+# Error messages that state what each block must be.
 _SITE = (
     "must be the name of a file, {file: site.yaml, tau: 10.0, a1: [10.0, 25.0]}, or a list of these"
 )
@@ -77,7 +77,7 @@ _CONTROLLERS = (
 )
 _ANY = Range()
 _FILE, _START = "must be the name of a file", "must be a time such as 2021-07-07T02:00"
-_NAME = "must be a name of your own"
+_NAME = "must be a name that you choose"
 _TEXTS = {
     "file": _FILE, "start": _START, "name": _NAME,
     "evapotranspiration":
@@ -131,8 +131,8 @@ class Case:
         cistern: initial volume (m3).
         roof: initial volume (m3).
         sensor_pump_errors: errors of level sensor and pumps; None if the grid has none.
-        bound_block: time (s) that shares a variable when the least possible deviation is computed;
-            None for the default, 0 to compute no bound.
+        bound_block: time (s) that shares a variable when the minimum possible deviation is
+            computed; None for the default, 0 to compute no bound.
     """
 
     site: InputFile
@@ -231,7 +231,7 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
 
     Args:
         path: of the grid.
-        weather: directory of weather files that are not beside the grid.
+        weather: directory of weather files that are not next to the grid.
 
     Returns:
         The runs, in the order of the file: sites, windows, methods, forecasts, initial states,
@@ -463,7 +463,7 @@ class _Grid:
             raise self._refuse(mapping, key, f"{name} does not exist")
         raise self._refuse(
             mapping, key,
-            f"{name} is neither beside the grid, in {places[0].resolve()}, nor "
+            f"{name} is neither next to the grid, in {places[0].resolve()}, nor "
             + "".join(f"in --weather {place}, nor " for place in places[1:-1])
             + f"among the package's own files, in {places[-1]}",
         )

@@ -37,7 +37,7 @@ class StudyStore:
             None to keep only the results.
         outcomes: of finished runs, without their files, by identity.
         failures: reasons of failed runs, by identity; runs in neither were not run.
-        bounds: least possible total deviations (m3) that are known, by problem.
+        bounds: minimum possible total deviations (m3) that are known, by problem.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class StudyStore:
         self.outcomes[case.identity] = replace(outcome, files={})
 
     def write_bound(self, case: Case, bound: float) -> None:
-        """Store the least possible total deviation (m3) of a case's problem."""
+        """Store the minimum possible total deviation (m3) of a case's problem."""
         self.bounds[case.problem] = bound
         _write(self._bounds, _with_digest(self.bounds))
 

@@ -33,7 +33,7 @@ _PRELOADED = [
 
 
 class WorkersLostError(BrokenExecutor):
-    """The workers cannot go on; the message says what is gone."""
+    """The workers cannot go on; the message states what is gone."""
 
 
 class Workers(NamedTuple):
@@ -57,7 +57,7 @@ def processes(jobs: int, files: Mapping[str, bytes]) -> Iterator[Workers]:
         files: contents of the study's input files, by name.
 
     Raises:
-        WorkersLostError: a process ended by itself, or was killed.
+        WorkersLostError: a process ended unexpectedly, or was killed.
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_PRELOADED)

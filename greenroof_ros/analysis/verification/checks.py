@@ -13,15 +13,15 @@ from greenroof_ros.common.quality import Finding, Findings
 
 _FINDINGS = Findings(Path(__file__).with_name("findings.yaml"))
 
-# Least record (h). In three months a few storms can make such differences, in a year they do not.
-_LEAST_HOURS = 8760
-# Least ratio to the median of the other leads; its inverse is the largest. In any 365 days of
+# Minimum record (h). In three months a few storms can make such differences, in a year they do not.
+_MIN_HOURS = 8760
+# Minimum ratio to the median of the other leads; its inverse is the largest. In any 365 days of
 # Open-Meteo's previous runs of GEM, GFS and KNMI (2024-02 to 2026-02) a day had 0.60 to 1.37 times
 # the others' water. GFS's fifth day, half missing there, had 0.36 to 0.52.
-_LEAST_SHARE = 0.55
+_MIN_SHARE = 0.55
 # The lowest r of the services five days ahead is 0.32 (sums over 12 h; the package's table of
 # skill). With this many unrelated pairs r reaches the limit in hardly one case in a thousand.
-_LEAST_R, _LEAST_PAIRS = 0.1, 1000
+_MIN_R, _MIN_PAIRS = 0.1, 1000
 
 
 def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> list[Finding]:
@@ -39,10 +39,10 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
     # Classes of few pairs tell nothing, nor do classes whose forecast or rain never varies.
     known = [
         score.r for score in scores.values()
-        if score.n >= _LEAST_PAIRS and not math.isnan(score.r)
+        if score.n >= _MIN_PAIRS and not math.isnan(score.r)
     ]
-    if known and max(known) < _LEAST_R:
-        findings.append(_FINDINGS.make("unrelated", "r", "forecasts", bound=_LEAST_R))
+    if known and max(known) < _MIN_R:
+        findings.append(_FINDINGS.make("unrelated", "r", "forecasts", bound=_MIN_R))
     return findings
 
 
@@ -59,11 +59,11 @@ def _odd_leads(scores: Mapping[Class, ForecastScores]) -> dict[str, float]:
     """
     water: dict[str, float] = {}
     for key, of_class in scores.items():
-        if of_class.n * key.sum.hours >= _LEAST_HOURS and not math.isnan(of_class.bias):
+        if of_class.n * key.sum.hours >= _MIN_HOURS and not math.isnan(of_class.bias):
             water.setdefault(key.lead, of_class.bias)
     odd = {}
     for lead, bias in water.items() if len(water) > 2 else ():
         usual = median(share for name, share in water.items() if name != lead)
-        if not _LEAST_SHARE * usual <= bias <= usual / _LEAST_SHARE:
+        if not _MIN_SHARE * usual <= bias <= usual / _MIN_SHARE:
             odd[lead] = bias / usual if usual else math.inf
     return odd

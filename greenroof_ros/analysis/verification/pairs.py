@@ -120,7 +120,7 @@ class Sum(NamedTuple):
 
     hours: int
     event: float
-    """least sum of an event (mm)"""
+    """minimum sum of an event (mm)"""
 
 
 class Class(NamedTuple):

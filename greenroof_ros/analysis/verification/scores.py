@@ -99,7 +99,7 @@ class Tally:
         """Start without pairs.
 
         Args:
-            event: least sum of an event (mm).
+            event: minimum sum of an event (mm).
             members: number of members of each forecast.
         """
         self._event = event
@@ -182,7 +182,7 @@ def rank_counts(forecast: Array, observed: Array) -> Array:
 
     If members and observation are interchangeable, all ranks are equally frequent (Hamill 2001,
     doi:10.1175/1520-0493(2001)129<0550:IORHFV>2.0.CO;2). If the observation equals k members, as it
-    often does in dry hours, it counts as 1 / (k + 1) in each rank that it can have. That is the
+    often does in dry hours, it is treated as 1 / (k + 1) in each rank that it can have. That is the
     expected result of drawing one of these ranks at random, as Hamill does.
 
     Args:

@@ -102,7 +102,7 @@ class ControllerCheck(NodeCheck):
             for topic in _FORECASTS:
                 for value in _NOT_FINITE:
                     self._valid_command({topic: value})
-        with self.check("awaits each input of a tick, and commands the same in whatever order"):
+        with self.check("awaits each input of a tick, and commands the same in any order"):
             require(not self.hindered, self.hindered)
             for topic in filter(self.endpoints, (*self.inputs, *self.optional)):
                 self._publish_last(topic)

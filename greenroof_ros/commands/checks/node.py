@@ -37,7 +37,7 @@ _DISCOVERY_S = 2.0
 
 
 class ProblemError(Exception):
-    """The node breaks a rule; the message says how."""
+    """The node breaks a rule; the message states how."""
 
 
 def require(right: bool, problem: str) -> None:
@@ -47,7 +47,7 @@ def require(right: bool, problem: str) -> None:
 
 
 class NodeCheck(ABC):
-    """Checks one node; a subclass says which topics, and what the node must do.
+    """Checks one node; a subclass defines the topics, and what the node must do.
 
     Attributes:
         kind: what the node is, for messages.

@@ -22,11 +22,11 @@ from greenroof_ros.model.site import Site
 _COMMAND = "/pump/command"
 # A flow is steady if more than this many answers vary by at most this share of the largest.
 _STEADY_TICKS, _STEADY = 10, 0.01
-# A flow up to this share of the steady one counts as 0: a pump running down, or meter noise.
+# A flow up to this share of the steady one is treated as 0: a pump running down, or meter noise.
 _NONE = 0.01
 # A flow more than this share above the flow at command 1 exceeds the maximum: noise is less.
 _NOISE = 0.05
-# The first flow of a pump that was at rest is at most this share of its steady flow.
+# The first flow of a pump that was stopped is at most this share of its steady flow.
 _AT_REST = 0.5
 # Commands that a driver must refuse. NaN comes first, while the pump runs: a driver that keeps the
 # previous command would then go on pumping.
@@ -48,7 +48,7 @@ _STOPS = (
 # the dry-run check. Its level falls as water is pumped, but stays this far above the suction level
 # (m), since a driver may stop 2 cm above it to allow for sensor error. Then it falls just below it.
 _WATER = 1.5
-_LEAST_ABOVE_SUCTION, _DRY = 0.022, -0.001
+_MIN_ABOVE_SUCTION, _DRY = 0.022, -0.001
 # After that, rain refills it to this far above the suction level (m): more than a driver may need.
 _REFILLED = 0.5
 # A pump is on in these states of /pump/state.
@@ -62,7 +62,7 @@ class DriverLimits:
 
     Attributes:
         command: command for a running pump, a share of its maximum flow.
-        period: least time between two commands (s).
+        period: minimum time between two commands (s).
         answer: longest time from a command to its flow (s).
         start: longest time until the flow is steady (s).
         stop: longest time from the reason to stop until the flow is 0 (s).
@@ -108,7 +108,7 @@ class PumpCheck(NodeCheck):
         # Low, so that the roof has room for all water that will be pumped.
         self._empty_roof = 0.5 * initial_state(site, "low-low")[1]
         self._volumes = [site.suction_level * site.a1 + _WATER, self._empty_roof]
-        self._least_above_suction = _LEAST_ABOVE_SUCTION
+        self._above_suction = _MIN_ABOVE_SUCTION
         self._steady = 0.0
         self._lockstep_problem = ""
         self._state: PumpState | None = None
@@ -154,7 +154,7 @@ class PumpCheck(NodeCheck):
             self._runs(f"again when {after}")
         with self.check(f"stops when the cistern falls to the suction level: {within}"):
             self._must_run()
-            self._least_above_suction = _DRY
+            self._above_suction = _DRY
             dry = (site.suction_level + _DRY) * site.a1
             while self._volumes[0] > dry and self._flowing(self._answer({})):
                 pass  # until the suction level; a driver may stop earlier
@@ -212,8 +212,8 @@ class PumpCheck(NodeCheck):
         self._count_answers(1)
         allowed = self.interface["/pump/flow"].range
         require(flow in allowed, f"its flow is {flow:g} m3/s, but {allowed.expected()}")
-        least = (self._site.suction_level + self._least_above_suction) * self._site.a1
-        self._volumes = [max(cistern - flow * tau, least), roof + flow * tau]
+        minimum = (self._site.suction_level + self._above_suction) * self._site.a1
+        self._volumes = [max(cistern - flow * tau, minimum), roof + flow * tau]
         return flow
 
     def _count_answers(self, answers: int) -> None:
@@ -264,11 +264,11 @@ class PumpCheck(NodeCheck):
         flows: list[float] = []
         while True:
             flows = [*flows[-_STEADY_TICKS:], self._answer({_COMMAND: command})]
-            least, most = min(flows), max(flows)
-            if len(flows) > _STEADY_TICKS and least > 0 and most - least <= _STEADY * most:
+            minimum, most = min(flows), max(flows)
+            if len(flows) > _STEADY_TICKS and minimum > 0 and most - minimum <= _STEADY * most:
                 self._steady = flows[-1]
                 return self._steady
-            expected = f"from {least:.3g} to {most:.3g} m3/s" if most else "0"
+            expected = f"from {minimum:.3g} to {most:.3g} m3/s" if most else "0"
             require(
                 time.monotonic() <= until,
                 f"the flow is {expected} after {self._limits.start:g} s at command {command:g}"
@@ -293,7 +293,7 @@ class PumpCheck(NodeCheck):
             f"the flow is {after:.3g} m3/s at the first command after {self._limits.silence:g} s "
             f"of silence, and was {before:.3g} before: the pump had not stopped",
         )
-        require(state not in _ON, f"/pump/state says {state!r} at the end of the silence")
+        require(state not in _ON, f"/pump/state reports {state!r} at the end of the silence")
         self.result = f"{after:.3g} m3/s at the first command after it, {before:.3g} before"
 
     @contextmanager

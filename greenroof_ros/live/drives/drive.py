@@ -53,7 +53,7 @@ class DriveStatus:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the pump is at rest."""
+        """Whether the pump is stopped."""
         return abs(self.speed) <= STANDSTILL
 
     def __str__(self) -> str:
@@ -85,7 +85,7 @@ class Drive:
         self.stopped: bool | None = None
         self._address, self._timeout = address, file.timeout.guarding(address)
         self._full_scale: dict[str, float] = {}
-        # False: the state in which somebody else left the drive is unknown.
+        # False: the state in which someone else left the drive is unknown.
         self._prepared = False
         # The control word written last; None if it is unknown whether that write succeeded.
         self._word: int | None = None
@@ -114,7 +114,7 @@ class Drive:
     def timeout(self) -> tuple[float | None, str]:
         """Return its own communication timeout on this connection (s); if off, None and the reason.
 
-        A timeout that would not stop the drive counts as off. The full-scale registers are read
+        A timeout that would not stop the drive is treated as off. The full-scale registers are read
         again when they are next needed.
 
         Raises:
@@ -187,7 +187,7 @@ class Drive:
     def run(self, speed: float, may_continue: Callable[[], bool] = lambda: True) -> None:
         """Make the drive ready if needed, then write speed and control word.
 
-        The caller repeats this while the pump must run: many drives stop by themselves unless they
+        The caller repeats this while the pump must run: many drives stop automatically unless they
         are written to.
 
         Args:
@@ -278,7 +278,7 @@ class Drive:
         pseudo-terminal.
 
         Raises:
-            DriveError: of the kind ``connection``: nobody answers there.
+            DriveError: of the kind ``connection``: no one answers there.
         """
         if not self._address.is_on_this_machine:
             return f"{self._address} is neither at loopback nor a pseudo-terminal"
@@ -436,7 +436,7 @@ class DriveEndpoint:
     file: DriveFile
     address: Address
 
-    # Least time between two rounds of requests (s): none.
+    # Minimum time between two rounds of requests (s): none.
     period = 0.0
 
     def __str__(self) -> str:

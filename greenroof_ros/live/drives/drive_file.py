@@ -75,7 +75,7 @@ class Register:
     )
     low: float = entry("lowest believable value, in the unit", default=-math.inf)
     high: float = entry("highest believable value, in the unit", default=math.inf)
-    missing: Word | None = entry("the raw value that says 'not available'", default=None)
+    missing: Word | None = entry("the raw value that means 'not available'", default=None)
 
     @property
     def width(self) -> int:
@@ -168,8 +168,8 @@ class Action:
     register: str = entry("its name")
     stops: dict[int, str] = entry("values with which it stops the pump, and their names", 0)
     runs_on: dict[int, str] = entry(
-        "values with which it does not, or not for certain, or only until somebody resets it: the "
-        "timeout counts as off", 0,
+        "values with which it does not, or not for certain, or only until someone resets it: the "
+        "timeout is treated as off", 0,
     )
 
 
@@ -236,7 +236,7 @@ class DriveFile:
     )
     numbering: Numbering = entry("the manual's numbers of registers")
     tcp: Tcp = entry("Modbus TCP")
-    serial: Serial = entry("Modbus RTU as delivered")
+    serial: Serial = entry("Modbus RTU, factory settings")
     registers: dict[str, Register] = entry(
         "by name; `control`, `reference`, `status` and `speed` are required"
     )
@@ -408,7 +408,8 @@ def _register_mistakes(register: Register, offset: int) -> Iterator[tuple[str, s
     text = register.type == "text"
     if text != bool(register.length):
         yield "length", (
-            "must say how many registers" if text else f"belongs to a text, not to {register.type}"
+            "must be the number of registers" if text
+            else f"belongs to a text, not to {register.type}"
         )
     if register.address + register.width > 65536:
         yield "address", "leaves no room for a second register"

@@ -24,8 +24,8 @@ from greenroof_ros.live.drives.stop_monitor import (
 
 # Wait before a new attempt to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
-# A drive being stopped must not keep its speed for longer than this (s), or it counts
-# as one that does not stop.
+# A drive being stopped must not keep its speed for longer than this (s), or it is
+# treated as one that does not stop.
 STEADY_S = 3.0
 # A drive whose speed cannot be read may still get orders for this long (s); then follows the
 # silence in which its own timeout can pass.
@@ -40,7 +40,7 @@ PAUSE_S = 2.0
 SECOND_MASTER_PAUSE_S = 10.0
 # Within this time the drive must acknowledge its fault; after it the fault counts again (s).
 RESET_S = 5.0
-# Greatest age of the drive's status (s). During a start none comes for some seconds; a lost
+# Maximum age of the drive's status (s). During a start none comes for some seconds; a lost
 # connection is noticed sooner.
 STATUS_AGE_S = 10.0
 # Interval at which the drive's safety-relevant settings are read again (s).
@@ -49,7 +49,7 @@ SETTINGS_S = 30.0
 SILENCE_MARGIN_S = 1.0
 # Wait before a new attempt to acquire the lock of the drive (s).
 LOCK_WAIT_S = 1.0
-# The connection counts as lost after this many consecutive cycles without a valid answer.
+# The connection is treated as lost after this many consecutive cycles without a valid answer.
 LOST_AFTER = 2
 
 
@@ -71,16 +71,16 @@ class DriveSnapshot(DeviceSnapshot):
         read_at: time of its last answer (s, `boot_time`: one from before a suspend is old).
         state: of the exchange; after `close` there is no connection any more.
         status: its last report; None without a connection. After `close`: its report when it was
-            released, at which it may not be at rest; None if it could not be read.
+            released, at which it may not be stopped; None if it could not be read.
         identity: its nameplate; empty until read.
         timeout_s: its own communication timeout (s); None for off.
         timeout_known: the timeout could be read.
-        timeout_note: why it counts as off, or could not be read.
+        timeout_note: why it is treated as off, or could not be read.
         unguarded: why the connected drive is kept off: its own timeout may not guard yet, or it
             must be the simulator and may not be; None if neither.
         no_simulator: why it may not be the drive simulator; empty if it is, None if unknown.
-        second_master: that somebody else writes to the drive, which is therefore kept off; None
-            if nobody does.
+        second_master: that someone else writes to the drive, which is therefore kept off; None
+            if no one does.
         start_failed: why it was stopped although it was to run; None once *off* is requested.
         errors: number of failures so far.
     """
@@ -111,7 +111,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
     .. code-block:: text
 
-        CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; it turns, or is at rest
+        CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; it turns, or is stopped
           ^    ^         |    ^            |
           |    |         v    |            |
           |    |         RUNNING <---------+        a speed is requested; its timeout guards
@@ -122,10 +122,10 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
           +-------------- SILENT                    *stop* is refused on two connections, or the
                                                     speed does not fall, or cannot be read
 
-    From CONNECTING a drive at rest becomes STOPPED at once.
+    From CONNECTING a stopped drive becomes STOPPED at once.
 
     Each connection begins with *stop*. RUNNING ends if off is requested, `request_speed` is late,
-    the drive fails to start, or somebody else writes to it. After a failed start, or a connection
+    the drive fails to start, or someone else writes to it. After a failed start, or a connection
     lost while a speed was requested, the drive stays off until `request_speed` requests off: the
     caller, which counts starts and waits between them, decides on the next. During a silence
     nothing is sent for longer than the drive's own timeout, which then stops it: it may count any
@@ -157,7 +157,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             timeout_s: longest wait for each answer (s).
             timeout_limit_s: longest usable communication timeout of the drive (s). A silence lasts
                 this long if the timeout is longer, unknown or off.
-            stops_locally: whether somebody has confirmed that the drive's own settings stop the
+            stops_locally: whether someone has confirmed that the drive's own settings stop the
                 pump, if they cannot be read.
             checks_simulator: whether to find out if it is the drive simulator.
 
@@ -191,7 +191,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._checks_simulator, self._requires_simulator = checks_simulator, False
 
     def close(self, within_s: float = math.inf) -> bool:
-        """Stop the drive, read back that it is at rest, and release it; `snapshot` has the result.
+        """Stop the drive, read back that it is stopped, and release it; `snapshot` has the result.
 
         It waits as long as the speed falls, `REST_LIMIT_S` at most. If the speed does not fall, or
         the drive does not answer, it is released after a few seconds.
@@ -211,7 +211,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         if within_s < longest_s:
             return False
         self._update(state=ExchangeState.CONNECTING, status=None)
-        self._fail("could not confirm that the pump is at rest: the connection hangs")
+        self._fail("could not confirm that the pump is stopped: the connection hangs")
         return True
 
     @property
@@ -223,18 +223,18 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         """Return, after `close`, how the drive was released.
 
         Raises:
-            OSError: it did not answer at the end, or is not at rest.
+            OSError: it did not answer at the end, or is not stopped.
         """
         snapshot = self.snapshot
         status = snapshot.status
-        problem = f"the drive is not at rest at the end: {status}"
+        problem = f"the drive is not stopped at the end: {status}"
         if status is None or snapshot.connected:
-            # If still connected, the thread has not read that the drive is at rest.
+            # If still connected, the thread has not read that the drive is stopped.
             why = snapshot.problem or "no last answer"
             problem = f"the drive did not answer at the end ({why})"
         elif status.at_rest:
             return f"released the drive: {status}"
-        timeout = "off" if snapshot.timeout_known else "not known"
+        timeout = "off" if snapshot.timeout_known else "unknown"
         ending = f"only its own panel can stop it now: its communication timeout is {timeout}"
         if snapshot.timeout_s is not None:
             ending = f"its own timeout of {snapshot.timeout_s:g} s must stop it"
@@ -448,7 +448,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
                 self._connect_at = time.monotonic() + LOCK_WAIT_S
 
     def _read_settings(self) -> None:
-        """Read the safety-relevant settings, which somebody may change at the panel."""
+        """Read the safety-relevant settings, which someone may change at the panel."""
         try:
             (seconds, note), timeout_known = self._drive.timeout(), True
         except DriveError as error:
@@ -493,7 +493,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._pause(self._period_s - (time.monotonic() - started))
 
     def _stop_and_release(self) -> None:
-        """Stop the drive; release it when it is at rest, or when its speed does not fall."""
+        """Stop the drive; release it when it is stopped, or when its speed does not fall."""
         status = _stop_until_at_rest(self._drive, self._rest_deadline)
         self._done = True
         self._update(state=ExchangeState.CONNECTING, status=status, read_at=boot_time())
@@ -514,7 +514,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             raise
         self._stop_monitor.speed_read()
         if status.timed_out:
-            self._fail(f"the drive had stopped by itself: {status.fault}")
+            self._fail(f"the drive had stopped on its own: {status.fault}")
             try:
                 drive.reset()
             except DriveError as error:
@@ -575,7 +575,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
 
 def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
-    """Stop a drive; return its report when it is at rest, or when its speed does not fall.
+    """Stop a drive; return its report when it is stopped, or when its speed does not fall.
 
     Drive files do not give the length of the ramp, so it waits for as long as the speed falls.
     """
@@ -602,11 +602,12 @@ def stop_drive(
         timeout_s: longest wait for each answer (s).
 
     Returns:
-        The drive's report after *stop*; it may not be at rest.
+        The drive's report after *stop*; it may not be stopped.
 
     Raises:
         DriveInUseError: another process runs it, and nothing was sent.
-        DriveError: three attempts to write *stop* and read the drive failed; the message says why.
+        DriveError: three attempts to write *stop* and read the drive failed; the message states
+            why.
     """
     only = DriveLock(endpoint)
     try:

@@ -51,7 +51,7 @@ class DriveLock:
         except LockedError as error:
             raise DriveInUseError(
                 f"{self._drive}: process {error.holder or 'unknown'} on this machine already runs "
-                "this drive; end that process and this one continues by itself",
+                "this drive; end that process and this one continues automatically",
                 error.holder,
             ) from None
         except OSError as error:

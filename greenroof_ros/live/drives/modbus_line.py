@@ -211,7 +211,7 @@ def parse_drive_address(text: str, key: str) -> Address:
 
 
 class DriveError(Exception):
-    """A failure of a drive, or another device on Modbus; the message says what and where.
+    """A failure of a drive, or another device on Modbus; the message states what and where.
 
     Attributes:
         kind: ``connection`` (there is none, or no answer came), ``answer`` (the answer is invalid
@@ -470,7 +470,7 @@ def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
 
 
 def limits(kind: str) -> tuple[float, float]:
-    """Return the least and the greatest value of a register type."""
+    """Return the minimum and the maximum value of a register type."""
     if kind.startswith("float"):
         return -math.inf, math.inf
     bits = 16 * WIDTHS[kind]

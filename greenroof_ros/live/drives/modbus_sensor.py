@@ -27,9 +27,10 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
 
     It connects if needed, and again after every failure. A sensor that is absent, hangs or sends
     nonsense delays each of the others by at most three timeouts per reading. The timeout is 0.5 s,
-    but so short that reading all n sensors of the line takes at most half of the greatest age A of
+    but so short that reading all n sensors of the line takes at most half of the maximum age A of
     a value: 3 n timeouts <= A / 2. A period is at most A / 2. So the readings of a good sensor are
-    never further apart than A, whatever the others do: at 5 s, two sensors have 0.42 s to answer.
+    never further apart than A, regardless of what the others do: at 5 s, two sensors have 0.42 s to
+    answer.
     """
 
     def __init__(self, name: str) -> None:
@@ -161,7 +162,7 @@ class ModbusReader:
             raise
         bits = decode(registers, f"uint{16 * len(registers)}", sensor.word_order)
         if bits == sensor.missing:
-            raise line.error("answer", f"says 0x{bits:X}, which means 'no reading'")
+            raise line.error("answer", f"reports 0x{bits:X}, which means 'no reading'")
         raw = decode(registers, sensor.type, sensor.word_order)
         assert not isinstance(raw, str)
         try:

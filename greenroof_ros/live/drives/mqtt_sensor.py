@@ -28,7 +28,7 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
 
     Args:
         payload: JSON, or a plain number.
-        sensor: its description, which says where the number is.
+        sensor: its description, which states where the number is.
 
     Raises:
         ValueError: there is no number.
@@ -40,23 +40,23 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
         try:
             value = json.loads(payload)
         except (ValueError, RecursionError) as error:
-            raise ValueError(f"says {payload[:40]!r}, which is not JSON") from error
+            raise ValueError(f"reports {payload[:40]!r}, which is not JSON") from error
     try:
         for step in sensor.steps:
             value = value[step]  # type: ignore[index]
     except (LookupError, TypeError) as error:
-        raise ValueError(f"says {payload[:80]!r}, which has no {sensor.value}") from error
+        raise ValueError(f"reports {payload[:80]!r}, which has no {sensor.value}") from error
     text = str(value)
     if isinstance(value, bool) or not (isinstance(value, float) or _NUMBER.fullmatch(text)):
-        raise ValueError(f"says {text[:40]!r}, which is not a number")
+        raise ValueError(f"reports {text[:40]!r}, which is not a number")
     number = float(text)
     if math.isinf(number) and not isinstance(value, float):
-        raise ValueError("says a number that is too large")
+        raise ValueError("reports a number that is too large")
     return int(text) if _WHOLE.fullmatch(text) else number
 
 
 class MqttReader:
-    """Receives what a sensor publishes. The client reconnects by itself after each failure.
+    """Receives what a sensor publishes. The client reconnects automatically after each failure.
 
     A message is a reading of the moment when it arrives. A retained message is no reading: it may
     be of any age. Each loss, refusal or suspend empties the filter; the rise of a total remains.
@@ -135,7 +135,7 @@ class MqttReader:
     def _receive_availability(self, payload: bytes) -> None:
         was_offline, self._online = not self._online, payload == self._sensor.online.encode()
         if not self._online:
-            raise ValueError(f"is offline: {self._sensor.available} says {payload[:40]!r}")
+            raise ValueError(f"is offline: {self._sensor.available} reports {payload[:40]!r}")
         if was_offline:
             raise ValueError("is online, but has not sent a reading yet")
 
@@ -145,7 +145,7 @@ class MqttReader:
             raise ValueError("has sent nothing yet; the retained message may be old")
         if not self._online:
             raise ValueError(
-                f"is offline: {self._sensor.available} has not said {self._sensor.online!r}"
+                f"is offline: {self._sensor.available} has not sent {self._sensor.online!r}"
             )
         if self._readings.clear_after_suspend():
             self._ignoring_until = now + _IGNORING_S

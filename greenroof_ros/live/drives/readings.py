@@ -81,14 +81,14 @@ class Readings:
         sensor = self._sensor
         value = sensor.convert(raw)
         if not math.isfinite(value):
-            raise ValueError(f"says {raw}, which is not a number")
+            raise ValueError(f"reports {raw}, which is not a number")
         if self._total is not None:
             self._total.add(raw)
             return self._total.rate()
         if not sensor.low <= value <= sensor.high:
             raise ValueError(
-                f"says {value:.6g} {self._unit} (raw {raw:g}), which is not from {sensor.low:g} to "
-                f"{sensor.high:g} {self._unit}"
+                f"reports {value:.6g} {self._unit} (raw {raw:g}), which is not from {sensor.low:g} "
+                f"to {sensor.high:g} {self._unit}"
             )
         self._values.append(value)
         return statistics.median_low(self._values)

@@ -32,7 +32,7 @@ _CONNECT_S = 3.0
 _ON_S, _POLL_S = 2.0, 0.1
 # An *on* is renewed after this share of the timer.
 _RENEWED = 1 / 3
-# Characters shown of an invalid answer, and the greatest number of messages that wait.
+# Characters shown of an invalid answer, and the maximum number of messages that wait.
 _SHOWN, _MOST_WAITING = 120, 1000
 
 
@@ -55,7 +55,7 @@ class RelayEndpoint:
 
     @property
     def period(self) -> float:
-        """Least time between two rounds of questions (s)."""
+        """Minimum time between two rounds of questions (s)."""
         return self.file.period
 
     @property
@@ -141,7 +141,7 @@ class RelayLine:
         """Connect to the broker.
 
         Raises:
-            DriveError: nobody answers there, or the broker refuses the connection.
+            DriveError: no one answers there, or the broker refuses the connection.
         """
         self._client.loop_start()
         with self._changed:
@@ -232,7 +232,7 @@ class RelayLine:
     # --- in the client's thread -------------------------------------------------------------------
 
     def _on_connect(self) -> None:
-        if not self._closed_by:  # after the end the client reconnects by itself
+        if not self._closed_by:  # after the end the client reconnects automatically
             topics = {self._fill(question.answer) for question in self._file.questions.values()}
             self._client.subscribe([(topic, 0) for topic in sorted(topics)])
             with self._changed:
@@ -293,7 +293,7 @@ class Relay:
         """Return its timer (s); if that is not effective, None and the reason.
 
         It is not effective if it is off or too short to be renewed in time, or if another setting
-        could switch the relay on by itself.
+        could switch the relay on unintentionally.
 
         Raises:
             DriveError: it cannot be read.
@@ -318,10 +318,10 @@ class Relay:
             raise self.line.error("answer", f"its timer, {timer.path}, is too large") from None
         if seconds is None:
             return None, f"{timer.path} is {raw:g}: off"
-        if seconds < self.file.least_timer:
+        if seconds < self.file.minimum_timer:
             return None, (
                 f"{timer.path} is {raw:g}, which is {seconds:g} s: less than "
-                f"{self.file.least_timer:g} s cannot be renewed in time"
+                f"{self.file.minimum_timer:g} s cannot be renewed in time"
             )
         self._timer_s = seconds
         return seconds, ""
@@ -408,7 +408,7 @@ class Relay:
         Nothing is published to switch it. Nothing at all is sent unless the broker is at loopback.
 
         Raises:
-            DriveError: of the kind ``connection``: nobody answers there.
+            DriveError: of the kind ``connection``: no one answers there.
         """
         if not self._endpoint.is_on_this_machine:
             return f"the broker of {self.line.where} is not at loopback"

@@ -56,7 +56,7 @@ class RelayState(Value):
 
 @dataclass(frozen=True)
 class Setting(Value):
-    """A setting that must have this value, or the relay may switch or stay on by itself."""
+    """A setting with a required value: else the relay may switch or stay on without a command."""
 
     value: str = entry("what it must be, as in JSON")
     meaning: str = entry("what this setting does, for people")
@@ -66,8 +66,8 @@ class Setting(Value):
 class Scale:
     """How a range of raw values converts to seconds."""
 
-    low: float = entry("least raw value of the range", 0)
-    high: float = entry("greatest raw value of the range", 0)
+    low: float = entry("minimum raw value of the range", 0)
+    high: float = entry("maximum raw value of the range", 0)
     scale: float = entry("seconds = scale x raw + offset", 1e-6, 1e6, default=1.0)
     offset: float = entry("in seconds", -1e6, 1e6, default=0.0)
 
@@ -115,7 +115,7 @@ class RelayFile:
         "path of the question's $id in each answer; empty: answers have none, and come in order",
         default="",
     )
-    period: float = entry("least time between two rounds of questions (s)", 0.05, 5, default=0.5)
+    period: float = entry("minimum time between two rounds of questions (s)", 0.05, 5, default=0.5)
     answer_within: float = entry("longest wait for an answer (s)", 0.1, 10, default=1.0)
     path: Path = Path()
 
@@ -123,7 +123,7 @@ class RelayFile:
     least_speed = 1.0
 
     @property
-    def least_timer(self) -> float:
+    def minimum_timer(self) -> float:
         """The shortest timer that can be renewed in time (s)."""
         return _ROUNDS * self.period
 

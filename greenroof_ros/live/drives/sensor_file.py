@@ -27,9 +27,9 @@ from greenroof_ros.live.drives.modbus_line import (
 
 TANKS = ("cistern", "roof")
 _LONGEST_FILTER_S = 30.0
-# A flow shown for 12 s (follow_time) while the pump is at rest is a fault.
+# A flow shown for 12 s (follow_time) while the pump is stopped is a fault.
 _LONGEST_AFTERFLOW_S = 10.0
-# A level further below 0 (m) is no noise: a tank would be taken for empty.
+# A level further below 0 (m) is no noise: a tank would seem empty.
 _LEVEL_NOISE = 0.1
 _MODBUS_PORT = 502
 _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
@@ -56,7 +56,7 @@ class MeasuredQuantity(NamedTuple):
 
     @property
     def limit(self) -> str:
-        """The parameter for its greatest age."""
+        """The parameter for its maximum age."""
         age = self.topic.greatest_age
         assert age is not None
         return age.parameter
@@ -79,7 +79,7 @@ class Sensor:
     scale: float = entry("value = scale x raw + offset, in the quantity's unit", -1e3, 1e3)
     low: float = entry(
         "lowest accepted value, in the quantity's unit; below 0 for the noise of a sensor at 0, "
-        "which counts as 0 (not for a temperature)", -100, 100,
+        "which is treated as 0 (not for a temperature)", -100, 100,
     )
     high: float = entry("highest accepted value, likewise", -100, 100)
     offset: float = entry("value at raw 0, likewise", -1e3, 1e3, default=0.0)
@@ -116,9 +116,9 @@ class ModbusSensor(Sensor):
     )
     type: str = entry("how the value is coded", choices=tuple(WIDTHS))
     word_order: str = entry("which word of several comes first", choices=WORD_ORDERS, default="")
-    missing: Word | None = entry("the raw value that says 'no reading'", default=None)
+    missing: Word | None = entry("the raw value that means 'no reading'", default=None)
     period: float = entry(
-        "time between two readings (s); at most half of the greatest age of the quantity", 0.05,
+        "time between two readings (s); at most half of the maximum age of the quantity", 0.05,
         3600, default=1.0,
     )
     baud_rate: int = entry("serial line only: bits per second", 1200, 1_000_000, default=19200)
@@ -175,11 +175,11 @@ class MqttSensor(Sensor):
         "sensors[0].distance; left out: the message is the number", default="",
     )
     max_age: float = entry(
-        "how long the sensor may be silent (s); at most the greatest age of the quantity",
+        "how long the sensor may be silent (s); at most the maximum age of the quantity",
         0.1, 3600,
     )
-    available: str = entry("topic that says whether the sensor is online", default="")
-    online: str = entry("what that topic says when it is", default="online")
+    available: str = entry("topic that reports whether the sensor is online", default="")
+    online: str = entry("what that topic reports when it is", default="online")
     login: str = entry("file with username and password, an absolute path", default="")
     authority: str = entry(
         "file of trusted certificates (PEM), an absolute path; left out: the system's", default="",
@@ -281,8 +281,8 @@ def _mistakes(
         ).shares_line(parse_address(earlier.address)):
             if later.device_id == earlier.device_id:
                 yield f"{second}.device_id", (
-                    f"is also the {of}'s, on the same serial line: a late answer would count as "
-                    "the other's; give each sensor a slave address of its own"
+                    f"is also the {of}'s, on the same serial line: a late answer would be treated "
+                    "as the other's; give each sensor a slave address of its own"
                 )
             for key in ("baud_rate", "parity", "stop_bits"):
                 if getattr(later, key) != (value := getattr(earlier, key)):

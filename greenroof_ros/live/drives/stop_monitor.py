@@ -1,4 +1,4 @@
-"""Whether a drive obeys *stop*: its speed must fall, whatever it acknowledges."""
+"""Whether a drive obeys *stop*: its speed must fall, regardless of its answers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from greenroof_ros.live.drives.drive import DriveStatus
 from greenroof_ros.live.drives.modbus_line import DriveError
 
-# The least decrease of the speed that counts (share of rated speed).
+# The minimum decrease of the speed that counts (share of rated speed).
 SLOWER = 0.005
 # A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), longer
 # than a drive needs to begin its ramp. It is left in silence once the fault was visible for
@@ -16,7 +16,7 @@ SLOWER = 0.005
 # are not longer than pump control by default waits for a speed to follow beyond the ramp
 # (follow_time).
 RUNS_ON_S, VISIBLE_S = 10.0, 2.0
-# Least time from a silence that did not help to the next (s): the fault may need a person.
+# Minimum time from a silence that did not help to the next (s): the fault may need a person.
 RUNS_ON_AGAIN_S = 60.0
 
 
@@ -51,7 +51,7 @@ class StopMonitor:
             where: the place of the drive, for messages.
         """
         self._where = where
-        # The fall since *stop* became the last order; None if the drive runs or is at rest.
+        # The fall since *stop* became the last order; None if the drive runs or is stopped.
         self._fall: Deceleration | None = None
         # For how long reports have shown that the speed does not fall, and the time of the last
         # such report on this connection.
@@ -70,7 +70,7 @@ class StopMonitor:
         self._unread_from = min(self._unread_from, now)
 
     def order_changed(self) -> None:
-        """Record that the last order is not *stop*, or may be somebody else's."""
+        """Record that the last order is not *stop*, or may be someone else's."""
         self._fall = None
 
     def speed_read(self) -> None:
@@ -115,7 +115,7 @@ class StopMonitor:
         if stopped and unread and now - self._silent_until > RUNS_ON_AGAIN_S:
             return (
                 f"; its speed cannot be read, and for {RUNS_ON_S:g} s it has been unknown whether "
-                "it is at rest, although *stop* is written"
+                "it is stopped, although *stop* is written"
             )
         if self._refusals > 1:
             return "; *stop* could not be written on two successive connections"

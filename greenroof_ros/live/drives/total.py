@@ -11,7 +11,7 @@ from greenroof_ros.live.drives.sensor_file import Sensor
 
 # A message may be repeated or overtaken for this long (s).
 _LATE_S = 2.0
-# A rise may exceed the greatest rate by what that rate brings in this time (s).
+# A rise may exceed the maximum rate by what that rate brings in this time (s).
 _BURST_S = 60.0
 # Shortest time over which a rise is spread (s): several of the node's calls.
 _SHORTEST_S = 0.5
@@ -20,7 +20,7 @@ _BITS = (16, 32, 64)
 
 
 class Total:
-    """Spreads each rise of a total over as long as it took, never faster than the greatest rate.
+    """Spreads each rise of a total over as long as it took, never faster than the maximum rate.
 
     The integral of `rate` over time, each value held until the next call, is the rise of the total.
     Each call counts what the previous value has brought; what is still due stays due through a lost
@@ -31,7 +31,7 @@ class Total:
         """Start without a total.
 
         Args:
-            sensor: its scale and greatest rate.
+            sensor: its scale and maximum rate.
             unit: of the rate, for messages.
             longest_s: longest time over which a rise is spread (s).
         """
@@ -65,7 +65,7 @@ class Total:
                 self._rate = 0.0
             else:
                 rate = sum(self._rates.values()) or self._rate
-                # What the greatest rate, or a late call, has left over.
+                # What the maximum rate, or a late call, has left over.
                 behind = self._due - sum(
                     part * (end - now) for end, part in self._rates.items()
                 )
@@ -77,10 +77,10 @@ class Total:
         """Add a total.
 
         Args:
-            raw: as the sensor says it; differences of whole numbers are exact.
+            raw: as the sensor reports it; differences of whole numbers are exact.
 
         Raises:
-            ValueError: it rose faster than the greatest rate allows; it changes nothing.
+            ValueError: it rose faster than the maximum rate allows; it changes nothing.
         """
         with self._lock:
             now = boot_time()
@@ -106,7 +106,7 @@ class Total:
                 self._former = former
 
     def _allowed(self, gap: float) -> float:
-        """Return the greatest rise in a time (s)."""
+        """Return the maximum rise in a time (s)."""
         return self._sensor.high * (self._burst_s + min(gap, self._longest_s))
 
     def _is_growth(self, before: float, raw: float, gap: float) -> bool:
@@ -158,7 +158,7 @@ class Total:
         assert self._last is not None
         rise, amount = self._sensor.scale * (raw - self._last), self._unit.removesuffix("/s")
         raise ValueError(
-            f"says {raw:g}, a total that rose by {rise:.6g} {amount} in "
+            f"reports {raw:g}, a total that rose by {rise:.6g} {amount} in "
             f"{now - self._received_at:.1f} s, which is faster than {self._sensor.high:g} "
             f"{self._unit}"
         )

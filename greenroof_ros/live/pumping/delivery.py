@@ -7,8 +7,8 @@ It keeps three balances, each of water (m3) that the levels do not explain:
   roof, minus ``greatest_loss`` for evapotranspiration. It grows if a pump runs and the roof does
   not rise: burst pipe, closed valve. Rain can only lower it.
 - *lost from the cistern*: the fall of the cistern, minus the pumped volume and what a low outlet
-  may have taken, both divided by ``least_delivery``, minus ``greatest_loss`` for a drifting sensor.
-  It grows if water leaves while the pump is at rest: leak, stuck contactor. Rain can only lower it.
+  may have drawn, both divided by ``least_delivery``, minus ``greatest_loss`` for a drifting sensor.
+  It grows if water leaves while the pump is stopped: leak, stuck contactor. Rain can only lower it.
   The outlet itself does not matter, since the cistern counts only up to it. While the level is
   above a low outlet, or unknown, another loss is seen only if it exceeds what that outlet takes, so
   perhaps only after the level has fallen and the outlet takes less. A clogged low outlet is not a
@@ -17,7 +17,7 @@ It keeps three balances, each of water (m3) that the levels do not explain:
   cistern, minus ``greatest_loss`` for a drifting sensor, minus what the mains may have let in
   while the reading was below the level of their valve, or unknown. It grows if a pump runs and the
   cistern does not fall: its sensor is stuck, perhaps with some noise, or drifts up, and the pump
-  would run dry. It is at most that share of the pumped volume, so rain while the pump is at rest is
+  would run dry. It is at most that share of the pumped volume, so rain while the pump is stopped is
   not a fault. Rain while it runs explains ``a_in / a2`` times the roof's rise beyond that share, as
   if all rain ran off: a storm's runoff coefficient may be above the mean. If a_in is at least a2,
   this explains so much that only the first balance remains effective.
@@ -27,7 +27,7 @@ sensor that is silent now and then hides nothing. Jumps of a level that water ca
 count, except that the third balance treats a downward jump of the cistern as a fall. So a drift
 that ends with a jump back does not become a fault later.
 
-For a measured roof only the share of the pumped volume counts that its soil retains at the target,
+For a measured soil only the share of the pumped volume counts that its soil retains at the target,
 the smallest share while anything is pumped; the rest percolates. To infer rain, the third
 balance instead uses the share that the soil retains at its present wetness: a drier roof retains
 more of the pumped water, and that is not rain.
@@ -42,7 +42,7 @@ cistern's outlet minus, ``level_offset``, the permanent error that a sensor may 
 A level that does not change at all needs no averaging and no ``least_delivery``: an unchanged roof
 is a fault once ``level_tolerance`` times its area was pumped since it last changed, and roof and
 cistern both unchanged once the tolerance times the cistern's area was (net of ``greatest_loss``).
-Otherwise the frozen-level rule, which clears by itself, would repeatedly stop the pump first.
+Otherwise the frozen-level rule, which clears automatically, would repeatedly stop the pump first.
 
 Why there are no false alarms: readings each second with independent errors of 5 mm (standard
 deviation), averaged over 60 s, have an error of 5 mm / sqrt(2 60) = 0.46 mm. A false alarm needs
@@ -86,7 +86,7 @@ class _Sums(NamedTuple):
     mains: float = 0.0
     """what the mains may have let in (m3)"""
     drained: float = 0.0
-    """what the low outlet may have taken, according to the site file (m3)"""
+    """what the low outlet may have drawn, according to the site file (m3)"""
 
     def plus(self, other: _Sums, share: float = 1.0) -> _Sums:
         return _Sums(*(mine + share * added for mine, added in zip(self, other, strict=True)))

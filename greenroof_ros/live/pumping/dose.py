@@ -81,7 +81,7 @@ class Doses:
         """Begin without a dose.
 
         Args:
-            site: says whether doses are allowed, and how large they may be.
+            site: states whether doses are allowed, and how large they may be.
             now: system time (s since 1970).
         """
         self._largest = site.greatest_dose
@@ -106,7 +106,7 @@ class Doses:
         return inhibit_reason and f"the pump must not run now: {inhibit_reason}"
 
     def request(
-        self, requested_at: float, volume: float, now: float, least: float, inhibit_reason: str
+        self, requested_at: float, volume: float, now: float, minimum: float, inhibit_reason: str
     ) -> str:
         """Accept a request (returns an empty string), or return why it is refused.
 
@@ -114,7 +114,7 @@ class Doses:
             requested_at: time at which it was made (s since 1970), which is its id.
             volume: requested volume (m3).
             now: system time (s since 1970).
-            least: smallest volume that can be delivered (m3).
+            minimum: smallest volume that can be delivered (m3).
             inhibit_reason: why the pump must not run now; empty if it may.
         """
         if self._largest is None:
@@ -132,8 +132,8 @@ class Doses:
         self._newest = requested_at  # even if it is refused below
         if refusal := self.refusal(inhibit_reason):
             return refusal
-        if volume < least:
-            return f"a dose must be at least {least:.3f} m3, the pump's least pulse"
+        if volume < minimum:
+            return f"a dose must be at least {minimum:.3f} m3, the pump's minimum pulse"
         self.last = Dose(requested_at, volume, max(0.0, age))
         return ""
 
@@ -159,7 +159,7 @@ class Doses:
             self.end(EXPIRED, f"it could not begin within {EXPIRES_S:g} s: {dose.why}")
 
     def share(self, greatest_flow: float) -> float:
-        """Return the share of the greatest flow (m3/s) that the present dose calls for."""
+        """Return the share of the maximum flow (m3/s) that the present dose calls for."""
         dose = self.present
         assert dose is not None
         return min(1.0, (dose.volume - dose.delivered) / (_SLOWS_S * greatest_flow))

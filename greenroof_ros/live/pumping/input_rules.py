@@ -21,7 +21,7 @@ from greenroof_ros.model.plant import (
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
-# An input that has not arrived since the start counts as silent after this time (s).
+# An input that has not arrived since the start is treated as silent after this time (s).
 _START_S = 10.0
 # Real water levels may change faster than the site file implies, by up to this factor.
 _MARGIN = 1.5
@@ -31,7 +31,7 @@ _SPIKE = 4.0
 # Above the world records of hourly rain and of daily evapotranspiration (m/s).
 _MOST_RAIN = QUANTITIES[PRECIPITATION][2] / 1000 / 3600
 _MOST_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION][2] / 1000 / 86400
-# Greatest evapotranspiration of an hour (m/s), as greatest_loss of the delivery check; and the
+# Maximum evapotranspiration of an hour (m/s), as greatest_loss of the delivery check; and the
 # slowest movement of a cistern that counts, beyond drift and unmeasured inflow: 5 mm/day.
 _LOSS, _DRIFT = 1e-3 / 3600, 5e-3 / 86400
 # Rain that a roof holds back before it runs off (m): depressions of a flat roof (2.5 mm, SWMM
@@ -84,11 +84,11 @@ class Movement(NamedTuple):
     """What surely moves a level: bounds of its rise.
 
     Attributes:
-        least: slowest rise (m/s).
+        minimum: slowest rise (m/s).
         most: fastest rise (m/s), negative if the level must fall.
     """
 
-    least: float
+    minimum: float
     most: float
 
 
@@ -123,10 +123,10 @@ def expected_movement(
     amounts do not add up over days.
 
     Nothing is expected of a tank that spills, since what enters it leaves it: the cistern at its
-    outlet, the roof at the depth of its soil, a measured roof when its soil retains no more water.
+    outlet, the roof at the depth of its soil, a measured soil when it retains no more water.
     A fall through the low outlet is not expected, since a narrow outlet clogs. A coarse sensor may
-    be off by half of `frozen_movement`, so a tank counts as spilling, and mains as open, as soon
-    as that is possible.
+    be off by half of `frozen_movement`, so a tank is treated as spilling, and mains as open, as
+    soon as that is possible.
 
     Args:
         site: the site.
@@ -140,18 +140,18 @@ def expected_movement(
     off = frozen_movement / 2
     high = site.cistern_volume(cistern_level + off)
     low = site.cistern_volume(max(0.0, cistern_level - off))
-    least = most = -flow / site.a1
-    least += (
+    minimum = most = -flow / site.a1
+    minimum += (
         running_off * site.effective_catchment - _MARGIN * low_outlet_flow(site, high)
     ) / site.a1
     most += (rain * site.a_in + mains_flow(site, low)) / site.a1
     if cistern_level + off >= site.z_o:
-        least = 0.0
+        minimum = 0.0
     if cistern_level >= site.z_o:
         most = 0.0
     roof = running_off + flow / site.a2 if roof_level + off < site.z_soil else 0.0
     roof *= soil_of(site).retained_share(site.roof_volume(roof_level + off))
-    return Movement(least - _DRIFT, most + _DRIFT), Movement(roof - _LOSS, math.inf)
+    return Movement(minimum - _DRIFT, most + _DRIFT), Movement(roof - _LOSS, math.inf)
 
 
 class LevelRule:
@@ -196,7 +196,7 @@ class LevelRule:
 
     def expect(self, movement: Movement, passed: float) -> None:
         """Update how the level must have moved in a time (s)."""
-        self._risen = max(0.0, self._risen + movement.least * passed)
+        self._risen = max(0.0, self._risen + movement.minimum * passed)
         self._fallen = max(0.0, self._fallen - movement.most * passed)
         moved = max(self._risen, self._fallen)
         self._frozen = self._frozen or moved > self._frozen_movement
@@ -255,7 +255,7 @@ class InputRules:
 
         Args:
             now: s.
-            limit: greatest age (s).
+            limit: maximum age (s).
             recovery: how long all rules must have been kept (s).
             topic: its full name, for messages.
             limit_name: name of the limit's parameter, for messages.

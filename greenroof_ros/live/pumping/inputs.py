@@ -1,6 +1,6 @@
 """The inputs of the pump node, one row each, and everything that its control knows at a step.
 
-A new input is a row and a field here, its topic with its greatest age in ``msg_defs/topics.yaml``,
+A new input is a row and a field here, its topic with its maximum age in ``msg_defs/topics.yaml``,
 and its conditions in ``msg_defs/conditions.yaml``.
 """
 
@@ -19,7 +19,7 @@ class PumpInput(NamedTuple):
     Attributes:
         name: what it is: a field of :class:`Observation`.
         topic: in the interface.
-        unknown: code of the interlock while it is not known; empty if the pump runs without it.
+        unknown: code of the interlock while it is unknown; empty if the pump runs without it.
     """
 
     name: str

@@ -7,7 +7,7 @@ end, or none. This is what it promises:
 - There is one hold at a time. A later request replaces owner and reason, and never shortens it: the
   later end counts, and no end is later than any.
 - It ends at its end by the system clock, or when it is released, whoever made it.
-- If it is unknown whether there was a hold or a fault, the pump stays off until somebody at the
+- If it is unknown whether there was a hold or a fault, the pump stays off until someone at the
   pump clears that.
 
 The file has two lines of fixed length, padded with blanks and overwritten in place in turn. Its
@@ -19,7 +19,7 @@ cannot be read, has other keys than this version's, or is missing while another 
 existed. The file is made under another name and renamed once.
 
 The disk thread writes, so a slow disk does not delay the control of the pump. A lock on a file
-beside it lets only one ledger write: the record of a second one would erase a hold or a fault.
+next to it lets only one ledger write: the record of a second one would erase a hold or a fault.
 
 A day is 24 h of the ledger's clock, which starts at its first step and counts the site's time
 (steady clock, or simulated). Downtime is added by the system clock, unless that was set back.
@@ -52,9 +52,9 @@ MOST = 1e11
 """No number of the record is larger; as a time, it is in the year 5138."""
 # Length of a line (bytes): a page, and a block of most disks.
 _LINE = 4096
-# Most bytes of a text and of an owner, and most starts, that fit in a line, whatever they contain.
+# Most bytes of a text and of an owner, and most starts, that fit in a line with any content.
 _TEXT, _OWNER, _STARTS = 350, 40, 100
-# What is beside the file while it is made; another version moved a broken file away.
+# What is next to the file while it is made; another version moved a broken file away.
 _NEW, _LEFTOVERS = ".new", (".new", ".broken")
 # Starts to remember: no pump may start more often in the hour that counts.
 _MOST_STARTS = 3600
@@ -69,7 +69,7 @@ class PumpRecord:
     """The state that is kept.
 
     Attributes:
-        hold_owner: who holds the pump; empty if nobody does.
+        hold_owner: who holds the pump; empty if no one does.
         hold_reason: why; may be empty.
         hold_until: end of the hold by the system clock (s since 1970); None if it has no end.
         unknown: why it is unknown whether there was a hold or a fault; empty if it is known.
@@ -200,7 +200,7 @@ class Ledger:
 
     @property
     def active_hold(self) -> Problem | None:
-        """Who holds the pump, until when and why; None if nobody does."""
+        """Who holds the pump, until when and why; None if no one does."""
         owner, reason, until = self.record.hold
         if not owner or (until is not None and self.now >= until):
             return None
@@ -261,7 +261,7 @@ class Ledger:
 
         Args:
             most: longest time that it may have run since the record was written (s).
-            flow: greatest flow (m3/s).
+            flow: maximum flow (m3/s).
         """
         if self.record.on:
             run = min(self._unseen, most, DAY_S)
@@ -326,7 +326,7 @@ def _error_text(file: Path, error: Exception) -> str:
     if isinstance(error, LockedError):
         return (
             f"{file} cannot be written: process {error.holder or 'unknown'} already uses it; end "
-            "that process and this one continues by itself, or give this one another file "
+            "that process and this one continues automatically, or give this one another file "
             "(--state, state_file)"
         )
     why = getattr(error, "strerror", None) or repr(error)
@@ -364,12 +364,12 @@ def _create(file: Path, record: PumpRecord) -> None:
     if os.path.lexists(file) and not file.is_file():
         raise FileExistsError(errno.EEXIST, "it exists but is not a file")
     file.parent.mkdir(parents=True, exist_ok=True)
-    beside = file.with_name(file.name + _NEW)
-    with beside.open("wb") as stream:
+    new_file = file.with_name(file.name + _NEW)
+    with new_file.open("wb") as stream:
         stream.write(_line(1, record) + _line(2, record))
         stream.flush()
         os.fsync(stream.fileno())
-    beside.replace(file)
+    new_file.replace(file)
     directory = os.open(file.parent, os.O_RDONLY)
     try:
         os.fsync(directory)
@@ -432,8 +432,8 @@ def _traces(file: Path) -> list[str]:
     """Return what shows that a missing file existed before."""
     if file.is_symlink():
         return [f"it is a link to {file.readlink()}, which is missing"]
-    beside = (file.with_name(file.name + ending) for ending in _LEFTOVERS)
-    return [f"it is missing, but {path.name} is there" for path in beside if os.path.lexists(path)]
+    left = (file.with_name(file.name + ending) for ending in _LEFTOVERS)
+    return [f"it is missing, but {path.name} is there" for path in left if os.path.lexists(path)]
 
 
 def _parse(line: bytes, number: int) -> tuple[int, PumpRecord]:

@@ -1,6 +1,6 @@
-"""The limits of a pump: its settings, whether they allow it to run, and pulses below least flow.
+"""The limits of a pump: its settings, whether they allow it to run, and pulses below minimum flow.
 
-Every inhibit that comes from a limit clears by itself.
+Every inhibit that comes from a limit clears automatically.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from greenroof_ros.model.soil import soil_of
 _HOUR_S = 3600.0
 # A pump that runs continuously makes up the outstanding volume in this time (s).
 _CATCH_UP = 60.0
-_LEAST_FLOW = 0.2
+_MIN_FLOW = 0.2
 # More than the reference evapotranspiration of any climate in FAO-56, Table 2 (m/day).
-_GREATEST_EVAPOTRANSPIRATION = 0.010
+_MAX_EVAPOTRANSPIRATION = 0.010
 # Margin of the daily volume, since the flow is only estimated.
 _MARGIN = 1.5
 
@@ -33,9 +33,9 @@ _MARGIN = 1.5
 def _volume_per_day(site: Site) -> float:
     """Return the volume (m3) of filling an empty roof and of a day's loss, with the margin.
 
-    The loss is the greatest evapotranspiration. A measured roof needs more: it keeps only a share.
+    The loss is the maximum evapotranspiration. A measured soil needs more: it keeps only a share.
     """
-    evapotranspiration = _GREATEST_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
+    evapotranspiration = _MAX_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
     replaced = evapotranspiration / soil_of(site).retained_share(site.x2_star)
     return round(_MARGIN * (_filling(site) + replaced), 3)
 
@@ -46,8 +46,8 @@ def _filling(site: Site) -> float:
 
 
 def _time_for(site: Site, volume: float) -> float:
-    """Return the time (s) in which the default least flow delivers a volume (m3); at most a day."""
-    least_flow = _LEAST_FLOW * maximum_pump_flow(site, site.cistern_volume(site.suction_level))
+    """Return the time (s) in which the default least_flow delivers a volume (m3); at most a day."""
+    least_flow = _MIN_FLOW * maximum_pump_flow(site, site.cistern_volume(site.suction_level))
     return min(DAY_S, round(volume / least_flow) + 1.0)
 
 
@@ -60,12 +60,12 @@ class PumpSettings:
     """
 
     least_speed: float = entry(
-        "least speed of the drive, share of the rated one; its drive file's if that is larger",
+        "minimum speed of the drive, share of the rated one; its drive file's if that is larger",
         0.05, 1.0, unit="1", default=0.3,
     )
     least_flow: float = entry(
-        "least continuous flow of the pump, share of the maximum; below it the pump runs in pulses",
-        0.01, 1.0, unit="1", default=_LEAST_FLOW,
+        "minimum continuous flow, share of the maximum; below it the pump runs in pulses",
+        0.01, 1.0, unit="1", default=_MIN_FLOW,
     )
     ramp: float = entry(
         "how fast the requested speed changes while the pump runs; the drive also has its own ramp",
@@ -97,13 +97,13 @@ class PumpSettings:
         0.0, 10.0, unit="m", default=0.02,
     )
     drive_ramp: float = entry(
-        "the drive's own ramp, from rest to rated speed or back, whichever is longer; the default "
-        "is the longest that a drive may have",
+        "the drive's own ramp, from rest to rated speed or back (the longer of the two); the "
+        "default is the longest that a drive may have",
         0.0, 30.0, unit="s", default=30.0,
     )
     follow_tolerance: float = entry(
         "how far the speed may be from the requested one, or from what the ramp has reached on "
-        "the way there, share of rated speed; less than the least speed",
+        "the way there, share of rated speed; less than the minimum speed",
         0.01, 1.0, unit="1", default=0.1,
     )
     follow_time: float = entry(
@@ -119,7 +119,7 @@ class PumpSettings:
         1e-4, 1.0, unit="m", default=0.006,
     )
     level_offset: float = entry(
-        "greatest permanent error of a level sensor, up or down; the dry-run cut is this far "
+        "maximum permanent error of a level sensor, up or down; the dry-run cut is this far "
         "above the suction level",
         0.0, 1.0, unit="m", default=0.02,
     )
@@ -128,7 +128,7 @@ class PumpSettings:
         0.05, 0.95, unit="1", default=0.5,
     )
     greatest_loss: float = entry(
-        "greatest evapotranspiration of an hour, and greatest drift of a level sensor",
+        "maximum evapotranspiration of an hour, and maximum drift of a level sensor",
         0.01, 1000.0, unit="mm/h", default=1.0,
     )
 
@@ -136,12 +136,12 @@ class PumpSettings:
         """Refuse contradictory settings.
 
         Raises:
-            ConfigurationError: a pump at its least speed would count as being at rest.
+            ConfigurationError: a pump at its minimum speed would be treated as stopped.
         """
         if self.follow_tolerance >= self.least_speed:
             raise ConfigurationError(
-                f"must be less than least_speed, {self.least_speed:g}: a pump at rest would count "
-                "as running, and one that runs on after a stop as at rest",
+                f"must be less than least_speed, {self.least_speed:g}: a stopped pump would be "
+                "treated as running, and one that runs on after a stop as stopped",
                 key="follow_tolerance", value=self.follow_tolerance,
             )
 
@@ -168,9 +168,9 @@ def settings_for(site: Site, **changes: float) -> PumpSettings:
 
 
 class PumpLimits:
-    """Least time off, starts per hour, longest run, a day's use, dry-run cut, frost, quiet hours.
+    """Minimum time off, starts per hour, longest run, a day's use, dry-run cut, frost, quiet hours.
 
-    After a start of the node the pump first waits for the least time off, since it is unknown how
+    After a start of the node the pump first waits for the minimum time off, since it is unknown how
     long it has been off.
     """
 
@@ -231,12 +231,12 @@ class PumpLimits:
         if cistern_level is None:
             yield Problem.of("cistern_level_unknown")
         else:
-            least = self._site.suction_level + settings.level_offset
+            minimum = self._site.suction_level + settings.level_offset
             if self._dry:
-                least += settings.suction_hysteresis
-            self._dry = cistern_level <= least
+                minimum += settings.suction_hysteresis
+            self._dry = cistern_level <= minimum
             if self._dry:
-                yield Problem.of("cistern_low", level=cistern_level, least=least)
+                yield Problem.of("cistern_low", level=cistern_level, least=minimum)
         if observed.roof_level is None:
             yield Problem.of("roof_level_unknown")
         if observed.frost is None:
@@ -267,23 +267,24 @@ class PumpLimits:
 class Pulses:
     """Turns a command into a share of flow that the pump can deliver, continuously or in pulses.
 
-    Below its least flow a pump overheats, and below its least speed it delivers nothing; the larger
-    of these flows is the least share. A smaller command is delivered in pulses at the least share.
-    A least pulse is what that delivers in the least time on. The outstanding volume is the
-    commanded minus the delivered volume, by the actual flow. A pulse begins when a least pulse will
-    be outstanding by its end, and ends when nothing is outstanding. So the pump lags the command by
-    at most a least pulse, and exceeds it only by one step's flow and the flow while coming to rest.
+    Below its minimum flow a pump overheats, and below its minimum speed it delivers nothing; the
+    larger of these flows is the minimum share. A smaller command is delivered in pulses at the
+    minimum share. A minimum pulse is what that delivers in the minimum time on. The outstanding
+    volume is the commanded minus the delivered volume, by the actual flow. A pulse begins when a
+    minimum pulse will be outstanding by its end, and ends when nothing is outstanding. So the pump
+    lags the command by at most a minimum pulse, and exceeds it only by one step's flow and the flow
+    while coming to rest.
 
     The outstanding volume is limited, so that the pump does not catch up on obsolete demand:
 
     - an interlock, unwatched time and the end of a dose set it to 0;
-    - if the demand is 0 (command 0, or a full roof) or at least the least share, it is at most one
-      least pulse;
-    - in between, at most the volume that the least share delivers from one permitted start to the
-      next (with 20 starts an hour, in 180 s), or a least pulse if that is more.
+    - if the demand is 0 (command 0, or a full roof) or at least the minimum share, it is at most
+      one minimum pulse;
+    - in between, at most the volume that the minimum share delivers from one permitted start to the
+      next (with 20 starts an hour, in 180 s), or a minimum pulse if that is more.
 
     Attributes:
-        outstanding: commanded minus delivered (m3), within its limits; negative if the least time
+        outstanding: commanded minus delivered (m3), within its limits; negative if the minimum time
             on delivered more than was commanded.
     """
 
@@ -294,16 +295,16 @@ class Pulses:
         self.clear()
 
     def least_share(self, cistern_level: float) -> float:
-        """Return the least share of the maximum flow that may be requested at a level (m)."""
+        """Return the minimum share of the maximum flow that may be requested at a level (m)."""
         slowest = flow_at(self._site, self._settings.least_speed, cistern_level)
         return max(self._settings.least_flow, slowest / self._flow(1.0, cistern_level))
 
     def least_pulse(self, cistern_level: float) -> float:
-        """Return the volume that the least share delivers in the least time on (m3)."""
+        """Return the volume that the minimum share delivers in the minimum time on (m3)."""
         return self._settings.least_on * self._flow(self.least_share(cistern_level), cistern_level)
 
     def speed(self, share: float, cistern_level: float) -> float:
-        """Return the speed for a share of the flow, from the least speed to 1."""
+        """Return the speed for a share of the flow, from the minimum speed to 1."""
         speed = speed_for(self._site, share, cistern_level)
         return min(1.0, max(self._settings.least_speed, speed))
 
@@ -313,7 +314,7 @@ class Pulses:
 
     def clear(self) -> None:
         """Forget the outstanding volume and the demand."""
-        self._wanted = self._greatest = self.outstanding = 0.0
+        self._wanted = self._maximum = self.outstanding = 0.0
 
     def update(self, command: float, cistern_level: float, on: bool, since_start: float) -> float:
         """Update the demand; return the share of the maximum flow to request, 0 for off.
@@ -324,22 +325,22 @@ class Pulses:
             on: whether the pump is on.
             since_start: time since the pump was last started (s).
         """
-        least, pulse = self.least_share(cistern_level), self.least_pulse(cistern_level)
-        self._wanted, self._greatest = self._flow(command, cistern_level), pulse
-        if 0 < command < least:
-            self._greatest = max(pulse, self._spacing * self._flow(least, cistern_level))
+        minimum, pulse = self.least_share(cistern_level), self.least_pulse(cistern_level)
+        self._wanted, self._maximum = self._flow(command, cistern_level), pulse
+        if 0 < command < minimum:
+            self._maximum = max(pulse, self._spacing * self._flow(minimum, cistern_level))
         self._set_outstanding(self.outstanding)
-        if command >= least:
+        if command >= minimum:
             catch_up = self.outstanding / _CATCH_UP / self._flow(1.0, cistern_level)
-            return min(1.0, max(least, command + catch_up))
+            return min(1.0, max(minimum, command + catch_up))
         due = command > 0 and self.outstanding > 0
         if not on:
             by_its_end = self.outstanding + self._settings.least_on * self._wanted
             due = due and by_its_end >= pulse and since_start >= self._spacing
-        return least if due else 0.0
+        return minimum if due else 0.0
 
     def _set_outstanding(self, volume: float) -> None:
-        self.outstanding = min(self._greatest, max(-self._greatest, volume))
+        self.outstanding = min(self._maximum, max(-self._maximum, volume))
 
     def _flow(self, share: float, cistern_level: float) -> float:
         return share * flow_at(self._site, 1.0, cistern_level)

@@ -22,11 +22,11 @@ from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
 from greenroof_ros.model.pump_speed import STANDSTILL, flow_at
 from greenroof_ros.model.site import Site
 
-# A measured flow above this multiple of the maximum flow is not believed.
-_GREATEST_FLOW = 1.5
-# Speeds above this (share of the rated speed) and levels beyond this (m) are not believed.
-_GREATEST_SPEED = 2.0
-_GREATEST_LEVEL = 100.0
+# A measured flow above this multiple of the maximum flow is implausible.
+_MAX_FLOW = 1.5
+# Speeds above this (share of the rated speed) and levels beyond this (m) are implausible.
+_MAX_SPEED = 2.0
+_MAX_LEVEL = 100.0
 # This many consecutive failed starts are a fault.
 _FAILED_STARTS = 3
 # The state of a pump that is kept off, by the kind of the first active interlock.
@@ -40,13 +40,13 @@ class Decision:
     Attributes:
         speed: requested speed, share of the rated speed; None means off.
         state: off, starting, running, stopping, fault, held, or unknown: it is ordered off, but may
-            not be at rest.
+            not be stopped.
         why: the reason for the state, in words.
         interlocks: the active interlocks by code, in the order of their table.
         flow: best present estimate (m3/s).
         source: how the flow is known.
         warnings: what an operator should know although it stops nothing.
-        at_rest: whether the pump is at rest: reported, or certain by the drive's own timeout.
+        at_rest: whether the pump is stopped: reported, or certain by the drive's own timeout.
         reported_speed: by the drive, share of the rated speed, negative if backwards; None if it
             does not answer or its value is implausible.
         flow_known: whether ``flow`` is known; if not, ``flow`` is 0.
@@ -79,7 +79,7 @@ class PumpControl:
             site: the site.
             settings: the pump's limits.
             ledger: the state before this start.
-            drive_stops_after: time after which a drive that does not answer is at rest (s);
+            drive_stops_after: time after which a drive that does not answer is stopped (s);
                 infinite if it may run on.
         """
         self._site = site
@@ -104,7 +104,7 @@ class PumpControl:
         self._unknown_for = 0.0
         self._blind_for = 0.0
         # Highest speed that it may have had when it last answered, share of the rated speed; 1 at
-        # first, since it is not known to be at rest.
+        # first, since it may not be stopped yet.
         self._highest_speed = 1.0
 
     @property
@@ -114,12 +114,12 @@ class PumpControl:
 
     @property
     def dose_refusal(self) -> str:
-        """Why any dose would be refused now, whatever its volume; empty if it would not."""
+        """Why any dose would be refused now, regardless of its volume; empty if it would not."""
         return self._doses.refusal(self._inhibit_reason)
 
     @property
     def least_dose(self) -> float:
-        """The smallest volume that can be delivered (m3): the pump's least pulse."""
+        """The smallest volume that can be delivered (m3): the pump's minimum pulse."""
         return self._least_pulse
 
     def request_dose(self, request: float, volume: float) -> str:
@@ -151,7 +151,7 @@ class PumpControl:
             return "there is no fault"
         row = read_interlocks().get(record.fault_code)
         if row is None or not row.on_page:
-            return "such a fault is reset at the pump node, by somebody who has checked the pump"
+            return "such a fault is reset at the pump node, by someone who has checked the pump"
         return ""
 
     def clear(self) -> None:
@@ -165,8 +165,8 @@ class PumpControl:
     def count_unseen(self, dt: float) -> None:
         """Count unseen time, such as a suspend of the machine; the pump is off after it.
 
-        At worst the pump ran on until the drive's own timeout stopped it. This time does not count
-        as time without an answer from the drive: whether it is at rest must be read again.
+        At worst the pump ran on until the drive's own timeout stopped it. This time is not treated
+        as time without an answer from the drive: whether it is stopped must be read again.
 
         Args:
             dt: since the last step (s).
@@ -182,7 +182,7 @@ class PumpControl:
         self._delivery.step(dt, None, None, 0.0, volume)
         self._blind_for += dt
         self._pulses.clear()
-        self._doses.end(UNSEEN, f"nobody watched the pump for {dt:.0f} s")
+        self._doses.end(UNSEEN, f"no one watched the pump for {dt:.0f} s")
         if self._setpoint is not None:
             self._limits.switch(False)
         self._setpoint = None
@@ -213,13 +213,13 @@ class PumpControl:
         self._highest_speed = max(latest, self._setpoint or 0.0)
         unseen = self._unseen_flow(observed)
         # A meter may show no flow while the pump runs: a valve is closed, or the meter is broken.
-        least = max(flow, computed or 0.0)
-        self._count(dt, observed.speed, unseen, least)
+        minimum = max(flow, computed or 0.0)
+        self._count(dt, observed.speed, unseen, minimum)
         under_way = self._doses.present is not None
-        self._doses.advance(drive_dt, max(least, unseen) * dt)
+        self._doses.advance(drive_dt, max(minimum, unseen) * dt)
         self._pulses.count(flow * dt, dt)
         undelivered = self._delivery.step(
-            dt, observed.cistern_level, observed.roof_level, least * dt, max(flow, unseen) * dt,
+            dt, observed.cistern_level, observed.roof_level, minimum * dt, max(flow, unseen) * dt,
             observed.displacements,
         )
         levels_known = observed.cistern_level is not None and observed.roof_level is not None
@@ -269,7 +269,7 @@ class PumpControl:
             room = self._site.x2_star - self._site.roof_volume(observed.roof_level)
             if not full and room < self._least_pulse:
                 self._inhibit_reason = (
-                    "the roof needs less than the pump's least pulse to reach its target"
+                    "the roof needs less than the pump's minimum pulse to reach its target"
                 )
             if (dose := self._doses.present) is not None:
                 dose.begun, dose.why = dose.begun or setpoint is not None, why
@@ -289,7 +289,7 @@ class PumpControl:
             # A drive that answers but reports an implausible speed has not timed out.
             at_rest = not speed_known and self._must_be_at_rest()
             if not at_rest and not backwards:
-                why += "; it is not known whether the pump is at rest"
+                why += "; it is unknown whether the pump is stopped"
                 state = "unknown" if state == "off" else state
         else:
             at_rest = setpoint is None and not turning
@@ -300,9 +300,9 @@ class PumpControl:
         )
 
     def _dose_command(self, cistern_level: float) -> float:
-        """Return the command for the present dose: at least the least share, to avoid pulses."""
-        greatest = flow_at(self._site, 1.0, cistern_level)
-        return max(self._doses.share(greatest), self._pulses.least_share(cistern_level))
+        """Return the command for the present dose: at least the minimum share, to avoid pulses."""
+        maximum = flow_at(self._site, 1.0, cistern_level)
+        return max(self._doses.share(maximum), self._pulses.least_share(cistern_level))
 
     def _flow(
         self, observed: Observation, computed: float | None, warnings: list[Problem]
@@ -316,9 +316,9 @@ class PumpControl:
         """
         site = self._site
         if self._setpoint is None and observed.speed is not None and observed.speed <= STANDSTILL:
-            return 0.0, "the pump is at rest"
+            return 0.0, "the pump is stopped"
         level = site.z_o if observed.cistern_level is None else observed.cistern_level
-        most = _GREATEST_FLOW * flow_at(site, 1.0, level)
+        most = _MAX_FLOW * flow_at(site, 1.0, level)
         for flow, source in (
             (observed.flow, "flow meter"), (observed.drive_flow, "the drive's own")
         ):
@@ -326,19 +326,19 @@ class PumpControl:
                 return flow, source
             if flow is not None:
                 warnings.append(Problem.of(
-                    "limited", "flow", source=source, flow=flow, most=most / _GREATEST_FLOW
+                    "limited", "flow", source=source, flow=flow, most=most / _MAX_FLOW
                 ))
-        return computed, "unknown, taken as 0" if computed is None else "computed from the speed"
+        return computed, "unknown, assumed 0" if computed is None else "computed from the speed"
 
     def _unseen_flow(self, observed: Observation) -> float:
-        """Return the worst-case flow without an answer of the drive (m3/s); 0 once at rest."""
+        """Return the worst-case flow without an answer of the drive (m3/s); 0 once stopped."""
         if observed.speed is not None or self._must_be_at_rest():
             return 0.0
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
         return flow_at(self._site, min(1.0, self._highest_speed), level)
 
     def _must_be_at_rest(self) -> bool:
-        """Whether a pump of unknown speed was at rest before, or is by the drive's timeout."""
+        """Whether a pump of unknown speed was stopped before, or is by the drive's timeout."""
         return self._highest_speed <= STANDSTILL or self._unknown_for > self._drive_stops_after
 
     def _count(self, dt: float, speed: float | None, unseen: float, measured: float) -> None:
@@ -368,10 +368,10 @@ class PumpControl:
         )
         most = drive_dt / ramp if ramp else math.inf
         self._ramped += min(max(setpoint - self._ramped, -most), most)
-        least, greatest = sorted((setpoint, self._ramped))
-        if least <= speed <= greatest:
+        minimum, maximum = sorted((setpoint, self._ramped))
+        if minimum <= speed <= maximum:
             self._ramped = speed
-        return not least - tolerance <= speed <= greatest + tolerance
+        return not minimum - tolerance <= speed <= maximum + tolerance
 
     def _flows_at_rest(self, drive_dt: float, observed: Observation) -> Problem | None:
         """Return that a meter shows flow although the drive reports rest; None if it does not.
@@ -379,11 +379,11 @@ class PumpControl:
         A drive knows its motor, and a relay its order; neither detects a welded contact.
         """
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
-        least = self._settings.least_flow * flow_at(self._site, 1.0, level)
+        minimum = self._settings.least_flow * flow_at(self._site, 1.0, level)
         measured = max(observed.flow or 0.0, observed.drive_flow or 0.0)
         speed = observed.speed
         at_rest = self._setpoint is None and speed is not None and speed <= STANDSTILL
-        self._flowed_for = self._flowed_for + drive_dt if at_rest and measured > least else 0.0
+        self._flowed_for = self._flowed_for + drive_dt if at_rest and measured > minimum else 0.0
         if self._flowed_for <= self._settings.follow_time:
             return None
         return Problem.of("runs_on", "flow", flow=measured, time=self._flowed_for)
@@ -448,16 +448,16 @@ class PumpControl:
         demanded = 0.0 if full else command
         since_start = self._limits.since_start
         share = pulses.update(demanded, cistern_level, on, since_start)
-        least, pulse = pulses.least_share(cistern_level), pulses.least_pulse(cistern_level)
+        minimum, pulse = pulses.least_share(cistern_level), pulses.least_pulse(cistern_level)
         why = "as commanded"
-        if demanded < least:
-            why = "a pulse, since the command is below the least flow"
+        if demanded < minimum:
+            why = "a pulse, since the command is below the minimum flow"
             if pulses.outstanding > pulse:
                 warnings.append(Problem.of(
                     "limited", "outstanding", volume=pulses.outstanding, pulse=pulse
                 ))
         if on and share == 0 and since_start < self._settings.least_on:
-            share, why = least, f"it stays on for at least {self._settings.least_on:g} s"
+            share, why = minimum, f"it stays on for at least {self._settings.least_on:g} s"
         wait, why_wait = self._limits.wait()
         if not on and share > 0 and wait > 0:
             return None, f"it may start in {math.ceil(wait)} s: {why_wait}"
@@ -467,7 +467,7 @@ class PumpControl:
             return None, "the next pulse is not due yet" if command > 0 else "the command is 0"
         speed = pulses.speed(share, cistern_level)
         if self._setpoint is None:
-            return pulses.speed(least, cistern_level), why
+            return pulses.speed(minimum, cistern_level), why
         change = self._settings.ramp * dt
         return min(max(speed, self._setpoint - change), self._setpoint + change), why
 
@@ -481,7 +481,7 @@ def drive_fault(fault: str, runs_on: bool) -> Problem:
 
 def _backwards(observed: Observation) -> Problem | None:
     """Return that the pump turns backwards, beyond noise; None if it does not."""
-    if observed.speed is None or not -_GREATEST_SPEED <= observed.speed < -STANDSTILL:
+    if observed.speed is None or not -_MAX_SPEED <= observed.speed < -STANDSTILL:
         return None
     return Problem.of("turns_backwards", speed=-observed.speed)
 
@@ -489,14 +489,14 @@ def _backwards(observed: Observation) -> Problem | None:
 def _plausible(observed: Observation) -> Observation:
     """Return the observation with implausible values replaced by None."""
 
-    def checked(value: float | None, least: float, most: float) -> float | None:
-        return value if value is not None and least <= value <= most else None
+    def checked(value: float | None, minimum: float, most: float) -> float | None:
+        return value if value is not None and minimum <= value <= most else None
 
-    speed = checked(observed.speed, -STANDSTILL, _GREATEST_SPEED)
+    speed = checked(observed.speed, -STANDSTILL, _MAX_SPEED)
     return replace(
         observed,
-        cistern_level=checked(observed.cistern_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),
-        roof_level=checked(observed.roof_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),
+        cistern_level=checked(observed.cistern_level, -_MAX_LEVEL, _MAX_LEVEL),
+        roof_level=checked(observed.roof_level, -_MAX_LEVEL, _MAX_LEVEL),
         speed=None if speed is None else max(0.0, speed),
         flow=checked(observed.flow, 0.0, math.inf),
         drive_flow=checked(observed.drive_flow, 0.0, math.inf),

@@ -63,7 +63,7 @@ class AbbDrives(SimulatedDrive):
         super().control(word)
 
     def standstill(self) -> None:
-        """End OFF1, OFF2 or OFF3: the drive is at rest."""
+        """End OFF1, OFF2 or OFF3: the drive is stopped."""
         if not self.fault and not self.local:
             after = {
                 _Abb.OFF1: _Abb.NOT_READY, _Abb.OFF2: _Abb.INHIBITED, _Abb.OFF3: _Abb.INHIBITED,
@@ -177,7 +177,7 @@ class CimProfile(SimulatedDrive):
 
     Bits of the control word: 0 requests bus control, 1 on, 2 resets an alarm. Without bus control,
     or after its loss, the pump follows its local setting: it stops if set up for this project, and
-    runs as delivered.
+    runs with factory settings.
     """
 
     DELIVERED = (0, 0)
@@ -272,7 +272,7 @@ class Cia402(SimulatedDrive):
         return _Cia.ENABLED
 
     def standstill(self) -> None:
-        """End a quick stop, or the reaction to a fault: the drive is at rest."""
+        """End a quick stop, or the reaction to a fault: the drive is stopped."""
         after = {_Cia.QUICK_STOP: _Cia.DISABLED, _Cia.REACTION: _Cia.FAULT}
         self.state = after.get(self.state, self.state)
 

@@ -63,7 +63,7 @@ DRIVE_FAULTS: Mapping[str, Fault] = {
     ),
     "speed_stays": Fault(15, "the speed stays as it is"),
     "stuck_running": Fault(
-        16, "the motor runs on, whatever the drive is ordered to do",
+        16, "the motor runs on, regardless of what the drive is ordered to do",
         "speed in 0.01 %; 0: the present one", 0,
     ),
     "power_cycle": Fault(17, "the drive loses power for a moment, once"),

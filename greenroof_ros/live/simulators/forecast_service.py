@@ -68,7 +68,7 @@ class ForecastService:
         Args:
             site: its location.
             records: hourly, in the quantities of Open-Meteo's files.
-            start: time in the records that counts as now.
+            start: time in the records that is treated as now.
             port: TCP port on 127.0.0.1; 0 takes a free one.
 
         Raises:

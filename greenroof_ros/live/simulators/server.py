@@ -180,7 +180,7 @@ class Server:
         """Open or close the port, if needed; a serial line is opened and then stays open.
 
         Raises:
-            ConfigurationError: the port is taken, or there is no such device.
+            ConfigurationError: the port is in use, or there is no such device.
         """
         if wanted and self._server is None:
             await self._open()
@@ -257,12 +257,12 @@ class PseudoLine:
     @staticmethod
     def _forward(source: int, target: int) -> None:
         data = os.read(source, 4096)
-        with contextlib.suppress(BlockingIOError):  # nobody reads: lost, as on a real line
+        with contextlib.suppress(BlockingIOError):  # no one reads: lost, as on a real line
             os.write(target, data)
 
 
 class Bench(ABC):
-    """A simulator: its servers and their workbench, which run until somebody ends them.
+    """A simulator: its servers and their workbench, which run until someone ends them.
 
     Attributes:
         fault: the present fault.

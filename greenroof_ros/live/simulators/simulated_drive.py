@@ -2,7 +2,7 @@
 
 A subclass in `control_profiles` adds what a make does with its control word. A `SimulatedDrive`
 does not wait or speak Modbus, and gets the time from a clock. A `DriveBench` runs one in real time,
-on its own port or line, with a workbench beside it.
+on its own port or line, with a workbench next to it.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class DriveSettings:
         coast_s: from rated speed to rest without torque (s).
         boot_s: from power-up until it answers (s).
         timeout_s: its communication timeout (s), which then stops it, rounded to the steps of
-            its register; None as delivered.
+            its register; None for the factory setting.
         speed: ramps and coasting are faster by this factor; no other time is.
     """
 
@@ -75,7 +75,7 @@ class SimulatedDrive(ABC):
         settings: the settings and properties.
         timeout: the communication timeout of the interface in use.
         guard: raw time and action of that timeout now in force.
-        local: whether somebody has taken control at the panel.
+        local: whether control is at the panel.
         lost: whether the bus was silent for longer than the timeout.
         fault: code, or bits, of the active fault; 0 for none.
         last_fault: the last fault that tripped it.
@@ -85,7 +85,7 @@ class SimulatedDrive(ABC):
     """
 
     DELIVERED: ClassVar[tuple[int, int]]
-    """time and action of the timeout as delivered (raw)"""
+    """time and action of the timeout, factory settings (raw)"""
     TRIPS: ClassVar[tuple[int, ...]] = ()
     """actions of the timeout that trip the drive; the first is the one that is set"""
     LOSS: ClassVar[Mapping[str, int]] = {}
@@ -103,14 +103,14 @@ class SimulatedDrive(ABC):
         self, file: DriveFile, settings: DriveSettings, clock: Callable[[], float] = time.monotonic,
         interface: str = "serial",
     ) -> None:
-        """Start as a drive at rest that was powered up long ago.
+        """Start as a stopped drive that was powered up long ago.
 
         Args:
             file: the drive file of its make.
             settings: of this drive.
             clock: returns the time (s).
             interface: through which it is reached, ``serial`` or ``tcp``; a timeout of the other
-                one is as delivered and guards nothing.
+                one has factory settings and guards nothing.
 
         Raises:
             ConfigurationError: the drive file has no timeout for that interface.
@@ -197,7 +197,7 @@ class SimulatedDrive(ABC):
         """Return the state that the control word leads to; there is no fault or local control."""
 
     def standstill(self) -> None:  # noqa: B027 - some wait for nothing
-        """Handle that the motor is at rest; called repeatedly."""
+        """Handle that the motor is stopped; called repeatedly."""
 
     def restarts_timeout(self, name: str) -> bool:
         """Return whether writing a register restarts the timeout; for '', any request."""
@@ -304,7 +304,7 @@ class SimulatedDrive(ABC):
 
     @property
     def _ignores_stop(self) -> bool:
-        """Whether it is ordered to stop and says that it is off, but runs on."""
+        """Whether it is ordered to stop and reports that it is off, but runs on."""
         off = self.motion is not Motion.FOLLOW or not self.setpoint
         return self._active_fault == "runs_on" and off and self._at >= self._answers_from
 
@@ -411,7 +411,7 @@ class SimulatedDrive(ABC):
                 self.speed = parameter * faults.SPEED_UNIT or self.speed or _STUCK_AT
             case "power_cycle":
                 self.power_cycle()
-            case "timeout_off":  # as somebody could at the panel
+            case "timeout_off":  # as someone could at the panel
                 if self.timeout.action is not None:
                     self.write_raw(self.timeout.action.register, min(self.timeout.action.runs_on))
                 else:

@@ -147,7 +147,7 @@ class Tasmota(SimulatedRelay):
     """Tasmota: commands on cmnd/DEVICE/COMMAND, answers on stat/DEVICE/...; no payload asks.
 
     PulseTime 1 to 111 is in 0.1 s, 112 to 64900 is seconds plus 100, 0 is off. PowerOnState is 0
-    (off) or, as delivered, 3 (as before).
+    (off) or 3 (as before), the factory setting.
     """
 
     TOPICS = ("cmnd/{}/+",)

@@ -27,7 +27,7 @@ from greenroof_ros.model.site import Site
 
 # Readings of the drive's speed per tick, if there is time for as many.
 _POLLS = 20
-_LEAST_PAUSE_S = 0.02
+_MIN_PAUSE_S = 0.02
 _DRIVE_ANSWERS_S = 1.0
 _PER_MINUTE = 60.0
 _TEMPERATURE = 15.0
@@ -209,7 +209,7 @@ class SiteBench(Bench):
             speed: at the beginning of the tick (share of rated).
             due: end of the tick (s, `time.monotonic`).
         """
-        pause = max(self._tick_s / _POLLS, _LEAST_PAUSE_S)
+        pause = max(self._tick_s / _POLLS, _MIN_PAUSE_S)
         pumped = passed = 0.0
         flow = self._flow(speed)
         at = time.monotonic()
@@ -239,7 +239,7 @@ class SiteBench(Bench):
         except DriveError as error:
             drive.close()
             if not self._drive_lost:
-                self.log(f"{error}: the pump is assumed to be at rest")
+                self.log(f"{error}: the pump is assumed to be stopped")
             self._drive_lost = True
             return 0.0
         if self._drive_lost:

@@ -7,7 +7,7 @@ const HOUR = 3600_000;
 const AHEAD = 12; // hours
 const AXIS = 72; // width of an axis and its title (px), the same for all charts: their times line up
 const TOP = 10; // px above the plot, for the upper half of the axis's highest number
-const FEWEST = 60_000; // ms: the least that a zoom shows
+const FEWEST = 60_000; // ms: the minimum that a zoom shows
 
 // The lines of each chart, by the names of the series. They are on the axis of the line 'shown'; lines
 // with 'right' have an axis of their own. 'steps' hold from a time until the next. A line with 'range' has
@@ -238,7 +238,7 @@ export class Charts {
     };
   }
 
-  // The background: the time ahead, and the band that counts as good.
+  // The background: the time ahead, and the band of good values.
   drawBehind(plot, { band }) {
     const { ctx, bbox } = plot;
     const x = Math.min(bbox.left + bbox.width, Math.max(bbox.left, plot.valToPos(this.time, "x", true)));
@@ -367,7 +367,7 @@ export class Charts {
     return [start, Math.max(end, this.ms(now), start + FEWEST)];
   }
 
-  // The least and the greatest value of an axis from one time to another.
+  // The minimum and the maximum value of an axis from one time to another.
   extent(chart, right, from, to) {
     const seen = (begin, end) => begin <= to && end >= from;
     const values = chart.lines.filter((line) => Boolean(line.right) === right).flatMap(({ name }) => [
@@ -523,7 +523,7 @@ export class Charts {
 const between = (row, next, t) => next.t > row.t ? row.v + ((next.v - row.v) * (t - row.t)) / (next.t - row.t) : row.v;
 
 // The rows of a line, with a row without a value in each gap of more than 'gap' (ms). A value that holds
-// until the next one holds for 'gap' at most, and not beyond a time when it is not known.
+// until the next one holds for 'gap' at most, and not beyond a time when it is unknown.
 const broken = (points, gap, holds) => points.flatMap(({ t, v }, i) => {
   const next = points[i + 1];
   if (v === null || !next || (next.v !== null && next.t - t <= gap)) return [{ t, v }];
@@ -531,14 +531,14 @@ const broken = (points, gap, holds) => points.flatMap(({ t, v }, i) => {
   return [{ t, v }, ...(end > t ? [{ t: end, v }] : []), ...(next.v === null ? [] : [{ t: end + 1, v: null }])];
 });
 
-// Where values went beyond their line by more than 'least': blocks below and above it for each stretch (ms,
+// Where values went beyond their line by more than 'minimum': blocks below and above it for each stretch (ms,
 // counted from 'zero'), from the first value on. A value that only rises or falls has none.
-const beyond = (points, stretch, zero, least) => points.flatMap(({ t, v, low, high }, i) => {
+const beyond = (points, stretch, zero, minimum) => points.flatMap(({ t, v, low, high }, i) => {
   if (v === null) return [];
   const line = [points[i - 1]?.v ?? v, v];
   const begin = t - ((t - zero) % stretch);
   const [from, to] = [Math.max(begin, points[0].t), Math.min(begin + stretch, points.at(-1).t)];
-  return [[low, Math.min(...line)], [Math.max(...line), high]].filter(([under, over]) => over - under > least)
+  return [[low, Math.min(...line)], [Math.max(...line), high]].filter(([under, over]) => over - under > minimum)
     .map(([under, over]) => ({ from, to, low: under, high: over }));
 });
 

@@ -5,12 +5,12 @@ import { Charts, atText, element, setClock } from "/charts.js";
 
 const SILENT = 12_000; // ms: the server sends something every 5 s
 const LONGEST_WAIT = 8_000; // ms, between two attempts to connect
-const WORDS = { error: "Alarm", warn: "Warning", stale: "Not heard" };
+const WORDS = { error: "Alarm", warn: "Warning", stale: "Not responding" };
 const TILES = ["roof", "cistern", "pump", "rain", "controller"];
 // For each state of a tile: its word, its shape and its tone.
 const STATES = {
   good: ["good", "ok", "ok"], low: ["too low", "low", "warn"], high: ["too high", "high", "warn"],
-  alarm: ["alarm", "error", "error"], unknown: ["not known", "stale", "none"],
+  alarm: ["alarm", "error", "error"], unknown: ["unknown", "stale", "none"],
   // States of the pump; the value of its tile is the word.
   off: ["", "off", "none"], starting: ["", "running", "ok"], running: ["", "running", "ok"],
   stopping: ["", "off", "none"], held: ["", "held", "warn"], fault: ["", "error", "error"],
@@ -292,7 +292,7 @@ const announce = (text) => {
 // Stopping the pump
 
 let answered = ""; // the action whose answer is shown
-let told = "-"; // what was last told of a dose
+let shownDose = "-"; // the last shown answer about a dose
 let stopBefore = { held: false, warning: "" };
 
 const showStop = (stop) => {
@@ -315,8 +315,8 @@ const showStop = (stop) => {
   setText(byId("dose-limits"), stop.dose_limits);
   byId("dose-limits").hidden = !stop.dose_here;
   // The answer to a request follows the dose until it is delivered.
-  if (answered === "dose" && stop.dose && !stop.dose.startsWith(told)) {
-    told = stop.dose;
+  if (answered === "dose" && stop.dose && !stop.dose.startsWith(shownDose)) {
+    shownDose = stop.dose;
     answer(`${stop.dose[0].toUpperCase()}${stop.dose.slice(1)}.`, false);
   }
   setText(byId("no-dose"), stop.no_dose && `No dose now: ${stop.no_dose}.`);
@@ -328,7 +328,7 @@ const showStop = (stop) => {
   const unsure = place.classList.contains("failed") || stopBefore.warning;
   if (stop.stopped !== stopBefore.stopped && (!stop.stopped || unsure)) place.hidden = true;
   stopBefore = stop;
-  // So does a question, except whether to stop, which stays right whatever else has changed.
+  // So does a question, except whether to stop, which stays right in any case.
   const still = stop[`${asked}_here`] && stop[ACTIONS[asked].then] === byId("ask-sentence").textContent;
   if (byId("ask").open && asked !== "stop" && !still) {
     byId("ask").close();
@@ -361,10 +361,10 @@ const post = async (path, body) => {
     method: "POST", headers: { ...headers(), "Content-Type": "application/json" },
     body: JSON.stringify(body), signal: AbortSignal.timeout(10_000),
   });
-  const said = await response.json();
-  if (response.ok) return said;
-  if (response.status >= 500) throw new Error(said.sentence);
-  return { ok: false, sentence: `Nothing was done: ${said.sentence}.` };
+  const reply = await response.json();
+  if (response.ok) return reply;
+  if (response.status >= 500) throw new Error(reply.sentence);
+  return { ok: false, sentence: `Nothing was done: ${reply.sentence}.` };
 };
 
 // Each action asks once, and then shows the result.
@@ -385,10 +385,10 @@ const act = async (name, body) => {
   try {
     const { ok, sentence } = await post(`/${name}`, body);
     answer(sentence, !ok);
-    [answered, told] = [ok ? name : "", "-"];
+    [answered, shownDose] = [ok ? name : "", "-"];
   } catch (error) {
     const how = name === "stop" ? " Try again, or stop it at the pump itself." : "";
-    answer(`It is not known whether ${ACTIONS[name].doubt}: ${error.message}.${how}`, true);
+    answer(`It is unknown whether ${ACTIONS[name].doubt}: ${error.message}.${how}`, true);
   } finally {
     button.disabled = name === "stop" && Boolean(shown?.stop.stopped);
     stream.open();
@@ -420,7 +420,7 @@ for (const [name, { title, yes, then }] of Object.entries(ACTIONS)) {
     askedBody = name === "dose" ? { volume } : {};
     setText(byId("ask-title"), name === "dose" ? `${title.slice(0, -1)} of ${volume} m³?` : title);
     setText(byId("ask-yes"), yes);
-    setText(byId("ask-sentence"), shown?.stop[then] ?? `Holds the pump off until somebody releases it. ${LOCK_OUT}`);
+    setText(byId("ask-sentence"), shown?.stop[then] ?? `Holds the pump off until someone releases it. ${LOCK_OUT}`);
     byId("ask").showModal();
   });
 }
@@ -528,15 +528,15 @@ const stream = {
     const data = lines.filter((line) => line.startsWith("data: ")).map((line) => line.slice(6)).join("\n");
     if (!["state", "series", "summary"].includes(name)) return;
     this.wait = 500;
-    const taken = JSON.parse(data);
+    const received = JSON.parse(data);
     if (name === "summary") {
-      showTitle(taken);
+      showTitle(received);
       return;
     }
     byId("lost").hidden = true;
     document.body.classList.remove("lost-link");
-    if (name === "state") show(taken);
-    else takeSeries(taken);
+    if (name === "state") show(received);
+    else takeSeries(received);
   },
 
   // Until the next event, the page shows old values.
@@ -550,7 +550,7 @@ const stream = {
   ended(reason) {
     if (!shown) showBareStop();
     document.title = "Not connected: Green roof";
-    this.lost(reason instanceof Refused ? ` The server says: ${reason.message}.` : "");
+    this.lost(reason instanceof Refused ? ` The server reports: ${reason.message}.` : "");
     this.timer = setTimeout(() => this.open(), this.wait);
     this.wait = Math.min(2 * this.wait, LONGEST_WAIT);
   },

@@ -69,7 +69,7 @@ def test_a_picture(compared: Comparison) -> None:
 
 
 def test_table(compared: Comparison) -> None:
-    """A row for each; results are taken as they are."""
+    """A row for each; results are used as they are."""
     table = compared.table
     assert table["controller"].to_list() == list(NAMES)
     for name, deviation in table["controller", "total_deviation_m3"].rows():

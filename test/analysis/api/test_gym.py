@@ -80,7 +80,7 @@ def test_another_reward() -> None:
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
 def test_vectorised(mode: str) -> None:
-    """By Gymnasium's own means; the copies are alike, and begin again by themselves."""
+    """By Gymnasium's own means; the copies are alike, and begin again automatically."""
     roofs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode=mode, hours=0.01)
     first, _ = roofs.reset(seed=1)
     truncated = []

@@ -178,7 +178,7 @@ def test_sites(tmp_path: Path) -> None:
     refusal(lambda: gr.read_site(z_vegg=0.04), match="did you mean z_veg")
 
 
-def test_a_measured_roof_has_its_drainage_layer(tmp_path: Path) -> None:
+def test_a_measured_soil_has_its_drainage_layer(tmp_path: Path) -> None:
     """In the trajectory as in the command's file."""
     site, weather, start = (
         CONFIG / "site_neubrandenburg.yaml", tmp_path / "storm.csv", "2024-06-01T00:00Z"
@@ -216,7 +216,7 @@ def test_a_measured_roof_has_its_drainage_layer(tmp_path: Path) -> None:
     ({"initial": (math.nan, 2.0)}, "initial = .*: must be .*, not negative"),
     ({"controller": 3}, "controller = 3: must be a name, a class, an instance, or a function"),
     ({"controller": object}, "is not a controller: it lacks parameters, command"),
-    ({"controller": "mpcc"}, "is not known; did you mean mpc"),
+    ({"controller": "mpcc"}, "is unknown; did you mean mpc"),
     ({"controller": lambda state, forecast: -1.0}, "must be a finite number, not negative"),
     ({"controller": lambda state, forecast: None}, "must be a finite number, not negative"),
     ({"controller": OnOff(gr.read_site(), 1.0), "fraction": 0.5}, "cannot be given with an inst"),

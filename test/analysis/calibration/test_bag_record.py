@@ -54,7 +54,7 @@ def test_sums_of_five_minutes(tmp_path: Path) -> None:
     assert record.pumped == pytest.approx([4.8, *[6.0] * 5])
     assert record.runoff == pytest.approx(np.full(6, 0.3))
     assert record.level == pytest.approx(0.02 + 300e-6 * np.arange(6))
-    # Nothing says that it was computed, so the site's crop coefficient is not applied.
+    # Nothing states that it was computed, so the site's crop coefficient is not applied.
     assert record.reference == pytest.approx(np.full(6, 0.03))
     assert record.cistern == pytest.approx(np.full(6, 2.0))
     # The command counts while something is delivered; no pump follows a command of 1.5.
@@ -84,7 +84,7 @@ def test_in_a_gap_the_roof_dries_and_nothing_else_is_known(tmp_path: Path) -> No
     """During the first day it dries as before the gap; later as it did a day before.
 
     Evapotranspiration is 0.01 mm in 5 min at first, and ten times that from 6 to 12 h of each day.
-    Without drainage only levels count as measured.
+    Without drainage only levels are treated as measured.
     """
     hour, gaps = 3600, ((2, 8), (27, 33))
     times = [now for now in range(0, 36 * hour, 300)

@@ -155,7 +155,7 @@ def test_all_else_in_a_site_file_stays() -> None:
     assert [line for line in now[2:] if line not in was] == [
         "z_veg: 0.04                   # m       new",
         "c_hat: 50                     # m       new",
-        "# The measured roof",
+        "# The measured soil",
         "wilting_point: 0.05           # 1       w",
         "field_capacity: 0.3           # 1       f",
         "depletion_fraction: 0.5       # 1       p",
@@ -180,7 +180,7 @@ def test_wrong_use_ends_it_with_2(arguments: str, message: str, tmp_path: Path) 
 
 
 def test_a_record_without_any_runoff_has_nothing_to_fit(fitted: Path, tmp_path: Path) -> None:
-    """A measured roof in dry weeks: it is not refused as a dead sensor."""
+    """A roof with a measured soil in dry weeks: it is not refused as a dead sensor."""
     record = DATA / "neubrandenburg_dry.csv"
     ended = calibrate(
         tmp_path, str(record), "--site", str(fitted / "site.yaml"), "-o", "new.yaml"
@@ -193,7 +193,7 @@ def test_a_record_without_any_runoff_has_nothing_to_fit(fitted: Path, tmp_path: 
 
 
 def test_a_finding_that_is_accepted_is_a_warning(fitted: Path, tmp_path: Path) -> None:
-    """A level that is stuck for two weeks: output, page and site file say so."""
+    """A level that is stuck for two weeks: output, page and site file state this."""
     rows = summed(record_rows(TWIN, 60, 1, gaps=False), 1)
     for row in rows[1 + 5 * 24:1 + 20 * 24]:
         row[3] = "0.0300"
@@ -225,7 +225,7 @@ def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
 
 
 def test_the_record_of_the_tutorial(tmp_path: Path) -> None:
-    """The parameters with which its runoff was simulated, as its first lines say."""
+    """The parameters with which its runoff was simulated, as its first lines state."""
     page = (CHECKOUT / "doc" / "tutorials" / "your-site-and-weather.md").read_text()
     site = re.search(r"^# my_site.yaml.*?(?=^```)", page, re.DOTALL | re.MULTILINE)
     assert site

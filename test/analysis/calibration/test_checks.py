@@ -115,7 +115,7 @@ def test_right_records_have_nothing_wrong_and_wrong_ones_have(hours: int) -> Non
         assert (*finding, "")[:4] in cases(changed(alone, *change)), name
 
 
-def test_what_is_said_of_a_clock_and_a_gauge() -> None:
+def test_what_is_reported_of_a_clock_and_a_gauge() -> None:
     """The runoff of an hour later, or of eight hours earlier; it follows rain within 10 minutes.
 
     A gauge of 100 days that is blocked on day 30 is dry from its last rain to the end.
@@ -143,7 +143,7 @@ def test_what_is_wrong_in_other_months_does_not_count() -> None:
 # --- roofs off which nothing runs -----------------------------------------------------------------
 
 
-def test_a_measured_roof_in_dry_weeks_is_right() -> None:
+def test_a_measured_soil_in_dry_weeks_is_right() -> None:
     """The roof at Neubrandenburg, 45 days with 39 mm of rain and no runoff.
 
     With three times the rain, 116 mm, the soil of 108 mm could not hold it.
@@ -188,7 +188,7 @@ def watered_roof(days: int, mm_a_day: float = 4.25) -> RoofRecord:
         pumped=np.where((step % DAY >= 60) & (step % DAY < 64), mm_a_day / 4, 0.0),
         reference=np.where((step % DAY >= 72) & (step % DAY < 240), 5.0 / 168, 0.0),
     )
-    simulated = simulate(TWIN, record, 0.35, least=0.06)
+    simulated = simulate(TWIN, record, 0.35, minimum=0.06)
     noise = np.random.default_rng(1).normal(0, 0.002, len(step))
     return replace(record, runoff=simulated.runoff, level=simulated.level + noise)
 

@@ -82,7 +82,7 @@ def test_the_last_decimal_of_runoff(runoff: str, last_decimal: float, file: Path
 def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(file: Path) -> None:
     """At 3 m the paper's pumps deliver sqrt((3 + 55.2 - 16) / 1 / b^-2), Eq. 3e.
 
-    Without the cistern's level the flow of a running pump is unknown; a pump at rest delivers 0.
+    Without the cistern's level the flow of a running pump is unknown; a stopped pump delivers 0.
     """
     cells = ["0,0.02,50,3,0.1"] * ROWS
     cells[3], cells[5], cells[7] = "0,0.02,1,,0.1", "0,0.02,0,,0.1", "0,0.02,,3,0.1"
@@ -100,8 +100,8 @@ def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(file: Path) ->
 
 
 RAIN, RUNOFF, LEVEL = "rain [mm]", "runoff [mm]", "level [m]"
-LEAST, GREATEST = "least temperature [degC]", "greatest temperature [degC]"
-HEADER = ",".join((RAIN, RUNOFF, LEVEL, LEAST, GREATEST))
+MINIMUM, MAXIMUM = "least temperature [degC]", "greatest temperature [degC]"
+HEADER = ",".join((RAIN, RUNOFF, LEVEL, MINIMUM, MAXIMUM))
 TEXT = text_of(HEADER, "0.1,0.2,0.03,5,15")
 
 
@@ -131,7 +131,7 @@ WRONG = {
         "there must be a column 'runoff [mm]' or 'level [m]'",
     ),
     "nothing for evapotranspiration": (
-        GREATEST, "pumped [mm]", "there must be a column 'reference evapo"),
+        MAXIMUM, "pumped [mm]", "there must be a column 'reference evapo"),
     "no unit": (RAIN, "rain", "line 1: 'rain': a column must be named like 'rain [mm]'"),
     "unknown unit": (RAIN, "rain [inch]", "'rain [inch]': the unit of rain must be one like"),
     "rain in litres": (RAIN, "rain [l]", "the unit of rain must be one like [mm]"),
@@ -264,13 +264,13 @@ def test_a_clock_that_is_set_leaves_no_gap(file: Path) -> None:
 def test_temperatures_that_show_no_day_are_refused(file: Path) -> None:
     """None after ten days; none in early April, as of a logger put away in winter; none at all.
 
-    Six-hourly temperatures show no extremes; and a day's least must not exceed its greatest.
+    Six-hourly temperatures show no extremes; and a day's minimum must not exceed its maximum.
     """
     hours = since(datetime(2021, 4, 1), range(0, 60 * 1440, 60))  # noqa: DTZ001 - site's clock
 
     def of_days(extremes: dict[int, str]) -> str:
         cells = [f"0,0.02,{extremes.get(hour // 24, ',')}" for hour in range(60 * 24)]
-        return text_of(f"{RAIN},{LEVEL},{LEAST},{GREATEST}", cells, hours)
+        return text_of(f"{RAIN},{LEVEL},{MINIMUM},{MAXIMUM}", cells, hours)
 
     winter = of_days(dict.fromkeys(range(15, 60), "5,15"))
     six_hourly = text_of(f"{RAIN},{LEVEL},temperature [degC]", "0,0.02,12", hours[::6])
@@ -278,7 +278,7 @@ def test_temperatures_that_show_no_day_are_refused(file: Path) -> None:
         (of_days(dict.fromkeys(range(10), "5,15")), "no temperature within 3 days of 2021-04-14"),
         (of_days({}), "no day has its temperatures"),
         (of_days(dict.fromkeys(range(60), "5,15") | {0: "40,15"}),
-         "on 2021-04-01 the least temperature, 40 degC, is above the great"),
+         "on 2021-04-01 the minimum temperature, 40 degC, is above the max"),
         (winter, "has no temperature within 3 days"),
         (six_hourly, "temperature: its rows are 6 h apart, but show a"),
     ):
@@ -287,14 +287,14 @@ def test_temperatures_that_show_no_day_are_refused(file: Path) -> None:
 
 
 LYON = replace(TWIN, latitude=45 + 43 / 60, longitude=4.85, utc_offset=1.0)
-# Least and greatest temperature of 13 to 16 July; the 15th is FAO-56's Example 20.
+# Minimum and maximum temperature of 13 to 16 July; the 15th is FAO-56's Example 20.
 DAYS = {13: (8.0, 40.0), 14: (4.0, 9.0), 15: (14.8, 26.6), 16: (-2.0, 38.0)}
 
 
 def test_a_row_has_the_temperatures_of_its_own_day(file: Path) -> None:
     """In the first row of each day, in each row, or as the day's course: the results are equal.
 
-    By Example 20 the 15th has 5.0 mm; the days beside it are much colder and much warmer. Rows are
+    By Example 20 the 15th has 5.0 mm; the days next to it are much colder and much warmer. Rows are
     from 8:23 on, with a clock that is set forward by 2 min at 18:00: one row is at 0:00. The step
     with 0:00 begins at 23:58, because the steps continue from the first row.
     """
@@ -316,7 +316,7 @@ def test_a_row_has_the_temperatures_of_its_own_day(file: Path) -> None:
         assert np.sum(record.reference[of_the_15th]) == pytest.approx(5.0, abs=0.05)
         return record.reference
 
-    both = f"{LEAST},{GREATEST}"
+    both = f"{MINIMUM},{MAXIMUM}"
     every = ["{},{}".format(*DAYS[time.day]) for time in times]
     in_first = reference(both, [
         cell if time in first else "," for time, cell in zip(times, every, strict=True)
@@ -379,7 +379,7 @@ def test_a_logger_that_stood_still_is_no_such_clock(file: Path) -> None:
 
 
 def test_semicolons_and_codes_for_missing_values(file: Path) -> None:
-    """With a note; -0.1 mm of rain counts as missing, as a gauge does not round below 0."""
+    """With a note; -0.1 mm of rain is treated as missing, as a gauge does not round below 0."""
     cells = ["0.1,0.03,0.1"] * ROWS
     cells[3], cells[5], cells[7] = "-999,0.03,0.1", "0.1,NAN,0.1", "0.1,-9999,0.1"
     text = text_of(LOGGED, cells).replace(",", ";").replace(".", ",")

@@ -1,4 +1,4 @@
-"""The fit finds the roof that made a record, and says what it cannot find."""
+"""The fit finds the roof that made a record, and reports what it cannot find."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def test_a_mean_has_the_interval_of_students_t() -> None:
 
 @pytest.mark.parametrize("informative", [2, 3, 26])
 def test_intervals_hold_the_truth_however_few_weeks_have_storms(informative: int) -> None:
-    """In 19 of 20 seeded records of 26 weeks; the residuals of other weeks say hardly anything.
+    """In 19 of 20 seeded records of 26 weeks; the residuals of other weeks tell hardly anything.
 
     With 25 degrees of freedom it would be less than 18 with three storms.
     """

@@ -103,7 +103,7 @@ def test_a_pump_state_that_is_late_or_early_does_not_matter(steps: int) -> None:
     assert f" is {5 * abs(steps)} min " in pumps.findings[1].text
 
 
-def test_short_runs_are_said_to_tell_less() -> None:
+def test_short_runs_are_reported_to_tell_less() -> None:
     """Runs of one step, with a pump state that is a step late."""
     pumps = fit_pumps(SITE, later(twin(SITE, 30, shortest=True), 1))
     assert cases(pumps)[-1] == "short" and hits(pumps, SITE)
@@ -132,7 +132,7 @@ def test_of_pumps_with_little_head_the_whole_curve_is_found() -> None:
         assert fitted.reason == ""
 
 
-def test_where_no_run_is_seen_nothing_is_said() -> None:
+def test_where_no_run_is_seen_nothing_is_reported() -> None:
     """Rain all the time; the cistern at its outlet or its valve; gaps that split all runs."""
     record = twin(WORN, 30)
     level = record.cistern.copy()

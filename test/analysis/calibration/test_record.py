@@ -119,8 +119,8 @@ def test_a_short_outage_counts_unless_water_is_seen() -> None:
     assert len(outages(replace(short, runoff=None, level=level))) == 1
     assert outages(replace(short, runoff=None, level=np.full(40 * DAY, 0.02))) == []
     # A dry roof lets nothing run off, but the storm shows on both sides of the gap.
-    for beside in (3 * DAY - 1, 3 * DAY + 6):
-        storm = lost(of_rain(40, {beside: 4.0}), "rain", 3 * DAY, 3 * DAY + 6)
+    for outside in (3 * DAY - 1, 3 * DAY + 6):
+        storm = lost(of_rain(40, {outside: 4.0}), "rain", 3 * DAY, 3 * DAY + 6)
         assert len(outages(storm)) == 1
     # Runoff that goes on after earlier rain is none of the outage's.
     assert outages(replace(short, runoff=np.full(40 * DAY, 0.01))) == []

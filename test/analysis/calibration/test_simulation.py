@@ -64,24 +64,24 @@ def test_a_counter_of_tips_misses_nothing() -> None:
     assert counts.max() > 40
     printed = np.array([float(f"{count * 0.0297:.2f}") for count in counts])
     flows = np.round(0.02 + np.random.default_rng(5).exponential(0.2, 500), 2)
-    for runoff, last_decimal, least in (
+    for runoff, last_decimal, minimum in (
         (None, 0.0, 0.0), (np.zeros(6), 0.0, 0.0),
         (np.array([0, tip, 2 * tip, 0, 60 * tip, np.nan]), 0.0, 0.0),
         (printed, 0.01, 0.0), (printed, 0.0, printed.min()),  # more decimals: not a counter
         (flows, 0.01, flows.min()),
     ):
         record = replace(a_record(np.zeros(6), runoff=runoff), last_decimal=last_decimal)
-        assert least_reading(record) == least
+        assert least_reading(record) == minimum
 
 
-def test_a_flow_meter_shows_nothing_below_its_least() -> None:
+def test_a_flow_meter_shows_nothing_below_its_minimum() -> None:
     """The lowest readings of Neubrandenburg's meter, which are not multiples of a tip."""
     readings = np.array([0, 0.00605509, 0.01215386, 0.01829655, 0.02448339, 0.03071464])
-    least = least_reading(a_record(np.zeros(6), runoff=readings))
-    assert least == pytest.approx(0.00605509)
+    minimum = least_reading(a_record(np.zeros(6), runoff=readings))
+    assert minimum == pytest.approx(0.00605509)
     record = a_record(np.where(np.arange(600) == 5, 20.0, 0.0))
-    runoff, shown = (simulate(TWIN, record, 1.0, reading).runoff for reading in (0.0, least))
-    small = (runoff > 0) & (runoff < least)
+    runoff, shown = (simulate(TWIN, record, 1.0, reading).runoff for reading in (0.0, minimum))
+    small = (runoff > 0) & (runoff < minimum)
     assert small.any()
     assert not shown[small].any()
     assert np.array_equal(shown[~small], runoff[~small])

@@ -72,8 +72,8 @@ def test_the_simulations_own_tally(tmp_path: Path) -> None:
     """The run itself and its trajectory give the same bits.
 
     First an empty roof loses less than the potential evapotranspiration, until mains water has
-    filled the cistern. Then a measured roof has a layer that is not empty at first, and its cistern
-    a catchment and a low outlet.
+    filled the cistern. Then a measured soil has a drainage layer that is not empty at first, and
+    its cistern a catchment and a low outlet.
     """
     mains = site_file(tmp_path, mains_level=0.8, mains_flow=0.004)
     row = check_tally("--cistern", "10", "--roof", "0.001", "--hours", "1", "--site", str(mains))

@@ -1,4 +1,4 @@
-"""What a report refuses: one line that says what is wrong and where, before any writing."""
+"""What a report refuses: one line that reports what is wrong and where, before any writing."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def test_command(tmp_path: Path, options: str) -> None:
 
 @pytest.mark.parametrize("missing", ["altair", "rosbags"])
 def test_without_the_extra(tmp_path: Path, missing: str) -> None:
-    """Without the extra the error says what to install."""
+    """Without the extra the error states what to install."""
     small_bag(tmp_path / "in")
     code = (
         f"import sys; sys.modules[{missing!r}] = None; sys.argv[1:] = ['in'];"

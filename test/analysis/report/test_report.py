@@ -112,7 +112,7 @@ def each_minute(trajectory: Trajectory) -> Trajectory:
 
 
 def test_another_band_needs_what_happened(tmp_path: Path) -> None:
-    """Unknown without a trajectory, or if it has not every tick; then a note says why."""
+    """Unknown without a trajectory, or if it has not every tick; then a note states why."""
     every_tick, row, _ = simulate("onoff", "0.5", "low-low")
     trajectories = (every_tick, each_minute(every_tick), None)
     path = write_study(tmp_path / "study", [(row, kept) for kept in trajectories])
@@ -206,7 +206,7 @@ PAPERS_TOTALS = {"001": 9725.43, "002": 9635.5272}  # fractions 0.2 and 0.5
     ({"forecast": "persistence"}, {}, {}),
     ({"start": "2021-07-07T02:00-04:00"}, {}, {}),
 ])
-def test_published_totals_stand_beside_the_papers_own_runs(
+def test_published_totals_stand_next_to_the_papers_own_runs(
     tmp_path: Path, columns: dict[str, str], site: dict[str, Any], published: dict[str, float]
 ) -> None:
     """Only for 12 h from its start, with its evapotranspiration, and on its site.
@@ -253,7 +253,7 @@ def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
 
 
 def test_a_controller_without_parameters(tmp_path: Path) -> None:
-    """It has no settings, whatever the number of its runs, and is called by its name alone."""
+    """It has no settings, regardless of the number of its runs, and is called by its name alone."""
     example = simulate("mpc", "0.001", "low-low")
     report = study_of(tmp_path / "study", *(
         {**example.row, "parameter:weight": "", "controller": "mine",
@@ -267,7 +267,7 @@ def test_a_controller_without_parameters(tmp_path: Path) -> None:
     assert {row["run"] for row in drawn} == {"mine"}
 
 
-def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
+def test_the_minimum_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
     """A line for each initial state in the figure, and a column in the tables."""
     bounds = {"low-low": 200.0, "high-low": 100.0}
     rows = [
@@ -284,7 +284,7 @@ def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
         assert [{"v": bound}] in panel.specification()["datasets"].values()
     text = page_of(report)
     assert "No trajectory was kept" in text
-    assert text.count("over the least possible (1)</button>") == 2
+    assert text.count("over the minimum possible (1)</button>") == 2
     assert f">{simulated[0].row[TOTAL] / 200:.4f}<" in text
     assert ">unknown<" in text
 
@@ -339,7 +339,7 @@ def test_seeds_belong_together(seeds: Report) -> None:
         "on/off fraction 0.5", "low-low", "2021-07-07 02:00-05:00, 12 h", "25", "better",
         "1013.00", "1024.20", "1025.00", "2.0260", "2.0484", "2.0500",
     ]
-    # Controllers, then settings, then skills, each from the best or least.
+    # Controllers, then settings, then skills, each from the best or smallest.
     assert [(row[0], row[4]) for row in cells[:6]] == [
         (name, skill) for name in ("MPC weight 0.01", "on/off fraction 0.5", "on/off fraction 2")
         for skill in ("better", "real")
@@ -363,7 +363,7 @@ def test_seeds_belong_together(seeds: Report) -> None:
     assert colour["range"][0] != colour["range"][1] == colour["range"][2]
 
 
-def test_seeds_beside_other_runs(tmp_path: Path) -> None:
+def test_seeds_next_to_other_runs(tmp_path: Path) -> None:
     """A perfect forecast and a single seed are shown as before, complete in their tables."""
     example = simulate("mpc", "0.001", "low-low")
     few = each_minute(example.trajectory)
@@ -381,7 +381,7 @@ def test_seeds_beside_other_runs(tmp_path: Path) -> None:
         "trajectories-1-1", "trajectories-2-1", "forecast-errors"
     ]
     text = page_of(report)
-    assert "Deviation, each run" in text and "over the least" not in text
+    assert "Deviation, each run" in text and "over the minimum" not in text
     warned = text.partition("The command was above 1")[2].partition("</li>")[0]
     assert "</summary>003, 004</details>" in warned
     words = "nly 2 seeds: with fewer than 10, the worst tenth is a single run"
@@ -389,7 +389,7 @@ def test_seeds_beside_other_runs(tmp_path: Path) -> None:
     assert words in text.partition('id="warnings"')[2]
 
 
-def test_the_least_of_the_same_seeds(tmp_path: Path) -> None:
+def test_the_minimum_of_the_same_seeds(tmp_path: Path) -> None:
     """By hand: MPC is worse by 0.1 m3 with every seed, and failed with the worst, 25."""
     row = {**simulate("onoff", "0.5", "low-low").row, "forecast": "errors",
            "forecast_skill": "real", "parameter:fraction": ""}
@@ -406,7 +406,7 @@ def test_the_least_of_the_same_seeds(tmp_path: Path) -> None:
 
 
 def test_skills_in_the_order_of_their_names(tmp_path: Path) -> None:
-    """From the best to the worst; then files, whatever words are in their names."""
+    """From the best to the worst; then files, with any words in their names."""
     skills = ("a real one.yaml", "worse", "real", "much_better")
     row = {**simulate("onoff", "0.5", "low-low").row, "forecast": "errors"}
     report = study_of(tmp_path / "study", *(
@@ -429,7 +429,7 @@ def test_a_tie_is_no_win(tmp_path: Path, forecast: str, seeds: tuple[object, ...
         for seed in seeds for day, both in totals.items()
         for controller, total in zip(("mpc", "onoff"), both, strict=True)
     ))
-    assert "MPC's in 2, shared in 2 and on/off's in 1." in sentences(report)[1]
+    assert "with MPC in 2, shared in 2 and with on/off in 1." in sentences(report)[1]
 
 
 # --- the command ---------------------------------------------------------------------------------
@@ -485,7 +485,7 @@ def test_study(tmp_path: Path) -> None:
 def test_a_page_begins_with_what_came_out(tmp_path: Path, study: Path, seeds: Report) -> None:
     """Three sentences and a figure come before the results; versions are last."""
     one = page_of(ended_run(tmp_path / "run"))
-    assert "Least total deviation" not in one and "<thead>" not in one.partition("Site:")[0]
+    assert "Smallest total deviation" not in one and "<thead>" not in one.partition("Site:")[0]
     pages = {
         "A run of MPC (weight 0.001): ": one,
         "8 runs of MPC (2 settings) and on/off (2 settings), from low-low and high-low: ":

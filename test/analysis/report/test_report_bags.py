@@ -1,4 +1,4 @@
-"""Reports of bags and run directories: their numbers, files beside them, and how they ended."""
+"""Reports of bags and run directories: their numbers, files next to them, and how they ended."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ def recorded_fast(
 def test_a_bag_with_arrival_times_has_the_times_of_its_clock(
     tmp_path: Path, single: bool, namespace: str
 ) -> None:
-    """600 s in 6 s; as a bag, and as its .mcap file by itself."""
+    """600 s in 6 s; as a bag, and as its .mcap file alone."""
     bag = recorded_fast(tmp_path / "bag", 601, namespace=namespace)
     if single:
         (bag,) = bag.rename(tmp_path / "other").glob("*.mcap")
@@ -316,7 +316,7 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     assert row["bound_m3"] is None
     sensor = "what a sensor reads (roof offset 0.005 m); the results are of the true level"
     text = page_of(report)
-    assert sensor in text and "over the least possible" not in text
+    assert sensor in text and "over the minimum possible" not in text
     # Nor if the rain in the bag is not that in the file.
     rain = example.trajectory.precipitation + 1e-7
     wet = dataclasses.replace(example.trajectory, precipitation=rain)
@@ -348,7 +348,7 @@ def test_notes_of_a_run_directory(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("file", ["summary.json", "configuration/parameters.yaml"])
 def test_foreign_labels_leave_the_numbers(tmp_path: Path, file: str) -> None:
-    """A bad file beside a good bag does not matter: the directory's name is the label."""
+    """A bad file next to a good bag does not matter: the directory's name is the label."""
     small_bag(tmp_path / "run" / "bag")
     (tmp_path / "run" / "configuration").mkdir()
     for text in ("{", "[1]", "", '{"name": "x"}', '{"controller": 5}', "[" * 100_000):
@@ -356,7 +356,7 @@ def test_foreign_labels_leave_the_numbers(tmp_path: Path, file: str) -> None:
         report = report_of(tmp_path / "run")
         (row,), (run,) = report.single, report.runs.values()
         assert (row["run"], row["controller"], row["from"]) == ("run", "unknown", "as recorded")
-        reason = f"{file} beside the bag is damaged or foreign"
+        reason = f"{file} next to the bag is damaged or foreign"
         assert any(note.text.startswith(reason) for note in run.notes), text
         assert row["pumped_m3"] == pytest.approx(0.002)
 
@@ -506,9 +506,9 @@ def incidents_of(*paths: Path) -> list[list[str]]:
 
 
 def test_how_runs_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It is said above all results, in the warnings, in each run's rows, and on the terminal.
+    """It stands above all results, in the warnings, in each run's rows, and on the terminal.
 
-    A run without data is refused with the reason it failed; beside others it is listed.
+    A run without data is refused with the reason it failed; next to others it is listed.
     """
     reason = "node weather ended (SIGKILL); its last lines:\n  none"
     broken = ended_run(tmp_path / "broken", "failed", last_tick=72, reason=reason)
@@ -565,7 +565,7 @@ def test_incidents_of_a_run_whose_bringup_was_killed(tmp_path: Path) -> None:
     (path / "summary.json").unlink()
     assert incidents_of(path) == [cells]
     (path / "incidents.jsonl").write_text(f"{{}}\n{json.dumps(LOSS)}\n")
-    assert "Incidents.jsonl beside the bag is damaged, and not used: line 1: is no" in page_of(path)
+    assert "Incidents.jsonl next to the bag is damaged, and not used: line 1:" in page_of(path)
 
 
 def test_incidents_of_a_live_site(tmp_path: Path) -> None:

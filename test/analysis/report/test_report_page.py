@@ -225,8 +225,8 @@ def test_every_figure_has_its_series(page: Any) -> None:
     """In every panel as many lines and marks as there are runs: one for each initial state."""
     panels = page.evaluate("[...window.reportViews.keys()]")
     assert len(panels) == page.locator(".panel canvas").count() == 2 + 4 * 3 + 3 * 8 + 3 * 2
-    # Beside the runs' total deviations are the marks of the authors' code, and a line of the least
-    # possible.
+    # Next to the runs' total deviations are the marks of the authors' code, and a line of the
+    # minimum possible.
     for figure, kind, counts in (
         ("time-in-band-1", "symbol", (10, 10)), ("total-deviation-1", "symbol", (20, 20)),
         ("total-deviation-1", "rule", (1, 1)),
@@ -431,7 +431,7 @@ def test_seasons(browser: Any, tmp_path: Path) -> None:
                 ".flatMap(([mark]) => mark.items.map((item) => item.text))"
             )
             assert ("on/off" in names) == panel.startswith("seasons"), panel
-            # The others differ by more than a tenth of the panel, beside twenty times as much.
+            # The others differ by more than a tenth of the panel, next to twenty times as much.
             axis = "xy"[panel.startswith("seasons")]
             places = page.evaluate(f"marks('{panel}', 'symbol').flatMap((mark) => "
                                    f"mark.items.map((item) => item.{axis}))")
@@ -448,7 +448,7 @@ def test_seasons(browser: Any, tmp_path: Path) -> None:
 
 
 def test_runs(browser: Any, tmp_path: Path) -> None:
-    """A single run; beside it a run with a changed setting, and a failed one."""
+    """A single run; next to it a run with a changed setting, and a failed one."""
     change = {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.01}
     names = ("2026-11-21T02-25-10-mpc", "2026-11-21T02-25-10-changed", "broken")
     ended_run(tmp_path / names[0])

@@ -61,7 +61,7 @@ def relative_to_onoff(*seeds: dict[int, float]) -> Comparison:
 # --- statistics ----------------------------------------------------------------------------------
 
 
-def test_a_tenth_whatever_the_number_of_values() -> None:
+def test_a_tenth_regardless_of_the_number_of_values() -> None:
     """Of 26 weeks 2.6, of 260 the same as 26; of five the largest.
 
     Seeds share the weight of their year: two equal seeds change nothing.
@@ -73,7 +73,7 @@ def test_a_tenth_whatever_the_number_of_values() -> None:
     assert deviations(ONOFF, ONOFF).worst_weeks() == pytest.approx(deviations(ONOFF).worst_weeks())
 
 
-def test_ratios_and_what_is_said_of_them() -> None:
+def test_ratios_and_what_is_reported_of_them() -> None:
     """Equal in all years is certain; changing signs contain 1."""
     comparison = relative_to_onoff({year: total * 0.8 for year, total in ONOFF.items()})
     assert comparison.mean == pytest.approx((0.8, 0.8, 0.8))
@@ -194,12 +194,12 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
     assert not study_of(tmp_path / "b", *lower, *rows("mpc", None, ONOFF)).relative_to_onoff
 
 
-def least(report: Report) -> list[tuple[str, str]]:
-    """Return the controller with the least deviation, and its forecasts."""
-    return [(row["controller"], row["forecast"]) for row in report.least]
+def minimum(report: Report) -> list[tuple[str, str]]:
+    """Return the controller with the smallest deviation, and its forecasts."""
+    return [(row["controller"], row["forecast"]) for row in report.smallest]
 
 
-def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
+def test_the_minimum_that_a_site_could_have(tmp_path: Path) -> None:
     """The best with imperfect forecasts or none; a table compares the others with it.
 
     A controller with only perfect forecasts is in each panel of the figure. If the study has a
@@ -211,12 +211,12 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
         tmp_path / "a", *onoff, *rows("mpc", None, ONOFF), *looking,
         *rows("lookahead", None, lowest),
     )
-    assert least(report) == [("lookahead", "errors skill real")]
-    assert [(row["controller"], row["has"].mean.value > 1) for row in report.relative_to_least] == [
+    assert minimum(report) == [("lookahead", "errors skill real")]
+    assert [(row["controller"], row["has"].mean.value > 1) for row in report.relative_to_best] == [
         ("mpc", True), ("onoff", True), ("lookahead", False)
     ]
     (*_, table) = make_tables(report)
-    assert table.name.startswith("Deviation relative to the controller with the least deviation")
+    assert table.name.startswith("Deviation relative to the controller with the smallest deviation")
     figure = figures_of(report)["seasons"]
     assert [panel.title[-1] for panel in figure.panels] == [
         "forecasts: perfect", "forecasts: errors skill real"
@@ -227,12 +227,12 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
     ] == [{"on/off": 100, "MPC": 100, "lookahead": shown} for shown in (70, 80)]
 
     perfect = rows("mpc", None, lowest)
-    assert least(study_of(tmp_path / "b", *onoff, *looking, *perfect)) == [("mpc", "perfect")]
+    assert minimum(study_of(tmp_path / "b", *onoff, *looking, *perfect)) == [("mpc", "perfect")]
     planning = [{**row, "parameter:horizon": 48} for row in perfect]
     report = study_of(tmp_path / "c", *onoff, *looking, *planning)
-    assert least(report) == [("lookahead", "errors skill real")]
-    # All perfect: the least of all; if that is plain on/off itself, no table repeats it.
-    assert least(study_of(tmp_path / "d", *onoff, *perfect)) == [("mpc", "perfect")]
+    assert minimum(report) == [("lookahead", "errors skill real")]
+    # All perfect: the minimum of all; if that is plain on/off itself, no table repeats it.
+    assert minimum(study_of(tmp_path / "d", *onoff, *perfect)) == [("mpc", "perfect")]
     report = study_of(tmp_path / "e", *rows("onoff", None, lower), *rows("mpc", None, ONOFF))
     assert [table.name for table in make_tables(report)][-1] == "Deviation relative to on/off"
 
@@ -242,11 +242,11 @@ def failed(run: dict[str, Any]) -> dict[str, Any]:
     return {**run, "status": "failed", "error": "no solution", TOTAL: "", "weekly_deviation_m3": ""}
 
 
-def test_who_failed_in_the_worst_years_is_not_the_least(tmp_path: Path) -> None:
+def test_who_failed_in_the_worst_years_is_not_the_minimum(tmp_path: Path) -> None:
     """Two percent more in every year is more, also without the two worst years or their seeds.
 
-    Without those years lookahead's mean is 122.4 m3, with them on/off's is 130 m3. Its comparison
-    with on/off is in the five years of both.
+    Without those years lookahead's mean is 122.4 m3, with them the on/off controller's is 130 m3.
+    Its comparison with on/off is in the five years of both.
     """
     seven = {year: ONOFF[year] for year in range(2015, 2022)}
     more = {year: 1.02 * total for year, total in seven.items()}
@@ -255,14 +255,14 @@ def test_who_failed_in_the_worst_years_is_not_the_least(tmp_path: Path) -> None:
         failed(row) if row["weather"] > "2020" else row for row in rows("lookahead", None, more)
     ]
     report = study_of(tmp_path / "a", *onoff, *five)
-    assert least(report) == [("onoff", "perfect")] and not report.relative_to_least
-    assert "deviation of a season was 130.00 m³, 2.6 times the least possible (on/off, forecast p" \
+    assert minimum(report) == [("onoff", "perfect")] and not report.relative_to_best
+    assert "deviation of a season was 130.00 m³, 2.6 times the minimum possible (on/off, " \
         in sentences(report)[1]
     (compared,) = report.relative_to_onoff
     assert compared["has"].mean.value == pytest.approx(1.02) and compared["has"].years == 5
     assert "lookahead ran in 5 of 7 years: its mean is of other years" in cautions(report)
 
-    # The same for the worse of two seeds in these years, and for on/off's settings.
+    # The same for the worse of two seeds in these years, and for the on/off controller's settings.
     better, worse = (
         {year: share * total for year, total in seven.items()} for share in (0.8, 1.24)
     )
@@ -275,7 +275,7 @@ def test_who_failed_in_the_worst_years_is_not_the_least(tmp_path: Path) -> None:
     report = study_of(tmp_path / "b", *half, *full, *seeds)
     (case,) = (row for row in report.of(SEASONS) if row["controller"] == "lookahead")
     assert case[TOTAL] == pytest.approx((1.02 * 600 + 0.8 * 310) / 7)  # less than 130
-    assert least(report) == [("onoff", "perfect")]
+    assert minimum(report) == [("onoff", "perfect")]
     assert {row["setting"] for row in report.plain_onoff} == {"fraction 1"}
     assert cautions(report)[-2:] == [
         "on/off fraction 0.5 ran in 5 of 7 years: its mean is of other years",
@@ -286,10 +286,10 @@ def test_who_failed_in_the_worst_years_is_not_the_least(tmp_path: Path) -> None:
     place = table.header.index("fewest seeds in a year")
     assert [row[place].text for row in table.rows] == ["1"] * 3
 
-    # If no controller has all years, none is called the least; on/off is still compared with.
+    # If no controller has all years, none is called the best; on/off is still compared with.
     report = study_of(tmp_path / "c", failed(onoff[0]), *onoff[1:], *five)
-    assert not report.least and len(report.relative_to_onoff) == 1
-    assert "it is open which has the least mean deviation" in sentences(report)[1]
+    assert not report.smallest and len(report.relative_to_onoff) == 1
+    assert "it is open which has the smallest mean deviation" in sentences(report)[1]
     many = [{**row, "controller": f"mine_{n}"} for n in range(4) for row in five]
     assert cautions(study_of(tmp_path / "d", *onoff, *many))[-1] == (
         "1 more controllers or settings lack years or seeds"
@@ -297,17 +297,17 @@ def test_who_failed_in_the_worst_years_is_not_the_least(tmp_path: Path) -> None:
 
 
 def test_a_tie_between_seasons_names_all(tmp_path: Path) -> None:
-    """As between single runs; of more than three seasons it is counted as shared."""
+    """As between single runs; of more than three seasons it is treated as shared."""
     report = study_of(tmp_path / "a", *rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF))
     assert "(MPC, forecast perfect, and on/off, forecast perfect)" in sentences(report)[1]
-    assert not report.relative_to_least  # on/off is among them
+    assert not report.relative_to_best  # on/off is among them
     report = study_of(tmp_path / "b", *(
         {**row, "initial": "custom", "cistern_m3": volume,
          TOTAL: row[TOTAL] + (volume > 2 and row["controller"] == "mpc")}
         for volume in (1.0, 2.0, 3.0, 4.0)
         for row in (*rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF))
     ))
-    assert sentences(report)[1].endswith("was shared in 2 and on/off's in 2.")
+    assert sentences(report)[1].endswith("was shared in 2 and with on/off in 2.")
 
 
 # --- from the grid to the figures ----------------------------------------------------------------

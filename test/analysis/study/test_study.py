@@ -20,8 +20,8 @@ from greenroof_ros.analysis.study.case_run import Outcome
 from greenroof_ros.common.errors import ConfigurationError
 
 
-def test_bound_beside_each_run(papers: Path) -> None:
-    """The least possible total from low-low is about 4,422 m3; no run is below its bound."""
+def test_bound_next_to_each_run(papers: Path) -> None:
+    """The minimum possible total from low-low is about 4,422 m3; no run is below its bound."""
     rows = rows_of(papers / "results.csv")
     bounds = {row["initial"]: float(row["bound_m3"]) for row in rows}
     assert bounds["low-low"] == pytest.approx(4422, abs=1)
@@ -178,7 +178,7 @@ def test_what_decides_whether_a_run_still_counts(
 
 @pytest.mark.parametrize("what", ["outcome", "bounds", "results"])
 def test_a_full_disk_is_named(tmp_path: Path, what: str) -> None:
-    """Whichever file it takes, the message has its path; /dev/full is a disk without room."""
+    """For any such file the message has its path; /dev/full is a disk without room."""
     grid(tmp_path, edited("hours: 0.25", "hours: 0.05"))
     store = store_of(tmp_path)
     full = {

@@ -57,7 +57,7 @@ WRONG = {
     "parameter": (edited("weight", "weights"), "line 11: weights: is not a parameter of mpc; d"),
     "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than 0"),
     "no-values": (edited("[1.0e-3, 0.1]", "[]"), "line 11: weight: is empty"),
-    "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': 'perfekt' is not"),
+    "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': 'perfekt' is unk"),
     "forecast-skill": (
         GRID + "forecast: {model: errors, skill: [real, large]}\n",
         "skill = 'large': 'large' must be one of much_",
@@ -72,7 +72,7 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_grid(tmp_path: Path, name: str) -> None:
-    """One line that says where and what."""
+    """One line that reports where and what."""
     text, expected = WRONG[name]
     reason = refusal(read_grid, tmp_path / grid(tmp_path, text))
     assert expected in reason
@@ -152,7 +152,7 @@ def test_grids_of_years(tmp_path: Path, file: str) -> None:
     text = text.replace("to: 2025", "to: 2015").replace("hours: 4416", "hours: 24")
     record(tmp_path / "record", [year])
     name = tmp_path / grid(tmp_path, text)
-    refusal(read_grid, name, match=rf"{year}_\*.csv is neither beside the grid")
+    refusal(read_grid, name, match=rf"{year}_\*.csv is neither next to the grid")
     cases = read_grid(name, tmp_path / "record")
     assert len(cases) == runs
     assert {case.start for case in cases} == {f"{year}-05-01T00:00:00-05:00"}
@@ -214,12 +214,12 @@ def test_seconds_of_the_bound(tmp_path: Path) -> None:
     # With larger blocks that are whole multiples it is never higher (Jensen's inequality).
     write_inputs(contents([usual]), tmp_path)
     assert 0 < bound_case(tmp_path, ten) <= bound_case(tmp_path, usual)
-    # Less than a tick counts as no bound, and causes no division by it.
+    # Less than a tick is treated as no bound, and causes no division by it.
     assert read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 1.0e-10\n"))[0].bound_block == 0
 
 
 def test_names_of_files(tmp_path: Path) -> None:
-    """Beside the grid first, then the package's config/; the error names both places."""
+    """Next to the grid first, then the package's config/; the error names both places."""
     text = GRID.replace(str(CONFIG / "site.yaml"), "site.yaml")
     text = text.replace(str(WEATHER), "[weather/toronto_*.csv, weather/toronto_2021-07.csv]")
     copy = tmp_path / grid(tmp_path, text)
@@ -231,13 +231,13 @@ def test_names_of_files(tmp_path: Path) -> None:
     assert [file.name for file in case.weather] == ["toronto_2021-07.csv"]
     grid(tmp_path, text.replace("site.yaml", "my_site.yaml"))
     assert refusal(read_grid, copy) == (
-        f"{copy}, line 2: site = 'my_site.yaml': my_site.yaml is neither beside the grid, in "
+        f"{copy}, line 2: site = 'my_site.yaml': my_site.yaml is neither next to the grid, in "
         f"{tmp_path}, nor among the package's own files, in {CONFIG}"
     )
 
 
 def test_gaps_of_a_window(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """21 July 2022 lacks an hour of rain: refused, unless the window says to fill it."""
+    """21 July 2022 lacks an hour of rain: refused, unless the window is set to fill it."""
     july = edited(str(WEATHER), str(DATA / "en_climate_hourly_07-2022.csv"))
     july = july.replace("2021-07-07T02:00", "2022-07-21T11:00").replace("published, ", "")
     file = tmp_path / grid(tmp_path, july)

@@ -1,4 +1,4 @@
-"""Runs are named by what differs: no two rows or curves have one name, whatever is varied."""
+"""Runs are named by what differs: no two rows or curves have one name, for any variation."""
 
 from __future__ import annotations
 

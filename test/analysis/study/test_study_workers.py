@@ -66,7 +66,7 @@ def lasting(hours: str) -> str:
 
 
 def test_a_killed_worker_ends_the_study(tmp_path: Path) -> None:
-    """A sentence says so; the same command continues, and repeats no finished run."""
+    """A sentence states this; the same command continues, and repeats no finished run."""
     grid(tmp_path, lasting("1"))
     process = begun(tmp_path, "--jobs", "2")
     wait_for(lambda: stored(tmp_path), 120, "a finished run")
@@ -106,7 +106,7 @@ def test_interrupted_while_workers_start(tmp_path: Path) -> None:
 def test_ended(tmp_path: Path, number: signal.Signals) -> None:
     """Ctrl-C, or a signal only to the study's process: all others end with it, before their runs.
 
-    Nothing is left behind, and the table says what was not run. Meanwhile a line of progress was
+    Nothing is left behind, and the table states what was not run. Meanwhile a line of progress was
     printed every ten seconds, since standard error is a pipe.
     """
     # Not in tmp_path: the path of the fork server's socket can have at most 107 characters.
@@ -259,7 +259,7 @@ def test_dask(dask: Dask, tmp_path: Path) -> None:
     """A study loses a worker, the other, and the scheduler; in the end its table is complete.
 
     The second worker continues, and repeats only what the first had under way. Without workers
-    for a while, or without scheduler, the study says so in one sentence; Ctrl-C before that
+    for a while, or without scheduler, the study reports it in one sentence; Ctrl-C before that
     interrupts it at once. Without a worker or an answer it does not begin. The same command
     without a cluster continues; no run is made twice.
     """

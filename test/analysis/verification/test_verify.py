@@ -167,7 +167,7 @@ def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
 
 
 def test_forecasts_of_another_place(tmp_path: Path) -> None:
-    """For rain that is independent of the records, output and page say so."""
+    """For rain that is independent of the records, output and page state this."""
     rng = np.random.default_rng(7)
     rain, elsewhere = np.round(rng.gamma(0.5, 2.0, (2, 1300)) * (rng.random((2, 1300)) < 0.06), 2)
     write_gauge(tmp_path / "own.csv", rain)
@@ -219,7 +219,7 @@ def test_the_page_draws_everything_and_asks_for_nothing(tmp_path: Path) -> None:
 
 
 def test_issues_that_are_shorter_than_the_horizon(tmp_path: Path) -> None:
-    """A run says both lengths, and that no rain is assumed in the rest."""
+    """A run reports both lengths, and that no rain is assumed in the rest."""
     write_gauge(tmp_path / "gauge.csv", [0.0] * 240)
     write_previous_runs(tmp_path / "archive.csv", {1: [0.0] * 240, 2: [0.0] * 240})
     for horizon in (48, 49):
@@ -247,7 +247,7 @@ WRONG = {
 
 @pytest.mark.parametrize("arguments", WRONG)
 def test_wrong_use(tmp_path: Path, arguments: str) -> None:
-    """One line that says what would be right, exit code 2, and nothing written."""
+    """One line that reports what would be right, exit code 2, and nothing written."""
     words = arguments.replace("GEM", str(GEM)).split()
     done = run(tmp_path, "verify", *words, "--weather", str(JULY))
     assert (done.returncode, done.stdout) == (2, "")

@@ -39,10 +39,10 @@ def test_shipped_files_are_right(path: Path) -> None:
     for name, register in drive.registers.items():
         if register.source == "none":
             assert f"registers.{name}" in drive.unverified
-        # At rest a signed speed can be a count below 0.
+        # When stopped, a signed speed can be a count below 0.
         if name == "speed" and register.type.startswith("int"):
             assert register.low <= -1.2
-    # A drive whose vital words were not checked in its manual says so.
+    # A drive whose vital words were not checked in its manual states this.
     assert drive.unverified_and_vital
 
 
@@ -100,7 +100,7 @@ def test_wrong_files_are_refused_by_line_key_and_value(
     ("siemens", "choose from abb_acs880, danfoss_fc202, "),
     ("danfos", "did you mean danfoss_fc202?"),
 ])
-def test_a_drive_that_is_not_known(name: str, remedy: str) -> None:
+def test_a_drive_that_is_unknown(name: str, remedy: str) -> None:
     message = f"drive = '{name}': is neither a file nor a name in config/drives/; {remedy}"
     with pytest.raises(ConfigurationError, match=re.escape(message)):
         find_drive_file(name)

@@ -142,7 +142,7 @@ def bench() -> Iterator[Bench]:
 
 
 def test_it_stops_the_drive_first_and_reads_what_it_is(bench: Bench) -> None:
-    bench.drive.values.update({0: 0x047F, 1: 20000, 3: 0x1337, 4: 20000})  # left by somebody
+    bench.drive.values.update({0: 0x047F, 1: 20000, 3: 0x1337, 4: 20000})  # left by someone
     bench.connect()
     assert bench.wire.frames[0][12:] == "01060000047e"  # the very first request
     now = bench.now
@@ -335,8 +335,8 @@ def test_a_reset_that_could_not_be_done_in_time_is_forgotten(
             bench.drive.values[0] = 0x0001
 
     bench.drive.on_write = overwrite
-    wait(lambda: "somebody else writes to the drive" in bench.now.problem)
-    assert "somebody else writes to the drive" in str(bench.now.second_master)
+    wait(lambda: "someone else writes to the drive" in bench.now.problem)
+    assert "someone else writes to the drive" in str(bench.now.second_master)
     bench.exchange.reset()
     time.sleep(0.4)
     bench.drive.on_write = lambda _address, _word: None
@@ -600,7 +600,7 @@ class Stopping:
 @pytest.mark.parametrize(
     ("speed", "left", "why"),
     [
-        # A ramp of 1 % in 9 s, which is slow but falls; then noise at rest.
+        # A ramp of 1 % in 9 s, which is slow but falls; then noise at standstill.
         (lambda now: max(0.019, 1.0 - 0.01 * (now // 9)), [], ""),
         # Has not fallen for 10 s, observed for 2 s; left for 6 s; and again after a minute.
         (lambda _now: 0.5, [12.3, 78.4, 144.5], "has not fallen for 10 s (it is 50.0%)"),
@@ -657,7 +657,7 @@ def test_a_stop_that_is_refused_on_two_connections_one_after_the_other() -> None
 # --- settings -------------------------------------------------------------------------------------
 
 
-def test_what_somebody_changes_at_the_panel_is_noticed(
+def test_what_someone_changes_at_the_panel_is_noticed(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(exchange, "SETTINGS_S", 0.2)
@@ -752,7 +752,7 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
     wait(lambda: bench.drive.values[4] == 10000, seconds=5)
 
 
-def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
+def test_a_serial_line_is_one_drivers_by_any_name(tmp_path: Path) -> None:
     (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
     first, second = (
         DriveLock(DriveEndpoint(ABB, parse_drive_address(f"{tmp_path}/{name}", "at")))
@@ -773,7 +773,7 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(tmp_path: Path) -> None:
     ("owner", "method"),
     [(ModbusLine, "connect"), (ModbusLine, "close"), (StopMonitor, "connection_lost")],
 )
-def test_whatever_fails_the_next_step_begins_again(
+def test_after_any_failure_the_next_step_begins_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, owner: type, method: str
 ) -> None:
     """For instance, no file descriptor is left over."""
@@ -832,7 +832,7 @@ def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
     assert (bench.now.status.at_rest, status.at_rest) == (stands, stands)
 
 
-def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off_meanwhile(
+def test_who_stops_a_drive_that_turns_on_reports_what_it_reports_and_keeps_drivers_off_meanwhile(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By the supervisor's stop and at the exchange's end; "runs on" is judged after 1 s here."""

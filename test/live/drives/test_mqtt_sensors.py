@@ -1,4 +1,4 @@
-"""Sensors on MQTT, with a real broker: what counts as a reading, and what does not.
+"""Sensors on MQTT, with a real broker: what is treated as a reading, and what is not.
 
 Login and encryption are the client's, for sensors, relays and the bridge: see watch/test_bridge.py.
 """
@@ -92,28 +92,28 @@ MESSAGES: list[tuple[str, dict[str, object], float | str]] = [
     ("5.", {}, 5.0),
     ('{"level": " +02.5e-1 "}', {"value": "level"}, 0.25),
     # Not a number.
-    ("true", {}, "says 'True', which is not a number"),
-    ('"2.31 m"', {}, "says '2.31 m', which is not a number"),
-    ('{"level": "0x2"}', {"value": "level"}, "says '0x2', which is not a number"),
-    ('"1_0"', {}, "says '1_0', which is not a number"),
-    ('"' + "9" * 400 + '"', {}, "says a number that is too large"),
-    ("NaN", {}, "says nan, which is not a number"),
-    ("9" * 400, {}, "says a number that is too large"),
-    ("1e308", {"scale": 100.0}, "says 1e+308, which is not a number"),
+    ("true", {}, "reports 'True', which is not a number"),
+    ('"2.31 m"', {}, "reports '2.31 m', which is not a number"),
+    ('{"level": "0x2"}', {"value": "level"}, "reports '0x2', which is not a number"),
+    ('"1_0"', {}, "reports '1_0', which is not a number"),
+    ('"' + "9" * 400 + '"', {}, "reports a number that is too large"),
+    ("NaN", {}, "reports nan, which is not a number"),
+    ("9" * 400, {}, "reports a number that is too large"),
+    ("1e308", {"scale": 100.0}, "reports 1e+308, which is not a number"),
     # Out of range.
-    ("-0.01", {}, "says -0.01 m (raw -0.01), which is not from 0 to 6 m"),
+    ("-0.01", {}, "reports -0.01 m (raw -0.01), which is not from 0 to 6 m"),
     # Malformed, or of another form.
-    ("2,31", {}, "says b'2,31', which is not JSON"),
-    ('{"level": 2.3}', {"value": "depth"}, "says b'{\"level\": 2.3}', which has no depth"),
-    ('{"level": 2.3}', {"value": "level.m"}, "says b'{\"level\": 2.3}', which has no level.m"),
-    ('{"level": []}', {"value": "level[0]"}, "says b'{\"level\": []}', which has no level[0]"),
-    ("[" * 60_000, {}, f"says {b'[' * 40!r}, which is not JSON"),
+    ("2,31", {}, "reports b'2,31', which is not JSON"),
+    ('{"level": 2.3}', {"value": "depth"}, "reports b'{\"level\": 2.3}', which has no depth"),
+    ('{"level": 2.3}', {"value": "level.m"}, "reports b'{\"level\": 2.3}', which has no level.m"),
+    ('{"level": []}', {"value": "level[0]"}, "reports b'{\"level\": []}', which has no level[0]"),
+    ("[" * 60_000, {}, f"reports {b'[' * 40!r}, which is not JSON"),
     ("1" + " " * 65_536, {}, "a message of 65537 bytes, which is more than 65536"),
 ]
 
 
 @pytest.mark.parametrize(("message", "changed", "expected"), MESSAGES)
-def test_what_a_message_says(
+def test_what_a_message_reports(
     shared: Mosquitto, message: str, changed: dict[str, object], expected: float | str
 ) -> None:
     with reading(shared, **changed) as reader, Talker(shared) as talker:
@@ -127,7 +127,7 @@ def test_what_a_message_says(
 
 
 def test_what_the_broker_kept_is_no_reading(shared: Mosquitto) -> None:
-    """A retained message can be a year old; a live one counts, whatever its retain flag."""
+    """A retained message can be a year old; a live one counts, with any retain flag."""
     with Talker(shared) as talker:
         talker.publish(TOPIC, "1.5", retain=True)
         with reading(shared) as reader:
@@ -138,7 +138,7 @@ def test_what_the_broker_kept_is_no_reading(shared: Mosquitto) -> None:
         talker.publish(TOPIC, "", retain=True)
 
 
-def test_a_sensor_that_says_nothing_is_lost(shared: Mosquitto) -> None:
+def test_a_sensor_that_reports_nothing_is_lost(shared: Mosquitto) -> None:
     with reading(shared, max_age=0.5) as reader, Talker(shared) as talker:
         begin(reader, talker, "1")
         talker.publish(TOPIC, "2")
@@ -168,13 +168,13 @@ def test_nothing_of_before_a_suspend_counts_after_it(
 # --- whether sensor and broker are there ----------------------------------------------------------
 
 
-def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
+def test_a_sensor_counts_only_while_its_availability_reports_that_it_is_there(
     shared: Mosquitto
 ) -> None:
     """Unlike a value, the availability may be a retained message. A loss empties the filter."""
     lwt: dict[str, object] = {"available": "roof/LWT", "online": "Online", "median": 3}
     with reading(shared, **lwt) as reader, Talker(shared) as talker:
-        unknown = "is offline: roof/LWT has not said 'Online'"
+        unknown = "is offline: roof/LWT has not sent 'Online'"
         begin(reader, talker, "1")
         assert after(reader, talker, "1") == [unknown]
         talker.publish("roof/LWT", "Online", retain=True)
@@ -182,7 +182,7 @@ def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
         assert after(reader, talker, "1") == [1.0]
         talker.publish("roof/LWT", "Online", retain=True)
         talker.publish("roof/LWT", "Offline", retain=True)
-        until(lambda: "is offline: roof/LWT says b'Offline'" in reader.snapshot.problem, 20)
+        until(lambda: "is offline: roof/LWT reports b'Offline'" in reader.snapshot.problem, 20)
         assert reader.snapshot.value is None
         assert after(reader, talker, "2") == [unknown]
         talker.publish("roof/LWT", "Online", retain=True)
@@ -193,7 +193,7 @@ def test_a_sensor_counts_only_while_its_availability_says_that_it_is_there(
         assert after(reader, talker, "3") == [3.0]
 
 
-def test_a_broker_that_is_killed_or_stops_answering_comes_back_by_itself(tmp_path: Path) -> None:
+def test_a_broker_that_is_killed_or_stops_answering_is_used_again(tmp_path: Path) -> None:
     """A lost connection is reported at once, a broker that hangs within 15 s."""
     with mosquitto(tmp_path) as broker, reading(broker, max_age=1.0) as reader:
 
@@ -226,7 +226,7 @@ def test_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
         )
         with closing(MqttReader("roof_sensor", sensor, "m")) as reader:
             reader.start()
-            until(lambda: "nobody answers at" in reader.snapshot.problem, 20)
+            until(lambda: "no one answers at" in reader.snapshot.problem, 20)
             assert reader.snapshot.code == "broker_lost"
             broker.start()
             until(lambda: "has sent nothing yet" in reader.snapshot.problem, 20)
@@ -275,7 +275,7 @@ def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mos
             time.sleep(0.6)
             value, shortest, longest = total(second)
             assert value is not None and 0.4e-3 / longest <= value <= 0.4e-3 / shortest
-            assert total(second)[0] == value  # a copy says nothing new
+            assert total(second)[0] == value  # a copy reports nothing new
             until(lambda: reader.snapshot.value == 0.0)
         assert "a total that rose by 0.8994 m in" in str(after(reader, talker, "900")[0])
         assert "a total that rose by" in str(after(reader, talker, "901")[0])

@@ -261,11 +261,11 @@ def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:
         if bench.now.second_master:
             break
     assert bench.now.second_master is not None
-    assert "somebody else has switched the relay on" in bench.now.second_master.sentence
+    assert "someone else has switched the relay on" in bench.now.second_master.sentence
 
 
-def test_one_that_does_not_switch_on_says_so_and_is_not_switched_again(bench: Bench) -> None:
-    """Not before off was asked for: the caller is responsible for the least time off."""
+def test_one_that_does_not_switch_on_reports_it_and_is_not_switched_again(bench: Bench) -> None:
+    """Not before off was asked for: the caller is responsible for the minimum time off."""
     with Talker(bench.broker) as tap:
         bench.connect()
         bench.relay.inject("deaf")
@@ -341,7 +341,7 @@ def test_another_relay_is_none(tmp_path: Path) -> None:
             relay.line.close()
 
 
-def test_nobody_there_or_nobody_let_in(tmp_path: Path) -> None:
+def test_no_one_there_or_no_one_let_in(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
 
@@ -355,7 +355,7 @@ def test_nobody_there_or_nobody_let_in(tmp_path: Path) -> None:
         assert caught.value.kind == "connection"
         return str(caught.value)
 
-    assert "cannot connect: nobody answers at" in failure(f"mqtt://127.0.0.1:{port}/roof")
+    assert "cannot connect: no one answers at" in failure(f"mqtt://127.0.0.1:{port}/roof")
     with mosquitto(tmp_path, "allow_anonymous false") as broker:
         assert "cannot connect: Not authorized" in failure(f"{broker.address}/roof")
 

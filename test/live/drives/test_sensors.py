@@ -32,7 +32,7 @@ def sensor(at: str, **changed: object) -> ModbusSensor:
 
 
 def reading(sensor: ModbusSensor, timeout_s: float = 0.2) -> ModbusReader:
-    """The reader of a sensor alone on its line: three timeouts are half of the greatest age."""
+    """The reader of a sensor alone on its line: three timeouts are half of the maximum age."""
     line = SensorLine(sensor.address)
     return ModbusReader(sensor, "m", line, greatest_age=6 * timeout_s)
 
@@ -82,18 +82,18 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
          2.5),
         ("8000 0000 0000 0000",
          {"type": "uint64", "word_order": "high first", "missing": 2**63},
-         "says 0x8000000000000000, which means 'no reading'"),
+         "reports 0x8000000000000000, which means 'no reading'"),
         # A moisture probe in 0.1 %: 0.361 m3/m3 of a substrate 0.108 m deep is 38.99 mm of water;
         # with the wilting point, 0.02 m3/m3, as the zero it is 36.83 mm.
         ("0169", {"scale": 0.001, "substrate_depth": 0.108}, 0.038988),
         ("0169", {"scale": 0.001, "offset": -0.02, "substrate_depth": 0.108}, 0.036828),
         ("03E9", {"scale": 0.001, "substrate_depth": 0.108, "high": 0.108},
-         "says 0.108108 m (raw 1001), which is not from 0 to 0.108 m"),
+         "reports 0.108108 m (raw 1001), which is not from 0 to 0.108 m"),
         # A value that cannot be a level is refused with the reason.
-        ("EA61", {}, "says 6.0001 m (raw 60001), which is not from 0 to 6 m"),
-        ("FFFF", {"missing": 0xFFFF}, "says 0xFFFF, which means 'no reading'"),
+        ("EA61", {}, "reports 6.0001 m (raw 60001), which is not from 0 to 6 m"),
+        ("FFFF", {"missing": 0xFFFF}, "reports 0xFFFF, which means 'no reading'"),
         ("7FC0 0000", {"type": "float32", "word_order": "high first", "scale": 1.0},
-         "says nan, which is not a number"),
+         "reports nan, which is not a number"),
     ],
 )
 def test_scale_offset_type_and_word_order(
@@ -106,7 +106,7 @@ def test_scale_offset_type_and_word_order(
 def test_the_median_leaves_single_wrong_readings_out_and_starts_again_after_a_refused_one() -> None:
     """Of three: 1, 1 (of 1, 9: the lower), 1, 2 | 3 alone, then 3 (of 3, 4)."""
     data = ["2710", "EA60", "2710", "4E20", "FFFF", "7530", "9C40"]  # 1, 6, 1, 2, -, 3, 4 m
-    no_reading = "says 0xFFFF, which means 'no reading'"
+    no_reading = "reports 0xFFFF, which means 'no reading'"
     assert levels(data, median=3, missing=0xFFFF) == [1.0, 1.0, 1.0, 2.0, no_reading, 3.0, 3.0]
 
 
@@ -117,8 +117,8 @@ def test_no_level_of_before_a_suspend_counts_after_it(monkeypatch: pytest.Monkey
     assert levels(["2710"] * 3 + ["9C40"] * 2, median=3) == [1.0, 1.0, 1.0, 4.0, 4.0]
 
 
-def test_a_sensor_that_comes_and_goes_is_read_again_by_itself() -> None:
-    """Nobody there, then a sensor, then silence, then the sensor again; threads raise nothing."""
+def test_a_sensor_that_comes_and_goes_is_read_again_automatically() -> None:
+    """No one there, then a sensor, then silence, then the sensor again; threads raise nothing."""
     port = free_ports(1)[0]
     with closing(reading(sensor(f"tcp://127.0.0.1:{port}"))) as exchange:
         assert exchange.snapshot.problem == "not yet read"
@@ -226,8 +226,8 @@ def gaps(reader: ModbusReader, seconds: float) -> list[float]:
     return [after - before for before, after in pairwise([began, *times, time.monotonic()])]
 
 
-def test_a_sensor_beside_a_silent_or_wrong_one_on_a_serial_line() -> None:
-    """Readings of the good one are never further apart than its greatest age, 3 s, in any case.
+def test_a_sensor_next_to_a_silent_or_wrong_one_on_a_serial_line() -> None:
+    """Readings of the good one are never further apart than its maximum age, 3 s, in any case.
 
     For a silent neighbour they come after at most its period and one timeout, 0.2 + 0.25 s.
     """
@@ -351,8 +351,8 @@ def test_a_wrong_file_is_refused_with_line_key_and_value(
         (2, "parity: even\n  stop_bits: 1\n  baud_rate: 19200", 0, ""),  # the defaults
         (1, "", 27, "roof.register = 0: is also the cistern's: both sensors would be the same"),
         (1, "register: 4", 26, "roof.device_id = 1: is also the cistern's, on the same serial "
-         "line: a late answer would count as the other's; give each sensor a slave address of its "
-         "own"),
+         "line: a late answer would be treated as the other's; give each sensor a slave address of "
+         "its own"),
         (2, "baud_rate: 9600", 37, "roof.baud_rate = 9600: must be 19200, as for the cistern on "
          "the same line"),
         (2, "parity: none", 37, "roof.parity = 'none': must be even, as for the cistern"),
@@ -362,7 +362,7 @@ def test_a_wrong_file_is_refused_with_line_key_and_value(
 def test_two_sensors_on_one_serial_line(
     tmp_path: Path, device_id: int, keys: str, line: int, message: str
 ) -> None:
-    """By whichever name. They need slave addresses of their own, and the same settings."""
+    """By any name. They need slave addresses of their own, and the same settings."""
     link, file = tmp_path / "line", tmp_path / "own.yaml"
     link.symlink_to("/dev/ttyS0")
     cistern, roof = SHIPPED.split("\nroof:")

@@ -28,10 +28,10 @@ def published(
     monkeypatch: pytest.MonkeyPatch, messages: Messages, until: float, *, suspended: float = 0.0,
     scale: float = 0.001, high: float = 1e-4, longest_s: float = float("inf"),
 ) -> tuple[float, float, list[str]]:
-    """Return the integral of the published rate (mm), its greatest value and what was refused.
+    """Return the integral of the published rate (mm), its maximum value and what was refused.
 
     Args:
-        messages: to a gauge that says mm, in the order of their arrival.
+        messages: to a gauge that reports mm, in the order of their arrival.
         until: end of the integral (s).
         suspended: how long (s) the machine sleeps before the last message.
     """
@@ -88,7 +88,7 @@ def thrice(*messages: tuple[float, float]) -> list[tuple[float, float]]:
         # Connections lost in a shower, and for an hour of rain.
         ([(0, 17.0), (10, 18.0), (11, None), (40, 19.0), (50, 19.0)], 2.0),
         ([(0, 17.0), (30, 17.2), (31, None), (3630, 57.2), (3660, 57.4)], 40.4),
-        # A storm goes faster than the sensor's greatest rate for a while.
+        # A storm goes faster than the sensor's maximum rate for a while.
         ([(0, 17.0), (10, 23.0), (20, 24.0)], 7.0),
     ],
 )
@@ -101,7 +101,7 @@ def test_as_much_is_published_as_the_total_rises(
 
 
 def test_a_cloudburst_is_not_left_to_the_drizzle_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """5.8 mm in 0.6 s, at the greatest rate within a minute; 0.2 mm of drizzle in 10 minutes."""
+    """5.8 mm in 0.6 s, at the maximum rate within a minute; 0.2 mm of drizzle in 10 minutes."""
     messages = [(0, 0.0), (600, 0.2), (600.5, 5.0), (600.6, 6.0)]
     sum_mm, highest, _ = published(monkeypatch, messages, 720.0)
     assert sum_mm == pytest.approx(5.8 + 0.2 * 120 / 600, abs=0.03)
@@ -136,12 +136,12 @@ def test_a_counter_of_tips_passes_its_end(
 def test_a_refused_total_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
     _, _, refused = published(monkeypatch, [(0, 17.0), (10, 900.0)], 20.0)
     assert refused == [
-        "says 900, a total that rose by 0.883 m in 10.0 s, which is faster than 0.0001 m/s"
+        "reports 900, a total that rose by 0.883 m in 10.0 s, which is faster than 0.0001 m/s"
     ]
 
 
 def test_a_water_meter_shows_no_flow_of_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After an outage of an hour: a flow while the pump is at rest looks like a welded contact."""
+    """After an outage of an hour: a flow while the pump is stopped looks like a welded contact."""
     options = {"scale": 0.001, "high": 0.01, "longest_s": 5.0}
     messages = [(0, 0.0), (1, 3.0), (2, 6.0), (3600, 9006.0), (3603, 9006.0), (3604, 9009.0)]
     sum_l, highest, refused = published(monkeypatch, messages, 3700.0, **options)

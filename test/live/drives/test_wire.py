@@ -2,7 +2,7 @@
 
 A line of a dialogue: a word, function 03 (address, count) or 06 (address, word), the answer (if
 missing, the request repeated, as after a write), a remark. `modbus_wire.script` adds the Modbus TCP
-header. The manual's number of each register and the meaning of each word stand beside them.
+header. The manual's number of each register and the meaning of each word stand next to them.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def run(drive: Drive) -> None:
 # to READY TO SWITCH ON (SW bit 0), x111 and 1111 with bits 4 to 6 set to OPERATION; bit 10 must be
 # set. 20000 is 100 % (FENA-11 p. 92): 10000 = 0x2710.
 ABB_START = """
-fault?        : 03 0003 0001 -> 03 02 1337 : no; it runs, in which mode is not known
+fault?        : 03 0003 0001 -> 03 02 1337 : no; it runs, in which mode is unknown
 OFF1          : 06 0000 047E
 ready?        : 03 0003 0001 -> 03 02 1270 : not yet
 ready?        : 03 0003 0001 -> 03 02 1231 : to switch on
@@ -141,7 +141,7 @@ fault?        : 03 0003 0001 -> 03 02 1337 : operation: nothing to wait for
 100 %         : 06 0001 4E20
 run           : 06 0000 047F
 """, """
-fault?        : 03 0003 0001 -> 03 02 1231 : ready, but somebody stopped it
+fault?        : 03 0003 0001 -> 03 02 1231 : ready, but someone stopped it
 100 %         : 06 0001 4E20
 run           : 06 0000 047F
 operation?    : 03 0003 0001 -> 03 02 1237
@@ -253,7 +253,7 @@ READS: list[tuple[str, str, dict[str, Any]]] = [
         "fault": "EFB communication loss (code 26241, 0x6681)", "timed_out": False,
         "warning": "EFB communication loss (code 42958, 0xA7CE)", "ready": False, "remote": False,
     }),
-    # 20000 is 100 % (FENA-11 p. 92): -400 is -2 %, noise of a pump at rest; -8000 is -40 %.
+    # 20000 is 100 % (FENA-11 p. 92): -400 is -2 %, noise of a stopped pump; -8000 is -40 %.
     ("abb_acs880", """
 400004        : 03 0003 0001 -> 03 02 1231
 400005        : 03 0004 0001 -> 03 02 FE70 : -400
@@ -285,7 +285,7 @@ READS: list[tuple[str, str, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(("name", "dialogue", "expected"), READS)
-def test_what_it_says(name: str, dialogue: str, expected: dict[str, Any]) -> None:
+def test_what_it_reports(name: str, dialogue: str, expected: dict[str, Any]) -> None:
     status = follow(name, dialogue, Drive.read)
     assert {key: getattr(status, key) for key in expected} == expected
 
@@ -517,7 +517,7 @@ no speed      : 06 0001 0000
 400004        : 03 0003 0001 -> 03 02 1337
 400005        : 03 0004 0001 -> 03 02 7FFF
 """, Drive.read, "answer", r"register 400005\) is 32767: 1.63835 share"),
-    # With NSP 9604 (0x2584) = 1 rpm any speed would be the least, with 65535 rpm the greatest.
+    # With NSP 9604 (0x2584) = 1 rpm any speed would be the minimum, with 65535 rpm the maximum.
     *(("schneider_atv630", f"""
 ETA           : 03 0C81 0001 -> 03 02 0627 : enabled
 RFRD          : 03 219C 0001 -> 03 02 02EE : 750

@@ -66,7 +66,7 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
         (PAPER_SITE, 1.0, {"fall": 0.0004, "wobble": 1e-6, "pumped": 0.01}, 83,
          "perhaps a burst pipe or a leak behind the pump"),
         # A cistern that loses 0.01 m3/s: 0.01 t > 0.15 + 25 2.7778e-7 t after 15.01 s.
-        (PAPER_SITE, 1.0, {"fall": 0.0004}, 16, "or somebody else takes water"),
+        (PAPER_SITE, 1.0, {"fall": 0.0004}, 16, "or someone else takes water"),
         # One that does not fall, though 0.01 m3/s reach the roof: 0.005 t > 0.15 + 25 2.7778e-7 t
         # after 30.04 s; rain can explain 0.29225/68.8 of the roof's 0.005 t + 68.8 2.7778e-7 t,
         # which makes 30.17 s.
@@ -86,7 +86,7 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
         # At 2 m, read 2 cm too low, a low outlet takes 0.005305 sqrt(1.02) = 0.005358 m3/s. Twice
         # that is allowed. Of 0.02 m3/s 0.009284 are too much: 0.009284 t > 0.15 + 25 2.7778e-7 t
         # after 16.17 s. Of 0.01 m3/s nothing is: a leak as large as the outlet's flow is not seen.
-        (LOW_OUTLET, 1.0, {"fall": 0.02 / 25}, 17, "or somebody else takes water"),
+        (LOW_OUTLET, 1.0, {"fall": 0.02 / 25}, 17, "or someone else takes water"),
         (LOW_OUTLET, 1.0, {"fall": 0.01 / 25}, 301, ""),
     ],
 )
@@ -114,7 +114,7 @@ WELL: list[Any] = [
      {"delivered": MEASURED.x2_star + 0.3, "x2": 0.99 * MEASURED.x2_star}),
     # From 0.5 m above the outlet to its edge, with a sensor that reads too low.
     (SLOW | {"x1": 87.5, "x2": 3.2}, {"cistern_offset": -0.015}, [(7200, 0.0)], {"x1": 74.9}),
-    # The pipe is a third worse than the site file says, or the meter reads too low.
+    # The pipe is a third worse than the site file states, or the meter reads too low.
     ({"x2": 0.0}, {"arriving": 2 / 3, "leaving": 2 / 3}, [(400, 1.0)], {"delivered": 2.8}),
     ({"x2": 0.0}, {"change": {"flow": 0.0055}}, [(300, 1.0)], {"delivered": 1.5}),
     # A cloudburst on a roof during irrigation, and on a cistern that overflows.
@@ -136,10 +136,10 @@ WELL: list[Any] = [
 ]
 
 
-@pytest.mark.parametrize(("settings", "changed", "scenes", "least"), WELL)
+@pytest.mark.parametrize(("settings", "changed", "scenes", "minimum"), WELL)
 def test_what_goes_well_is_no_alarm(
     settings: dict[str, Any], changed: dict[str, Any], scenes: list[tuple[Any, ...]],
-    least: dict[str, float],
+    minimum: dict[str, float],
 ) -> None:
     """Scenes: seconds, command, rain and evapotranspiration (mm/h), and a level that is unknown."""
     rig = Rig(**({"noise": NOISE} | settings))
@@ -152,7 +152,7 @@ def test_what_goes_well_is_no_alarm(
             decision = rig.step(command, rain / 3.6e6, loss / 3.6e6 * rig.site.a2)
             assert decision.state != "fault", f"{rig.now:.0f} s: {decision.why}"
     reached = {"x1": rig.plant.x1, "x2": rig.plant.x2, "delivered": rig.delivered}
-    assert all(reached[name] > value for name, value in least.items()), reached
+    assert all(reached[name] > value for name, value in minimum.items()), reached
 
 
 def test_a_level_that_is_held_is_no_alarm() -> None:
@@ -176,7 +176,7 @@ def test_a_level_that_is_held_is_no_alarm() -> None:
 BURST = "perhaps a burst pipe or a leak behind the pump"
 CLOSED = "perhaps a closed valve, a blocked pump, an empty pipe or an empty cistern"
 RUNS = "perhaps the pump runs although it should be off (a stuck contactor)"
-LEAK = "perhaps a leak, or somebody else takes water"
+LEAK = "perhaps a leak, or someone else takes water"
 HALF_DRY = {"x2": 0.5}
 DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
 
@@ -199,7 +199,7 @@ DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
         ({"x2": 3.2}, 0.3, {"leak": 0.01}, 0.3, 65, LEAK),
         # Between pulses; the readings are noisy, and the cause can be another one.
         (HALF_DRY, 0.01, {"leak": 1e-3}, 0.01, 400, "the cistern fell by"),
-        # A low outlet takes less than the pump's 0.0084 m3/s, and does not count as a burst pipe.
+        # A low outlet takes less than the pump's 0.0084 m3/s, and is not treated as a burst pipe.
         ({"site": LOW_OUTLET}, 0.0, {"contactor_stuck": True}, 0.0, 400, RUNS),
         (DRAINED, 0.0, {"arriving": 0.0, "leaving": 0.0}, 1.0, 200, CLOSED),
     ],
@@ -223,7 +223,7 @@ def test_what_breaks_is_found(
 def test_a_pump_that_runs_on_without_a_connection() -> None:
     """For 10 s, until its own timeout stops it, that is not a leak: 17 mm of a cistern of 5 m2.
 
-    If the timeout does not stop it, its flow counts as lost after 15 s.
+    If the timeout does not stop it, its flow is treated as lost after 15 s.
     """
     rig = Rig(x1=14.0, x2=0.5, site=site_with(a1=5.0))
     rig.run(200, 0.0)

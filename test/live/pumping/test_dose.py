@@ -39,7 +39,7 @@ def end(rig: Rig) -> tuple[str, str]:
 
 @pytest.mark.parametrize("volume", [0.05, 0.2, 0.5])
 def test_a_dose_is_delivered_once(rig: Rig, volume: float) -> None:
-    """By the plant's balance, within 3 % and what flows in a tick at the least flow."""
+    """By the plant's balance, within 3 % and what flows in a tick at the minimum flow."""
     before = rig.plant.x2
     assert ask(rig, volume) == ""
     decision = rig.run(600, 0.0, until=lambda decision: decision.state == "running")
@@ -106,7 +106,7 @@ def test_a_request_counts_once(rig: Rig) -> None:
 
 
 def test_what_cannot_begin_within_a_minute_expires() -> None:
-    """The least time off is longer than a minute. A dose that waits for less begins."""
+    """The minimum time off is longer than a minute. A dose that waits for less begins."""
     for least_off, over in ((90.0, "expired"), (40.0, "")):
         rig = Rig(x2=0.5, site=SITE, settings=settings_for(SITE, least_off=least_off))
         rig.run(2, 0.0)

@@ -71,15 +71,15 @@ COURSES: dict[str, list[tuple[float, str, str]]] = {
         (1.0, "", "waiting"), (10.5, "", "silent"), (11.0, "a value", "recovering"),
         (13.9, "a value", "recovering"), (14.1, "a value", ""),
     ],
-    "silent beyond its greatest age": [
+    "silent beyond its maximum age": [
         (0.0, "a value", "recovering"), (3.0, "a value", ""), (8.0, "", ""), (8.1, "", "silent"),
     ],
-    "one bad value, then a silence that nobody looked at": [
+    "one bad value, then a silence that no one looked at": [
         (0.0, "a value", "recovering"), (3.0, "a value", ""), (3.1, "nan", "refused"),
         (3.2, "a value", "recovering"), (6.1, "a value", "recovering"), (6.3, "a value", ""),
         (11.4, "a value", "recovering"), (14.3, "a value", "recovering"), (14.5, "a value", ""),
     ],
-    "two publishers, whatever they say": [
+    "two publishers, with any values": [
         (0.0, "a value", "recovering"), (3.0, "a value", ""), (3.5, "2 publishers", "publishers"),
         (4.0, "2 publishers", "publishers"), (4.5, "", "recovering"), (7.5, "", ""),
         (8.0, "unusable", "refused"),
@@ -107,7 +107,7 @@ def test_courses_of_an_input(name: str) -> None:
         assert rule(problem) == broken, now
 
 
-def test_what_is_said_until_it_is_used() -> None:
+def test_what_is_reported_until_it_is_used() -> None:
     """After the first value only that it came; later also the fault before it."""
     rules = InputRules(0.0, limit=5.0, recovery=3.0, topic="/x", limit_name="level_limit")
     rest = "; used after 3 s of good values (recovery_time)"
@@ -227,7 +227,7 @@ WELL: dict[str, tuple[float, Rate, Rate, dict[str, Any]]] = {
     "a full soil is read 5 mm too low": (
         48, nothing, lambda _: 10.0, {"cistern": 3.0, "roof": 0.495},
     ),
-    "a measured roof at field capacity is read 5 mm too low": (
+    "a roof with a measured soil at field capacity is read 5 mm too low": (
         48, nothing, lambda _: 10.0,
         {"site": NEUBRANDENBURG, "cistern": 3.0, "roof": 0.06304},
     ),
@@ -318,12 +318,12 @@ def test_true_water_with_noise_never_jumps(
 
 
 def test_speeds_of_the_paper_s_site() -> None:
-    """1.5 times what Eqs. (2)-(4) and the world's greatest rain allow, by hand.
+    """1.5 times what Eqs. (2)-(4) and the world's maximum rain allow, by hand.
 
     At 3 m in the cistern, the outlet's edge, c_hat - d + 3 = 42.2 m of head; friction and minor
-    loss (3.56 * 18.4 / 0.2 + 0.6) / (2 * 9.81 * 0.0314159^2) = 16,945 s2/m5 beside the curve's
-    578,000: sqrt(42.2 / 594,945) = 0.008422 m3/s. Over 25 m2 0.3369 mm/s, over 68.8 m2 0.1224 mm/s.
-    500 mm/h are 0.13889 mm/s.
+    loss (3.56 * 18.4 / 0.2 + 0.6) / (2 * 9.81 * 0.0314159^2) = 16,945 s2/m5 in addition to the
+    curve's 578,000: sqrt(42.2 / 594,945) = 0.008422 m3/s. Over 25 m2 0.3369 mm/s, over 68.8 m2
+    0.1224 mm/s. 500 mm/h are 0.13889 mm/s.
     """
     cistern, roof = cistern_bounds(PAPER_SITE), roof_bounds(PAPER_SITE)
     assert cistern.fall(3.0) == pytest.approx(1.5 * 0.3369e-3, rel=1e-3)
@@ -344,12 +344,12 @@ def test_expected_movement() -> None:
     assert roof == (pytest.approx(0.0726744e-3 - LOSS), math.inf)
     # Half of the rain still wets surfaces; all of the 0.29225 m2 catchment may run off.
     cistern, roof = expected_movement(PAPER_SITE, 0.0, 1e-5, 5e-6, 2.0, 0.03)
-    assert cistern.least == pytest.approx(5e-6 * PAPER_SITE.effective_catchment / 25 - DRIFT)
+    assert cistern.minimum == pytest.approx(5e-6 * PAPER_SITE.effective_catchment / 25 - DRIFT)
     assert cistern.most == pytest.approx(1e-5 * PAPER_SITE.a_in / 25 + DRIFT)
-    assert roof.least == pytest.approx(5e-6 - LOSS)
+    assert roof.minimum == pytest.approx(5e-6 - LOSS)
     # Water that spills moves no level: the cistern at its outlet (3 m), the roof at 0.5 m of soil.
     cistern, roof = expected_movement(PAPER_SITE, 0.005, 1e-5, 1e-5, 3.0, 0.5)
-    assert (cistern, roof.least) == ((-DRIFT, DRIFT), -LOSS)
+    assert (cistern, roof.minimum) == ((-DRIFT, DRIFT), -LOSS)
 
 
 def test_wetting() -> None:
@@ -362,7 +362,7 @@ def test_wetting() -> None:
         assert beyond * hours == pytest.approx(ran_off * MM_PER_HOUR), (rain, hours)
 
 
-def test_a_measured_roof_rises_by_what_it_keeps() -> None:
+def test_a_measured_soil_rises_by_what_it_keeps() -> None:
     """At half of its available water it keeps 3/4; water above field capacity falls in a tick.
 
     Of 0.1 m of soil, wilting is at 0.02 m and field capacity at 0.06 m: half is 0.04 m.
@@ -372,8 +372,8 @@ def test_a_measured_roof_rises_by_what_it_keeps() -> None:
         field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5,
     )
     _, roof = expected_movement(site, 0.005, 1e-5, 1e-5, 2.0, 0.04)
-    assert roof.least == pytest.approx(0.75 * (0.0726744e-3 + 1e-5) - LOSS, rel=1e-5)
-    assert expected_movement(site, 0.005, 1e-5, 1e-5, 2.0, 0.06)[1].least == -LOSS
+    assert roof.minimum == pytest.approx(0.75 * (0.0726744e-3 + 1e-5) - LOSS, rel=1e-5)
+    assert expected_movement(site, 0.005, 1e-5, 1e-5, 2.0, 0.06)[1].minimum == -LOSS
     fall = roof_bounds(site).fall
     assert fall(0.05) == pytest.approx(1.5 * 0.5787e-6, rel=1e-3)
     assert fall(0.07) == pytest.approx(1.5 * (0.5787e-6 + 0.01), rel=1e-3)
@@ -401,12 +401,12 @@ def test_a_low_outlet_lets_the_cistern_fall_and_stand() -> None:
         low_outlet_level=1.0, low_outlet_radius=0.025,
     )
     outflow = 0.61 * math.pi * 0.025**2 * math.sqrt(2 * 9.81)
-    for flow, rain, level, least, most in (
+    for flow, rain, level, minimum, most in (
         (0.0, 4e-4, 1.0, 0.016, 0.02), (0.0, 4e-4, 2.0, 0.016 - 1.5 * outflow, 0.02),
         (0.005, 0.0, 2.0, -0.005 - 1.5 * outflow, -0.005),
     ):
         computed = expected_movement(site, flow, rain, rain, level, 0.03)[0]
-        due = (least / 25 - DRIFT, most / 25 + DRIFT)
+        due = (minimum / 25 - DRIFT, most / 25 + DRIFT)
         assert computed == pytest.approx(due, rel=1e-12), (flow, rain, level)
     without = cistern_bounds(PAPER_SITE).fall(2.0)
     assert cistern_bounds(site).fall(2.0) - without == pytest.approx(1.5 * outflow / 25, rel=1e-9)

@@ -43,7 +43,7 @@ CAUSES: dict[str, dict[str, Any]] = {
     "delivery": {"command": 1.0, "arriving": 0.0, "leaving": 0.0},
     # Another code of the table, as in a record from another version of this package.
     "fault_unknown": {"record": {"fault": "it was so", "fault_code": "frost"}},
-    "record_unknown": {"record": {"unknown": "whether there was a hold or a fault is not known"}},
+    "record_unknown": {"record": {"unknown": "whether there was a hold or a fault is unknown"}},
     "hold": {"record": {"hold_owner": "the page", "hold_until": 4_000_000_000.0}},
     "cistern_level_unknown": {"change": {"cistern_level": math.nan}},
     "cistern_low": {"change": {"cistern_level": 0.1}},
@@ -66,7 +66,7 @@ CAUSES: dict[str, dict[str, Any]] = {
 def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) -> None:
     """The state is its kind's. After the cause has gone, a latched one stays until it is reset.
 
-    The least time on, 10 s, does not delay the stop.
+    The minimum time on, 10 s, does not delay the stop.
     """
     own = {"change": {"reasons": [Problem(code, "it is so")]}}
     broken = {"command": 0.5, "record": {}} | CAUSES.get(code, own)
@@ -111,7 +111,7 @@ def test_they_are_named_in_the_order_of_the_table() -> None:
     assert decision.state == "fault"
 
 
-def test_what_follows_is_not_said_beside_its_cause() -> None:
+def test_what_follows_is_not_said_next_to_its_cause() -> None:
     """A lost drive has no speed, and a node that is not active has no command."""
     rig = Rig()
     rig.change = {"speed": None, "reasons": [Problem("drive_lost", "no connection")]}
@@ -122,18 +122,18 @@ def test_what_follows_is_not_said_beside_its_cause() -> None:
     assert evaluate([alone]) == {"drive_not_ready": alone}
 
 
-def test_a_kept_fault_keeps_the_pump_off_whatever_its_code() -> None:
+def test_a_kept_fault_keeps_the_pump_off_with_any_code() -> None:
     """A record from another version of this package can have any code."""
     rig = Rig()
     rig.ledger.fault("it was so", "phase_lost")
     assert codes(rig.step(0.5)) == ["fault_unknown"]
 
 
-def test_faults_beside_each_other() -> None:
-    """The first stays; another one is named beside it while it lasts, unless it only follows.
+def test_faults_next_to_each_other() -> None:
+    """The first stays; another one is named next to it while it lasts, unless it only follows.
 
     A drive that does not obey a stop, as the exchange finds it, is not a separate drive fault: a
-    person must stop it, whatever the drive's manual says.
+    person must stop it, regardless of what the drive's manual states.
     """
     rig = Rig()
     rig.ledger.fault("burst pipe", "delivery")
@@ -211,7 +211,7 @@ def test_a_fault_of_delivery_or_drive_needs_a_person_at_the_pump(code: str) -> N
     for _ in range(3):
         rig.ledger.fault("why", code)
         if code != "speed_not_followed":
-            assert "somebody who has checked the pump" in rig.control.clear_refusal
+            assert "someone who has checked the pump" in rig.control.clear_refusal
             return
         assert rig.control.clear_refusal == ""
         rig.control.clear()
@@ -289,7 +289,7 @@ def test_quiet_hours_begin_and_end_by_the_wall_over_a_change_of_clocks() -> None
     assert rig.step(0.3).speed is not None
 
 
-def test_where_the_time_is_not_known_the_pump_stands() -> None:
+def test_where_the_time_is_unknown_the_pump_stands() -> None:
     rig = Rig(x2=0.5, site=AT_NIGHT)
     rig.change = {"time_ns": None}
     assert codes(rig.run(30, 0.5)) == ["quiet_hours"]

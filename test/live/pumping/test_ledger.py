@@ -73,9 +73,9 @@ def read(file: Path, clock: Callable[[], float]) -> PumpRecord:
 def test_a_missing_file_is_a_fresh_record_and_is_made(
     text: str, expected: str, tmp_path: Path, clock: Clock
 ) -> None:
-    """With its directories and its final size; only the lock file is beside it.
+    """With its directories and its final size; only the lock file is next to it.
 
-    The file has room for any text beside the last hundred starts in the third year.
+    The file has room for any text next to the last hundred starts in the third year.
     """
     file = tmp_path / "greenroof" / "state" / "pump.json"
     ledger = Ledger(file, clock)
@@ -165,12 +165,12 @@ def test_use_of_the_day(tmp_path: Path, clock: Clock) -> None:
 @pytest.mark.parametrize(
     ("down", "run"), [(4.0, 4.0), (-3600.0, 25.0)],
 )
-def test_what_nobody_saw_counts_at_worst(
+def test_what_no_one_saw_counts_at_worst(
     down: float, run: float, tmp_path: Path, clock: Clock
 ) -> None:
     """Killed with the pump on: full flow since then, until the drive must have stopped (15 + 10 s).
 
-    b sqrt(z_o + 55.2 - 13) = 1.29646769e-3 ... m3/s is the pump curve's greatest flow; Eq. (2).
+    b sqrt(z_o + 55.2 - 13) = 1.29646769e-3 ... m3/s is the pump curve's maximum flow; Eq. (2).
     """
     file = tmp_path / "pump.json"
     ledger = Ledger(file, clock)
@@ -253,7 +253,7 @@ def lines_of(**changes: Any) -> bytes:
 def test_a_wrong_key_is_an_unknown_state(
     changes: dict[str, Any], problem: str, tmp_path: Path, clock: Clock
 ) -> None:
-    """Even with a right checksum; the node starts, and says which key."""
+    """Even with a right checksum; the node starts, and reports which key."""
     file = tmp_path / "pump.json"
     file.write_bytes(lines_of())
     assert (record := read(file, clock)).unknown == ""
@@ -271,7 +271,7 @@ def test_what_is_no_record_is_an_unknown_state(text: str, tmp_path: Path, clock:
 
 
 @pytest.mark.parametrize("kept", [
-    {"stopped": "by somebody"}, {"stopped": True}, {"off_until": 1_900_000_000.0},
+    {"stopped": "by someone"}, {"stopped": True}, {"off_until": 1_900_000_000.0},
     {"fault": "burst pipe", "fault_code": "delivery"}, {},
 ])
 def test_a_file_of_an_older_version_keeps_the_pump_off(
@@ -307,7 +307,7 @@ def a_loop(file: Path) -> None:
     lambda file: file.with_name("pump.json.new").symlink_to("nowhere"),
     lambda file: file.write_bytes(b""),
     a_directory, a_link_to_nothing, a_loop,
-], ids=["new", "broken", "a link beside", "empty", "directory", "link to nothing", "loop of links"])
+], ids=["new", "broken", "second link", "empty", "directory", "link to nothing", "loop of links"])
 def test_what_shows_that_a_file_existed_is_an_unknown_state(
     make: Callable[[Path], Any], tmp_path: Path
 ) -> None:
@@ -341,7 +341,7 @@ _READS = """
 import os, sys, time
 from pathlib import Path
 from greenroof_ros.live.pumping.ledger import Ledger
-os.setuid(65534)  # nobody
+os.setuid(65534)  # an unprivileged user
 ledger = Ledger(Path(sys.argv[1]), time.time)
 print(ledger.record.unknown)
 print(ledger.flush(20.0))
@@ -350,7 +350,7 @@ print(ledger.flush(20.0))
 
 @pytest.mark.parametrize("content", [b"", b"\xff" * 8192, b"[" * 100_000])
 def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
-    """Until somebody resets it, who must look at the pump first; then all is well."""
+    """Until someone resets it, who must look at the pump first; then all is well."""
     file = tmp_path / "pump.json"
     file.write_bytes(content)
     rig = Rig(file=file)
@@ -471,7 +471,7 @@ def dies_at(number: int, file: Path, *owner: str) -> bool:
 def test_killed_at_each_step_it_forgets_no_hold(
     content: bytes, tmp_path: Path, clock: Clock
 ) -> None:
-    """A start that makes, repairs or only writes its file; whatever is there then, it is off."""
+    """A start that makes, repairs or only writes its file; with any file there, it is off."""
     for number in range(100):
         directory = tmp_path / str(number)
         directory.mkdir()
@@ -498,7 +498,7 @@ def test_killed_at_each_step_of_its_first_start(tmp_path: Path, clock: Clock) ->
 
 
 def test_a_hold_ends_at_its_end_or_when_it_is_released(tmp_path: Path, clock: Clock) -> None:
-    """By the system clock, even while nobody runs; a reset does not end it."""
+    """By the system clock, even while no one runs; a reset does not end it."""
     file = tmp_path / "state.json"
     ledger = Ledger(file, clock)
     assert ledger.active_hold is None
@@ -544,7 +544,7 @@ def test_a_later_request_never_shortens_a_hold(
 
 
 def test_a_slow_disk_stops_nothing(tmp_path: Path) -> None:
-    """With a pipe that nobody reads in place of the file: reported soon, and later an alarm."""
+    """With a pipe that no one reads in place of the file: reported soon, and later an alarm."""
     rig = Rig(file=tmp_path / "pump.json")
     assert rig.ledger.flush(20.0) == ""
     os.mkfifo(tmp_path / "pump.json.new")
@@ -559,7 +559,7 @@ def test_a_slow_disk_stops_nothing(tmp_path: Path) -> None:
         lambda: rig.ledger.problem == f"{tmp_path}/pump.json could not be written within 2 s", 60,
         "the alarm",
     )
-    # A ledger that must not write reports that, whatever the disk does.
+    # A ledger that must not write reports that, regardless of what the disk does.
     second = Ledger(tmp_path / "pump.json", time.time)
     assert f"process {os.getpid()} already uses it" in second.problem
     # The next attempt finds no pipe, and the disk's thread is free for other tests.

@@ -19,7 +19,7 @@ from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings, 
 from greenroof_ros.model.plant import maximum_pump_flow, pump_flow
 
 # A fifth of the maximum flow at 3 m, 0.00842205 m3/s, for 10 s.
-LEAST_PULSE = 0.0168441
+MIN_PULSE = 0.0168441
 
 
 def test_defaults_by_hand() -> None:
@@ -36,7 +36,7 @@ def test_defaults_by_hand() -> None:
     assert settings.drive_ramp == LONGEST_RAMP_S
 
 
-def test_defaults_of_a_measured_roof_near_field_capacity() -> None:
+def test_defaults_of_a_measured_soil_near_field_capacity() -> None:
     """Filling it to 99 % takes atanh(0.99) = 2.6467 times its capacity above wilting, by hand.
 
     100 m2, 4 m3 between wilting, at 2 m3, and field capacity: 2 + 4 2.6467 = 12.587 m3. Of 10 mm,
@@ -51,7 +51,7 @@ def test_defaults_of_a_measured_roof_near_field_capacity() -> None:
     assert settings.greatest_run == pytest.approx(12.587 / (0.2 * 0.00819436), abs=2)
 
 
-def test_a_tolerance_in_which_the_least_speed_is_rest_is_refused() -> None:
+def test_a_tolerance_in_which_the_minimum_speed_is_rest_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"must be less than least_speed, 0\.3"):
         settings_for(PAPER_SITE, follow_tolerance=0.3)
 
@@ -163,7 +163,7 @@ CHANGES: list[dict[str, object]] = [
 def test_never_runs_while_anything_speaks_against_it(
     scenes: list[tuple[dict[str, object], float | None, int]], x1: float, limits: PumpSettings
 ) -> None:
-    """Whatever came before; nor above the rated speed, nor after a fault, nor too soon again."""
+    """After any history; nor above the rated speed, nor after a fault, nor too soon again."""
     rig = Rig(x1=x1, settings=limits)
     fault, off_for = False, 0
     for change, command, seconds in scenes:
@@ -196,19 +196,19 @@ def pulses(**changes: float) -> Pulses:
     return Pulses(PAPER_SITE, settings_for(PAPER_SITE, **changes))
 
 
-def test_least_share_and_pulse_by_hand() -> None:
+def test_minimum_share_and_pulse_by_hand() -> None:
     """10 s at a fifth of 0.00842205 m3/s.
 
     At 80 % of the speed the flow is sqrt((0.64 55.2 - 13) / 42.2) = 0.727392 of the maximum.
     """
     assert pulses().least_share(3.0) == 0.2
-    assert pulses().least_pulse(3.0) == pytest.approx(LEAST_PULSE, rel=1e-5)
+    assert pulses().least_pulse(3.0) == pytest.approx(MIN_PULSE, rel=1e-5)
     assert pulses(least_speed=0.8).least_share(3.0) == pytest.approx(0.727392, abs=5e-7)
     assert pulses(least_speed=0.8).speed(0.2, 3.0) == 0.8
 
 
 def test_pulses_by_hand() -> None:
-    """A command of 0.013, in seconds of the maximum flow: a least pulse is 0.2 10 s = 2 s.
+    """A command of 0.013, in seconds of the maximum flow: a minimum pulse is 0.2 10 s = 2 s.
 
     It starts above 2 - 10 0.013 = 1.87 s outstanding: after 144 s with 1.872. Each second of it
     takes 0.187: after 10 s 0.002 are outstanding, after 11 s -0.185, and 159 s later again 1.882.
@@ -226,7 +226,7 @@ def test_pulses_by_hand() -> None:
 
 
 def test_the_outstanding_volume_is_limited() -> None:
-    """To 180 s of a fifth of the flow, 0.303194 m3, below that flow; else to a least pulse.
+    """To 180 s of a fifth of the flow, 0.303194 m3, below that flow; else to a minimum pulse.
 
     Without a command it is kept for the next command above 0.
     """
@@ -236,12 +236,12 @@ def test_the_outstanding_volume_is_limited() -> None:
         pulse.count(0.0, 1.0)
     assert pulse.outstanding == pytest.approx(100 * 0.1 * 0.00842205, rel=1e-5)
     assert pulse.update(0.0, 3.0, False, 1e9) == 0
-    assert pulse.outstanding == pytest.approx(LEAST_PULSE, rel=1e-5)
+    assert pulse.outstanding == pytest.approx(MIN_PULSE, rel=1e-5)
     pulse.update(0.19, 3.0, False, 0.0)
     pulse.count(0.0, 3600.0)
     assert pulse.outstanding == pytest.approx(180 * 0.2 * 0.00842205, rel=1e-5)
     pulse.update(0.5, 3.0, True, 0.0)
-    assert pulse.outstanding == pytest.approx(LEAST_PULSE, rel=1e-5)
+    assert pulse.outstanding == pytest.approx(MIN_PULSE, rel=1e-5)
     pulse.clear()
     assert pulse.outstanding == 0
     pulse.count(0.0, 3600.0)
@@ -250,14 +250,14 @@ def test_the_outstanding_volume_is_limited() -> None:
 
 @given(share=st.floats(0, 1) | st.just(1.0), level=st.floats(0.75, 15))
 def test_speeds_are_the_drives(share: float, level: float) -> None:
-    """Between the drive's least speed and the rated speed, including roundings."""
+    """Between the drive's minimum speed and the rated speed, including roundings."""
     speed = pulses(least_speed=0.8).speed(share, level)
     assert 0.8 <= speed <= 1
     assert share < 1 or speed == pytest.approx(1)
 
 
 def test_a_running_pump_makes_up_for_the_outstanding_volume() -> None:
-    """A least pulse per minute: 0.0168441 / 60 / 0.00842205 = a thirtieth of the maximum more."""
+    """A minimum pulse per minute: 0.0168441 / 60 / 0.00842205 = a thirtieth of the maximum more."""
     pulse = pulses()
     pulse.update(0.5, 3.0, True, 0.0)
     pulse.count(0.0, 60.0)
@@ -266,7 +266,7 @@ def test_a_running_pump_makes_up_for_the_outstanding_volume() -> None:
 
 
 @pytest.mark.parametrize("drive_ramp", [0.1, 1.0])
-def test_volume_within_a_least_pulse(drive_ramp: float) -> None:
+def test_volume_within_a_minimum_pulse(drive_ramp: float) -> None:
     """Below 0.0112 of the flow 20 starts an hour are enough: 3600 s x 0.0112 = 20 x 2 s.
 
     The pump comes to rest from half its speed in at most 5 s, but soon delivers nothing.
@@ -276,13 +276,13 @@ def test_volume_within_a_least_pulse(drive_ramp: float) -> None:
         for _ in range(seconds):
             rig.step(command)
             # What is commanded in this tick is delivered in the next.
-            assert -0.1 * LEAST_PULSE <= commanded - rig.delivered <= LEAST_PULSE
+            assert -0.1 * MIN_PULSE <= commanded - rig.delivered <= MIN_PULSE
             commanded += rig.tau * pump_flow(rig.site, rig.plant.x1, rig.plant.x2, command)
     assert not any(decision.warnings for decision in rig.decisions)
     assert max(decision.flow for decision in rig.decisions) <= maximum_pump_flow(rig.site, 75.0)
 
 
-def test_too_many_starts_are_said() -> None:
+def test_too_many_starts_are_reported() -> None:
     """At 0.05 of the flow a start is due every 45 s, but only one every 180 s is permitted."""
     rig = Rig()
     rig.run(600, 0.05)
@@ -292,5 +292,5 @@ def test_too_many_starts_are_said() -> None:
     )
     assert starts <= 4
     texts = [each.sentence for decision in rig.decisions for each in decision.warnings]
-    assert "outstanding, more than a least pulse of 0.017 m3: least times and starts" in texts[-1]
+    assert "outstanding, more than a minimum pulse of 0.017 m3: minimum times" in texts[-1]
     assert rig.delivered == pytest.approx(600 * 0.05 * 0.0083, abs=180 * 0.05 * 0.0083)

@@ -47,7 +47,7 @@ def test_states_of_a_run_by_hand() -> None:
     assert rig.delivered == 0
 
 
-def test_least_times() -> None:
+def test_minimum_times() -> None:
     """10 s off before the first start, at least 10 s on, at least 10 s off."""
     rig = Rig()
     for seconds, command in ((11, 1.0), (43, 0.0), (3, 1.0), (30, 0.0), (15, 1.0)):
@@ -59,7 +59,7 @@ def test_least_times() -> None:
 
 
 def test_commands_that_are_no_shares() -> None:
-    """Off in the same step regardless of the least time on; a good command starts it again.
+    """Off in the same step regardless of the minimum time on; a good command starts it again.
 
     Commands above 1 act as 1 with a warning; the speed never exceeds the rated one.
     """
@@ -72,7 +72,7 @@ def test_commands_that_are_no_shares() -> None:
         assert rig.run(10, command).state == "off"
     decision, before = rig.run(30, 1e300), rig.delivered
     assert (warning(decision), decision.speed) == (
-        "the command 1e+300 is above 1 and taken as 1", 1
+        "the command 1e+300 is above 1 and treated as 1", 1
     )
     rig.run(30, 1e300)
     assert rig.delivered - before <= 30 * maximum_pump_flow(PAPER_SITE, 70.0)
@@ -91,10 +91,11 @@ def test_what_was_missed_is_not_caught_up() -> None:
     assert rig.run(5, 0.5).state in ("starting", "running")
 
 
-def test_what_is_not_known_is_said_so() -> None:
+def test_what_is_unknown_is_reported_so() -> None:
     """A drive that is lost while it runs: neither speed nor flow, until it is sure to stand.
 
-    It stands if seen at rest or not heard for the 15 s of its timeout; nonsense counts as heard.
+    It stands if seen stopped or silent for the 15 s of its timeout; an invalid answer is no
+    silence.
     """
     rig = Rig()
     decision = rig.step(0.0)
@@ -109,7 +110,7 @@ def test_what_is_not_known_is_said_so() -> None:
          decision.at_rest)
         for decision in rig.decisions[-14:]
     } == {("unknown", 0.0, False, None, False)}  # its topic has a number for every command
-    assert rig.decisions[-1].why.endswith("; it is not known whether the pump is at rest")
+    assert rig.decisions[-1].why.endswith("; it is unknown whether the pump is stopped")
     decision = rig.run(3, 0.5)
     assert (decision.at_rest, decision.why) == (True, "connection lost")
     rig.change = {"speed": 5.0}
@@ -122,7 +123,7 @@ def test_what_is_not_known_is_said_so() -> None:
     decision = rig.run(60, 0.0)
     assert (decision.state, decision.at_rest, decision.blind_for) == ("off", True, 0)
     rig.change = {"speed": None, "roof_level": None}
-    decision = rig.step(0.5)  # the pump stood when last heard
+    decision = rig.step(0.5)  # the pump stood at last contact
     assert (decision.at_rest, decision.reported_speed, decision.flow_known) == (True, None, True)
     assert decision.blind_for == 1
 
@@ -162,7 +163,7 @@ LOST = {"speed": None, "reasons": [Problem("drive_lost", "no connection")]}
         # Up to full speed, down, and up again before the pump stands, for any ticks.
         *((ramp, tau, [(60, 1.0, None), (20, 0.0, None), (60, 1.0, None), (80, 0.0, None)])
           for ramp, tau in ((10.0, 1.0), (30.0, 10.0))),
-        # The least time off of 10 s, then 8 s in which the drive gets ready.
+        # The minimum time off of 10 s, then 8 s in which the drive gets ready.
         (30.0, 1.0, [(18, 1.0, 0.0), (50, 1.0, None), (60, 0.0, None)]),
         # It does not receive the stop; its own timeout acts 15 s later; then a ramp of 30 s.
         (30.0, 1.0, [(60, 1.0, None), (15, 1.0, 1.0), (40, 0.0, None)]),
@@ -171,7 +172,7 @@ LOST = {"speed": None, "reasons": [Problem("drive_lost", "no connection")]}
 def test_a_ramp_that_is_allowed_is_no_fault(
     ramp: float, tau: float, scenes: list[tuple[float, float, float | None]]
 ) -> None:
-    """Scenes: seconds, command, and the speed at which the drive stays; above 0 it is not heard."""
+    """Scenes: seconds, command, and the speed at which the drive stays, silent if above 0."""
     rig = Rig(drive_ramp=1 / ramp, tau=tau)
     for seconds, command, stuck in scenes:
         rig.stuck_speed, rig.change = stuck, dict(LOST) if stuck else {}
@@ -185,7 +186,7 @@ def test_a_ramp_that_is_allowed_is_no_fault(
 def test_a_failed_start_is_a_start_and_the_third_in_a_row_a_fault(
     runs_after: int, states: set[str]
 ) -> None:
-    """Each start is given up after 2 s, and the next one waits for the least time off."""
+    """Each start is given up after 2 s, and the next one waits for the minimum time off."""
     rig = Rig(settings=settings_for(PAPER_SITE, least_off=60.0))
     failed = "the drive failed to start: it has no voltage"
     begun, on_for = [], 0
@@ -213,7 +214,7 @@ def test_a_failed_start_is_a_start_and_the_third_in_a_row_a_fault(
         assert len(begun) > 6
 
 
-def test_a_ramp_that_is_slower_than_it_is_said_to_be_is_a_fault() -> None:
+def test_a_ramp_that_is_slower_than_it_is_reported_to_be_is_a_fault() -> None:
     """30 s instead of the 5 s in drive_ramp: a tenth off after 0.6 s, and 12 s more are allowed."""
     rig = Rig(drive_ramp=1 / 30, settings=settings_for(PAPER_SITE, drive_ramp=5.0))
     assert rig.run(40, 1.0).state == "fault"
@@ -255,7 +256,7 @@ def test_a_drive_has_its_own_time() -> None:
         ({"flow": 0.003, "drive_flow": 0.004}, 0.003, "flow meter"),
         ({"flow": math.nan, "drive_flow": -1.0, "speed": 0.8}, 0.00609864,
          "computed from the speed"),
-        ({"speed": None}, 0.0, "unknown, taken as 0"),
+        ({"speed": None}, 0.0, "unknown, assumed 0"),
         ({"speed": 0.0, "flow": 0.003}, 0.003, "flow meter"),
         # A meter that gives litres.
         ({"flow": 5.7, "drive_flow": 0.004}, 0.004, "the drive's own"),
@@ -291,7 +292,7 @@ def test_no_flow_once_the_pump_stands() -> None:
     rig.run(8, None)
     assert [decision.flow for decision in rig.decisions[-8:]] == [1e-4] * 4 + [0.0] * 4
     rig.change = {"speed": -0.019}
-    assert rig.run(9, 0.0).source == "the pump is at rest"
+    assert rig.run(9, 0.0).source == "the pump is stopped"
     rig.change = {}
     assert rig.run(15, 1.0).state in ("starting", "running")
     rig.change = {"speed": -0.021}
@@ -300,16 +301,16 @@ def test_no_flow_once_the_pump_stands() -> None:
 
 @pytest.mark.parametrize("meter", ["flow", "drive_flow"])
 def test_a_flow_while_the_pump_stands_is_a_contact_that_is_welded(meter: str) -> None:
-    """More than a fifth of the greatest flow (least_flow) for more than 12 s (follow_time)."""
+    """More than a fifth of the maximum flow (least_flow) for more than 12 s (follow_time)."""
     rig = Rig(x1=70.0)
-    least = 0.2 * maximum_pump_flow(PAPER_SITE, 70.0)
-    rig.change = {meter: 0.95 * least}
+    minimum = 0.2 * maximum_pump_flow(PAPER_SITE, 70.0)
+    rig.change = {meter: 0.95 * minimum}
     assert rig.run(60, 0.0).state == "off"
-    rig.change = {meter: 1.05 * least}
+    rig.change = {meter: 1.05 * minimum}
     assert rig.run(12, 0.0).state == "off"
     rig.change = {}
     assert rig.run(1, 0.0).state == "off"
-    rig.change = {meter: 1.05 * least}
+    rig.change = {meter: 1.05 * minimum}
     decision = rig.run(13, 0.0)
     assert (decision.state, [*decision.interlocks]) == ("fault", ["runs_on"])
     assert "perhaps a contact is welded" in decision.why
@@ -355,7 +356,7 @@ def test_what_may_be_pumped_in_a_suspend_is_part_of_a_run() -> None:
     assert "longest_run" in rig.step(1.0).interlocks
 
 
-def test_what_is_not_heard_counts_at_worst() -> None:
+def test_what_is_not_responding_counts_at_worst() -> None:
     """Run time and volume count until the drive must have stopped: 15 s, not the minute after.
 
     Nothing counts if the pump stood and was not asked to run.
@@ -384,7 +385,7 @@ def test_what_is_not_heard_counts_at_worst() -> None:
 
 
 def test_the_simulated_site_is_followed() -> None:
-    """Ten minutes in the loop: within 1 % of the pure simulation's volume or a least pulse."""
+    """Ten minutes in the loop: within 1 % of the pure simulation's volume or a minimum pulse."""
     run = paper_run(
         "--controller", "lookahead", "--horizon", "12", "--hours", str(1 / 6),
         "--initial", "low-low",

@@ -227,7 +227,7 @@ def test_wrong_options_are_refused_with_what_would_be_right(
 ) -> None:
     refused = partial(refusal, monkeypatch, drive_simulator, "--drive", "abb_acs880")
     assert "must be one of none, refused" in refused("--fault", "smoke")
-    assert "--fault = 'slw=3': is not known; did you mean slow?" in refused("--fault", "slw=3")
+    assert "--fault = 'slw=3': is unknown; did you mean slow?" in refused("--fault", "slw=3")
     assert "silence has no parameter" in refused("--fault", "silence=3")
     assert "whole number from 0 to 65534" in refused("--fault", "late=soon")
     assert "is not an exception code" in refused(*FREE, "--fault", "exception=99")

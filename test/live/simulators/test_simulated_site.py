@@ -108,7 +108,7 @@ def test_levels_move_by_the_volume_that_the_drives_speed_stands_for(tmp_path: Pa
             until(lambda: rows()[-1]["pump_flow_m3_per_s"] == 0)
             drive.end()
             until(lambda: rows()[-1]["speed"] == 0)
-        assert "the pump is assumed to be at rest" in site.output
+        assert "the pump is assumed to be stopped" in site.output
     assert (first["time_s"], last["time_s"]) == (1, 40)
     assert first["pump_flow_m3_per_s"] == pytest.approx(6.1261e-3, rel=1e-4)
     assert last["pumped_m3"] == pytest.approx(0.2450, rel=5e-4)
@@ -146,7 +146,7 @@ def test_a_leak(capsys: pytest.CaptureFixture[str]) -> None:
     assert "no drive is connected: the pump never runs" in capsys.readouterr().out
 
 
-def test_sensor_faults_change_what_one_sensor_says_and_no_level() -> None:
+def test_sensor_faults_change_what_one_sensor_reports_and_no_level() -> None:
     """The roof rises by 1 count (0.1 mm) in 2 s of rain at 180 mm/h."""
     bench = site_of(5e-5)
     cistern, roof = (server.devices[1] for server in bench.servers)
@@ -196,7 +196,7 @@ def test_a_moisture_probe_reads_the_water_of_the_roof_per_volume_of_its_substrat
 
 
 @needs_mosquitto
-def test_sensors_on_mqtt_beside_one_on_modbus(tmp_path: Path) -> None:
+def test_sensors_on_mqtt_next_to_one_on_modbus(tmp_path: Path) -> None:
     """The roof's 3.44 m3 are 5 cm on 68.8 m2; 36 mm/h are 1e-5 m/s, counted tick by tick."""
     file, (port,) = tmp_path / "sensors.yaml", free_ports(1)
     modbus = (CONFIG / "sensors.yaml").read_text().partition("\nroof:")[0]
@@ -223,7 +223,7 @@ def test_sensors_on_mqtt_beside_one_on_modbus(tmp_path: Path) -> None:
         site.inject("roof_silent")
         until(lambda: "has sent nothing for 5 s" in readers["roof"].snapshot.problem, 20)
         site.inject("roof_absurd", 1234)  # mm from the sensor down, which is 0.6 m up
-        until(lambda: "says -0.634 m" in readers["roof"].snapshot.problem, 20)
+        until(lambda: "reports -0.634 m" in readers["roof"].snapshot.problem, 20)
         site.inject("none")
         until(lambda: readers["roof"].snapshot.value, 20)
 
