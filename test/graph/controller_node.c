@@ -74,7 +74,7 @@ int main(int argc, char ** argv)
     size_t plants;
     check(rcl_count_publishers(&node, clock_name, &plants));
     if (seen && !plants) {
-      return 0;  /* the plant has ended */
+      break;  /* the plant has ended */
     }
     seen = seen || plants;
     check(rcl_wait_set_clear(&set));
@@ -106,4 +106,12 @@ int main(int argc, char ** argv)
       check(rcl_publish(&publisher, &answer, NULL));
     }
   }
+  /* A node that ends without leaving the graph stays in it, for others, until its lease has passed. */
+  for (int i = 0; i < INPUTS; i++) {
+    check(rcl_subscription_fini(&subscriptions[i], &node));
+  }
+  check(rcl_publisher_fini(&publisher, &node));
+  check(rcl_node_fini(&node));
+  check(rcl_shutdown(&context));
+  return 0;
 }
