@@ -157,6 +157,6 @@ class DriveInLoop:
         if kept_off:
             progress.print_line(
                 f"warning: {self._state_file} keeps the pump off: {kept_off}; a fault is cleared "
-                "by the service /pump/reset, a hold by greenroof release; another drive needs "
+                "by greenroof reset, a hold by greenroof release; another drive needs "
                 "--state DIR"
             )
