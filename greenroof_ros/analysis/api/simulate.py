@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -75,6 +76,9 @@ def simulate(
     Raises:
         ConfigurationError: an input is wrong; the message states which, and what would be right.
 
+    Warns:
+        UserWarning: what was assumed about the weather, such as the meaning of its times.
+
     Example:
         >>> import greenroof_ros as gr
         >>> result = gr.simulate("onoff", level=0.9, hours=2)
@@ -104,7 +108,10 @@ def simulate(
         instance.start = run.start
     simulation = Simulation(run, instance)
     ticks = record(run, simulation.ticks())
-    return Result(run, simulation.summary(), ticks)
+    result = Result(run, simulation.summary(), ticks)
+    for note in result.summary["weather_notes"]:
+        warnings.warn(note, stacklevel=2)
+    return result
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ import json
 import math
 import subprocess
 import sys
+import warnings
 from datetime import date, datetime
 from pathlib import Path
 
@@ -152,6 +153,20 @@ def test_weather_in_a_data_frame() -> None:
         gr.simulate("onoff", weather=gap, hours=3)
     filled = gr.simulate("onoff", weather=gap, hours=3, gaps="fill")
     assert filled.metrics["rain_roof_m3"] == pytest.approx(0.0002 * 68.8)
+
+
+def test_what_is_assumed_about_the_weather_is_a_warning(tmp_path: Path) -> None:
+    """Here that its hours end at their times, and no frost; the paper's file needs none."""
+    (tmp_path / "gauge.csv").write_text(
+        "time,precipitation\n" + "".join(f"2024-06-01T{hour:02}:00,1\n" for hour in range(5))
+    )
+    with pytest.warns(UserWarning, match="moved back an hour") as shown:
+        gr.simulate("onoff", weather=tmp_path / "gauge.csv", start="2024-06-01T01:00Z", hours=1)
+    assert any("frost is unknown" in str(each.message) for each in shown)
+    assert {each.filename for each in shown} == {__file__}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gr.simulate("onoff", hours=0.1)
 
 
 def test_weather_and_trajectory_in_pandas() -> None:
