@@ -108,7 +108,7 @@ lint: $(FOR_TEST)
 docs: $(FOR_DOCS)
 	@$(BIN)/python doc/generate.py
 	@rm -rf doc/api/modules
-	@$(BIN)/python -m sphinx -W --keep-going -q --jobs auto -b html doc doc/_build
+	@$(BIN)/python -m sphinx -W --keep-going -q --fresh-env --jobs auto -b html doc doc/_build
 	@echo "written: doc/_build/index.html"
 
 bench: $(FOR_BENCH)
