@@ -42,7 +42,7 @@ OPTIONS = {
     "--output full": "never overwritten",
     "--output /proc/greenroof --trajectory run.csv": "/proc/greenroof",
     "--trajectory-every 60": "--trajectory-every: needs --trajectory or --plot",
-    "--plot run.pdf": "--plot = 'run.pdf': must end with .png, .svg, .html",
+    "--plot run.pdf": "--plot = 'run.pdf': must be the name of a file that ends in .png or",
     "--forecast perfekt": "did you mean perfect?",
     "--forecast foresight": "perfect, persistence, errors, ensemble",
     "--forecast file": "a file (.csv, ",
