@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
+from numbers import Real
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -90,10 +91,8 @@ class FunctionController:
                 np.asarray(precipitation), np.asarray(evapotranspiration), self.forecast_ends
             ),
         )
-        try:
-            return float(value)
-        except (TypeError, ValueError):
-            return value  # is refused, and named
+        is_number = isinstance(value, Real) or (isinstance(value, np.ndarray) and value.size == 1)
+        return float(value) if is_number else value  # else it is refused, and named
 
     def skip(self) -> None:
         """Count the tick, in which the pump may not run."""

@@ -23,6 +23,7 @@ import greenroof_ros as gr
 from greenroof_ros.analysis.api.control import ForecastSteps, SiteState
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.decide import NoCommandError
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.forecast.choice import ForecastChoice
 
@@ -153,6 +154,15 @@ def test_weather_in_a_data_frame() -> None:
         gr.simulate("onoff", weather=gap, hours=3)
     filled = gr.simulate("onoff", weather=gap, hours=3, gaps="fill")
     assert filled.metrics["rain_roof_m3"] == pytest.approx(0.0002 * 68.8)
+
+
+@pytest.mark.parametrize("answer", ["1", None, np.array([0.1, 0.2])])
+def test_what_a_function_returns_must_be_a_number(answer: object) -> None:
+    def wrong(state: object, forecast: object) -> object:
+        return answer
+
+    with pytest.raises(NoCommandError, match="the command of wrong"):
+        gr.simulate(wrong, hours=0.01)
 
 
 def test_what_is_assumed_about_the_weather_is_a_warning(tmp_path: Path) -> None:
