@@ -49,6 +49,19 @@ def test_readme_says_what_forecasts_and_target_are_worth() -> None:
     assert f"with {stress:.0f} h of water stress in the season" in README
 
 
+def test_saved_water_is_priced() -> None:
+    """The general rate of 2024 for up to 5,000 m³ a year, paid on time (City of Toronto)."""
+    price = 4.5178  # CAD/m³
+    onoff, forecasts, lower = (
+        numbers()[(*run, "pumped (m³)")].value
+        for run in (("measured", "on/off"), ("measured", TOGETHER),
+                    ("measured, target 39 mm", "on/off"))
+    )
+    target, archived = (f"{price * (onoff - m3):.0f} CAD" for m3 in (lower, forecasts))
+    assert f"it saved {target}, and archived forecasts saved {archived}" in README
+    assert f"{price} CAD/m³" in RESULTS and target in RESULTS and archived in RESULTS
+
+
 def test_readme_says_what_can_be_repeated() -> None:
     """Eleven seasons in Toronto, on the roof of the table; all runs of the paper."""
     (row,) = (
