@@ -118,7 +118,8 @@ def fault(domain: int, place: Path) -> Any:
     # Depth and target of the Neubrandenburg roof, 10 mm below its target.
     return site_with(
         domain, place, "danfoss_fc202", trouble, site_changes={"z_soil": 0.108, "z_veg": 0.039},
-        roof_m3=2.0, cistern_m3=40.0, controller="lookahead", nodes=("pump", "lookahead", "weather"),
+        roof_m3=2.0, cistern_m3=40.0,
+        controller="lookahead", nodes=("pump", "lookahead", "weather"),
     )
 
 
