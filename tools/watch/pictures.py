@@ -4,8 +4,8 @@ Each state is a real graph: a simulation at full speed, a storm that an ensemble
 predicts, a live site whose drive has a fault, one with a silent roof sensor, one whose pump was
 stopped on the page and one where it was released there, a run that ended while the page was open,
 and the recording of a run. The page is captured in Chromium, at three widths, light and dark.
-``doc/_static/`` has the storm, cut below its charts, and the fault, cut below its third alarm, both
-1400 px wide and light.
+``doc/_static/`` has the storm, cut below its charts, and the fault, cut below its second alarm,
+both 1400 px wide and light.
 """
 
 from __future__ import annotations
@@ -98,10 +98,10 @@ def storm(domain: int, place: Path) -> Iterator[Watched]:
 @contextmanager
 def site_with(
     domain: int, place: Path, drive: str, trouble: Callable[[SiteRig], None],
-    watched: Watched = _NO_CLICKS,
+    watched: Watched = _NO_CLICKS, **special: Any,
 ) -> Iterator[Watched]:
     """A live site whose pump ran, and which has had this trouble for some seconds."""
-    with SiteRig(place, domain, drive) as rig:
+    with SiteRig(place, domain, drive, **special) as rig:
         rig.until_running(seconds=120, steady_s=10.0)
         trouble(rig)
         yield watched
@@ -115,7 +115,12 @@ def fault(domain: int, place: Path) -> Any:
         time.sleep(5)
         rig.truth.inject_drive("none")
 
-    return site_with(domain, place, "danfoss_fc202", trouble)
+    # Depth and target of the Neubrandenburg roof, 10 mm below its target.
+    return site_with(
+        domain, place, "danfoss_fc202", trouble, site_changes={"z_soil": 0.108, "z_veg": 0.039},
+        roof_m3=2.0, cistern_m3=40.0,
+        controller="lookahead", nodes=("pump", "lookahead", "weather"),
+    )
 
 
 def stale(domain: int, place: Path) -> Any:
