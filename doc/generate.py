@@ -4,7 +4,8 @@ A table stands in a page between ``<!-- table: NAME -->`` and ``<!-- end of tabl
 be read without a build, and a file of the package between ``<!-- file: PATH -->`` and ``<!-- end of
 file -->``. ``make docs`` writes all of them again, and a test compares them with what
 this writes. The nodes' tables need ROS 2; without it they stay unchanged. The layouts in
-``config/layouts/``, the drawings of who publishes what, and the pictures of results and README are written too.
+``config/layouts/``, the drawings of who publishes what, and the pictures of results and README are
+written too.
 """
 
 from __future__ import annotations
