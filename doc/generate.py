@@ -4,7 +4,8 @@ A table stands in a page between ``<!-- table: NAME -->`` and ``<!-- end of tabl
 be read without a build, and a file of the package between ``<!-- file: PATH -->`` and ``<!-- end of
 file -->``. ``make docs`` writes all of them again, and a test compares them with what
 this writes. The nodes' tables need ROS 2; without it they stay unchanged. The layouts in
-``config/layouts/``, the drawings of who publishes what and the README's figure are written too.
+``config/layouts/``, the drawings of who publishes what, and the pictures of results and README are
+written too.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ sys.path[:0] = [str(DOC), str(DOC.parent)]
 
 from layouts import LAYOUTS
 from layouts import rows as displays
+from readme_pictures import draw as draw_readme_pictures
 from real_season_tables import REAL_SEASONS
 from result_figures import FIGURES, draw
 from result_tables import RESULTS, choices
 from who_publishes import WAYS, drawing
-from worth import drawing as drawing_of_worth
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
 from greenroof_ros.analysis.calibration.checks import FINDINGS
@@ -716,7 +717,7 @@ def main() -> None:
     for name, figure in FIGURES.items():
         path = DOC / "_static" / "results" / f"{name}.svg"
         path.write_text(draw(figure()), encoding="utf-8")
-    (DOC / "_static" / "worth.svg").write_text(drawing_of_worth(), encoding="utf-8")
+    draw_readme_pictures()
 
 
 if __name__ == "__main__":

@@ -14,8 +14,8 @@ from result_tables import read, roof
 
 from greenroof_ros.analysis.report.drawing import COLOURS, CONFIG
 
-_WIDTH, _HEIGHT = 300, 220
-"""of a panel (px)"""
+_WIDTH, _HEIGHT = 290, 180
+"""of a panel (px): narrow enough for a phone"""
 
 
 class Point(NamedTuple):
@@ -40,10 +40,11 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True)
 class Figure:
-    """The content of a figure: titles of its axes, ends of the vertical axis, and points."""
+    """The content of a figure: titles of axes and curves, ends of the vertical axis, and points."""
 
     x: str
     y: str
+    curves: str
     ends: tuple[float, float]
     points: tuple[Point, ...]
 
@@ -56,7 +57,7 @@ class Figure:
 def horizons() -> Figure:
     """Return the deviation by horizon of forecasts with errors, and of perfect ones."""
     return Figure(
-        "horizon (h)", "deviation relative to on/off", (0.5, 1.0),
+        "forecast horizon (h)", "deviation relative to on/off", "forecasts", (0.5, 1.0),
         tuple(
             Point(
                 roof(row), "perfect" if row["forecast"] == "perfect" else "real skill",
@@ -72,10 +73,10 @@ def sizing() -> Figure:
     """Return the mains water that each cistern saves."""
     starts = {"site": "start at the mains level", "full": "start with a full cistern"}
     return Figure(
-        "cistern (m³)", "mains water saved in a season (m³)", (0.0, 150.0),
+        "cistern (m³)", "mains water saved (m³)", "green roof", (0.0, 150.0),
         tuple(
             Point(
-                starts[row["initial"]], f"{float(row['green_roof_m2']):g} m² of green roof",
+                starts[row["initial"]], f"{float(row['green_roof_m2']):g} m²",
                 float(row["cistern_m3"]),
                 *(float(row[name]) for name in ("saved_m3", "low", "high")),
             )
@@ -94,7 +95,7 @@ def draw(figure: Figure) -> str:
         _panel(figure, panel).properties(title=panel, width=_WIDTH, height=_HEIGHT)
         for panel in panels
     ]
-    chart = alt.hconcat(*charts, spacing=20).configure(**CONFIG)
+    chart = alt.vconcat(*charts, spacing=20).configure(**CONFIG)
     svg: str = vl_convert.vegalite_to_svg(chart.to_dict())
     return svg.replace("<svg ", f'<svg data-drawn-from="{figure.digest}" ', 1)
 
@@ -108,8 +109,10 @@ def _panel(figure: Figure, panel: str) -> alt.LayerChart:
         "axis": alt.Axis(values=ticks, format="d"), "title": figure.x,
     }
     y = alt.Scale(domain=list(figure.ends), nice=False)
+    legend = alt.Legend(titleOrient="top", columnPadding=20)
     colour = alt.Color(
-        "curve:N", title=None, scale=alt.Scale(domain=curves, range=list(COLOURS[: len(curves)]))
+        "curve:N", title=figure.curves, legend=legend,
+        scale=alt.Scale(domain=curves, range=list(COLOURS[: len(curves)])),
     )
     base = alt.Chart(alt.Data(values=values)).encode(x=alt.X("x:Q", **x), color=colour)
     return alt.layer(
@@ -119,6 +122,8 @@ def _panel(figure: Figure, panel: str) -> alt.LayerChart:
         base.mark_line(strokeWidth=2).encode(y=alt.Y("y:Q", scale=y)),
         base.mark_point(filled=True, size=45, opacity=1).encode(
             y=alt.Y("y:Q", scale=y),
-            shape=alt.Shape("curve:N", title=None, scale=alt.Scale(domain=curves)),
+            shape=alt.Shape(
+                "curve:N", title=figure.curves, legend=legend, scale=alt.Scale(domain=curves)
+            ),
         ),
     )

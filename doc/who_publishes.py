@@ -2,7 +2,8 @@
 
 A column is a node, or a device on Modbus. A row is a topic, from the dot of its publisher to the
 arrows of its subscribers. It is dark on white, since a picture does not know whether the page that
-shows it is light or dark.
+shows it is light or dark. Columns are narrow, with names from bottom to top, so that a phone shows
+the text large enough.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from html import escape
 
 from greenroof_ros.common.interface import Topic, read_live_topics, read_topics
 
-_LABELS, _COLUMN, _ROW, _HEAD = 270, 112, 26, 46
+_LABELS, _COLUMN, _ROW, _HEAD = 312, 33, 28, 150
+# A name's box: its top, height and half its width (px).
+_TOP, _TALL, _HALF = 8, 132, 14
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ def drawing(way: Way) -> str:
     parts = [
         f'<svg viewBox="0 0 {width} {height}" width="{width}" style="max-width: 100%" role="img" '
         f'aria-label="Who publishes what: {escape(way.name)}" '
-        'xmlns="http://www.w3.org/2000/svg" font-size="13" fill="#1f2328" stroke="#1f2328" '
+        'xmlns="http://www.w3.org/2000/svg" font-size="16" fill="#1f2328" stroke="#1f2328" '
         'font-family="sans-serif">',
         f'<rect width="{width}" height="{height}" fill="#ffffff" stroke="none"/>',
     ]
@@ -100,10 +103,12 @@ def drawing(way: Way) -> str:
         device = name in way.devices
         dashes = ' stroke-dasharray="4 3"' if name in way.perhaps else ""
         parts += [
-            f'<rect x="{x - 52}" y="8" width="104" height="28" rx="{0 if device else 14}" '
-            f'fill="none"{dashes}/>',
-            f'<text x="{x}" y="26" text-anchor="middle" stroke="none">{escape(name)}</text>',
-            f'<line x1="{x}" y1="36" x2="{x}" y2="{height - 6}" stroke-opacity="0.25"/>',
+            f'<rect x="{x - _HALF}" y="{_TOP}" width="{2 * _HALF}" height="{_TALL}" '
+            f'rx="{0 if device else _HALF}" fill="none"{dashes}/>',
+            f'<text transform="translate({x + 5} {_TOP + _TALL // 2}) rotate(-90)" '
+            f'text-anchor="middle" stroke="none">{escape(name)}</text>',
+            f'<line x1="{x}" y1="{_TOP + _TALL}" x2="{x}" y2="{height - 6}" '
+            'stroke-opacity="0.25"/>',
         ]
     for number, (label, source, readers, perhaps) in enumerate(lines):
         parts += _row(label, at[source], [at[reader] for reader in readers], perhaps,
@@ -115,7 +120,7 @@ def _row(label: str, source: int, readers: Sequence[int], perhaps: bool, y: int)
     dashes = ' stroke-dasharray="4 3"' if perhaps else ""
     ends = min([source, *readers]), max([source, *readers])
     parts = [
-        f'<text x="{_LABELS - 8}" y="{y + 4}" text-anchor="end" stroke="none">'
+        f'<text x="{_LABELS - 8}" y="{y + 5}" text-anchor="end" stroke="none">'
         f"{escape(label)}</text>",
         f'<line x1="{ends[0]}" y1="{y}" x2="{ends[1]}" y2="{y}"{dashes}/>',
         f'<circle cx="{source}" cy="{y}" r="4"/>',

@@ -15,6 +15,7 @@ from places import CHECKOUT
 sys.path.append(str(CHECKOUT / "doc"))
 
 import generate
+import readme_pictures
 
 from greenroof_ros.live.drives.sensor_file import read_sensors
 
@@ -129,6 +130,8 @@ def test_picture_shows_the_topics() -> None:
     shown = {each for each in shown if each.count("/") == 2 or each == "/clock"}
     assert len(shown) == 11
     assert shown <= set(read_topics())
+    narrow = (DOC / "_static" / "roof-and-graph-narrow.svg").read_text()
+    assert narrow == readme_pictures.stacked(picture)
 
 
 def test_from_nothing_has_the_sensors_of_its_parts(tmp_path: Path) -> None:

@@ -14,16 +14,10 @@ from results.reduction import read
 
 sys.path.append(str(CHECKOUT / "doc"))
 
-import worth
 from real_season_tables import OVER_NO_RAIN, TOGETHER, Number, numbers
 
 README = " ".join((CHECKOUT / "README.md").read_text().split())
 RESULTS = " ".join((CHECKOUT / "doc" / "results.md").read_text().split())
-
-
-def test_figure_is_of_its_file() -> None:
-    """'make docs' would draw no other numbers."""
-    assert (CHECKOUT / "doc" / "_static" / "worth.svg").read_text() == worth.drawing()
 
 
 def test_readme_says_what_forecasts_and_target_are_worth() -> None:

@@ -37,12 +37,12 @@ from greenroof_ros.analysis.calibration.fit import fit, measured_roof
 from greenroof_ros.analysis.calibration.record import comparable, halve, storms
 from greenroof_ros.analysis.calibration.scores import score
 from greenroof_ros.analysis.calibration.simulation import least_reading
-from greenroof_ros.analysis.report.drawing import COLOURS, Figure, Panel
+from greenroof_ros.analysis.report.drawing import COLOURS, SHAPES, Figure, Panel, cycled
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.model.site import read_site
 from greenroof_ros.model.soil import MeasuredSoil
 
-OURS, SWMM, BUCKET = MODELS = "fitted roof", "SWMM", "bucket"
+OURS, SWMM, BUCKET = MODELS = "calibrated", "SWMM", "bucket"
 MIN_MM = 5.0
 
 
@@ -195,31 +195,35 @@ def table(rows, notes):
 
 
 def figure(answers):
-    """Return the scatter of storms: peak, delay and volume of each model against the measured."""
+    """Return the scatter of storms: peak, delay and volume against the measured.
+
+    The bucket is left out, since it has no runoff in most storms. The axes of peak and volume are
+    of square roots, since most storms are small.
+    """
+    series = [f"{roof.name.title()}: {model}" for roof in ROOFS for model in (OURS, SWMM)]
+    legend = alt.Legend(columns=2, columnPadding=20)
     panels, data = [], {}
     for what, title in (("peak", "peak (mm/h)"), ("delay", "delay (min)"),
                         ("volume", "volume (mm)")):
         points = [
-            {"roof": roof, "model": model, "m": getattr(measured, what),
+            {"series": f"{roof.title()}: {model}", "m": getattr(measured, what),
              "s": getattr(simulated, what)}
-            for roof, model, measured, simulated in answers
+            for roof, model, measured, simulated in answers if model != BUCKET
         ]
         data[what] = [point for point in points if np.isfinite([point["m"], point["s"]]).all()]
         ends = [point[axis] for point in data[what] for axis in ("m", "s")]
         low, high = min(0.0, *ends), max(ends)
-        scale = alt.Scale(domain=[low, high])
+        scale = alt.Scale(domain=[low, high], type="linear" if low < 0 else "sqrt")
         line = alt.Chart(alt.InlineData([{"v": low}, {"v": high}])).mark_line(
             color="#888888", strokeWidth=1).encode(x="v:Q", y="v:Q")
         marks = alt.Chart(alt.NamedData(what)).mark_point(filled=True, size=35, opacity=0.7).encode(
             x=alt.X("m:Q", title=f"measured {title}", scale=scale),
             y=alt.Y("s:Q", title=f"simulated {title}", scale=scale),
-            color=alt.Color("model:N", title=None, scale=alt.Scale(
-                domain=list(MODELS), range=list(COLOURS[:len(MODELS)]))),
-            shape=alt.Shape("roof:N", title=None),
+            color=alt.Color("series:N", title=None, legend=legend, scale=cycled(COLOURS, series)),
+            shape=alt.Shape("series:N", title=None, legend=legend, scale=cycled(SHAPES, series)),
         )
-        panels.append(Panel(alt.layer(line, marks), title, height=320))
-    return Figure("storms", "Storm by storm, on the half that was not fitted", "", tuple(panels), 3,
-                  data)
+        panels.append(Panel(alt.layer(line, marks), title, height=260))
+    return Figure("storms", "Storms of the half that was not fitted", "", tuple(panels), 1, data)
 
 
 def main():

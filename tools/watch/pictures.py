@@ -1,11 +1,13 @@
 """Pictures of the page in each state: ``python tools/watch/pictures.py DIRECTORY``.
 
-Each state is a real graph: a simulation at full speed, a storm that an ensemble of forecasts
-predicts, a live site whose drive has a fault, one with a silent roof sensor, one whose pump was
-stopped on the page and one where it was released there, a run that ended while the page was open,
-and the recording of a run. The page is captured in Chromium, at three widths, light and dark.
-``doc/_static/`` has the storm, cut below its charts, and the fault, cut below its second alarm,
-both 1400 px wide and light.
+Each state is a real graph: a simulation at full speed, the storm of the tutorial "First run", the
+live site of the tutorials whose drive has a fault, a live site with a silent roof sensor, one whose
+pump was stopped on the page and one where it was released there, a run that ended while the page
+was open, and the recording of a run. The page is captured in Chromium, at three widths, light and
+dark.
+
+``python tools/watch/pictures.py --doc`` makes the pictures of ``doc/_static/``: each in the width
+of a column of text, and in the width of a phone.
 """
 
 from __future__ import annotations
@@ -22,14 +24,28 @@ from typing import Any, NamedTuple
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 import paths  # noqa: F401
+from brokers import mosquitto
 from browsers import started_browser
-from faults.rig import SiteRig
+from doc_commands.blocks import fences
+from faults.rig import Simulator, SiteRig
 from graphs import Process, bring_up, free_ports, reserved_domain, wait_for
-from places import DATA
+from places import CHECKOUT, DATA
+from simulators import Workbench
+
+from greenroof_ros.live.drives.modbus_line import parse_address
 
 WIDTHS, SCHEMES, HEIGHT = (1400, 800, 400), ("light", "dark"), 900
-# A storm of 23 mm begins some hours after this time.
-_BEFORE_STORM = "2021-07-08T04:00"
+# The pictures of the documentation: end of the file's name, width (px), and the part of the page
+# below which it is cut. More pixels are sharp on a phone, too.
+IN_DOC = {
+    "storm": (("", 820, "#charts"), ("-narrow", 400, "#charts > :first-child")),
+    "fault": (("", 980, "#alarms > :nth-child(2)"), ("-narrow", 400, "#tiles > :nth-child(3)")),
+}
+_SCALE, _MARGIN = 1.5, 4
+# Overheating of the motor, by the drive's model of it: bit 8 of the Danfoss drive's alarms.
+_OVERHEATING = 1 << 8
+# The fault comes when the roof has reached this level; the target is 39 mm (m).
+_ROOF_AT_FAULT = 0.0345
 _DRAWN = "html[data-drawn=yes]"
 
 
@@ -55,12 +71,12 @@ class Watched(NamedTuple):
     Attributes:
         options: of ``watch``.
         clicks: what a person clicks on the page, in order.
-        end: ends the graph while the page is open; None if it keeps running.
+        event: what happens while the page is open; None for nothing.
     """
 
     options: tuple[str, ...] = ()
     clicks: tuple[str, ...] = ()
-    end: Callable[[], Any] | None = None
+    event: Callable[[], Any] | None = None
 
 
 _NO_CLICKS = Watched()
@@ -82,15 +98,13 @@ def full_speed(domain: int, place: Path) -> Iterator[Watched]:
 
 @contextmanager
 def storm(domain: int, place: Path) -> Iterator[Watched]:
-    """A storm that an ensemble of forecasts predicts."""
+    """The storm of the tutorial "First run" at 10:00, after three minutes."""
     run = Process(
-        domain, "bringup", "--controller", "lookahead", "--horizon", "12", "--hours", "12",
-        "--start", _BEFORE_STORM, "--forecast", "ensemble", "--speed", "60", "--initial", "low-low",
-        "--output", "run", cwd=place,
+        domain, "bringup", "--controller", "lookahead", "--start", "2021-07-08T03:00",
+        "--cistern", "57.7", "--roof", "1", "--speed", "150", "--output", "run", cwd=place,
     )
     run.wait_for_ticks()
-    time.sleep(150)  # about 2.5 h
-    yield Watched()
+    yield Watched(event=lambda: time.sleep(134))
     run.process.terminate()
     run.wait(300)
 
@@ -98,29 +112,67 @@ def storm(domain: int, place: Path) -> Iterator[Watched]:
 @contextmanager
 def site_with(
     domain: int, place: Path, drive: str, trouble: Callable[[SiteRig], None],
-    watched: Watched = _NO_CLICKS, **special: Any,
+    watched: Watched = _NO_CLICKS,
 ) -> Iterator[Watched]:
     """A live site whose pump ran, and which has had this trouble for some seconds."""
-    with SiteRig(place, domain, drive, **special) as rig:
+    with SiteRig(place, domain, drive) as rig:
         rig.until_running(seconds=120, steady_s=10.0)
         trouble(rig)
         yield watched
 
 
-def fault(domain: int, place: Path) -> Any:
-    """A site whose drive reports a fault."""
+@contextmanager
+def fault(domain: int, place: Path) -> Iterator[Watched]:
+    """The live site of the tutorials, with a drive on Modbus whose motor overheats.
 
-    def trouble(rig: SiteRig) -> None:
-        rig.truth.inject_drive("drive_fault")
-        time.sleep(5)
-        rig.truth.inject_drive("none")
+    The roof fills from 15 mm, and the fault comes a few millimetres below its target.
+    """
+    with mosquitto(place) as broker, ExitStack() as simulators:
 
-    # Depth and target of the Neubrandenburg roof, 10 mm below its target.
-    return site_with(
-        domain, place, "danfoss_fc202", trouble, site_changes={"z_soil": 0.108, "z_veg": 0.039},
-        roof_m3=2.0, cistern_m3=40.0,
-        controller="lookahead", nodes=("pump", "lookahead", "weather"),
-    )
+        def start(module: str, *options: str) -> Simulator:
+            simulator = Simulator(domain, place, module, *options)
+            simulators.callback(simulator.end)
+            return simulator
+
+        for page, file in (("your-site-and-weather", "my_site.yaml"),
+                           ("a-live-site", "my_sensors.yaml")):
+            (text,) = (body for *_, body in fences(f"doc/tutorials/{page}.md")
+                       if body.startswith(f"# {file}"))
+            (place / file).write_text(text.replace("mqtt://127.0.0.1", broker.address))
+        site, sensors = ("--site", "my_site.yaml"), ("--sensors", "my_sensors.yaml")
+        # Two days without rain follow.
+        weather = ("--weather", str(DATA / "en_climate_hourly_07-2021.csv"),
+                   "--start", "2021-07-18T08:00")
+        service, modbus, bench = free_ports(3)
+        start("forecast_simulator", *site, *weather, "--port", str(service))
+        drive = start("drive_simulator", "--drive", "danfoss_fc202", "--port", str(modbus),
+                      "--workbench", str(bench))
+        start("site_simulator", *site, *sensors, *weather, "--workbench", "0",
+              "--drive-at", f"tcp://127.0.0.1:{bench}",
+              "--cistern", "5.6", "--roof", "0.6", "--output", "levels.csv")
+        live = Process(
+            domain, "bringup.live", "--controller", "lookahead", *site, *sensors,
+            "--forecast", "open-meteo", "--fetch-url", f"http://127.0.0.1:{service}/v1/forecast",
+            "--drive", "danfoss_fc202", "--drive-at", drive.place, "--state", "state", cwd=place,
+        )
+
+        def overheat() -> None:
+            wait_for(lambda: roof_level(place / "levels.csv") > _ROOF_AT_FAULT, 300, "the level")
+            workbench = Workbench(parse_address(f"tcp://127.0.0.1:{bench}"))
+            workbench.inject("drive_fault", _OVERHEATING)
+            workbench.close()
+            time.sleep(5)
+
+        live.until_printed("running:")
+        yield Watched(event=overheat)
+        live.process.terminate()
+        live.wait(60)
+
+
+def roof_level(levels: Path) -> float:
+    """Return the last level of the roof in a file of the site's simulator (m)."""
+    last = levels.read_text().splitlines()[-1].split(",")[2]
+    return float(last) if last[0].isdigit() else 0.0
 
 
 def stale(domain: int, place: Path) -> Any:
@@ -154,7 +206,7 @@ def ended(domain: int, place: Path) -> Iterator[Watched]:
         "--speed", "600", "--output", "run", cwd=place,
     )
     run.wait_for_ticks()
-    yield Watched(end=lambda: run.wait(300))
+    yield Watched(event=lambda: run.wait(300))
 
 
 @contextmanager
@@ -186,25 +238,44 @@ def capture(state: str, address: str, directory: Path) -> None:
     with started_browser() as browser:
         for scheme in SCHEMES:
             for width in WIDTHS:
-                page = browser.new_page(
-                    viewport={"width": width, "height": HEIGHT}, color_scheme=scheme
-                )
-                page.goto(address)
-                page.wait_for_selector(_DRAWN, timeout=120_000, state="attached")
-                time.sleep(1)
+                page = _opened(browser, address, width, color_scheme=scheme)
                 page.screenshot(path=directory / f"{state}-{width}-{scheme}.png", full_page=True)
                 page.close()
+
+
+def capture_for_doc(state: str, address: str, directory: Path) -> None:
+    """Capture the pictures of a state for the documentation."""
+    with started_browser() as browser:
+        for suffix, width, last in IN_DOC[state]:
+            page = _opened(browser, address, width, device_scale_factor=_SCALE)
+            box = page.locator(last).bounding_box()
+            page.screenshot(
+                path=directory / f"watch-{state}{suffix}.png", full_page=True,
+                clip={"x": 0, "y": 0, "width": width,
+                      "height": box["y"] + box["height"] + _MARGIN},
+            )
+            page.close()
+
+
+def _opened(browser: Any, address: str, width: int, **options: Any) -> Any:
+    """Open the page in a window of a width (px), and wait until it is drawn."""
+    page = browser.new_page(viewport={"width": width, "height": HEIGHT}, **options)
+    page.goto(address)
+    page.wait_for_selector(_DRAWN, timeout=120_000, state="attached")
+    time.sleep(1)
+    return page
 
 
 def main() -> None:
     """Capture the states that are asked for."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("directory", type=Path)
-    parser.add_argument("--only", nargs="+", choices=list(STATES), default=list(STATES))
+    parser.add_argument("directory", type=Path, nargs="?", default=CHECKOUT / "doc" / "_static")
+    parser.add_argument("--only", nargs="+", choices=list(STATES))
+    parser.add_argument("--doc", action="store_true", help="make the documentation's pictures")
     arguments = parser.parse_args()
     arguments.directory.mkdir(parents=True, exist_ok=True)
-    for state in arguments.only:
+    for state in arguments.only or (IN_DOC if arguments.doc else STATES):
         with ExitStack() as stack:
             domain = stack.enter_context(reserved_domain())
             place = Path(stack.enter_context(tempfile.TemporaryDirectory(
@@ -213,10 +284,10 @@ def main() -> None:
             address = stack.enter_context(watcher(domain, place, *watched.options))
             time.sleep(8)
             click(address, watched.clicks)
-            if watched.end is not None:
-                watched.end()
+            if watched.event is not None:
+                watched.event()
                 time.sleep(8)
-            capture(state, address, arguments.directory)
+            (capture_for_doc if arguments.doc else capture)(state, address, arguments.directory)
             print(state, flush=True)
 
 

@@ -285,7 +285,8 @@ def _around(
     # Include references nearby; a reference far away would make all lines flat.
     inside = list(filter(near, references.values()))
     low, high = min([low, *inside]), max([high, *inside])
-    margin = 0.12 * max(high - low, span)
+    # Room for the name of a reference outside the range, below or above all lines.
+    margin = 0.18 * max(high - low, span)
     return [max(0.0, low - margin), high + margin], references
 
 
