@@ -75,10 +75,7 @@ def cell(text: object) -> str:
 
 
 def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """Return a table; a cell that is a tuple has a line for each of its texts that is not empty.
-
-    Two columns are the most that a phone shows beside each other if one of them has long names.
-    """
+    """Return a table; a cell that is a tuple has a line for each of its texts that is not empty."""
 
     def part(content: object) -> str:
         texts = content if isinstance(content, tuple) else (content,)
@@ -88,6 +85,22 @@ def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     lines = [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
     lines += [f"| {' | '.join(map(part, row))} |" for row in rows]
     return "\n".join(lines) + "\n"
+
+
+def entries(rows: Iterable[tuple[str, str, str]]) -> str:
+    """Return a list of names, what each is, and its meaning.
+
+    Its lines break anywhere, while a table of long names is wider than a phone.
+    """
+    return "".join(
+        f"- **{cell(name)}**{f' ({cell(kind)})' if kind else ''}: {cell(meaning)}\n"
+        for name, kind, meaning in rows
+    )
+
+
+def sentences(*texts: str) -> str:
+    """Return the texts that are not empty, as sentences."""
+    return ". ".join(filter(None, texts))
 
 
 def number(value: object) -> str:
@@ -118,22 +131,19 @@ def quantity(value: object, unit: str) -> str:
 
 
 def topics() -> str:
-    """Return the content of each topic, what the command ``topics`` prints in more columns."""
-    return markdown(
-        ("topic, unit", "meaning, nodes and type"),
+    """Return the content of each topic, which the command ``topics`` prints as a table."""
+    return entries(
         (
-            (
-                (f"`{topic.name}`", topic.unit),
-                (
-                    topic.meaning,
-                    f"From {roles(topic.publishers, topic.live_publishers)}",
-                    f"To {readers}" if readers else "",
-                    topic.type.replace("/msg/", "/"),
-                ),
-            )
-            for topic in read_topics().values()
-            for readers in [roles(topic.subscribers, topic.live_subscribers)]
-        ),
+            f"`{topic.name}`", ", ".join(filter(None, (topic.unit, kind))),
+            sentences(
+                topic.meaning,
+                f"From {roles(topic.publishers, topic.live_publishers)}",
+                f"To {readers}" if readers else "",
+            ),
+        )
+        for topic in read_topics().values()
+        for kind in [topic.type.replace("/msg/", "/")]
+        for readers in [roles(topic.subscribers, topic.live_subscribers)]
     )
 
 
@@ -179,18 +189,17 @@ def controllers() -> str:
     """Return the parameters of every controller of this package, each once."""
     parts: list[str] = []
     described: dict[Parameter, str] = {}
-    header = ("parameter: type, default; range", "meaning")
     for name in BUILT_IN:
         parameters = find_controller(name).kind.parameters
         first = [each for each in parameters if described.setdefault(each, name) == name]
         parts.append(f"## {name}\n")
-        parts.append(markdown(header, (
+        parts.append(entries(
             (
-                _declared(each, "integer" if each.whole else "double"),
-                (each.meaning, "May change in a run" if each.may_change else ""),
+                *_declared(each, "integer" if each.whole else "double"),
+                sentences(each.meaning, "May change in a run" if each.may_change else ""),
             )
             for each in first
-        )))
+        ))
         elsewhere = [each for each in parameters if each not in first]
         if elsewhere:
             names = ", ".join(f"`{each.name}`" for each in elsewhere)
@@ -206,27 +215,21 @@ def _declared(parameter: Parameter, kind: str) -> tuple[str, str]:
 
 def metrics() -> str:
     """Return the metrics of a run, whose names end in their units."""
-    return markdown(
-        ("key or column", "meaning"),
-        ((f"`{entry.name}`", f"{entry.label}: {entry.meaning}") for entry in METRICS),
-    )
+    return entries((f"`{entry.name}`", "", f"{entry.label}: {entry.meaning}") for entry in METRICS)
 
 
 def site() -> str:
     """Return the parameters of a site, with the values of the paper's site."""
     paper = read_site(shared_directory() / "config" / "site.yaml")
-    return markdown(
-        ("key, value of the paper's site", "meaning"),
+    return entries(
         (
-            (
-                (f"`{entry.name}`", quantity(getattr(paper, entry.name), entry.unit)),
-                (
-                    entry.meaning,
-                    "" if entry.default is None else f"If left out: {number(entry.default)}",
-                ),
-            )
-            for entry in site_parameters()
-        ),
+            f"`{entry.name}`", quantity(getattr(paper, entry.name), entry.unit),
+            sentences(
+                entry.meaning,
+                "" if entry.default is None else f"If left out: {number(entry.default)}",
+            ),
+        )
+        for entry in site_parameters()
     )
 
 
@@ -313,10 +316,7 @@ def _keys(parts: Mapping[str, Any]) -> str:
 
     return "\n".join(
         f"### {title[0].upper()}{title[1:]}\n\n"
-        + markdown(
-            ("key: value", "meaning"),
-            (((f"`{key.name}`", holds(key)), key.entry.meaning) for key in keys(kind)),
-        )
+        + entries((f"`{key.name}`", holds(key), key.entry.meaning) for key in keys(kind))
         for title, kind in parts.items()
     )
 
@@ -412,10 +412,7 @@ def drives() -> str:
 def pump_settings() -> str:
     """Return the settings of the pump's logic, with their defaults for the paper's site."""
     site = read_site(shared_directory() / "config" / "site.yaml")
-    return markdown(
-        ("parameter: type, default; range", "meaning"),
-        ((_declared(entry, "double"), entry.meaning) for entry in pump_parameters(site)),
-    )
+    return entries((*_declared(entry, "double"), entry.meaning) for entry in pump_parameters(site))
 
 
 def interlocks() -> str | None:
@@ -431,18 +428,18 @@ def interlocks() -> str | None:
     def limit(name: str) -> str:
         return f"`{name}` {quantity(limits[name].default, limits[name].unit).replace('`', '')}"
 
-    def line(code: str, entry: Interlock) -> str:
+    def row(code: str, entry: Interlock) -> tuple[str, str, str]:
         parts = [meanings[code].meaning]
         if entry.limit:
-            parts.append(f"limits {', '.join(map(limit, entry.limit))}")
+            parts.append(f"set by {', '.join(map(limit, entry.limit))}")
         if entry.by or entry.on_page:
             parts.append(f"cleared by {entry.clears_by}")
         text = re.sub(r"(?<!`)(~/\w+|/pump/\w+|greenroof release)", r"`\1`", "; ".join(parts))
-        return f"- **`{code}`**: {cell(text)}"
+        return f"`{code}`", "", text
 
     kinds = itertools.groupby(read_interlocks().items(), lambda item: item[1].kind)
     return "\n".join(
-        f"### {kind.capitalize()}\n\n" + "\n".join(itertools.starmap(line, rows)) + "\n"
+        f"### {kind.capitalize()}\n\n{entries(itertools.starmap(row, rows))}"
         for kind, rows in kinds
     )
 
@@ -451,12 +448,9 @@ def conditions() -> str:
     """Return each code that a status may have; interlocks with the same advice share a row."""
     codes: dict[tuple[str, str], list[str]] = {}
     for code, condition in read_conditions().items():
-        meaning = "" if condition.interlock is not None else f"({condition.meaning})"
-        codes.setdefault((condition.advise("/pump"), meaning), []).append(f"`{code}`")
-    return markdown(
-        ("code", "what to do (and meaning)"),
-        ((", ".join(alike), texts) for texts, alike in codes.items()),
-    )
+        meaning = "" if condition.interlock is not None else condition.meaning
+        codes.setdefault((meaning, condition.advise("/pump")), []).append(f"`{code}`")
+    return entries((", ".join(alike), *texts) for texts, alike in codes.items())
 
 
 def findings() -> str:
@@ -540,7 +534,7 @@ def commands() -> str:
     modules: dict[str, list[str]] = {}
     for name, command in COMMANDS.items():
         modules.setdefault(command.module, []).append(name)
-    described: dict[tuple[tuple[str, str], str], str] = {}
+    described: dict[tuple[str, str, str], str] = {}
     return "\n".join(
         _command(names, parser_of(names[0]), described) for names in modules.values()
     )
@@ -548,7 +542,7 @@ def commands() -> str:
 
 def _command(
     names: Sequence[str], parser: argparse.ArgumentParser,
-    described: dict[tuple[tuple[str, str], str], str],
+    described: dict[tuple[str, str, str], str],
 ) -> str:
     parts = [f"## {', '.join(names)}\n", _prose(parser.description or "")]
     positionals = " ".join(
@@ -573,7 +567,7 @@ def _command(
         for action in actions:
             option = ", ".join(f"`{text}`" for text in action.option_strings)
             row = (
-                (option or f"`{action.metavar or action.dest}`", _value(action) if option else ""),
+                option or f"`{action.metavar or action.dest}`", _value(action) if option else "",
                 parser._get_formatter()._expand_help(action),
             )
             command = described.setdefault(row, names[0])
@@ -582,7 +576,7 @@ def _command(
             else:
                 elsewhere.setdefault(command, []).append(option)
         if rows:
-            parts.append(markdown(("option: value", "meaning"), rows))
+            parts.append(entries(rows))
         parts += [
             f"As for [`{command}`](#{command.replace(' ', '-')}): {', '.join(options)}.\n"
             for command, options in elsewhere.items()
@@ -651,21 +645,21 @@ def nodes() -> str | None:
         "live_recorder": live_recorder.parameters(site), "sensors": sensors.parameters(site),
         "pump": pump.parameters(site), "loop_pump": loop_pump.parameters(site),
     }
-    of_nodes: dict[tuple[tuple[str, str], str], list[str]] = {}
+    of_nodes: dict[tuple[str, str, str], list[str]] = {}
     for node, parameters in declared.items():
         for parameter in parameters:
-            row = (_declared(parameter, type_name(parameter)), parameter.meaning)
+            row = (*_declared(parameter, type_name(parameter)), parameter.meaning)
             of_nodes.setdefault(row, []).append(node)
     settings = {f"`{parameter.name}`" for parameter in pump_parameters(site)}
-    header = ("parameter: type, default; range", "meaning")
     shared = [
-        (row[0], (row[1], f"Nodes: {', '.join(nodes)}")) for row, nodes in of_nodes.items()
-        if len(nodes) > 1 and row[0][0] not in settings
+        (name, kind, sentences(meaning, f"Nodes: {', '.join(nodes)}"))
+        for (name, kind, meaning), nodes in of_nodes.items()
+        if len(nodes) > 1 and name not in settings
     ]
     return "\n".join([
-        "### several nodes\n\n" + markdown(header, shared),
+        "### several nodes\n\n" + entries(shared),
         *(
-            f"### {node}\n\n{markdown(header, own)}" for node in declared
+            f"### {node}\n\n{entries(own)}" for node in declared
             if (own := [row for row, nodes in of_nodes.items() if nodes == [node]])
         ),
     ])
