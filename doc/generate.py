@@ -169,16 +169,12 @@ def quality() -> str:
         texts += [f"lease {qos.lease_s:g} s"] if math.isfinite(qos.lease_s) else []
         return ", ".join(texts)
 
-    return markdown(
-        ("topic, shown as", "accepted values; messages; quality of service"),
+    return entries(
         (
-            (
-                (f"`{topic.name}`", f"{label} ({unit})" if unit else label),
-                "; ".join(filter(None, (values(topic), messages(topic), service(topic)))),
-            )
-            for topic in read_topics().values()
-            for label, unit in [shown.get(f"`{topic.name}`", ("", ""))]
-        ),
+            f"`{topic.name}`", ", ".join(filter(None, shown.get(f"`{topic.name}`", ()))),
+            "; ".join(filter(None, (values(topic), messages(topic), service(topic)))),
+        )
+        for topic in read_topics().values()
     )
 
 
