@@ -39,9 +39,9 @@ from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
 from greenroof_ros.analysis.calibration.checks import FINDINGS
-from greenroof_ros.common.conditions import read_conditions, read_interlocks
+from greenroof_ros.common.conditions import Interlock, read_conditions, read_interlocks
 from greenroof_ros.common.files import read_yaml, shared_directory
-from greenroof_ros.common.interface import Topic, markdown_table, read_topics
+from greenroof_ros.common.interface import Topic, read_topics, roles
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.experiment.incidents import Incident
@@ -76,11 +76,32 @@ def cell(text: object) -> str:
 
 
 def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """Return a table."""
+    """Return a table; a cell that is a tuple has a line for each of its texts that is not empty."""
+
+    def part(content: object) -> str:
+        texts = content if isinstance(content, tuple) else (content,)
+        return "<br>".join(filter(None, map(cell, texts)))
+
     names = list(header)
     lines = [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
-    lines += [f"| {' | '.join(map(cell, row))} |" for row in rows]
+    lines += [f"| {' | '.join(map(part, row))} |" for row in rows]
     return "\n".join(lines) + "\n"
+
+
+def entries(rows: Iterable[tuple[str, str, str]]) -> str:
+    """Return a list of names, what each is, and its meaning.
+
+    Its lines break anywhere, while a table of long names is wider than a phone.
+    """
+    return "".join(
+        f"- **{cell(name)}**{f' ({cell(kind)})' if kind else ''}: {cell(meaning)}\n"
+        for name, kind, meaning in rows
+    )
+
+
+def sentences(*texts: str) -> str:
+    """Return the texts that are not empty, as sentences."""
+    return ". ".join(filter(None, texts))
 
 
 def number(value: object) -> str:
@@ -102,12 +123,29 @@ def number(value: object) -> str:
     return f"`{digits}.0`" if whole and isinstance(value, float) else f"`{digits}`"
 
 
+def quantity(value: object, unit: str) -> str:
+    """Return a value with its unit; ``1`` is the unit of a number without one."""
+    return f"{number(value)} {'' if unit == '1' else unit}".strip()
+
+
 # --- topics ---------------------------------------------------------------------------------------
 
 
 def topics() -> str:
-    """Return the content of each topic, as the command ``topics`` prints it."""
-    return markdown_table(read_topics().values()) + "\n"
+    """Return the content of each topic, which the command ``topics`` prints as a table."""
+    return entries(
+        (
+            f"`{topic.name}`", ", ".join(filter(None, (topic.unit, kind))),
+            sentences(
+                topic.meaning,
+                f"From {roles(topic.publishers, topic.live_publishers)}",
+                f"To {readers}" if readers else "",
+            ),
+        )
+        for topic in read_topics().values()
+        for kind in [topic.type.replace("/msg/", "/")]
+        for readers in [roles(topic.subscribers, topic.live_subscribers)]
+    )
 
 
 def quality() -> str:
@@ -132,16 +170,12 @@ def quality() -> str:
         texts += [f"lease {qos.lease_s:g} s"] if math.isfinite(qos.lease_s) else []
         return ", ".join(texts)
 
-    return markdown(
-        ("topic", "accepted values", "messages", "quality of service", "shown as", "in"),
+    return entries(
         (
-            (
-                f"`{topic.name}`",
-                values(topic), messages(topic), service(topic),
-                *shown.get(f"`{topic.name}`", ("", "")),
-            )
-            for topic in read_topics().values()
-        ),
+            f"`{topic.name}`", ", ".join(filter(None, shown.get(f"`{topic.name}`", ()))),
+            "; ".join(filter(None, (values(topic), messages(topic), service(topic)))),
+        )
+        for topic in read_topics().values()
     )
 
 
@@ -152,19 +186,17 @@ def controllers() -> str:
     """Return the parameters of every controller of this package, each once."""
     parts: list[str] = []
     described: dict[Parameter, str] = {}
-    header = ("parameter", "type", "default", "unit", "range", "may change in a run", "meaning")
     for name in BUILT_IN:
         parameters = find_controller(name).kind.parameters
         first = [each for each in parameters if described.setdefault(each, name) == name]
         parts.append(f"## {name}\n")
-        parts.append(markdown(header, (
+        parts.append(entries(
             (
-                f"`{each.name}`", "integer" if each.whole else "double", number(each.default),
-                each.unit, each.limits, "yes" if each.may_change else "no",
-                each.meaning,
+                *_declared(each, "integer" if each.whole else "double"),
+                sentences(each.meaning, "May change in a run" if each.may_change else ""),
             )
             for each in first
-        )))
+        ))
         elsewhere = [each for each in parameters if each not in first]
         if elsewhere:
             names = ", ".join(f"`{each.name}`" for each in elsewhere)
@@ -172,26 +204,29 @@ def controllers() -> str:
     return "\n".join(parts)
 
 
+def _declared(parameter: Parameter, kind: str) -> tuple[str, str]:
+    """Return a parameter's name, and its type, default and range."""
+    default = quantity(parameter.default, parameter.unit)
+    return f"`{parameter.name}`", "; ".join(filter(None, (f"{kind}, {default}", parameter.limits)))
+
+
 def metrics() -> str:
-    """Return the metrics of a run."""
-    return markdown(
-        ("key or column", "unit", "meaning"),
-        ((f"`{entry.name}`", entry.unit, f"{entry.label}: {entry.meaning}") for entry in METRICS),
-    )
+    """Return the metrics of a run, whose names end in their units."""
+    return entries((f"`{entry.name}`", "", f"{entry.label}: {entry.meaning}") for entry in METRICS)
 
 
 def site() -> str:
     """Return the parameters of a site, with the values of the paper's site."""
     paper = read_site(shared_directory() / "config" / "site.yaml")
-    return markdown(
-        ("symbol", "unit", "the paper's site", "if left out", "meaning"),
+    return entries(
         (
-            (
-                f"`{entry.name}`", entry.unit, number(getattr(paper, entry.name)),
-                "" if entry.default is None else number(entry.default), entry.meaning,
-            )
-            for entry in site_parameters()
-        ),
+            f"`{entry.name}`", quantity(getattr(paper, entry.name), entry.unit),
+            sentences(
+                entry.meaning,
+                "" if entry.default is None else f"If left out: {number(entry.default)}",
+            ),
+        )
+        for entry in site_parameters()
     )
 
 
@@ -271,22 +306,14 @@ def skill_file() -> str:
 def _keys(parts: Mapping[str, Any]) -> str:
     """Return every key of the parts of a file."""
 
-    def limits(key: Key) -> str:
+    def holds(key: Key) -> str:
         choices = (f"`{choice}`" for choice in key.entry.among if choice)
-        return ", ".join(filter(None, (key.entry.range.limits, *choices)))
+        accepted = ", ".join(filter(None, (key.entry.range.limits, *choices)))
+        return "; ".join(filter(None, (_kind(key), accepted, "optional" * key.optional)))
 
     return "\n".join(
         f"### {title[0].upper()}{title[1:]}\n\n"
-        + markdown(
-            ("key", "holds", "accepted", "may be left out", "meaning"),
-            (
-                (
-                    f"`{key.name}`", _kind(key), limits(key), "yes" if key.optional else "",
-                    key.entry.meaning,
-                )
-                for key in keys(kind)
-            ),
-        )
+        + entries((f"`{key.name}`", holds(key), key.entry.meaning) for key in keys(kind))
         for title, kind in parts.items()
     )
 
@@ -314,11 +341,15 @@ def forecast_faults() -> str:
 
 def _faults(known: Mapping[str, Fault]) -> str:
     return markdown(
-        ("number", "fault", "what then happens", "parameter", "default"),
+        ("no.", "fault", "what then happens"),
         (
             (
-                entry.number, f"`{name}`", entry.meaning, entry.parameter,
-                entry.default if entry.parameter else "",
+                entry.number, f"`{name}`",
+                (
+                    entry.meaning,
+                    f"Parameter: {entry.parameter}; default {entry.default}"
+                    if entry.parameter else "",
+                ),
             )
             for name, entry in known.items()
         ),
@@ -378,15 +409,7 @@ def drives() -> str:
 def pump_settings() -> str:
     """Return the settings of the pump's logic, with their defaults for the paper's site."""
     site = read_site(shared_directory() / "config" / "site.yaml")
-    return markdown(
-        ("parameter", "default", "unit", "range", "meaning"),
-        (
-            (
-                f"`{entry.name}`", number(entry.default), entry.unit, entry.limits, entry.meaning,
-            )
-            for entry in pump_parameters(site)
-        ),
-    )
+    return entries((*_declared(entry, "double"), entry.meaning) for entry in pump_parameters(site))
 
 
 def interlocks() -> str | None:
@@ -400,20 +423,21 @@ def interlocks() -> str | None:
     limits = {entry.name: entry for node in (weather, pump) for entry in node.parameters(site)}
 
     def limit(name: str) -> str:
-        entry = limits[name]
-        unit = "" if entry.unit in ("", "1") else f" {entry.unit}"
-        return f"`{name}` {number(entry.default).strip('`')}{unit}"
+        return f"`{name}` {quantity(limits[name].default, limits[name].unit).replace('`', '')}"
 
-    return markdown(
-        ("code", "active when", "evaluated in", "limit (parameter, default)", "kind", "cleared by"),
-        (
-            (
-                f"`{code}`", meanings[code].meaning, f"`{entry.source}`",
-                ", ".join(limit(name) for name in entry.limit), entry.kind,
-                re.sub(r"~/\w+", r"`\g<0>`", entry.clears_by),
-            )
-            for code, entry in read_interlocks().items()
-        ),
+    def row(code: str, entry: Interlock) -> tuple[str, str, str]:
+        parts = [meanings[code].meaning]
+        if entry.limit:
+            parts.append(f"set by {', '.join(map(limit, entry.limit))}")
+        if entry.by or entry.on_page:
+            parts.append(f"cleared by {entry.clears_by}")
+        text = re.sub(r"(?<!`)(~/\w+|/pump/\w+|greenroof release)", r"`\1`", "; ".join(parts))
+        return f"`{code}`", "", text
+
+    kinds = itertools.groupby(read_interlocks().items(), lambda item: item[1].kind)
+    return "\n".join(
+        f"### {kind.capitalize()}\n\n{entries(itertools.starmap(row, rows))}"
+        for kind, rows in kinds
     )
 
 
@@ -421,12 +445,9 @@ def conditions() -> str:
     """Return each code that a status may have; interlocks with the same advice share a row."""
     codes: dict[tuple[str, str], list[str]] = {}
     for code, condition in read_conditions().items():
-        meaning = "an interlock" if condition.interlock is not None else condition.meaning
+        meaning = "" if condition.interlock is not None else condition.meaning
         codes.setdefault((meaning, condition.advise("/pump")), []).append(f"`{code}`")
-    return markdown(
-        ("code", "meaning", "what to do"),
-        ((", ".join(alike), *texts) for texts, alike in codes.items()),
-    )
+    return entries((", ".join(alike), *texts) for texts, alike in codes.items())
 
 
 def findings() -> str:
@@ -438,9 +459,12 @@ def findings() -> str:
 def plausible_values() -> str:
     """Return the accepted values of the columns of a weather file."""
     return markdown(
-        ("quantity", "unit", "accepted", "set to the limit if outside by up to"),
+        ("quantity", "accepted", "set to the limit if outside by up to"),
         (
-            (name, unit, f"{low:g} to {high:g}", f"{NEARLY[name]:g}" if name in NEARLY else "")
+            (
+                name, f"{low:g} to {high:g} {unit}",
+                f"{NEARLY[name]:g} {unit}" if name in NEARLY else "",
+            )
             for name, (unit, low, high) in QUANTITIES.items()
         ),
     )
@@ -507,14 +531,15 @@ def commands() -> str:
     modules: dict[str, list[str]] = {}
     for name, command in COMMANDS.items():
         modules.setdefault(command.module, []).append(name)
-    described: dict[tuple[str, ...], str] = {}
+    described: dict[tuple[str, str, str], str] = {}
     return "\n".join(
         _command(names, parser_of(names[0]), described) for names in modules.values()
     )
 
 
 def _command(
-    names: Sequence[str], parser: argparse.ArgumentParser, described: dict[tuple[str, ...], str]
+    names: Sequence[str], parser: argparse.ArgumentParser,
+    described: dict[tuple[str, str, str], str],
 ) -> str:
     parts = [f"## {', '.join(names)}\n", _prose(parser.description or "")]
     positionals = " ".join(
@@ -539,7 +564,7 @@ def _command(
         for action in actions:
             option = ", ".join(f"`{text}`" for text in action.option_strings)
             row = (
-                option or f"`{action.metavar or action.dest}`", _value(action),
+                option or f"`{action.metavar or action.dest}`", _value(action) if option else "",
                 parser._get_formatter()._expand_help(action),
             )
             command = described.setdefault(row, names[0])
@@ -548,7 +573,7 @@ def _command(
             else:
                 elsewhere.setdefault(command, []).append(option)
         if rows:
-            parts.append(markdown(("option", "value", "meaning"), rows))
+            parts.append(entries(rows))
         parts += [
             f"As for [`{command}`](#{command.replace(' ', '-')}): {', '.join(options)}.\n"
             for command, options in elsewhere.items()
@@ -586,6 +611,8 @@ def _value(action: argparse.Action) -> str:
         return ", ".join(map(str, action.choices))
     kind = getattr(action.type, "__name__", "")
     text = f"`{action.metavar or action.dest.upper()}`" + (" ..." if action.nargs == "+" else "")
+    if text.startswith("`{"):  # a choice, which breaks between its values
+        text = ", ".join(f"`{each}`" for each in re.findall(r"[^{},|`]+", text))
     unit = text if str(action.metavar).startswith("[") else ""
     if kind in ("", "Path", "str"):
         return text
@@ -615,24 +642,21 @@ def nodes() -> str | None:
         "live_recorder": live_recorder.parameters(site), "sensors": sensors.parameters(site),
         "pump": pump.parameters(site), "loop_pump": loop_pump.parameters(site),
     }
-    of_nodes: dict[tuple[str, ...], list[str]] = {}
+    of_nodes: dict[tuple[str, str, str], list[str]] = {}
     for node, parameters in declared.items():
         for parameter in parameters:
-            row = (
-                f"`{parameter.name}`", type_name(parameter), number(parameter.default),
-                parameter.limits, parameter.description,
-            )
+            row = (*_declared(parameter, type_name(parameter)), parameter.meaning)
             of_nodes.setdefault(row, []).append(node)
     settings = {f"`{parameter.name}`" for parameter in pump_parameters(site)}
-    header = ("parameter", "type", "default", "range", "meaning, unit")
     shared = [
-        (*row, ", ".join(nodes)) for row, nodes in of_nodes.items()
-        if len(nodes) > 1 and row[0] not in settings
+        (name, kind, sentences(meaning, f"Nodes: {', '.join(nodes)}"))
+        for (name, kind, meaning), nodes in of_nodes.items()
+        if len(nodes) > 1 and name not in settings
     ]
     return "\n".join([
-        "### several nodes\n\n" + markdown((*header, "nodes"), shared),
+        "### several nodes\n\n" + entries(shared),
         *(
-            f"### {node}\n\n{markdown(header, own)}" for node in declared
+            f"### {node}\n\n{entries(own)}" for node in declared
             if (own := [row for row, nodes in of_nodes.items() if nodes == [node]])
         ),
     ])

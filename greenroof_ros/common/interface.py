@@ -232,14 +232,14 @@ def markdown_table(topics: Iterable[Topic]) -> str:
     for topic in topics:
         rows.append(
             f"| `{topic.name}` | {topic.unit} | {topic.meaning} "
-            f"| {_roles(topic.publishers, topic.live_publishers)} "
-            f"| {_roles(topic.subscribers, topic.live_subscribers)} "
+            f"| {roles(topic.publishers, topic.live_publishers)} "
+            f"| {roles(topic.subscribers, topic.live_subscribers)} "
             f"| {topic.type.replace('/msg/', '/')} |"
         )
     return "\n".join(rows)
 
 
-def _roles(simulated: Collection[str], live: Collection[str]) -> str:
+def roles(simulated: Collection[str], live: Collection[str]) -> str:
     """Return who publishes or subscribes, first in a simulation, then in a live graph."""
     words = [", ".join(simulated)] if simulated else []
     return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)

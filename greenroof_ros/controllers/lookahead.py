@@ -110,7 +110,7 @@ class Lookahead:
         ),
         Parameter(
             "least_on", 0.0, "s", 0.0, 86_400.0, "the pumps' shortest time on, in a simulation at "
-            "shortest minimum_on: filling takes this long, so that they do not run on at the level",
+            "least minimum_on: filling takes this long, so that they do not run on at the level",
         ),
         OBSERVER_TIME_CONSTANT,
         WAITING_BUDGET,

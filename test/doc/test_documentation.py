@@ -46,7 +46,7 @@ def test_commands_are_introduced_as_their_help_does() -> None:
         "shows the roof.\n\nWith `--drive` and `--drive-at` there is hardware in the loop: a "
         "drive instead of the simulated pump"
     ) in text
-    assert not re.search(r"^\| `--[^|]*\| (parse|\\?_\w+) \|", text, re.MULTILINE)
+    assert not re.search(r"^- \*\*`--[^*]*\*\* \((parse|\\?_\w+)\)", text, re.MULTILINE)
 
 
 def anchors(path: Path) -> set[str]:
@@ -105,7 +105,7 @@ def test_commands_can_be_given(page: Path) -> None:
             )
             assert ros == "--ros-args"
             for each in given[1::2]:
-                assert f"| `{each.partition(':=')[0]}` |" in section
+                assert f"- **`{each.partition(':=')[0]}`**" in section
             continue
         command = words[1] if words[1] in generate.COMMANDS else " ".join(words[1:3])
         assert command in generate.COMMANDS, words
