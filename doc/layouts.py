@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
@@ -151,10 +151,7 @@ def _split(direction: str, share: int, first: object, second: object) -> dict[st
 
 
 def plotjuggler() -> str:
-    """Return the layout that PlotJuggler loads.
-
-    PlotJuggler asks about each series that a bag lacks, so topics of only some sites are left out.
-    """
+    """Return the layout that PlotJuggler loads."""
     root = ElementTree.Element("root")
     widget = _add(root, "tabbed_widget", parent="main_window", name="Main Window")
     tab = _add(widget, "Tab", tab_name="Green roof", containers="1")
@@ -162,21 +159,17 @@ def plotjuggler() -> str:
     for panels in (PANELS[:2], PANELS[2:]):
         rows = _dock(columns, "-", len(panels))
         for panel in panels:
-            _draw(rows, replace(panel, topics=_in_every_run(panel)))
+            _draw(rows, panel)
     _add(widget, "currentTabIndex", index="0")
-    _add(root, "use_relative_time_offset", enabled="0")
+    _add(root, "use_relative_time_offset", enabled="1")
     functions = _add(root, "customMathEquations")
-    for topic in [topic for panel in PANELS for topic in _in_every_run(panel)]:
+    for topic in [topic for panel in PANELS for topic in panel.topics]:
         _function(functions, label(topic), topic, f"return value * {display_of(topic).factor:.15g}")
     _function(functions, _target_name(), "/roof/level", f"return {target():g}")
     _add(root, "snippets")
     ElementTree.indent(root, " ")
     text = ElementTree.tostring(root, encoding="unicode")
     return f"<?xml version='1.0' encoding='UTF-8'?>\n{text}\n"
-
-
-def _in_every_run(panel: Panel) -> tuple[str, ...]:
-    return tuple(topic for topic in panel.topics if read_topics()[topic].per_tick)
 
 
 def _target_name() -> str:

@@ -29,7 +29,7 @@ from greenroof_ros.watch.words import plain, sentence
 
 OK, WARN, ERROR, STALE = range(4)
 # After this silence (s) a node is treated as not responding, as in bringup; it reports four times a
-# second. Other devices report once a second; their limit is the default of diagnostic_aggregator.
+# second. Other devices report once a second, so they may miss four reports.
 SILENT_S, _FOREIGN_SILENT_S = 2.0, 5.0
 # A silent node may be replaced by another process; after this time (s) it is gone.
 _GONE_S = 10.0

@@ -1,4 +1,4 @@
-"""/diagnostics as ROS tools read it: names, hardware, stamps, values; the aggregator's groups."""
+"""/diagnostics as ROS tools read it: names, hardware, stamps, values."""
 
 from __future__ import annotations
 
@@ -6,33 +6,10 @@ import time
 from pathlib import Path
 
 from graphs import Process
-from places import CONFIG
 from rcl_interfaces.msg import ParameterType
 from ros_rig import OK, Observer, check_diagnostics
 from rosgraph_msgs.msg import Clock
 from test_nodes import parameter
-
-from greenroof_ros.common.files import read_yaml
-from greenroof_ros.controllers.registry import BUILT_IN
-from greenroof_ros.live.drives.sensor_file import QUANTITIES
-
-SENSORS = [quantity.node for quantity in QUANTITIES.values()]
-
-
-def test_every_node_has_its_group() -> None:
-    """Exactly one: controllers of this package, both recorders, simulated and live nodes."""
-    groups = read_yaml(CONFIG / "diagnostics" / "aggregator.yaml")["analyzers"]["ros__parameters"]
-    assert groups.pop("path") == "Greenroof"
-    names = ["plant", "weather", "recorder", "pump", *SENSORS, *BUILT_IN]
-    counts = dict.fromkeys((*names, "camera"), 0)
-    for group in groups.values():
-        assert group.keys() <= {"type", "path", "startswith", "expected", "timeout"}
-        assert group["type"] == "diagnostic_aggregator/GenericAnalyzer"
-        for name in counts:
-            counts[name] += f"/{name}: inputs".startswith(tuple(group["startswith"]))
-        # An expected name that never comes is stale, so only names that any graph has are expected.
-        assert set(group.get("expected", [])) <= {f"/{name}" for name in names}
-    assert counts == {**dict.fromkeys(names, 1), "camera": 0}
 
 
 def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
