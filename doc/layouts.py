@@ -89,13 +89,12 @@ def foxglove() -> str:
             for panel in PANELS for topic in panel.topics
         },
         "playbackConfig": {"speed": 1},
-        "layout": _split(
+        # The statuses have the whole width: each begins with its hardware's name.
+        "layout": _split("column", 78, _split(
             "row", 50,
             _split("column", 50, roof, pump),
-            _split("column", 34, cistern, _split("column", 50, weather, _split(
-                "row", 60, water, summary
-            ))),
-        ),
+            _split("column", 28, cistern, _split("column", 56, weather, water)),
+        ), summary),
     }
     return json.dumps(layout, indent=1, ensure_ascii=False) + "\n"
 
@@ -108,10 +107,14 @@ def _plot(panel: Panel) -> dict[str, Any]:
     if panel.target:
         lines.append(_line(f"{target():g}", "Target", _TARGET))
     return {
+        # The title's key in Foxglove, and in Lichtblick.
         "foxglovePanelTitle": panel.title,
+        "lichtblickPanelTitle": panel.title,
         "paths": lines,
+        # Left of the plot, where it covers no line. Its width (px) shrinks with the panel.
         "showLegend": True,
-        "legendDisplay": "floating",
+        "legendDisplay": "left",
+        "sidebarDimension": 400,
         "showPlotValuesInLegend": True,
         "showXAxisLabels": True,
         "showYAxisLabels": True,
@@ -129,6 +132,7 @@ def _line(path: str, name: str, colour: str) -> dict[str, Any]:
 
 
 def _script(topic: str) -> str:
+    """Return a script that scales a topic, to three decimals: the legend shows all there are."""
     display = display_of(topic)
     return f"""\
 // {display.label} in {display.unit}, from {read_topics()[topic].unit}.
@@ -136,7 +140,7 @@ export const inputs = ["{topic}"];
 export const output = "{SCRIPTS}{topic}";
 
 export default function script(event: {{ message: {{ data: number }} }}): {{ value: number }} {{
-  return {{ value: event.message.data * {display.factor:.15g} }};
+  return {{ value: Number((event.message.data * {display.factor:.15g}).toFixed(3)) }};
 }}
 """
 

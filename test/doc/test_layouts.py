@@ -54,7 +54,7 @@ def test_foxglove() -> None:
     for script in layout["userNodes"].values():
         (topic,) = re.findall(r'^export const inputs = \["(.+)"\];$', script["sourceCode"], re.M)
         (output,) = re.findall(r'^export const output = "(.+)";$', script["sourceCode"], re.M)
-        (factor,) = re.findall(r"event\.message\.data \* ([\d.]+) ", script["sourceCode"])
+        (factor,) = re.findall(r"event\.message\.data \* ([\d.]+)\)", script["sourceCode"])
         assert output.startswith("/studio_script/")
         check_scale(topic, script["name"], float(factor))
         outputs[f"{output}.value"] = topic, script["name"]
@@ -90,9 +90,9 @@ def test_foxglove_imports_it() -> None:
         kind, _, _ = name.partition("!")
         assert panel.keys() == {
             "Plot": {
-                "foxglovePanelTitle", "paths", "showLegend", "legendDisplay",
-                "showPlotValuesInLegend", "showXAxisLabels", "showYAxisLabels", "isSynced",
-                "xAxisVal", "minYValue",
+                "foxglovePanelTitle", "lichtblickPanelTitle", "paths", "showLegend",
+                "legendDisplay", "sidebarDimension", "showPlotValuesInLegend", "showXAxisLabels",
+                "showYAxisLabels", "isSynced", "xAxisVal", "minYValue",
             },
             "DiagnosticSummary": {
                 "minLevel", "pinnedIds", "topicToRender", "hardwareIdFilter", "sortByLevel",
