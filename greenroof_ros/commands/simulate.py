@@ -23,24 +23,8 @@ from greenroof_ros.experiment.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.experiment.simulation import Simulation
-from greenroof_ros.recording.trajectory import CSV, Trajectory
+from greenroof_ros.recording.trajectory import COLUMNS, CSV, LAYER, Trajectory
 
-# Columns of the trajectory file besides the times, with the attribute of a tick in each.
-_COLUMNS = {
-    "cistern_m3": "x1",
-    "roof_m3": "x2",
-    "cistern_level_m": "cistern_level",
-    "roof_level_m": "roof_level",
-    "precipitation_m_per_s": "precipitation",
-    "evapotranspiration_m3_per_s": "evapotranspiration",
-    "command": "command",
-    "pump_flow_m3_per_s": "flows.pump",
-    "outflow_m3_per_s": "flows.outflow",
-    "drainage_m3_per_s": "flows.drainage",
-    "frost": "frost",
-}
-# The additional column for a measured soil.
-_LAYER = {"drainage_layer_m3": "layer"}
 _PAGE = ".html"
 _PICTURES = (".png", ".svg", _PAGE)
 
@@ -123,8 +107,9 @@ def _paced(
 
 def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterator[Tick]:
     """Yield the ticks, and write the first of so many, and the last, to a new file."""
-    columns = {**_COLUMNS, **(_LAYER if run.site.drainage_storage is not None else {})}
-    values = attrgetter(*columns.values())
+    measured = run.site.drainage_storage is not None
+    columns = [column for column in COLUMNS if column is not LAYER or measured]
+    values = attrgetter(*(column.tick for column in columns))
     try:
         stream = file.open("x", newline="")
     except OSError as error:
@@ -133,7 +118,7 @@ def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterato
         ) from error
     with naming(file), stream:
         rows = csv.writer(stream)
-        rows.writerow(("time", "time_s", *columns))
+        rows.writerow(("time", "time_s", *(column.name for column in columns)))
         for tick in ticks:
             if tick.k % every == 0 or tick.k == run.steps:
                 seconds = tick.k * run.site.tau

@@ -18,7 +18,7 @@ from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
 from greenroof_ros.model.sensor_pump_errors import Pump, RoofSensor
-from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.recording.trajectory import RECORDED, Trajectory
 
 # Makes a named tuple from a tuple in half the time of its own class.
 _new = tuple.__new__
@@ -113,20 +113,6 @@ def _ticks(
             plant.step(precipitation, flows)
 
 
-# Column of a trajectory: attribute of a tick.
-_RECORDED = {
-    "cistern": "x1",
-    "roof": "x2",
-    "precipitation": "precipitation",
-    "evapotranspiration": "evapotranspiration",
-    "command": "command",
-    "pump_flow": "flows.pump",
-    "outflow": "flows.outflow",
-    "drainage": "flows.drainage",
-    "frost": "frost",
-}
-
-
 def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
     """Run the ticks to their end and return what happened.
 
@@ -135,13 +121,16 @@ def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
         ticks: of the run.
         every: the first of this many ticks is kept, and the last one of the run.
     """
-    values = attrgetter("k", *_RECORDED.values())
+    values = attrgetter("k", *(column.tick for column in RECORDED))
     rows = array("d")
     for tick in ticks:
         if tick.k % every == 0 or tick.k == run.steps:
             rows.extend(values(tick))
-    number, *columns = np.frombuffer(rows).reshape(-1, 1 + len(_RECORDED)).T
+    number, *columns = np.frombuffer(rows).reshape(-1, 1 + len(RECORDED)).T
     return Trajectory(
         start=run.start, time=run.site.tau * number,
-        **dict(zip(_RECORDED, columns, strict=True)),
+        **{
+            column.attribute: values
+            for column, values in zip(RECORDED, columns, strict=True)
+        },
     )

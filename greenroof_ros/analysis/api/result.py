@@ -16,7 +16,7 @@ from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import Site
-from greenroof_ros.recording.trajectory import TRAJECTORY, Trajectory
+from greenroof_ros.recording.trajectory import COLUMNS, LAYER, TRAJECTORY, Trajectory
 
 if TYPE_CHECKING:
     import altair
@@ -151,15 +151,13 @@ def table(site: Site, ticks: Trajectory) -> polars.DataFrame:
         import polars
 
         from greenroof_ros.analysis.report.bags import samples_of
-    place = frame.columns.index("roof_m3") + 1
     # Not divided by polars, which multiplies by the reciprocal: other bits than the plant's.
-    frame.insert_column(place, polars.Series("cistern_level_m", ticks.cistern / site.a1))
-    frame.insert_column(place + 1, polars.Series("roof_level_m", ticks.roof / site.a2))
-    if site.drainage_storage is None:
-        return frame
-    return frame.with_columns(
-        polars.Series("drainage_layer_m3", samples_of(site, ticks).layer)
-    )
+    computed = {"cistern_level_m": ticks.cistern / site.a1, "roof_level_m": ticks.roof / site.a2}
+    if site.drainage_storage is not None:
+        computed[LAYER.name] = samples_of(site, ticks).layer
+    frame = frame.with_columns(polars.Series(name, computed[name]) for name in computed)
+    order = (column.name for column in COLUMNS if column.name in frame.columns)
+    return frame.select("time", "time_s", *order)
 
 
 def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.DataFrame:
