@@ -206,7 +206,3 @@ def _show(report: Report) -> None:
     ):
         if count:
             console.print(what.format(count))
-
-
-if __name__ == "__main__":
-    main()

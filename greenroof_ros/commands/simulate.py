@@ -147,7 +147,3 @@ def _plotter(file: Path, run: Run) -> Callable[[Trajectory], None]:
                 chart.save(file, scale_factor=2)
 
     return draw
-
-
-if __name__ == "__main__":
-    main()

@@ -103,7 +103,3 @@ def main() -> int:
         )
         bench.serve(*arguments.fault)
     return EXIT_DONE
-
-
-if __name__ == "__main__":
-    main()

@@ -20,7 +20,3 @@ def main() -> int:
     make_parser().parse_args()
     print(markdown_table(read_topics().values()))
     return EXIT_DONE
-
-
-if __name__ == "__main__":
-    main()

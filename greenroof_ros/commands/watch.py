@@ -173,7 +173,3 @@ def main() -> int:
             on_ready=lambda url: _print_address(url, host, port, release=store.allow_release),
         )
     return EXIT_DONE
-
-
-if __name__ == "__main__":
-    main()

@@ -12,9 +12,15 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    Parser,
+    add_site,
+    command,
+    refuse_unwritable,
+)
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import naming, shared_directory
+from greenroof_ros.common.files import naming
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.summary_table import grid
 from greenroof_ros.formats.own_csv import write_records
@@ -65,11 +71,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "files", nargs="+", metavar="FILE", help="weather files, or a pattern in quotes"
     )
-    parser.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site file, for place, time zone and monthly means (default: the paper's, "
-        "config/site.yaml)",
-    )
+    add_site(parser, "site file, for place, time zone and monthly means")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.csv",
         help="write a new CSV in this project's format; a run gives the same numbers with it",
@@ -85,7 +87,7 @@ def main() -> int:
     output: Path | None = arguments.output
     if output is not None:
         refuse_unwritable(output, (".csv",), "--output")
-    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    site = read_site(arguments.site)
     # A file of another place is described, too; a run refuses it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
     measured = read_measured(find_files(arguments.files, "FILE"), anywhere)
@@ -240,7 +242,3 @@ def _few(texts: Sequence[str]) -> str:
     """Return the first of some texts, and how many there are besides."""
     more = len(texts) - _MOST_NAMED
     return "; ".join([*texts[:_MOST_NAMED], *([f"and {more} more"] if more > 0 else [])])
-
-
-if __name__ == "__main__":
-    main()

@@ -277,11 +277,21 @@ def namespace(text: str) -> str:
 namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"
 
 
-def add_namespace(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names the graph of a command which joins one."""
+def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """Add the option that names the graph of a command which joins one, with more help on it."""
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="namespace of the graph, as given to greenroof run or live (default: none)",
+        help=f"namespace of the graph, as given to greenroof run or live{more} (default: none)",
+    )
+
+
+def add_site(parser: argparse._ActionsContainer, about: str = "site file") -> None:
+    """Add the option that names the site file."""
+    from greenroof_ros.common.files import default_site_file  # reads YAML: not for every --help
+
+    parser.add_argument(
+        "--site", type=Path, default=default_site_file(), metavar="FILE",
+        help=f"{about} (default: the paper's, config/site.yaml)",
     )
 
 

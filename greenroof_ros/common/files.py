@@ -51,6 +51,11 @@ def shared_directory() -> Path:
     )
 
 
+def default_site_file() -> Path:
+    """Return the paper's site file, the default of every command and node."""
+    return shared_directory() / "config" / "site.yaml"
+
+
 def unique_name(file: Path, existing: Container[str]) -> str:
     """Return a name that no existing file has: the file's own, or one with -2, -3, ..."""
     name, number = file.name, 1

@@ -8,9 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import Parser, within
+from greenroof_ros.common.command_line import Parser, add_site, within
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START
 from greenroof_ros.controllers.registry import (
@@ -167,10 +166,7 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
         "values by the mean at that time of day over the three days before and after "
         "(default: %(default)s)",
     )
-    group.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site file (default: the paper's, config/site.yaml)",
-    )
+    add_site(group)
     group.add_argument(
         "--initial", choices=list(INITIAL_STATES), default=None,
         help="initial levels of cistern and roof, Table II of the paper (default: from "
@@ -273,7 +269,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     Raises:
         ConfigurationError: an option, or a file that it names, is wrong.
     """
-    site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
+    site_file: Path = arguments.site
     site = read_site(site_file)
     if "controller" in arguments:
         controller, parameters = controller_from_arguments(arguments, site)

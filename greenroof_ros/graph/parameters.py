@@ -23,7 +23,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.parameter import Parameter, no_such_parameter
 from greenroof_ros.model.site import Site, read_site
 
@@ -35,7 +35,7 @@ _TEXTS = {bool: "true or false", str: "text", list: "a list of texts"}
 
 def site_file() -> Parameter:
     """Return the parameter that names the site file; all nodes of a run have the same value."""
-    default = str(shared_directory() / "config" / "site.yaml")
+    default = str(default_site_file())
     return Parameter("site_file", default, meaning="the parameters of Table I")
 
 

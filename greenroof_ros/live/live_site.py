@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, refuse, within
+from greenroof_ros.common.command_line import Parser, add_site, refuse, within
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
 from greenroof_ros.experiment.graph_options import add_graph_arguments
 from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
@@ -51,7 +50,7 @@ class LiveSite:
         Raises:
             ConfigurationError: an option or a file that it names is wrong or missing.
         """
-        self.site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
+        self.site_file: Path = arguments.site
         site = read_site(self.site_file)
         self.controller, self.parameters = controller_from_arguments(arguments, site)
         self.drive = drive = chosen_drive(arguments)
@@ -187,10 +186,7 @@ def make_parser() -> Parser:
     )
     group = parser.add_argument_group("the site")
     add_controller_arguments(parser, group, default=FOR_A_SITE)
-    group.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site file (default: the paper's, config/site.yaml)",
-    )
+    add_site(group)
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
         help="file of the sensors, on Modbus or MQTT (see config/sensors.yaml); external: your "
