@@ -13,7 +13,7 @@ from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
 from greenroof_ros.experiment import summary, summary_table
-from greenroof_ros.experiment.closed_loop import Tick, record
+from greenroof_ros.experiment.closed_loop import Simulation, Tick, record
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
@@ -22,7 +22,6 @@ from greenroof_ros.experiment.options import (
 from greenroof_ros.experiment.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.experiment.simulation import Simulation
 from greenroof_ros.recording.trajectory import COLUMNS, CSV, LAYER, Trajectory
 
 _PAGE = ".html"

@@ -10,8 +10,11 @@ from pathlib import Path
 from greenroof_ros.common.command_line import Parser, add_site, refuse, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
-from greenroof_ros.experiment.graph_options import add_graph_arguments
-from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
+from greenroof_ros.experiment.options import (
+    add_controller_arguments,
+    add_graph_arguments,
+    controller_from_arguments,
+)
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.graph.states import PUMP, RECORDER
 from greenroof_ros.live.drive import DriveChoice, chosen_drive

@@ -34,9 +34,8 @@ from greenroof_ros.forecast.service import (
 from greenroof_ros.graph.messages import WithFront
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.live.engine import live_parameters
-from greenroof_ros.live.executable import live_command, live_help
 from greenroof_ros.live.inputs import LiveInput
-from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.node import LiveNode, live_command, live_help
 from greenroof_ros.live.reports import ERROR, WARN
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON, look_ahead_ends
 from greenroof_ros.model.site import Site

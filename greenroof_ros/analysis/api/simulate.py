@@ -18,8 +18,7 @@ from greenroof_ros.analysis.api.inputs import PathText, make_run
 from greenroof_ros.analysis.api.result import Result
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.controllers.protocol import Controller, set_forecast_ends
-from greenroof_ros.experiment.closed_loop import record
-from greenroof_ros.experiment.simulation import Simulation
+from greenroof_ros.experiment.closed_loop import Simulation, record
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
