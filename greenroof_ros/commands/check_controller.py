@@ -92,11 +92,12 @@ def main() -> int:
     site = read_site(arguments.site)
     if arguments.node is not None:
         with importing_ros():
-            from greenroof_ros.commands.checks.controller import check_controller_node
-        results = check_controller_node(
-            arguments.node, site, horizon=arguments.horizon, answer=arguments.answer_within,
+            from greenroof_ros.commands.checks.controller import ControllerCheck
+            from greenroof_ros.commands.checks.node import check_node
+        results = check_node("check_controller", arguments.node, lambda node, name: ControllerCheck(
+            node, name, site, horizon=arguments.horizon, answer=arguments.answer_within,
             arrival=arguments.wait,
-        )
+        ))
         return print_check_results(f"controller node {arguments.node}", results)
     choice = find_controller(arguments.controller)
     results = [*check_controller(choice, site), _options(arguments.controller)]

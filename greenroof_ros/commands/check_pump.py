@@ -79,11 +79,14 @@ def main() -> int:
     """Check the driver named on the command line."""
     arguments = make_parser().parse_args()
     with importing_ros():
-        from greenroof_ros.commands.checks.pump_driver import DriverLimits, check_pump
+        from greenroof_ros.commands.checks.node import check_node
+        from greenroof_ros.commands.checks.pump_driver import DriverLimits, PumpCheck
     site = read_site(arguments.site)
     times = {limit: getattr(arguments, limit) for _, limit, *_ in _TIMES}
     limits = DriverLimits(command=arguments.command, **times)
-    results = check_pump(arguments.node, site, limits)
+    results = check_node(
+        "check_pump", arguments.node, lambda node, name: PumpCheck(node, name, site, limits)
+    )
     code = print_check_results(f"pump driver {arguments.node}", results)
     print(_LIMIT)
     return code
