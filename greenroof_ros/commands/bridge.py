@@ -7,7 +7,7 @@ import re
 import signal
 from contextlib import suppress
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, add_namespace, command
+from greenroof_ros.common.command_line import Parser, add_namespace, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import parse_broker
 from greenroof_ros.common.processes import InterruptedRun, Signals
@@ -75,7 +75,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Publish a site until the command is ended."""
     arguments = make_parser().parse_args()
     if not re.fullmatch(r"[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*", arguments.prefix):
@@ -90,4 +90,3 @@ def main() -> int:
     store, signals = GraphStore(arguments.namespace), Signals()
     with suppress(InterruptedRun), Feed(store) as feed:
         Bridge(store, feed, broker, arguments.prefix).run(signals)
-    return EXIT_DONE

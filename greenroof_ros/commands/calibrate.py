@@ -42,13 +42,7 @@ from greenroof_ros.analysis.calibration.site_file import (
     fit_entries,
     sheet_entries,
 )
-from greenroof_ros.common.command_line import (
-    EXIT_DONE,
-    Parser,
-    add_site,
-    command,
-    refuse_unwritable,
-)
+from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
 from greenroof_ros.common.quality import Finding, Severity, accept
@@ -131,7 +125,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Fit the record named on the command line."""
     arguments = make_parser().parse_args()
     output: Path = arguments.output
@@ -163,7 +157,6 @@ def main() -> int:
             file.write_text(text, encoding="utf-8")
     written = ", ".join(map(str, reversed(texts)))
     Console().print(f"written: {written}", soft_wrap=True, highlight=False)
-    return EXIT_DONE
 
 
 def read_pump_data(file: Path) -> PumpCurve:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, add_site, command, within
+from greenroof_ros.common.command_line import Parser, add_site, command, within
 from greenroof_ros.common.errors import ConfigurationError, must_be_one_of
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.mqtt import parse_topic
@@ -110,7 +110,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Simulate the drive or relay that the command line asks for."""
     arguments = make_parser().parse_args()
     check_installed()
@@ -129,7 +129,6 @@ def main() -> int:
         )
     bench = (_relay if is_relay else _drive)(path, arguments)
     bench.serve(*arguments.fault)
-    return EXIT_DONE
 
 
 def _drive(path: Path, arguments: argparse.Namespace) -> Bench:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import time
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, add_site, command, within
+from greenroof_ros.common.command_line import Parser, add_site, command, within
 from greenroof_ros.common.times import DEFAULT_START, read_start
 from greenroof_ros.live.simulators.forecast_service import FAULTS, NONE, ForecastService
 from greenroof_ros.model.site import read_site
@@ -51,7 +51,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Run the service that the command line asks for."""
     arguments = make_parser().parse_args()
     site = read_site(arguments.site)
@@ -70,4 +70,3 @@ def main() -> int:
             time.sleep(3600)
     except KeyboardInterrupt:
         service.close()
-    return EXIT_DONE

@@ -9,7 +9,7 @@ from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable, within
+from greenroof_ros.common.command_line import Parser, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
 from greenroof_ros.experiment import summary, summary_table
@@ -63,7 +63,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Simulate the run that the command line asks for."""
     arguments = make_parser().parse_args()
     run = run_from_arguments(arguments)
@@ -86,7 +86,6 @@ def main() -> int:
     result = simulation.summary()
     summary.write(result, directory)
     summary_table.show(result, directory, as_json=arguments.json)
-    return EXIT_DONE
 
 
 def _paced(

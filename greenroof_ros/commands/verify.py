@@ -23,14 +23,7 @@ from greenroof_ros.analysis.verification.pairs import (
     tally,
 )
 from greenroof_ros.analysis.verification.scores import SHOWN, Tally
-from greenroof_ros.common.command_line import (
-    EXIT_DONE,
-    Parser,
-    add_site,
-    command,
-    refuse_unwritable,
-    within,
-)
+from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
 from greenroof_ros.common.standard_error import progress_bar
@@ -114,7 +107,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Verify the forecasts named on the command line."""
     arguments = make_parser().parse_args()
     sums = _sums(arguments)
@@ -165,7 +158,6 @@ def main() -> int:
     if arguments.output:
         written = ", ".join(map(str, arguments.output))
         console.print(f"written: {written}", soft_wrap=True, highlight=False)
-    return EXIT_DONE
 
 
 def _sums(arguments: argparse.Namespace) -> list[Sum]:

@@ -12,13 +12,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from greenroof_ros.common.command_line import (
-    EXIT_DONE,
-    Parser,
-    add_site,
-    command,
-    refuse_unwritable,
-)
+from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import naming
 from greenroof_ros.common.times import to_people
@@ -81,7 +75,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Describe the files named on the command line."""
     arguments = make_parser().parse_args()
     output: Path | None = arguments.output
@@ -100,12 +94,11 @@ def main() -> int:
             )
     if arguments.json:
         print(json.dumps(about, indent=2, allow_nan=False))
-        return EXIT_DONE
+        return
     console = Console()
     console.print(grid("Weather", _rows(about)))
     if output is not None:
         console.print(f"written: {output}", soft_wrap=True, highlight=False)
-    return EXIT_DONE
 
 
 def _about(measured: Records, site: Site) -> dict[str, Any]:

@@ -122,9 +122,9 @@ def _interrupt(*_: Any) -> NoReturn:
 
 
 def command(
-    main: Callable[[], int], *, failed: int | None = None
+    main: Callable[[], int | None], *, failed: int | None = None
 ) -> Callable[[], NoReturn]:
-    """Turn a function into a command, which exits with the code that the function returns.
+    """Turn a function into a command, which exits with the code that the function returns, or 0.
 
     A :class:`ConfigurationError` becomes one line on standard error and exit code 2, or 3 if
     another graph is in the way. A file or an output that cannot be written becomes one line and
