@@ -160,13 +160,6 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
     )
 
 
-def settings_for(site: Site, **changes: float) -> PumpSettings:
-    """Return the settings for a site: those given, and defaults for the others."""
-    return PumpSettings(**{
-        parameter.name: parameter.default for parameter in pump_parameters(site)
-    } | changes)
-
-
 class PumpLimits:
     """Minimum time off, starts per hour, longest run, a day's use, dry-run cut, frost, quiet hours.
 
