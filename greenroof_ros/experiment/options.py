@@ -210,9 +210,9 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
 
 def _skill(text: str) -> str:
     try:
-        check_skill(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{error}, not {text}") from error
+        check_skill(text, "")
+    except ConfigurationError as error:
+        raise argparse.ArgumentTypeError(f"{error.expected}, not {text}") from error
     return text
 
 
@@ -389,10 +389,7 @@ def forecast_from_arguments(
     Raises:
         ConfigurationError: there are no such forecasts, or an option does not apply to them.
     """
-    try:
-        choice = choose(text)
-    except ValueError as error:
-        raise ConfigurationError(str(error), key=key, value=text) from error
+    choice = choose(text, key)
     chosen = _given_options(arguments, OPTIONS, "forecast_")
     for option in chosen:
         if option not in choice.option_names:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.forecast.choice import (
@@ -89,15 +88,8 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
     Raises:
         ConfigurationError: a parameter is wrong.
     """
-    name = "forecast"
-    try:
-        choice = choose(values[name])
-        name = "forecast_skill"
-        check_skill(values[name])
-    except ValueError as error:
-        raise ConfigurationError(
-            str(error), key=f"parameter {name} of weather", value=values[name]
-        ) from error
+    choice = choose(values["forecast"], "parameter forecast of weather")
+    check_skill(values["forecast_skill"], "parameter forecast_skill of weather")
     options = {name: values[f"forecast_{name}"] for name in OPTIONS}
     if options["delay"] == NUMBERS["delay"].default:
         del options["delay"]

@@ -146,10 +146,7 @@ def _forecast(forecast: PathText | ForecastChoice) -> ForecastChoice:
         return forecast
     if not isinstance(forecast, (str, os.PathLike)):
         raise _refuse("a name, a path or a ForecastChoice", "forecast", forecast)
-    try:
-        return choose(os.fspath(forecast))
-    except ValueError as error:
-        raise ConfigurationError(str(error), key="forecast", value=str(forecast)) from error
+    return choose(os.fspath(forecast), "forecast")
 
 
 def _initial(
