@@ -76,7 +76,11 @@ class LiveSite:
         self.sensors = None
         self.sensed: Sensors | None = None
         if arguments.sensors != EXTERNAL:
-            self.sensors = _readable(arguments.sensors, "--sensors")
+            self.sensors = Path(arguments.sensors).resolve()
+            refuse((
+                not self.sensors.is_file(), "--sensors", arguments.sensors,
+                "must be an existing file",
+            ))
             self.sensed = read_sensors(self.sensors)
             depth = self.sensed.roof.substrate_depth
             refuse((
@@ -281,13 +285,3 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
                 "open: connect a Modbus TCP gateway to it, or use another line",
                 key="--drive-at", value=drive.at,
             )
-
-
-def _readable(file: str, option: str) -> Path:
-    """Return a file's absolute path; its content is not checked here.
-
-    Raises:
-        ConfigurationError: there is no such file.
-    """
-    refuse((not Path(file).is_file(), option, file, "must be an existing file"))
-    return Path(file).resolve()

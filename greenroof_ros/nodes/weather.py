@@ -25,8 +25,8 @@ from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import LockstepError, WithFront
 from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON, look_ahead_ends
+from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
+from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, WeatherSeries
@@ -57,14 +57,7 @@ def parameters(site: Site) -> list[Parameter]:
             "and after",
             among=GAPS,
         ),
-        Parameter(
-            "horizon", 0.0, "", 0.0, LONGEST_HORIZON, "how far the forecasts reach (h), in "
-            "growing steps; 0: the next M ticks",
-        ),
-        Parameter(
-            "all_members", False, meaning="publish all members of an ensemble, for a controller "
-            "that takes them (lookahead); false: only the first",
-        ),
+        *look_ahead_parameters(),
         Parameter(
             "forecast", str(forecast),
             meaning=f"{', '.join(MODELS)}, or a file or directory of archived ones",
