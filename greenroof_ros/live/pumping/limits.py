@@ -56,7 +56,7 @@ class PumpSettings:
     """The limits of a pump, and the thresholds of its checks.
 
     Each field has its meaning, range, unit and default. Some defaults depend on the site:
-    :func:`pump_parameters` lists them all, and :func:`settings_for` fills in the missing ones.
+    :func:`pump_parameters` lists them all.
     """
 
     least_speed: float = entry(
