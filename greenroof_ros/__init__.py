@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     from greenroof_ros.analysis.api import gym
     from greenroof_ros.analysis.api.environment import Environment
     from greenroof_ros.analysis.api.inputs import read_site
-    from greenroof_ros.analysis.api.result import Result, read_bag
-    from greenroof_ros.analysis.api.simulate import compare, simulate
+    from greenroof_ros.analysis.api.simulate import Result, compare, read_bag, simulate
 
 __version__ = "1.0.0"
 
@@ -22,8 +21,8 @@ __all__ = ["Environment", "Result", "compare", "gym", "read_bag", "read_site", "
 
 # The module of each of these names in analysis/api; gym is itself one.
 _MODULES = {
-    "Environment": "environment", "Result": "result", "compare": "simulate",
-    "read_bag": "result", "read_site": "inputs", "simulate": "simulate",
+    "Environment": "environment", "Result": "simulate", "compare": "simulate",
+    "read_bag": "simulate", "read_site": "inputs", "simulate": "simulate",
 }
 
 

@@ -93,7 +93,7 @@ def make_parser() -> Parser:
 
 
 def main() -> None:
-    """Run the command named on the command line, just as ``python -m`` with its module would."""
+    """Run the command named on the command line."""
     if "_ARGCOMPLETE" in os.environ:
         _complete()
     words = sys.argv[1:]

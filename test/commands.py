@@ -23,7 +23,7 @@ import traceback
 from functools import cache
 from pathlib import Path
 
-from places import module_of
+from places import words_of
 
 # Without the nodes: each must be the main module of its process.
 _ROOMS = (
@@ -38,12 +38,13 @@ _LIMIT_S = 900
 def run_command(
     module: str, *arguments: str, cwd: Path, env: dict[str, str]
 ) -> subprocess.CompletedProcess[str]:
-    """Run ``python -m greenroof_ros.module`` until it ends; a node's module is e.g. nodes.plant."""
+    """Run a command, by its module, until it ends; a node's module is e.g. nodes.plant."""
     server = _server()
     assert server.stdin is not None and server.stdout is not None
     with tempfile.TemporaryDirectory() as scratch:
         out, err = (Path(scratch) / name for name in ("out", "err"))
-        request = (module_of(module), arguments, str(cwd), env, str(out), str(err))
+        name, *words = words_of(module)
+        request = (name, (*words, *arguments), str(cwd), env, str(out), str(err))
         server.stdin.write(json.dumps(request) + "\n")
         server.stdin.flush()
         code = int(server.stdout.readline())

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from mcap.reader import make_reader
-from places import module_of
+from places import words_of
 
 from greenroof_ros.common.processes import child_environment
 
@@ -155,7 +155,7 @@ class Process:
         self._out = (cwd / f"{number}-{module}.out").open("w+")
         self._err = (cwd / f"{number}-{module}.err").open("w+")
         self.process = subprocess.Popen(
-            [sys.executable, "-m", module_of(module), *arguments],
+            [sys.executable, "-m", *words_of(module), *arguments],
             cwd=cwd, stdin=subprocess.DEVNULL, stdout=self._out,
             stderr=self._err if stderr is None else stderr,
             # If pytest's worker is killed, the graph ends with it.

@@ -6,6 +6,8 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from greenroof_ros.__main__ import COMMANDS
+
 CHECKOUT = Path(__file__).resolve().parent.parent
 CONFIG = CHECKOUT / "config"
 DATA = CHECKOUT / "test" / "data"
@@ -26,12 +28,13 @@ def guarding(make: str, directory: Path) -> str:
     return str(copy)
 
 
-_COMMANDS = {path.stem for path in (CHECKOUT / "greenroof_ros" / "commands").glob("*.py")}
+_COMMANDS = {entry.module: name.split() for name, entry in COMMANDS.items()}
 
 
-def module_of(name: str) -> str:
-    """Return the module of a command, such as ``simulate``, or of a node, ``nodes.plant``."""
-    return f"greenroof_ros.{'commands.' if name in _COMMANDS else ''}{name}"
+def words_of(module: str) -> list[str]:
+    """Return what starts a module with ``python -m``: a command, or a node such as nodes.plant."""
+    command = _COMMANDS.get(module)
+    return [f"greenroof_ros.{module}"] if command is None else ["greenroof_ros.__main__", *command]
 
 
 Once = Callable[[str, Callable[[Path], object]], Path]

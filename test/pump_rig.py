@@ -12,10 +12,17 @@ from paper import PAPER_SITE
 
 from greenroof_ros.live.pumping.inputs import Observation
 from greenroof_ros.live.pumping.ledger import Ledger
-from greenroof_ros.live.pumping.limits import PumpSettings, settings_for
+from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site
+
+
+def settings_for(site: Site, **changes: float) -> PumpSettings:
+    """The settings for a site: those given, and defaults for the others."""
+    return PumpSettings(**{
+        parameter.name: parameter.default for parameter in pump_parameters(site)
+    } | changes)
 
 
 class Rig:

@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import TypeVar
 
 import pytest
-from places import CHECKOUT, module_of
+from places import CHECKOUT, words_of
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import child_environment
@@ -108,7 +108,7 @@ class Simulator(Workbench):
 
     def __init__(self, module: str, *options: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", module_of(module), *options],
+            [sys.executable, "-m", *words_of(module), *options],
             cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             stdin=subprocess.DEVNULL, env=child_environment(),
         )

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from graphs import bring_up, environment
 from paper import metrics_of, paper_run
-from places import CHECKOUT, module_of
+from places import CHECKOUT, words_of
 from studies import GRID, rows_of
 
 from greenroof_ros.analysis.study.grid import read_grid
@@ -23,7 +23,7 @@ TICKS = 361
 def run(directory: Path, module: str, *options: str) -> str:
     """Run a command, which must succeed, and return its output."""
     result = subprocess.run(
-        [sys.executable, "-m", module_of(module), *options],
+        [sys.executable, "-m", *words_of(module), *options],
         cwd=directory, env=environment(0), capture_output=True, text=True, timeout=120, check=False,
     )
     assert result.returncode == 0, result.stderr

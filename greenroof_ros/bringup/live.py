@@ -16,7 +16,3 @@ def main() -> int:
     arguments = make_parser().parse_args()
     site = LiveSite(arguments)
     return bring_up(arguments, site.site_file, partial(run_live, site, arguments), EXIT_DONE)
-
-
-if __name__ == "__main__":
-    main()

@@ -26,9 +26,9 @@ from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.standard_error import LINES, print_line
 from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary, summary_table
-from greenroof_ros.experiment.graph_options import add_graph_arguments
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.experiment.options import (
+    add_graph_arguments,
     add_output_arguments,
     add_run_arguments,
     run_from_arguments,

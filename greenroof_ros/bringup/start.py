@@ -1,15 +1,25 @@
-"""Start a graph of any kind, with its watchers if options ask for them."""
+"""Start a graph of any kind, with its watchers if options ask for them.
+
+A watcher is a process of its own; a run neither waits for it nor fails with it.
+"""
 
 from __future__ import annotations
 
 import argparse
+import signal
+import subprocess
 import sys
-from collections.abc import Callable
-from contextlib import ExitStack
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED
-from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.common.processes import InterruptedRun, Signals, child_environment
+from greenroof_ros.common.standard_error import print_line
+
+# How long the watcher may take to end (s); then it is killed.
+_ENDING_S = 3.0
 
 
 def bring_up(
@@ -35,12 +45,60 @@ def bring_up(
         watchers["foxglove"] = "--foxglove", str(arguments.foxglove)
     try:
         with ExitStack() as stack:
-            if watchers:
-                from greenroof_ros.watch.page_process import watcher
-
-                for name, options in watchers.items():
-                    stack.enter_context(watcher(name, arguments.namespace, *options))
+            for name, options in watchers.items():
+                stack.enter_context(_watcher(name, arguments.namespace, *options))
             return start(Signals())
     except InterruptedRun as error:  # before any node was started
         print(error, file=sys.stderr)
         return stopped
+
+
+@contextmanager
+def _watcher(name: str, namespace: str, *options: str) -> Iterator[None]:
+    """Run ``greenroof watch`` during a run; print its output, which begins with its address.
+
+    The watcher ends with the run, however that ends. If it cannot start or ends early, a line
+    states this, and the run goes on.
+
+    Args:
+        name: of the watcher, for its lines.
+        namespace: of the graph.
+        options: of the command.
+    """
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "greenroof_ros", "watch", *options,
+            *(["--namespace", namespace] if namespace else []),
+        ],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        errors="replace",
+        start_new_session=True,  # Ctrl-C is for the run, which ends the watcher
+        env=child_environment(),
+    )
+    ending = threading.Event()
+    printer = threading.Thread(target=_print_output, args=(name, process, ending), daemon=True)
+    printer.start()
+    try:
+        yield
+    finally:
+        ending.set()
+        process.terminate()
+        try:
+            process.wait(_ENDING_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+        printer.join(_ENDING_S)
+
+
+def _print_output(
+    name: str, process: subprocess.Popen[str], ending: threading.Event
+) -> None:
+    """Print a watcher's output, and a line if it ended without being asked to."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        if not ending.is_set():
+            print_line(f"{name}: {line.rstrip()}")
+    code = process.wait()
+    if not ending.is_set():
+        how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        print_line(f"{name}: the watcher has ended ({how}); the run goes on")

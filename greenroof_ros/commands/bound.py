@@ -149,7 +149,3 @@ def main() -> int:
         print_notes(console, result)
         console.print(_table(result))
     return EXIT_DONE
-
-
-if __name__ == "__main__":
-    main()

@@ -7,7 +7,7 @@ import re
 import signal
 from contextlib import suppress
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, namespace
+from greenroof_ros.common.command_line import Parser, add_namespace, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import parse_broker
 from greenroof_ros.common.processes import InterruptedRun, Signals
@@ -67,17 +67,15 @@ def make_parser() -> Parser:
         help="start of Home Assistant's discovery topics, as set in its MQTT integration "
         "(default: %(default)s)",
     )
-    parser.add_argument(
-        "--namespace", type=namespace, default="", metavar="NAME",
-        help="namespace of the graph, as given to greenroof run or live; also the site's name on "
-        "MQTT (roof without a namespace). Two sites on one broker need different ones (default: "
-        "none)",
+    add_namespace(
+        parser, "; also the site's name on MQTT (roof without a namespace). Two sites on one "
+        "broker need different ones",
     )
     return parser
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Publish a site until the command is ended."""
     arguments = make_parser().parse_args()
     if not re.fullmatch(r"[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*", arguments.prefix):
@@ -92,8 +90,3 @@ def main() -> int:
     store, signals = GraphStore(arguments.namespace), Signals()
     with suppress(InterruptedRun), Feed(store) as feed:
         Bridge(store, feed, broker, arguments.prefix).run(signals)
-    return EXIT_DONE
-
-
-if __name__ == "__main__":
-    main()

@@ -42,9 +42,9 @@ from greenroof_ros.analysis.calibration.site_file import (
     fit_entries,
     sheet_entries,
 )
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable
+from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import naming, shared_directory
+from greenroof_ros.common.files import naming
 from greenroof_ros.common.quality import Finding, Severity, accept
 from greenroof_ros.common.standard_error import progress_bar
 from greenroof_ros.formats.records import read_table
@@ -96,10 +96,7 @@ def make_parser() -> Parser:
         "measured", type=Path, nargs="?", metavar="MEASURED",
         help="the record: CSV, a bag, or an .mcap file; not needed with --pump-data",
     )
-    parser.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site file with which the fit starts (default: the paper's, config/site.yaml)",
-    )
+    add_site(parser, "site file with which the fit starts")
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FILE.yaml",
         help="site file to write; not one that exists",
@@ -128,7 +125,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Fit the record named on the command line."""
     arguments = make_parser().parse_args()
     output: Path = arguments.output
@@ -139,7 +136,7 @@ def main() -> int:
         raise ConfigurationError("must be given, or --pump-data alone", key="MEASURED")
     if arguments.months is not None:
         month_numbers(arguments.months)
-    site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
+    site_file: Path = arguments.site
     site = read_site(site_file)
     findings = []
     sheet = None
@@ -160,7 +157,6 @@ def main() -> int:
             file.write_text(text, encoding="utf-8")
     written = ", ".join(map(str, reversed(texts)))
     Console().print(f"written: {written}", soft_wrap=True, highlight=False)
-    return EXIT_DONE
 
 
 def read_pump_data(file: Path) -> PumpCurve:
@@ -347,7 +343,3 @@ def _print(findings: Sequence[Finding]) -> None:
     for finding in findings:
         style = "bold" if finding.severity is Severity.WARNING else None
         Console().print(finding.text, style=style, soft_wrap=True, highlight=False)
-
-
-if __name__ == "__main__":
-    main()

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from greenroof_ros.common.command_line import (
     CheckResult,
     Parser,
+    add_site,
     command,
     print_check_results,
     within,
 )
-from greenroof_ros.common.files import shared_directory
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import controller_names, find_controller
 from greenroof_ros.experiment.options import add_output_arguments, add_run_arguments
@@ -82,10 +81,7 @@ def make_parser() -> Parser:
         "--wait", type=within(0.0, 3600.0), default=10.0, metavar="S",
         help="how long the node may take to join the graph (default: 10)",
     )
-    parser.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site with which it is checked (default: the paper's, config/site.yaml)",
-    )
+    add_site(parser, "site with which it is checked")
     return parser
 
 
@@ -93,19 +89,16 @@ def make_parser() -> Parser:
 def main() -> int:
     """Check the controller named on the command line."""
     arguments = make_parser().parse_args()
-    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    site = read_site(arguments.site)
     if arguments.node is not None:
         with importing_ros():
-            from greenroof_ros.commands.checks.controller import check_controller_node
-        results = check_controller_node(
-            arguments.node, site, horizon=arguments.horizon, answer=arguments.answer_within,
+            from greenroof_ros.commands.checks.controller import ControllerCheck
+            from greenroof_ros.commands.checks.node import check_node
+        results = check_node("check_controller", arguments.node, lambda node, name: ControllerCheck(
+            node, name, site, horizon=arguments.horizon, answer=arguments.answer_within,
             arrival=arguments.wait,
-        )
+        ))
         return print_check_results(f"controller node {arguments.node}", results)
     choice = find_controller(arguments.controller)
     results = [*check_controller(choice, site), _options(arguments.controller)]
     return print_check_results(f"{choice.name}, {choice.path}", results)
-
-
-if __name__ == "__main__":
-    main()

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from greenroof_ros.common.command_line import Parser, command, print_check_results, within
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.command_line import Parser, add_site, command, print_check_results, within
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.model.site import read_site
 
@@ -73,10 +70,7 @@ def make_parser() -> Parser:
             option, dest=limit, type=within(minimum, 3600.0), default=default, metavar="S",
             help=f"{meaning} (default: {default:g})",
         )
-    parser.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site whose levels and ticks it is sent (default: the paper's, config/site.yaml)",
-    )
+    add_site(parser, "site whose levels and ticks it is sent")
     return parser
 
 
@@ -85,15 +79,14 @@ def main() -> int:
     """Check the driver named on the command line."""
     arguments = make_parser().parse_args()
     with importing_ros():
-        from greenroof_ros.commands.checks.pump_driver import DriverLimits, check_pump
-    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+        from greenroof_ros.commands.checks.node import check_node
+        from greenroof_ros.commands.checks.pump_driver import DriverLimits, PumpCheck
+    site = read_site(arguments.site)
     times = {limit: getattr(arguments, limit) for _, limit, *_ in _TIMES}
     limits = DriverLimits(command=arguments.command, **times)
-    results = check_pump(arguments.node, site, limits)
+    results = check_node(
+        "check_pump", arguments.node, lambda node, name: PumpCheck(node, name, site, limits)
+    )
     code = print_check_results(f"pump driver {arguments.node}", results)
     print(_LIMIT)
     return code
-
-
-if __name__ == "__main__":
-    main()

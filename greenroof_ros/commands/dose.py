@@ -104,7 +104,3 @@ def main() -> int:
                     shown = progress.dose["said"]
                     print(shown, flush=True)
     return EXIT_DONE if progress.dose["over"] == "done" else EXIT_FAILED
-
-
-if __name__ == "__main__":
-    main()

@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
+from greenroof_ros.common.command_line import Parser, add_site, command, within
 from greenroof_ros.common.errors import ConfigurationError, must_be_one_of
-from greenroof_ros.common.files import read_yaml, shared_directory
+from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.mqtt import parse_topic
 from greenroof_ros.live.drives.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.live.drives.modbus_line import Address, check_installed
@@ -104,17 +104,13 @@ def make_parser() -> Parser:
         help="ramps faster by this factor, for a graph that is faster than real time; the timeout "
         "is not scaled (default: %(default)g)",
     )
-    model.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site file, for drives that report their flow (default: the paper's, "
-        "config/site.yaml)",
-    )
+    add_site(model, "site file, for drives that report their flow")
     faults.add_option(parser, {**DRIVE_FAULTS, **RELAY_FAULTS})
     return parser
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Simulate the drive or relay that the command line asks for."""
     arguments = make_parser().parse_args()
     check_installed()
@@ -133,7 +129,6 @@ def main() -> int:
         )
     bench = (_relay if is_relay else _drive)(path, arguments)
     bench.serve(*arguments.fault)
-    return EXIT_DONE
 
 
 def _drive(path: Path, arguments: argparse.Namespace) -> Bench:
@@ -151,7 +146,7 @@ def _drive(path: Path, arguments: argparse.Namespace) -> Bench:
         ),
         Address(line=arguments.serial) if arguments.serial else address,
         _workbench(arguments),
-        read_site(arguments.site or shared_directory() / "config" / "site.yaml"),
+        read_site(arguments.site),
     )
 
 
@@ -169,7 +164,3 @@ def _workbench(arguments: argparse.Namespace) -> Address:
     if port is None:
         port = arguments.port + 1 if arguments.port else 0
     return Address(host=arguments.host, port=port)
-
-
-if __name__ == "__main__":
-    main()

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, within
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    Parser,
+    add_site,
+    command,
+    within,
+)
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import to_people
 from greenroof_ros.forecast.service import ATTRIBUTION, MOST_DAYS, Fetcher, Service
 from greenroof_ros.model.site import read_site
@@ -28,10 +34,7 @@ def make_parser() -> Parser:
         "exit codes: 0 done, 1 the service gave no forecast, 2 wrong usage or configuration, "
         "130 ended by Ctrl-C",
     )
-    parser.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site file, with its place and its plants (default: the paper's)",
-    )
+    add_site(parser, "site file, with its place and its plants")
     parser.add_argument(
         "--ensemble", action="store_true",
         help="all members of an ensemble, as lookahead uses them; otherwise one forecast",
@@ -73,7 +76,7 @@ def main() -> int:
         raise ConfigurationError(
             "must end in .csv", key="--output", value=str(arguments.output)
         )
-    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    site = read_site(arguments.site)
     service = Service(
         site, ensemble=arguments.ensemble, model=arguments.model, days=arguments.days,
         url=arguments.url,
@@ -95,7 +98,3 @@ def main() -> int:
         if arguments.every is None:
             return EXIT_FAILED if fetcher.problem else EXIT_DONE
         fetcher.wait(wait)
-
-
-if __name__ == "__main__":
-    main()

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import signal
 import time
-from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.command_line import Parser, add_site, command, within
 from greenroof_ros.common.times import DEFAULT_START, read_start
 from greenroof_ros.live.simulators.forecast_service import FAULTS, NONE, ForecastService
 from greenroof_ros.model.site import read_site
@@ -32,7 +30,7 @@ def make_parser() -> Parser:
         f"  greenroof fetch-forecast --url http://127.0.0.1:{_PORT}/v1/ensemble --ensemble\n\n"
         "Its first line states when it is ready, and where. Ctrl-C ends it.",
     )
-    parser.add_argument("--site", type=Path, metavar="FILE", help="site file, for its place")
+    add_site(parser, "site file, for its place")
     parser.add_argument(
         "--weather", action="append", metavar="FILE",
         help="hourly records with temperature, dew point, wind and pressure (default: the paper's)",
@@ -53,10 +51,10 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Run the service that the command line asks for."""
     arguments = make_parser().parse_args()
-    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    site = read_site(arguments.site)
     files = find_files(arguments.weather or [str(default_weather())], "--weather")
     records = read_weather(files, site, gaps=FILL)
     service = ForecastService(
@@ -72,8 +70,3 @@ def main() -> int:
             time.sleep(3600)
     except KeyboardInterrupt:
         service.close()
-    return EXIT_DONE
-
-
-if __name__ == "__main__":
-    main()

@@ -77,7 +77,3 @@ def main() -> int:
     return request_of_pump(arguments.namespace, lambda client, timeout_s: client.hold_pump(
         "the command line", arguments.reason, until, timeout_s,
     ))
-
-
-if __name__ == "__main__":
-    main()

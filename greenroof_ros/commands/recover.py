@@ -324,7 +324,3 @@ def main() -> int:
     for loss in restored.losses:
         print(f"lost: {loss}", file=sys.stderr)
     return EXIT_FAILED if restored.losses else EXIT_DONE
-
-
-if __name__ == "__main__":
-    main()

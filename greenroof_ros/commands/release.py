@@ -24,7 +24,3 @@ def main() -> int:
     """Release the pump, and print what the pump node answers."""
     arguments = make_parser().parse_args()
     return request_of_pump(arguments.namespace, GraphClient.release_pump)
-
-
-if __name__ == "__main__":
-    main()

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from greenroof_ros.analysis.report.run import Assumptions
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
+from greenroof_ros.common.command_line import Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
 
@@ -132,7 +132,7 @@ def _writing(directory: Path) -> Iterator[None]:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Make the report that the command line asks for."""
     arguments = make_parser().parse_args()
     with in_extra("study"):
@@ -165,7 +165,6 @@ def main() -> int:
             file.unlink()
     _show(report)
     Console().print(f"written to {output.resolve() / _PAGE}", soft_wrap=True, highlight=False)
-    return EXIT_DONE
 
 
 def _show(report: Report) -> None:
@@ -206,7 +205,3 @@ def _show(report: Report) -> None:
     ):
         if count:
             console.print(what.format(count))
-
-
-if __name__ == "__main__":
-    main()

@@ -48,7 +48,3 @@ def main() -> int:
         print("not cleared: it was not confirmed", file=sys.stderr)
         return EXIT_FAILED
     return request_of_pump(arguments.namespace, GraphClient.reset_fault)
-
-
-if __name__ == "__main__":
-    main()

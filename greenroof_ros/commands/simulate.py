@@ -9,11 +9,11 @@ from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable, within
+from greenroof_ros.common.command_line import Parser, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
 from greenroof_ros.experiment import summary, summary_table
-from greenroof_ros.experiment.closed_loop import Tick, record
+from greenroof_ros.experiment.closed_loop import Simulation, Tick, record
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
@@ -22,25 +22,8 @@ from greenroof_ros.experiment.options import (
 from greenroof_ros.experiment.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.experiment.simulation import Simulation
-from greenroof_ros.recording.trajectory import CSV, Trajectory
+from greenroof_ros.recording.trajectory import COLUMNS, CSV, LAYER, Trajectory
 
-# Columns of the trajectory file besides the times, with the attribute of a tick in each.
-_COLUMNS = {
-    "cistern_m3": "x1",
-    "roof_m3": "x2",
-    "cistern_level_m": "cistern_level",
-    "roof_level_m": "roof_level",
-    "precipitation_m_per_s": "precipitation",
-    "evapotranspiration_m3_per_s": "evapotranspiration",
-    "command": "command",
-    "pump_flow_m3_per_s": "flows.pump",
-    "outflow_m3_per_s": "flows.outflow",
-    "drainage_m3_per_s": "flows.drainage",
-    "frost": "frost",
-}
-# The additional column for a measured soil.
-_LAYER = {"drainage_layer_m3": "layer"}
 _PAGE = ".html"
 _PICTURES = (".png", ".svg", _PAGE)
 
@@ -80,7 +63,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Simulate the run that the command line asks for."""
     arguments = make_parser().parse_args()
     run = run_from_arguments(arguments)
@@ -103,7 +86,6 @@ def main() -> int:
     result = simulation.summary()
     summary.write(result, directory)
     summary_table.show(result, directory, as_json=arguments.json)
-    return EXIT_DONE
 
 
 def _paced(
@@ -123,8 +105,9 @@ def _paced(
 
 def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterator[Tick]:
     """Yield the ticks, and write the first of so many, and the last, to a new file."""
-    columns = {**_COLUMNS, **(_LAYER if run.site.drainage_storage is not None else {})}
-    values = attrgetter(*columns.values())
+    measured = run.site.drainage_storage is not None
+    columns = [column for column in COLUMNS if column is not LAYER or measured]
+    values = attrgetter(*(column.tick for column in columns))
     try:
         stream = file.open("x", newline="")
     except OSError as error:
@@ -133,7 +116,7 @@ def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterato
         ) from error
     with naming(file), stream:
         rows = csv.writer(stream)
-        rows.writerow(("time", "time_s", *columns))
+        rows.writerow(("time", "time_s", *(column.name for column in columns)))
         for tick in ticks:
             if tick.k % every == 0 or tick.k == run.steps:
                 seconds = tick.k * run.site.tau
@@ -162,7 +145,3 @@ def _plotter(file: Path, run: Run) -> Callable[[Trajectory], None]:
                 chart.save(file, scale_factor=2)
 
     return draw
-
-
-if __name__ == "__main__":
-    main()

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, within
+from greenroof_ros.common.command_line import Parser, command, within
 from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
 from greenroof_ros.live.drives.modbus_line import Address, check_installed, parse_address
 from greenroof_ros.live.drives.sensor_file import default_sensors, read_sensors
@@ -77,7 +77,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Simulate the site that the command line asks for."""
     arguments = make_parser().parse_args()
     check_installed()
@@ -102,8 +102,3 @@ def main() -> int:
             Address(host="127.0.0.1", port=arguments.workbench), drive, arguments.factor, output,
         )
         bench.serve(*arguments.fault)
-    return EXIT_DONE
-
-
-if __name__ == "__main__":
-    main()

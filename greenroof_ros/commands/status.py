@@ -178,7 +178,3 @@ def _values(store: GraphStore, shown: Mapping[str, Any], code: int) -> dict[str,
         ],
         "notes": shown["notes"],
     }
-
-
-if __name__ == "__main__":
-    main()

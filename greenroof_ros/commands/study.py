@@ -294,7 +294,3 @@ def show(cases: Sequence[Case], rows: Sequence[Mapping[str, Any]], directory: Pa
         if count:
             console.print(f"NOTE: {count} of {len(rows)} runs {what} (column {column})")
     console.print(f"written to {directory / 'results.csv'}", soft_wrap=True, highlight=False)
-
-
-if __name__ == "__main__":
-    main()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command
+from greenroof_ros.common.command_line import Parser, command
 from greenroof_ros.common.interface import markdown_table, read_topics
 
 
@@ -15,12 +15,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Print the table."""
     make_parser().parse_args()
     print(markdown_table(read_topics().values()))
-    return EXIT_DONE
-
-
-if __name__ == "__main__":
-    main()

@@ -23,9 +23,9 @@ from greenroof_ros.analysis.verification.pairs import (
     tally,
 )
 from greenroof_ros.analysis.verification.scores import SHOWN, Tally
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable, within
+from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import naming, shared_directory
+from greenroof_ros.common.files import naming
 from greenroof_ros.common.standard_error import progress_bar
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
@@ -78,10 +78,7 @@ def make_parser() -> Parser:
         help="records, as for simulate: files, or a pattern in quotes; missing hours are left "
         "out",
     )
-    parser.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site file, for its place (default: the paper's, config/site.yaml)",
-    )
+    add_site(parser, "site file, for its place")
     whole_hours = within(1, _MOST_HOURS, int)
     parser.add_argument(
         "--sums", type=whole_hours, nargs="+", metavar="H",
@@ -110,7 +107,7 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Verify the forecasts named on the command line."""
     arguments = make_parser().parse_args()
     sums = _sums(arguments)
@@ -120,7 +117,7 @@ def main() -> int:
         if any(file.suffix == ".html" for file in arguments.output):
             from greenroof_ros.analysis.verification.page import render
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
-    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    site = read_site(arguments.site)
     weather = read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
     forecasts = issued_forecasts(choice, weather, site, arguments.horizon)
     if arguments.lead % forecasts.finest_lead:
@@ -161,7 +158,6 @@ def main() -> int:
     if arguments.output:
         written = ", ".join(map(str, arguments.output))
         console.print(f"written: {written}", soft_wrap=True, highlight=False)
-    return EXIT_DONE
 
 
 def _sums(arguments: argparse.Namespace) -> list[Sum]:
@@ -229,7 +225,3 @@ def _bar(total: int) -> Iterator[Callable[[int], None]]:
             update_progress(f"verifying: {done} of {total} issues", done / total)
 
         yield advance
-
-
-if __name__ == "__main__":
-    main()

@@ -8,14 +8,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from greenroof_ros.common.command_line import (
-    EXIT_DONE,
-    Parser,
-    add_foxglove,
-    add_namespace,
-    command,
-    within,
-)
+from greenroof_ros.common.command_line import Parser, add_foxglove, add_namespace, command, within
 from greenroof_ros.common.errors import ConfigurationError, with_extra
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.feed import Feed
@@ -140,7 +133,7 @@ def _print_address(url: str, host: str, port: int | None, *, release: bool) -> N
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Watch until asked to end."""
     arguments = make_parser().parse_args()
     _refuse_wrong(arguments)
@@ -150,7 +143,7 @@ def main() -> int:
         print(server.url, flush=True)
         with suppress(InterruptedRun):
             server.run(signals)
-        return EXIT_DONE
+        return
     store = GraphStore(arguments.namespace)
     store.allow_release = arguments.allow_release
     try:
@@ -172,8 +165,3 @@ def main() -> int:
             store, feed, host=host, port=port, token=token, signals=signals,
             on_ready=lambda url: _print_address(url, host, port, release=store.allow_release),
         )
-    return EXIT_DONE
-
-
-if __name__ == "__main__":
-    main()

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from greenroof_ros.common.command_line import EXIT_DONE, Parser, command, refuse_unwritable
+from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import naming, shared_directory
+from greenroof_ros.common.files import naming
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.summary_table import grid
 from greenroof_ros.formats.own_csv import write_records
@@ -65,11 +65,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "files", nargs="+", metavar="FILE", help="weather files, or a pattern in quotes"
     )
-    parser.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site file, for place, time zone and monthly means (default: the paper's, "
-        "config/site.yaml)",
-    )
+    add_site(parser, "site file, for place, time zone and monthly means")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.csv",
         help="write a new CSV in this project's format; a run gives the same numbers with it",
@@ -79,13 +75,13 @@ def make_parser() -> Parser:
 
 
 @command
-def main() -> int:
+def main() -> None:
     """Describe the files named on the command line."""
     arguments = make_parser().parse_args()
     output: Path | None = arguments.output
     if output is not None:
         refuse_unwritable(output, (".csv",), "--output")
-    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    site = read_site(arguments.site)
     # A file of another place is described, too; a run refuses it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
     measured = read_measured(find_files(arguments.files, "FILE"), anywhere)
@@ -98,12 +94,11 @@ def main() -> int:
             )
     if arguments.json:
         print(json.dumps(about, indent=2, allow_nan=False))
-        return EXIT_DONE
+        return
     console = Console()
     console.print(grid("Weather", _rows(about)))
     if output is not None:
         console.print(f"written: {output}", soft_wrap=True, highlight=False)
-    return EXIT_DONE
 
 
 def _about(measured: Records, site: Site) -> dict[str, Any]:
@@ -240,7 +235,3 @@ def _few(texts: Sequence[str]) -> str:
     """Return the first of some texts, and how many there are besides."""
     more = len(texts) - _MOST_NAMED
     return "; ".join([*texts[:_MOST_NAMED], *([f"and {more} more"] if more > 0 else [])])
-
-
-if __name__ == "__main__":
-    main()

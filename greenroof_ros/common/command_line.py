@@ -122,9 +122,9 @@ def _interrupt(*_: Any) -> NoReturn:
 
 
 def command(
-    main: Callable[[], int], *, failed: int | None = None
+    main: Callable[[], int | None], *, failed: int | None = None
 ) -> Callable[[], NoReturn]:
-    """Turn a function into a command, which exits with the code that the function returns.
+    """Turn a function into a command, which exits with the code that the function returns, or 0.
 
     A :class:`ConfigurationError` becomes one line on standard error and exit code 2, or 3 if
     another graph is in the way. A file or an output that cannot be written becomes one line and
@@ -277,11 +277,21 @@ def namespace(text: str) -> str:
 namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"
 
 
-def add_namespace(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names the graph of a command which joins one."""
+def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """Add the option that names the graph of a command which joins one, with more help on it."""
     parser.add_argument(
         "--namespace", type=namespace, default="", metavar="NAME",
-        help="namespace of the graph, as given to greenroof run or live (default: none)",
+        help=f"namespace of the graph, as given to greenroof run or live{more} (default: none)",
+    )
+
+
+def add_site(parser: argparse._ActionsContainer, about: str = "site file") -> None:
+    """Add the option that names the site file."""
+    from greenroof_ros.common.files import default_site_file  # reads YAML: not for every --help
+
+    parser.add_argument(
+        "--site", type=Path, default=default_site_file(), metavar="FILE",
+        help=f"{about} (default: the paper's, config/site.yaml)",
     )
 
 

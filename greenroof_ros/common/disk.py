@@ -149,7 +149,7 @@ class NumberFile:
         """Set the file, which need not exist."""
         self._file = file
         self._newest = LatestWriter[dict[str, float]](
-            lambda values: replace_text(file, json.dumps(values, indent=1)), str
+            lambda values: replace_text(file, json.dumps(values, indent=1), parents=True), str
         )
 
     @property

@@ -51,6 +51,11 @@ def shared_directory() -> Path:
     )
 
 
+def default_site_file() -> Path:
+    """Return the paper's site file, the default of every command and node."""
+    return shared_directory() / "config" / "site.yaml"
+
+
 def unique_name(file: Path, existing: Container[str]) -> str:
     """Return a name that no existing file has: the file's own, or one with -2, -3, ..."""
     name, number = file.name, 1
@@ -294,16 +299,26 @@ def naming(path: Path) -> Iterator[None]:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-def replace_text(file: Path, text: str) -> None:
+def replace_text(file: Path, text: str, *, parents: bool = False) -> None:
     """Write a file as a whole: after a power cut it is the old one or the new one.
 
+    Args:
+        file: the file.
+        text: its content.
+        parents: whether a missing directory is made. Not where the file's disk may be gone.
+
     Raises:
-        OSError: it cannot be written.
+        OSError: it cannot be written; the old one is unchanged.
     """
-    file.parent.mkdir(parents=True, exist_ok=True)
+    if parents:
+        file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(f".{file.name}.part")
-    with naming(part), part.open("w", encoding="utf-8") as stream:
-        stream.write(text)
-        stream.flush()
-        os.fsync(stream.fileno())
-    part.replace(file)
+    try:
+        with naming(part), part.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(file)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise

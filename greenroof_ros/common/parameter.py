@@ -12,14 +12,14 @@ from __future__ import annotations
 import math
 import re
 import types
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NewType, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean, must_be_one_of
-from greenroof_ros.common.files import YamlMapping
+from greenroof_ros.common.files import YamlMapping, read_yaml
 from greenroof_ros.common.ranges import Range
 
 Record = TypeVar("Record")
@@ -143,40 +143,36 @@ class _Wrong(Exception):
         self.parts, self.expected, self.value = parts, expected, value
 
 
-def read_record(kind: type[Record], file: Path, mapping: YamlMapping) -> Record:
-    """Return a dataclass with the values of a file.
+def read_record(
+    kind: type[Record], file: Path,
+    mistakes: Callable[[Record, YamlMapping], Iterable[tuple[str, str]]] = lambda *_: (),
+) -> Record:
+    """Read a YAML file as a dataclass, and check it.
 
     Args:
         kind: a frozen dataclass with fields made by `entry`.
-        file: the file that was read.
-        mapping: its content, as `files.read_yaml` returns it.
+        file: the file.
+        mistakes: yields the key of each mistake, such as ``registers.control`` (names, and for
+            items of lists numbers from 1), and what is wrong with its value, or what is missing;
+            called with the dataclass and the content of the file.
 
     Raises:
-        ConfigurationError: a key is unknown or missing, or a value is of the wrong kind or out of
-            range.
+        ConfigurationError: the file cannot be read; a key is unknown or missing; a value is of the
+            wrong kind or out of range; or there is a mistake.
     """
+    content = read_yaml(file)
     try:
-        record: Record = _record(kind, mapping, ())
+        record: Record = _record(kind, content, ())
     except _Wrong as wrong:
-        line = _find(mapping, wrong.parts)[0] or min(mapping.lines.values(), default=None)
+        line = _find(content, wrong.parts)[0] or min(content.lines.values(), default=None)
         raise ConfigurationError(
             wrong.expected, file=file, line=line, key=".".join(wrong.parts), value=wrong.value
         ) from None
+    for key, expected in mistakes(record, content):
+        line, place = find(content, key)
+        value = None if isinstance(place, (list, YamlMapping)) else place
+        raise ConfigurationError(expected, file=file, line=line, key=key, value=value)
     return record
-
-
-def error_at(file: Path, content: YamlMapping, key: str, expected: str) -> ConfigurationError:
-    """Return the error for a key such as ``registers.control``, with its line and its value.
-
-    Args:
-        file: the file that was read.
-        content: its content.
-        key: names, and for items of lists numbers from 1, joined by points.
-        expected: what is wrong with the value, or what is missing.
-    """
-    line, place = find(content, key)
-    value = None if isinstance(place, (list, YamlMapping)) else place
-    return ConfigurationError(expected, file=file, line=line, key=key, value=value)
 
 
 def find(content: YamlMapping, key: str) -> tuple[int | None, Any]:

@@ -149,13 +149,12 @@ def from_epoch_ns(nanoseconds: int) -> datetime:
     return _EPOCH + timedelta(microseconds=nanoseconds // 1000)
 
 
-def read_start(text: str, zone: tzinfo | None = None, key: str = "start") -> datetime:
+def read_start(text: str, zone: tzinfo | None = None) -> datetime:
     """Read a start time; without an offset from UTC it is in the given zone.
 
     Args:
         text: the time.
         zone: of a time without an offset.
-        key: its name in messages.
 
     Raises:
         ConfigurationError: it is not an ISO 8601 time, or has no offset and no zone is given.
@@ -166,11 +165,11 @@ def read_start(text: str, zone: tzinfo | None = None, key: str = "start") -> dat
         raise ConfigurationError(
             f"must be a time such as {DEFAULT_START}, from {FIRST_YEAR} to {LAST_YEAR}"
             + time_hint(text),
-            key=key, value=text,
+            key="start", value=text,
         ) from None
     if start.utcoffset() is None:
         raise ConfigurationError(
-            f"must give its offset from UTC, as in {DEFAULT_START}", key=key, value=text
+            f"must give its offset from UTC, as in {DEFAULT_START}", key="start", value=text
         )
     return start
 

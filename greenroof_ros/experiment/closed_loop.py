@@ -1,10 +1,12 @@
 """The run in one process, without ROS: the same parts in the same order as in the node graph.
 
-:func:`closed_loop` runs with a controller, :func:`open_loop` with commands from outside.
+:func:`closed_loop` runs with a controller, :func:`open_loop` with commands from outside, and
+:class:`Simulation` from the first tick to the summary.
 """
 
 from __future__ import annotations
 
+import time
 from array import array
 from collections.abc import Generator, Iterable, Iterator
 from operator import attrgetter
@@ -14,11 +16,12 @@ import numpy as np
 
 from greenroof_ros.controllers.decide import decide
 from greenroof_ros.controllers.protocol import Controller, set_time
+from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
 from greenroof_ros.model.sensor_pump_errors import Pump, RoofSensor
-from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.recording.trajectory import RECORDED, Trajectory
 
 # Makes a named tuple from a tuple in half the time of its own class.
 _new = tuple.__new__
@@ -113,20 +116,6 @@ def _ticks(
             plant.step(precipitation, flows)
 
 
-# Column of a trajectory: attribute of a tick.
-_RECORDED = {
-    "cistern": "x1",
-    "roof": "x2",
-    "precipitation": "precipitation",
-    "evapotranspiration": "evapotranspiration",
-    "command": "command",
-    "pump_flow": "flows.pump",
-    "outflow": "flows.outflow",
-    "drainage": "flows.drainage",
-    "frost": "frost",
-}
-
-
 def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
     """Run the ticks to their end and return what happened.
 
@@ -135,13 +124,45 @@ def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
         ticks: of the run.
         every: the first of this many ticks is kept, and the last one of the run.
     """
-    values = attrgetter("k", *_RECORDED.values())
+    values = attrgetter("k", *(column.tick for column in RECORDED))
     rows = array("d")
     for tick in ticks:
         if tick.k % every == 0 or tick.k == run.steps:
             rows.extend(values(tick))
-    number, *columns = np.frombuffer(rows).reshape(-1, 1 + len(_RECORDED)).T
+    number, *columns = np.frombuffer(rows).reshape(-1, 1 + len(RECORDED)).T
     return Trajectory(
         start=run.start, time=run.site.tau * number,
-        **dict(zip(_RECORDED, columns, strict=True)),
+        **{
+            column.attribute: values
+            for column, values in zip(RECORDED, columns, strict=True)
+        },
     )
+
+
+class Simulation:
+    """A run that is simulated once; studies, the command and Python all simulate with it."""
+
+    def __init__(self, run: Run, controller: Controller | None = None) -> None:
+        """Begin nothing yet.
+
+        Args:
+            run: what to simulate.
+            controller: decides instead of a new one of the run's class.
+        """
+        self._run = run
+        self._controller = run.make_controller() if controller is None else controller
+        self._metrics = Metrics()
+        self._wall_s = 0.0
+
+    def ticks(self) -> Iterator[Tick]:
+        """Run the ticks 0..N; each is yielded before its step."""
+        began = time.monotonic()
+        yield from closed_loop(self._run, self._controller, self._metrics)
+        self._wall_s = time.monotonic() - began
+
+    def summary(self) -> dict[str, Any]:
+        """Return the content of ``summary.json``, after the last tick."""
+        return summary.build(
+            self._run, self._metrics.results(), self._metrics.weekly_deviations(),
+            wall_s=self._wall_s, solver=self._controller.statistics(),
+        )

@@ -1,4 +1,4 @@
-"""The options that decide a run, the same for ``simulate`` and ``run``."""
+"""The options that several commands share: of a run, of its output, and of a graph of nodes."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import Parser, within
+from greenroof_ros.common.command_line import Parser, add_foxglove, add_site, namespace, within
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START
 from greenroof_ros.controllers.registry import (
     DEFAULT,
+    EXTERNAL,
     ControllerChoice,
     controller_names,
     find_controller,
@@ -167,10 +167,7 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
         "values by the mean at that time of day over the three days before and after "
         "(default: %(default)s)",
     )
-    group.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site file (default: the paper's, config/site.yaml)",
-    )
+    add_site(group)
     group.add_argument(
         "--initial", choices=list(INITIAL_STATES), default=None,
         help="initial levels of cistern and roof, Table II of the paper (default: from "
@@ -213,9 +210,9 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
 
 def _skill(text: str) -> str:
     try:
-        check_skill(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{error}, not {text}") from error
+        check_skill(text, "")
+    except ConfigurationError as error:
+        raise argparse.ArgumentTypeError(f"{error.expected}, not {text}") from error
     return text
 
 
@@ -250,6 +247,75 @@ def add_output_arguments(
     return group
 
 
+def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None:
+    """Add the options of a graph and its drive, the same for ``run`` and ``live``.
+
+    Args:
+        parser: the command's parser.
+        pump: the default of ``--pump``; if empty, ``external`` is the only choice.
+    """
+    group = parser.add_argument_group("the graph")
+    group.add_argument(
+        "--pump", choices=[*filter(None, [pump]), EXTERNAL], default=pump,
+        help="external: /pump/flow comes from a pump driver that you start yourself"
+        + (f" (default: {pump})" if pump else ""),
+    )
+    group.add_argument(
+        "--namespace", type=namespace, default="", metavar="NAME",
+        help="put the whole graph, including its clock, under /NAME, so that several run side by "
+        "side in one domain (default: none)",
+    )
+    group.add_argument(
+        "--peer-limit", type=within(2, 1e6), default=5.0, metavar="S",
+        help="longest wait for a node, in wall time, at least 2 s: joining nodes listen for one "
+        "second (default: %(default)s s)",
+    )
+    group.add_argument(
+        "--watch", action="store_true",
+        help="show the graph on a page in a browser, whose address is printed. The page ends with "
+        "the graph; the graph does not need it. The page of greenroof watch stays. Needs "
+        "the extra [watch]",
+    )
+    add_foxglove(
+        group, "serve the graph to Foxglove or Lichtblick on this machine, at the address that is "
+        "printed, until the graph ends; the graph does not need it.",
+    )
+    group = parser.add_argument_group(
+        "the drive",
+        "With --drive the pump node takes the commands and runs a drive over Modbus, or a relay\n"
+        "over MQTT, real or simulated.",
+    )
+    group.add_argument(
+        "--drive", metavar="{NAME,FILE}",
+        help="make of the drive: a name in config/drives/, or a drive file",
+    )
+    group.add_argument(
+        "--drive-at", metavar="ADDRESS",
+        help="its address: tcp://HOST:PORT if it has its own Ethernet port, gateway://HOST:PORT "
+        "for a gateway to its serial port, or a serial line such as /dev/ttyUSB0; append a comma "
+        "and its device id if that differs from its file's, such as gateway://HOST:PORT,17; for a "
+        "relay mqtt://HOST[:PORT]/DEVICE (its topic at a broker), mqtts:// for TLS",
+    )
+    for option, metavar, meaning in (
+        ("--broker-login", "FILE", "for a relay: YAML file with username and password"),
+        ("--broker-authority", "FILE", "for a relay: file of trusted certificates (PEM), if the "
+         "system does not know the broker's"),
+    ):
+        group.add_argument(option, default="", metavar=metavar, help=meaning)
+    group.add_argument(
+        "--state", type=Path, metavar="DIR",
+        help="directory for what must survive a restart: a stop, a fault, the pump's use of the "
+        "day; live, also for bag, logs and summary (default: the drive's own, a file by its "
+        "address in ~/.local/state/greenroof_ros; live: live)",
+    )
+    group.add_argument(
+        "--node-parameters", type=Path, metavar="FILE",
+        help="ROS 2 parameter file for what bringup does not decide, such as the pump node's "
+        "limits; each node's --help lists its parameters; unknown ones are refused. The drive, "
+        "its address and its state directory are set only by --drive, --drive-at and --state",
+    )
+
+
 def controller_from_arguments(
     arguments: argparse.Namespace, site: Site
 ) -> tuple[ControllerChoice, dict[str, float]]:
@@ -273,7 +339,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     Raises:
         ConfigurationError: an option, or a file that it names, is wrong.
     """
-    site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
+    site_file: Path = arguments.site
     site = read_site(site_file)
     if "controller" in arguments:
         controller, parameters = controller_from_arguments(arguments, site)
@@ -323,10 +389,7 @@ def forecast_from_arguments(
     Raises:
         ConfigurationError: there are no such forecasts, or an option does not apply to them.
     """
-    try:
-        choice = choose(text)
-    except ValueError as error:
-        raise ConfigurationError(str(error), key=key, value=text) from error
+    choice = choose(text, key)
     chosen = _given_options(arguments, OPTIONS, "forecast_")
     for option in chosen:
         if option not in choice.option_names:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from greenroof_ros.common.command_line import refuse
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import YamlMapping, read_ros_parameters, shared_directory
+from greenroof_ros.common.files import YamlMapping, default_site_file, read_ros_parameters
 from greenroof_ros.common.parameter import closest, no_such_parameter
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.model.site import read_site
@@ -126,6 +126,6 @@ def _sections(
 
 def _names_of(module: str, controller: ControllerChoice) -> set[str]:
     """Return the names of the parameters that a module's node declares at any site."""
-    site = read_site(shared_directory() / "config" / "site.yaml")
+    site = read_site(default_site_file())
     of = controller if module.endswith(".controller") else site
     return {parameter.name for parameter in import_module(module).parameters(of)}

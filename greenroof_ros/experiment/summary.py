@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros import __version__
+from greenroof_ros.common.files import replace_text
 from greenroof_ros.experiment.run import Run
 
 # The file's name in the directory of a run.
@@ -147,13 +148,10 @@ def write(summary: Mapping[str, Any], directory: Path) -> None:
         OSError: it cannot be written.
     """
     path = directory / SUMMARY
-    part = directory / f".{SUMMARY}.part"
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
+        replace_text(path, text)
     except OSError as error:
-        part.unlink(missing_ok=True)
         try:
             with path.open("r+", encoding="utf-8") as stream:
                 stream.write(text)

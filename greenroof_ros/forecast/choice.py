@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from greenroof_ros.common.errors import must_be_one_of
+from greenroof_ros.common.errors import ConfigurationError, must_be_one_of
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.forecast.skill import REAL, SKILLS
 from greenroof_ros.formats.reading import SUFFIXES
@@ -83,26 +83,35 @@ class ForecastChoice:
         return {name: value for name, value in values.items() if value is not None}
 
 
-def check_skill(text: str) -> None:
+def check_skill(text: str, key: str) -> None:
     """Check a skill's name, or the path of its file.
 
+    Args:
+        text: of an option or a file.
+        key: which gives it, for messages.
+
     Raises:
-        ValueError: it is neither; the message states what it must be.
+        ConfigurationError: it is neither.
     """
     if text not in SKILLS and not text.lower().endswith(".yaml"):
-        raise ValueError(must_be_one_of(SKILLS, text, ", or a FILE.yaml"))
+        raise ConfigurationError(
+            must_be_one_of(SKILLS, text, ", or a FILE.yaml"), key=key, value=text
+        )
 
 
-def choose(text: str) -> ForecastChoice:
+def choose(text: str, key: str) -> ForecastChoice:
     """Return the choice of a model by its name, or of an archive by its path.
 
+    Args:
+        text: of an option or a file.
+        key: which gives it, for messages.
+
     Raises:
-        ValueError: it is neither; the message states what it must be.
+        ConfigurationError: it is neither.
     """
     if text in MODELS:
         return ForecastChoice(text)
     if text.lower().endswith((*SUFFIXES, "/")) or (text and Path(text).is_dir()):
         return ForecastChoice(FILE, file=Path(text))
-    raise ValueError(must_be_one_of(
-        MODELS, text, f", or forecasts: a file ({', '.join(SUFFIXES)}) or a directory of files"
-    ))
+    files = f", or forecasts: a file ({', '.join(SUFFIXES)}) or a directory of files"
+    raise ConfigurationError(must_be_one_of(MODELS, text, files), key=key, value=text)

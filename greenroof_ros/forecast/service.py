@@ -284,9 +284,10 @@ class Fetcher:
             issue = self._service.fetch(datetime.now(timezone.utc))
             about = "".join(f"# {line}\n" for line in (ATTRIBUTION, *issue.notes))
             text = f"{about}{write_forecasts([issue])}"
-            replace_text(self._file, text)
+            replace_text(self._file, text, parents=True)
             if self._archive is not None and not _repeats(self._stored, issue):
-                replace_text(self._archive / f"{issue.order[1]:%Y%m%d%H%M%S}.csv", text)
+                kept = self._archive / f"{issue.order[1]:%Y%m%d%H%M%S}.csv"
+                replace_text(kept, text, parents=True)
                 self._stored = issue
                 _remove_oldest(self._archive)
         except Exception as error:  # for any error, the next forecast is requested

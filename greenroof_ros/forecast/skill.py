@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.files import read_yaml, shared_directory
+from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.parameter import entry, read_record
 
 Array = NDArray[np.float64]
@@ -164,5 +164,5 @@ def read_skill(text: str) -> Skill:
     path = shared_directory() / "config" / "forecasts" / "skill.yaml"
     if text not in SKILLS:
         path = Path(text)
-    skill = read_record(Skill, path, read_yaml(path))
+    skill = read_record(Skill, path)
     return skill.times_lead(SKILLS.get(text, 1.0))

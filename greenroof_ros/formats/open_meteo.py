@@ -182,7 +182,7 @@ def _read(
     for name, (cell, quantity, text) in named.items():
         known = {unit.name: unit for unit in UNITS[quantity]}
         if text == _NO_UNIT:
-            if any(map(_is_value, table.columns[cell])):
+            if any(text.lower() not in MISSING for text in table.columns[cell]):
                 raise table.refuse(f"must be in {' or '.join(known)}", cell)
             text = next(iter(known))
         columns[name] = table.usable(
@@ -193,10 +193,6 @@ def _read(
         (file,), first, by_hour(columns, hours), left_out=tuple(table.notes), places=places,
         wind_height=_WIND_HEIGHT_M,
     )
-
-
-def _is_value(text: str) -> bool:
-    return text.lower() not in MISSING
 
 
 def _table(

@@ -283,7 +283,11 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
             )
         rows = rows_of.setdefault((issue, available), {}).setdefault(member, [])
         expected = issue + len(rows) * HOUR
-        table.check_expected("time", row, time, expected, "each forecast, from its issue on,")
+        if time != expected:
+            raise table.refuse(
+                f"must be {to_minutes(expected.astimezone(time.tzinfo))}: each forecast, from its "
+                "issue on, must have consecutive hours, without gap or repetition", "time", row,
+            )
         rows.append(row)
     values = {
         quantity: table.usable(

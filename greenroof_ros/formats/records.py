@@ -850,17 +850,6 @@ class Table:
             hours.append(hour)
         return first, np.array(hours, dtype=np.intp)
 
-    def check_expected(
-        self, column: str, row: int, time: datetime, expected: datetime, series: str = "the records"
-    ) -> None:
-        """Refuse a time that is not the next hour."""
-        if time != expected:
-            raise self.refuse(
-                f"must be {to_minutes(expected.astimezone(time.tzinfo))}: {series} must have "
-                "consecutive hours, without gap or repetition",
-                column, row,
-            )
-
 
 def _is_code(text: str, number: float) -> bool:
     """Return whether a value outside its range is one that stands for a missing value."""

@@ -15,9 +15,7 @@ from greenroof_ros.formats.records import Table
 _LOOSENESS, _MOST_OFF = 0.1, 0.01
 
 
-def steps_of_rows(
-    table: Table, times: Sequence[datetime], column: str = "time"
-) -> tuple[NDArray[np.int64], float]:
+def steps_of_rows(table: Table, times: Sequence[datetime]) -> tuple[NDArray[np.int64], float]:
     """Return the step of each row, counted from the first row, and the duration of steps (s).
 
     The duration is the median spacing of the rows. A row belongs to the step that begins nearest to
@@ -27,7 +25,6 @@ def steps_of_rows(
     Args:
         table: for messages.
         times: of its rows, each later than the one before.
-        column: of the times.
 
     Raises:
         ConfigurationError: more than one spacing in a hundred is not a whole number of steps.
@@ -41,6 +38,6 @@ def steps_of_rows(
         raise table.refuse(
             f"must be {step_s:g} s after the row before, or a whole number of such steps, not "
             f"{spacing[off[0]]:g} s; {len(off)} of {len(times)} rows are like this, too many for a "
-            "clock that was set: write rows at a regular step", column, int(off[0]) + 1,
+            "clock that was set: write rows at a regular step", "time", int(off[0]) + 1,
         )
     return np.floor(since / step_s + 0.5).astype(np.int64), step_s

@@ -174,16 +174,13 @@ class SimulationNode(NoClockSubscription, GraphNode):
             return
         self._checked = now
         if not self.finished:
-            self._refuse_second()
+            if second := self.peers.second():
+                # Before the run it is a wrong set-up, later a failure.
+                raise (LockstepError if self.acted else OccupiedError)(second)
             self._update_warnings(now)
             if not self.ready and not self.absent():
                 self.reports.state = READY
         self.report_state()
-
-    def _refuse_second(self) -> None:
-        if second := self.peers.second():
-            # Before the run it is a wrong set-up, later a failure.
-            raise (LockstepError if self.acted else OccupiedError)(second)
 
     def _update_warnings(self, now: float) -> None:
         """Warn of refused values and, before the run, of incompatible publishers."""

@@ -23,8 +23,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.parameter import Parameter, no_such_parameter
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON
 from greenroof_ros.model.site import Site, read_site
 
 USE_SIM_TIME = "use_sim_time"  # rclpy's name
@@ -35,8 +36,22 @@ _TEXTS = {bool: "true or false", str: "text", list: "a list of texts"}
 
 def site_file() -> Parameter:
     """Return the parameter that names the site file; all nodes of a run have the same value."""
-    default = str(shared_directory() / "config" / "site.yaml")
+    default = str(default_site_file())
     return Parameter("site_file", default, meaning="the parameters of Table I")
+
+
+def look_ahead_parameters() -> list[Parameter]:
+    """Return the parameters of a weather node that decide what its forecasts cover."""
+    return [
+        Parameter(
+            "horizon", 0.0, "", 0.0, LONGEST_HORIZON, "how far the forecasts reach (h), in "
+            "growing steps; 0: the next M ticks",
+        ),
+        Parameter(
+            "all_members", False, meaning="publish all members of an ensemble, for a controller "
+            "that takes them (lookahead); false: only the first",
+        ),
+    ]
 
 
 def default_site() -> Site:

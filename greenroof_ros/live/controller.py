@@ -33,8 +33,7 @@ from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
-from greenroof_ros.live.executable import live_command, live_help
-from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.node import LiveNode, live_command, live_help
 from greenroof_ros.live.reports import WARN
 from greenroof_ros.model.plant import pump_flow
 

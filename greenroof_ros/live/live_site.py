@@ -7,12 +7,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, refuse, within
+from greenroof_ros.common.command_line import Parser, add_site, refuse, within
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
-from greenroof_ros.experiment.graph_options import add_graph_arguments
-from greenroof_ros.experiment.options import add_controller_arguments, controller_from_arguments
+from greenroof_ros.experiment.options import (
+    add_controller_arguments,
+    add_graph_arguments,
+    controller_from_arguments,
+)
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.graph.states import PUMP, RECORDER
 from greenroof_ros.live.drive import DriveChoice, chosen_drive
@@ -51,7 +53,7 @@ class LiveSite:
         Raises:
             ConfigurationError: an option or a file that it names is wrong or missing.
         """
-        self.site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
+        self.site_file: Path = arguments.site
         site = read_site(self.site_file)
         self.controller, self.parameters = controller_from_arguments(arguments, site)
         self.drive = drive = chosen_drive(arguments)
@@ -74,7 +76,11 @@ class LiveSite:
         self.sensors = None
         self.sensed: Sensors | None = None
         if arguments.sensors != EXTERNAL:
-            self.sensors = _readable(arguments.sensors, "--sensors")
+            self.sensors = Path(arguments.sensors).resolve()
+            refuse((
+                not self.sensors.is_file(), "--sensors", arguments.sensors,
+                "must be an existing file",
+            ))
             self.sensed = read_sensors(self.sensors)
             depth = self.sensed.roof.substrate_depth
             refuse((
@@ -187,10 +193,7 @@ def make_parser() -> Parser:
     )
     group = parser.add_argument_group("the site")
     add_controller_arguments(parser, group, default=FOR_A_SITE)
-    group.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site file (default: the paper's, config/site.yaml)",
-    )
+    add_site(group)
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
         help="file of the sensors, on Modbus or MQTT (see config/sensors.yaml); external: your "
@@ -282,13 +285,3 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
                 "open: connect a Modbus TCP gateway to it, or use another line",
                 key="--drive-at", value=drive.at,
             )
-
-
-def _readable(file: str, option: str) -> Path:
-    """Return a file's absolute path; its content is not checked here.
-
-    Raises:
-        ConfigurationError: there is no such file.
-    """
-    refuse((not Path(file).is_file(), option, file, "must be an existing file"))
-    return Path(file).resolve()

@@ -1,18 +1,27 @@
-"""A node of a live site: it acts on the steady clock, on the newest value of each input."""
+"""A node of a live site: it acts on the steady clock, on the newest value of each input.
+
+Also the executable of live nodes, and their help.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NoReturn
+
+from rclpy.executors import SingleThreadedExecutor
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_live_topics
 from greenroof_ros.common.times import boot_time
+from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
 from greenroof_ros.graph.peers import by_role
 from greenroof_ros.graph.publishers import DISCOVERY_S
+from greenroof_ros.graph.spin import start_receiving
 from greenroof_ros.graph.states import READY
 from greenroof_ros.live.engine import LIMITS, RECOVERY, SampleAndHold
 from greenroof_ros.live.inputs import LiveInput, LivePublishers
@@ -169,3 +178,27 @@ class LiveNode(GraphNode):
         for sentence in self.warnings:
             if sentence not in before:
                 self.get_logger().warning(sentence)
+
+
+def spin(nodes: Sequence[LiveNode], check: Callable[[], None]) -> NoReturn:
+    """Run the live nodes of this process until one fails or a check ends them.
+
+    Not with rclpy's fast executor: publisher events can lock it up (rmw_fastrtps, pull request
+    890).
+
+    Args:
+        nodes: the nodes.
+        check: called at least 20 times a second; it can raise.
+    """
+    executor = SingleThreadedExecutor()
+    for node in nodes:
+        start_receiving(executor, node)
+    while True:
+        check()
+        executor.spin_once(timeout_sec=min(node.wait_s for node in nodes))
+        for node in nodes:
+            node.check(time.monotonic())
+
+
+live_command = partial(node_command, spin=spin)
+live_help = partial(node_help, interface=read_live_topics)

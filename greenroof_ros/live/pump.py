@@ -15,9 +15,8 @@ from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live import pump_behaviour
 from greenroof_ros.live.engine import Levels, live_parameters
-from greenroof_ros.live.executable import live_command, live_help
 from greenroof_ros.live.lifecycle import Lifecycle
-from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.node import LiveNode, live_command, live_help
 from greenroof_ros.live.pump_behaviour import COMMAND_LIMIT, PumpBehaviour, common_parameters
 from greenroof_ros.live.pumping.inputs import INPUTS
 from greenroof_ros.model.site import Site

@@ -19,8 +19,7 @@ from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.parameters import declare
-from greenroof_ros.live.executable import live_command, live_help
-from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.node import LiveNode, live_command, live_help
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import LiveBag
 

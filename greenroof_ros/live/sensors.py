@@ -20,8 +20,7 @@ from greenroof_ros.live.drives.modbus_sensor import ModbusReader, SensorLine
 from greenroof_ros.live.drives.mqtt_sensor import MqttReader
 from greenroof_ros.live.drives.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.engine import LIMITS
-from greenroof_ros.live.executable import live_command, live_help
-from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.node import LiveNode, live_command, live_help
 from greenroof_ros.live.reports import ERROR, STALE, WARN
 from greenroof_ros.model.site import Site
 

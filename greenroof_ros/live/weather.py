@@ -32,13 +32,12 @@ from greenroof_ros.forecast.service import (
     Service,
 )
 from greenroof_ros.graph.messages import WithFront
-from greenroof_ros.graph.parameters import declare, site_file
+from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.live.engine import live_parameters
-from greenroof_ros.live.executable import live_command, live_help
 from greenroof_ros.live.inputs import LiveInput
-from greenroof_ros.live.node import LiveNode
+from greenroof_ros.live.node import LiveNode, live_command, live_help
 from greenroof_ros.live.reports import ERROR, WARN
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON, look_ahead_ends
+from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 
 # How long the start waits for the first forecast (s); most files take less.
@@ -55,14 +54,7 @@ def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
     return [
         site_file(),
-        Parameter(
-            "horizon", 0.0, "", 0.0, LONGEST_HORIZON, "how far the forecasts reach (h), in "
-            "growing steps; 0: the next M ticks",
-        ),
-        Parameter(
-            "all_members", False, meaning="publish all members of an ensemble, for a controller "
-            "that takes them (lookahead); false: only the first",
-        ),
+        *look_ahead_parameters(),
         Parameter(
             "forecast", "", meaning="a FILE.csv, read again whenever it is replaced, or empty for "
             "none",

@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.forecast.choice import (
@@ -26,8 +25,8 @@ from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import LockstepError, WithFront
 from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON, look_ahead_ends
+from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
+from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, WeatherSeries
@@ -58,14 +57,7 @@ def parameters(site: Site) -> list[Parameter]:
             "and after",
             among=GAPS,
         ),
-        Parameter(
-            "horizon", 0.0, "", 0.0, LONGEST_HORIZON, "how far the forecasts reach (h), in "
-            "growing steps; 0: the next M ticks",
-        ),
-        Parameter(
-            "all_members", False, meaning="publish all members of an ensemble, for a controller "
-            "that takes them (lookahead); false: only the first",
-        ),
+        *look_ahead_parameters(),
         Parameter(
             "forecast", str(forecast),
             meaning=f"{', '.join(MODELS)}, or a file or directory of archived ones",
@@ -89,15 +81,8 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
     Raises:
         ConfigurationError: a parameter is wrong.
     """
-    name = "forecast"
-    try:
-        choice = choose(values[name])
-        name = "forecast_skill"
-        check_skill(values[name])
-    except ValueError as error:
-        raise ConfigurationError(
-            str(error), key=f"parameter {name} of weather", value=values[name]
-        ) from error
+    choice = choose(values["forecast"], "parameter forecast of weather")
+    check_skill(values["forecast_skill"], "parameter forecast_skill of weather")
     options = {name: values[f"forecast_{name}"] for name in OPTIONS}
     if options["delay"] == NUMBERS["delay"].default:
         del options["delay"]

@@ -21,27 +21,15 @@ from greenroof_ros.formats.records import EVAPOTRANSPIRATION, PRECIPITATION, QUA
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import METADATA
-from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.recording.trajectory import RECORDED, Trajectory
 
 Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]
 
-# Topic: column of a trajectory. A sample needs the first four; the others are treated as 0 if
-# missing.
-_NEEDED = {
-    "/roof/level": "roof",
-    "/cistern/level": "cistern",
-    "/pump/command": "command",
-    "/pump/flow": "pump_flow",
-}
-_COLUMNS = {
-    **_NEEDED,
-    "/weather/precipitation": "precipitation",
-    "/weather/evapotranspiration": "evapotranspiration",
-    "/cistern/outflow": "outflow",
-    "/roof/drainage": "drainage",
-    "/weather/frost": "frost",
-}
+# Attribute of a trajectory, by topic. A sample needs the topics that follow; the others are treated
+# as 0 if missing.
+_ATTRIBUTES = {column.topic: column.attribute for column in RECORDED}
+_NEEDED = ("/roof/level", "/cistern/level", "/pump/command", "/pump/flow")
 _TYPE = "std_msgs/msg/Float64"
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
@@ -110,7 +98,7 @@ def load_bag(
     """
     recorded = _read_series(bag, repair)
     notes = [
-        f"{topic} is not in the bag; assumed 0" for topic in _COLUMNS if topic not in recorded
+        f"{topic} is not in the bag; assumed 0" for topic in _ATTRIBUTES if topic not in recorded
     ]
     interface, highest = read_topics(), _highest_of_site(site)
     series = {}
@@ -133,7 +121,7 @@ def load_bag(
     longest = max(_GAP_S * 1e9, _GAP_SPACINGS * float(np.median(spacings)))
     gaps = np.flatnonzero(spacings > longest)  # the last sample before each gap
     columns: dict[str, Values] = {}
-    for topic, name in _COLUMNS.items():
+    for topic, name in _ATTRIBUTES.items():
         columns[name] = np.zeros(len(samples))
         if topic in series:
             # If messages have the same time, the last counts.
@@ -169,7 +157,7 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
         with _opened(bag, typestore) as reader:
             types = dict(reader.types)
             namespace = find_namespace(types, list(_NEEDED), bag)
-            names = {f"{namespace}{topic}": topic for topic in _COLUMNS}
+            names = {f"{namespace}{topic}": topic for topic in _ATTRIBUTES}
             _check_topics(bag, types, names)
             clock = f"{namespace}{_CLOCK}"
             if types.get(clock) == _CLOCK_TYPE:

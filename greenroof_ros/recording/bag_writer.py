@@ -22,7 +22,7 @@ from mcap.reader import FOOTER_SIZE
 from mcap.records import Channel, Footer, Schema, Statistics
 from mcap.stream_reader import MAGIC_SIZE, StreamReader
 
-from greenroof_ros.common.files import read_yaml, shared_directory
+from greenroof_ros.common.files import read_yaml, replace_text, shared_directory
 from greenroof_ros.common.interface import Qos, Topic
 from greenroof_ros.recording.mcap_writer import McapWriter
 
@@ -424,13 +424,7 @@ def write_metadata(bag: Path, indices: Iterable[FileIndex | None]) -> None:
     if not files:
         (bag / METADATA).unlink(missing_ok=True)
         return
-    part = bag / f".{METADATA}.part"
-    try:
-        part.write_text(_metadata(files), encoding="utf-8")
-        part.replace(bag / METADATA)
-    except OSError:
-        part.unlink(missing_ok=True)
-        raise
+    replace_text(bag / METADATA, _metadata(files))
 
 
 def _metadata(files: Sequence[FileIndex]) -> str:

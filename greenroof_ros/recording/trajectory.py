@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -22,6 +22,49 @@ Samples = NDArray[np.float64]
 
 TRAJECTORY, CSV = "trajectory.parquet", "trajectory.csv"
 """The file's name in the directory of a run: of a study or of Python, and of the command."""
+
+
+class Column(NamedTuple):
+    """One quantity of a trajectory."""
+
+    name: str
+    """in files and tables; it ends with the unit"""
+    tick: str
+    """attribute of a tick of a run in one process"""
+    attribute: str = ""
+    """of a :class:`Trajectory`; empty if it is computed from the others and the site"""
+    topic: str = ""
+    """in a bag; the volumes are computed from levels"""
+
+
+LAYER = Column("drainage_layer_m3", "layer")
+"""of a measured soil only"""
+
+# Besides the times, in the order of files and tables.
+COLUMNS = (
+    Column("cistern_m3", "x1", "cistern", "/cistern/level"),
+    Column("roof_m3", "x2", "roof", "/roof/level"),
+    Column("cistern_level_m", "cistern_level"),
+    Column("roof_level_m", "roof_level"),
+    Column(
+        "precipitation_m_per_s", "precipitation", "precipitation", "/weather/precipitation",
+    ),
+    Column(
+        "evapotranspiration_m3_per_s", "evapotranspiration", "evapotranspiration",
+        "/weather/evapotranspiration",
+    ),
+    Column("command", "command", "command", "/pump/command"),
+    Column("pump_flow_m3_per_s", "flows.pump", "pump_flow", "/pump/flow"),
+    Column("outflow_m3_per_s", "flows.outflow", "outflow", "/cistern/outflow"),
+    Column("drainage_m3_per_s", "flows.drainage", "drainage", "/roof/drainage"),
+    Column("frost", "frost", "frost", "/weather/frost"),
+    LAYER,
+)
+RECORDED = tuple(column for column in COLUMNS if column.attribute)
+"""The columns that a :class:`Trajectory` has."""
+
+# Name of each column of a trajectory's file, by its attribute.
+_NAMES = {"time": "time_s", **{column.attribute: column.name for column in RECORDED}}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,16 +86,16 @@ class Trajectory:
     """
 
     start: datetime
-    time: Samples = field(metadata={"column": "time_s"})
-    cistern: Samples = field(metadata={"column": "cistern_m3"})
-    roof: Samples = field(metadata={"column": "roof_m3"})
-    precipitation: Samples = field(metadata={"column": "precipitation_m_per_s"})
-    evapotranspiration: Samples = field(metadata={"column": "evapotranspiration_m3_per_s"})
-    command: Samples = field(metadata={"column": "command"})
-    pump_flow: Samples = field(metadata={"column": "pump_flow_m3_per_s"})
-    outflow: Samples = field(metadata={"column": "outflow_m3_per_s"})
-    drainage: Samples = field(metadata={"column": "drainage_m3_per_s"})
-    frost: Samples = field(metadata={"column": "frost"})
+    time: Samples
+    cistern: Samples
+    roof: Samples
+    precipitation: Samples
+    evapotranspiration: Samples
+    command: Samples
+    pump_flow: Samples
+    outflow: Samples
+    drainage: Samples
+    frost: Samples
 
     def to_frame(self) -> polars.DataFrame:
         """Return it as a table: the time with its zone, to the microsecond, and each array.
@@ -68,7 +111,7 @@ class Trajectory:
         time = polars.Series(since_1970).cast(polars.Datetime("us", "UTC"))
         return polars.DataFrame({
             "time": time.dt.convert_time_zone(_zone_name(self.start)),
-            **{column: getattr(self, name) for name, column in _COLUMNS.items()},
+            **{name: getattr(self, attribute) for attribute, name in _NAMES.items()},
         })
 
     def to_parquet(self) -> bytes:
@@ -82,12 +125,6 @@ class Trajectory:
             stream, compression="zstd", metadata={"start": self.start.isoformat()}
         )
         return stream.getvalue()
-
-
-# Attribute: column of the file.
-_COLUMNS: dict[str, str] = {
-    column.name: column.metadata["column"] for column in fields(Trajectory) if column.metadata
-}
 
 
 def _zone_name(time: datetime) -> str:
@@ -111,7 +148,7 @@ def read_trajectory(path: Path) -> Trajectory:
         content = path.read_bytes()
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
-    columns = list(_COLUMNS.values())
+    columns = list(_NAMES.values())
     try:
         if path.suffix == ".csv":
             numbers = dict.fromkeys(columns, polars.Float64)
@@ -138,5 +175,5 @@ def read_trajectory(path: Path) -> Trajectory:
             "is empty, truncated or not a trajectory; repeat the run", file=path
         ) from error
     return Trajectory(
-        start=start, **{name: table[column].to_numpy() for name, column in _COLUMNS.items()}
+        start=start, **{attribute: table[name].to_numpy() for attribute, name in _NAMES.items()}
     )

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.summary import site_file_of
 from greenroof_ros.graph.states import RECORDER
@@ -32,7 +33,7 @@ from greenroof_ros.watch import wire
 from greenroof_ros.watch.alarms import read_run_files
 from greenroof_ros.watch.bag import BagProcess, Batch
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
-from greenroof_ros.watch.store import PLAN, GraphStore, papers_site
+from greenroof_ros.watch.store import PLAN, GraphStore
 
 # The fastest run, in times real time, whose numbers are received: 60 and some jitter.
 FASTEST = 66.0
@@ -324,7 +325,7 @@ class Feed:
 
     def _set_site(self, path: Path | None) -> None:
         """Set the site by which levels are judged from a file, or to the paper's."""
-        file = path or papers_site()
+        file = path or default_site_file()
         try:
             as_is = file, file.stat().st_mtime_ns
         except OSError:
@@ -339,7 +340,7 @@ class Feed:
             if path is None or path == self._site_file:
                 raise
             note = f"The site file cannot be read, so levels are judged by the paper's: {error}"
-            site = read_site(papers_site())
+            site = read_site(default_site_file())
         another = site != self._store.site
         self._store.set_site(site, note)
         if another and self._recorded is not None:

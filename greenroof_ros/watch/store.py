@@ -13,12 +13,11 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.states import PUMP, PUMP_STATES, PumpState
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
@@ -56,11 +55,6 @@ _NEW_FORECAST_M, _NEW_FORECAST_S = 2e-3, 3600.0
 _LEAD_S, _EXPECTED_EVERY_S = 3600.0, 300.0
 # The most steps of a forecast or a plan, as the longest look-ahead has.
 _MOST_STEPS = 1000
-
-
-def papers_site() -> Path:
-    """Return the paper's site file."""
-    return shared_directory() / "config" / "site.yaml"
 
 
 class TopicValue:
@@ -138,7 +132,7 @@ class GraphStore:
         self.lock = threading.RLock()
         self.namespace = namespace
         self.allow_release = False
-        self.site = read_site(papers_site())
+        self.site = read_site(default_site_file())
         self.notes = ["", ""]
         self.mode = "none"
         self.factor: float | None = None

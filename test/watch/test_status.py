@@ -70,7 +70,7 @@ def test_wrong_usage_is_unknown_not_an_alarm(
 def test_without_ros_or_an_output_it_is_unknown(unused_domain: int, tmp_path: Path) -> None:
     environ = environment(unused_domain)
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT.replace("commands.watch", "commands.status"), "rclpy"],
+        [sys.executable, "-c", WITHOUT.replace("watch", "status"), "rclpy"],
         cwd=tmp_path, env=environ, capture_output=True, text=True, check=False,
     )
     assert done.returncode == 3

@@ -151,8 +151,8 @@ def test_only_an_address_of_this_machine_is_used(host: str, message: str) -> Non
 WITHOUT = """
 import sys, runpy
 sys.modules[sys.argv[1]] = None
-del sys.argv[1]
-runpy.run_module("greenroof_ros.commands.watch", run_name="__main__", alter_sys=True)
+sys.argv[1] = "watch"
+runpy.run_module("greenroof_ros", run_name="__main__", alter_sys=True)
 """
 
 

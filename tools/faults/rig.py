@@ -26,13 +26,13 @@ from faults.truth import AT_REST, Truth
 from faults.watcher import Watcher
 from graphs import Process, alive, free_ports, summary_of
 from places import CONFIG, guarding
+from pump_rig import settings_for
 from ros_rig import write_forecast
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.live.drives.modbus_line import Address, parse_address
-from greenroof_ros.live.pumping.limits import settings_for
 from greenroof_ros.live.simulators.control_profiles import AbbDrives
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site

@@ -14,6 +14,7 @@ from pathlib import Path
 from faults.cases import Case
 from faults.live import Outcome
 from places import CONFIG
+from pump_rig import settings_for
 
 from greenroof_ros.controllers.decide import decide
 from greenroof_ros.controllers.registry import find_controller
@@ -21,7 +22,6 @@ from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoF
 from greenroof_ros.forecast.service import Fetcher, Service
 from greenroof_ros.live.pumping.inputs import Observation
 from greenroof_ros.live.pumping.ledger import Ledger
-from greenroof_ros.live.pumping.limits import settings_for
 from greenroof_ros.live.pumping.pump_control import PumpControl
 from greenroof_ros.live.simulators.forecast_service import NONE, ForecastService
 from greenroof_ros.model.site import Site, read_site

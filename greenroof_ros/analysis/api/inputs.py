@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import yaml
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.times import DEFAULT_START
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
@@ -100,7 +100,7 @@ def file_of_site(site: PathText | Site | None) -> Path:
             for name, value in values.items() if value not in (None, ())
         }, sort_keys=False)
         return _kept(text, "site.yaml")
-    return shared_directory() / "config" / "site.yaml" if site is None else Path(site)
+    return default_site_file() if site is None else Path(site)
 
 
 def _weather_files(weather: Any) -> list[Path]:
@@ -146,10 +146,7 @@ def _forecast(forecast: PathText | ForecastChoice) -> ForecastChoice:
         return forecast
     if not isinstance(forecast, (str, os.PathLike)):
         raise _refuse("a name, a path or a ForecastChoice", "forecast", forecast)
-    try:
-        return choose(os.fspath(forecast))
-    except ValueError as error:
-        raise ConfigurationError(str(error), key="forecast", value=str(forecast)) from error
+    return choose(os.fspath(forecast), "forecast")
 
 
 def _initial(

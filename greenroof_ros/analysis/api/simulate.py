@@ -1,4 +1,4 @@
-"""Simulations from Python: one, and several that are compared."""
+"""Simulations from Python, one or several that are compared; and the trajectory of a bag."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
+from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.analysis.api.control import (
@@ -14,19 +16,142 @@ from greenroof_ros.analysis.api.control import (
     choose_controller,
     parameters_of,
 )
-from greenroof_ros.analysis.api.inputs import PathText, make_run
-from greenroof_ros.analysis.api.result import Result
+from greenroof_ros.analysis.api.inputs import PathText, file_of_site, make_run
 from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.times import duration, to_minutes
 from greenroof_ros.controllers.protocol import Controller, set_forecast_ends
-from greenroof_ros.experiment.closed_loop import record
-from greenroof_ros.experiment.simulation import Simulation
+from greenroof_ros.experiment import summary
+from greenroof_ros.experiment.closed_loop import Simulation, record
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.look_ahead import look_ahead_ends
+from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import Site
+from greenroof_ros.recording.trajectory import COLUMNS, LAYER, TRAJECTORY, Trajectory
 
 if TYPE_CHECKING:
     import altair
     import polars
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """The result of a simulation.
+
+    Example:
+        >>> import greenroof_ros as gr
+        >>> result = gr.simulate("onoff", hours=1)
+        >>> result
+        <Result: onoff, 60 min from 2021-07-07T02:00-05:00>
+        >>> round(result.metrics["pumped_m3"], 3)
+        0.735
+        >>> result.trajectory.height
+        3601
+
+    Attributes:
+        run: what was simulated.
+        summary: everything that ``summary.json`` of the command has.
+        ticks: the trajectory as arrays; :attr:`trajectory` is a table of them.
+    """
+
+    run: Run
+    summary: Mapping[str, Any]
+    ticks: Trajectory
+
+    def __repr__(self) -> str:
+        """Return controller, length and start."""
+        length = duration(self.run.steps * self.run.site.tau)
+        return f"<Result: {self.run.controller.name}, {length} from {to_minutes(self.run.start)}>"
+
+    @cached_property
+    def metrics(self) -> dict[str, float]:
+        """The metrics by their names in ``summary.json``, which end with their unit.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> gr.simulate("onoff", hours=1).metrics["pump_starts"]
+            2
+        """
+        return {
+            metric.name: self.summary[metric.name]
+            for metric in METRICS if metric.name in self.summary
+        }
+
+    @cached_property
+    def trajectory(self) -> polars.DataFrame:
+        """The trajectory, a row for each tick 0..N, as a data frame of polars.
+
+        ``.to_pandas()`` makes one of pandas, if pandas and pyarrow are installed. The columns are
+        the same as in ``greenroof simulate --trajectory``; their units are in their names:
+
+        - ``time``, with its time zone (UTC if its offset from UTC is not of whole hours), and
+          ``time_s``, since the start
+        - ``cistern_m3``, ``roof_m3``: water volumes x1 and x2
+        - ``cistern_level_m``, ``roof_level_m``: water depths
+        - ``precipitation_m_per_s``: rain
+        - ``evapotranspiration_m3_per_s``: off the whole bed, of plants that lack no water
+        - ``command``: share of the pumps' maximum flow (1)
+        - ``pump_flow_m3_per_s``: from the cistern to the roof
+        - ``outflow_m3_per_s``: from the cistern to the sewer
+        - ``drainage_m3_per_s``: off the roof
+        - ``frost``: 1 in frost, else 0
+        - ``drainage_layer_m3``: water volume in the drainage layer of a measured soil
+
+        The flows of the last row are not applied: the run ends in its state.
+
+        Raises:
+            ConfigurationError: polars is not installed.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> frame = gr.simulate("onoff", hours=1).trajectory
+            >>> frame["time", "command"].row(0)[1], frame.height
+            (1.0, 3601)
+        """
+        return table(self.run.site, self.ticks)
+
+    def plot(self) -> altair.VConcatChart:
+        """Return a chart: rain, levels of roof and cistern, and the pump, over time.
+
+        A notebook shows it; ``.save("run.png")`` writes it, also as .svg or .html. Long runs are
+        drawn with the smallest and the largest value of each of some 500 intervals.
+
+        Raises:
+            ConfigurationError: altair is not installed.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> chart = gr.simulate("onoff", hours=1).plot()
+            >>> len(chart.vconcat)
+            4
+        """
+        return Comparison({self.run.controller.name: self}).plot()
+
+    def save(self, directory: PathText) -> Path:
+        """Write a run directory, as the command does, with the trajectory; return its path.
+
+        ``greenroof report DIRECTORY`` reads it.
+
+        Args:
+            directory: new or empty.
+
+        Raises:
+            ConfigurationError: it is not empty, or cannot be written, or polars is not installed.
+
+        Example:
+            >>> import tempfile, greenroof_ros as gr
+            >>> with tempfile.TemporaryDirectory() as directory:
+            ...     path = gr.simulate("onoff", hours=1).save(directory)
+            ...     sorted(file.name for file in path.iterdir())
+            ['configuration', 'summary.json', 'trajectory.parquet']
+        """
+        content = self.ticks.to_parquet()
+        made = make_run_directory(Path(directory), self.run.controller.name)
+        write_configuration(made, self.run, {})
+        (made / TRAJECTORY).write_bytes(content)
+        summary.write(self.summary, made)
+        return made
 
 
 def simulate(
@@ -196,3 +321,52 @@ def compare(
         name: controller if isinstance(controller, Result) else simulate(controller, **inputs)
         for name, controller in controllers.items()
     })
+
+
+def table(site: Site, ticks: Trajectory) -> polars.DataFrame:
+    """Return a trajectory as :attr:`Result.trajectory` describes it."""
+    frame = ticks.to_frame()
+    with in_extra("study"):
+        import polars
+
+        from greenroof_ros.analysis.report.bags import samples_of
+    # Not divided by polars, which multiplies by the reciprocal: other bits than the plant's.
+    computed = {"cistern_level_m": ticks.cistern / site.a1, "roof_level_m": ticks.roof / site.a2}
+    if site.drainage_storage is not None:
+        computed[LAYER.name] = samples_of(site, ticks).layer
+    frame = frame.with_columns(polars.Series(name, computed[name]) for name in computed)
+    order = (column.name for column in COLUMNS if column.name in frame.columns)
+    return frame.select("time", "time_s", *order)
+
+
+def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.DataFrame:
+    """Read the trajectory of a bag: of a run of this package, or of a real site.
+
+    Args:
+        path: a run directory, also one that :meth:`Result.save` wrote, a bag, or a single .mcap
+            file.
+        site: the site, or its file; by default the one next to the bag, or else the paper's.
+
+    Returns:
+        The columns of :attr:`Result.trajectory`.
+
+    Raises:
+        ConfigurationError: the bag is damaged or is not of such a graph, or a package is missing.
+
+    Example:
+        >>> import tempfile, greenroof_ros as gr
+        >>> with tempfile.TemporaryDirectory() as directory:
+        ...     run = gr.simulate("onoff", hours=1).save(directory)
+        ...     frame = gr.read_bag(run)
+        >>> print(frame["time"][-1], round(frame["roof_level_m"][-1], 4))
+        2021-07-07 03:00:00-05:00 0.0457
+    """
+    with in_extra("study"):
+        from greenroof_ros.analysis.report.bags import read_run
+    bag = Path(path)
+    run = read_run(bag, bag.name, None if site is None else file_of_site(site))
+    if isinstance(run, dict):
+        raise ConfigurationError(run["error"], file=bag)
+    if run.load is None:
+        raise ConfigurationError("has no trajectory; repeat the run with --trajectory", file=bag)
+    return table(run.site, run.load().trajectory)

@@ -24,7 +24,7 @@ from greenroof_ros.analysis.report.run import (
     read_about,
 )
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import file_digest, shared_directory
+from greenroof_ros.common.files import default_site_file, file_digest
 from greenroof_ros.common.times import to_people
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
@@ -86,7 +86,7 @@ def read_run(path: Path, name: str, site_file: Path | None) -> ReportedRun | Row
     elif own_site.is_file():
         site, site_name = read_site(own_site), own_site.name
     else:
-        site = read_site(shared_directory() / "config" / "site.yaml")
+        site = read_site(default_site_file())
         site_name = "the paper's"
         notes.append(
             Note("no site file came with the bag: the site is the paper's, config/site.yaml")

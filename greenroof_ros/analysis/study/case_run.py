@@ -10,9 +10,8 @@ from typing import Any
 from greenroof_ros.analysis.study.grid import Case, in_directory
 from greenroof_ros.common.files import naming
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
-from greenroof_ros.experiment.closed_loop import record
+from greenroof_ros.experiment.closed_loop import Simulation, record
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
-from greenroof_ros.experiment.simulation import Simulation
 from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.results_table import summary_columns
 from greenroof_ros.recording.trajectory import TRAJECTORY

@@ -395,9 +395,9 @@ class _Grid:
             key = "model" if "model" in block else "forecast"
             text = block.get(key)
             try:
-                choice = choose(str(text))
-            except ValueError as error:
-                wrong = f"{text!r} {error}, or {_FORECAST}"
+                choice = choose(str(text), "forecast")
+            except ConfigurationError as error:
+                wrong = f"{text!r} {error.expected}, or {_FORECAST}"
                 raise self._refuse(mapping, "forecast", wrong) from error
             if choice.file is not None:
                 choice = replace(choice, file=self._file(block, key))
@@ -420,10 +420,8 @@ class _Grid:
     def _skill(self, options: YamlMapping) -> str:
         """Return the skill under ``skill:``, or the path of its file."""
         text = self._text(options, "skill")
-        try:
-            check_skill(text)
-        except ValueError as error:
-            raise self._refuse(options, "skill", f"{text!r} {error}") from error
+        with self._at(options, "skill"):
+            check_skill(text, "skill")
         if text not in SKILLS:
             text = str(self._file(options, "skill"))
         with self._at(options, "skill"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import csv
-import fcntl
 import hashlib
 import io
 import json
@@ -12,12 +11,13 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from greenroof_ros.analysis.study.case_run import Outcome, write_inputs
 from greenroof_ros.analysis.study.grid import Case, contents
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import naming
+from greenroof_ros.common.files import naming, replace_text
+from greenroof_ros.common.processes import LockedError, acquire_file_lock
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.forecast.skill import REAL, read_skill
 from greenroof_ros.recording.results_table import parameter_columns
@@ -106,17 +106,16 @@ class StudyStore:
         else:
             shutil.copyfile(grid, configuration / "grid.yaml")
             write_inputs(contents(self.cases), configuration)
-            _write(file, json.dumps(identity, indent=2) + "\n")
+            replace_text(file, json.dumps(identity, indent=2) + "\n")
         self._runs.mkdir(exist_ok=True)
         for cut_short in self._runs.glob("*.part"):
             shutil.rmtree(cut_short)
 
     def _lock(self) -> None:
         """Keep other processes out while this one lives."""
-        self._lock_file: TextIO = (self.directory / _LOCK).open("w")
         try:
-            fcntl.flock(self._lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            self._lock_file = acquire_file_lock(self.directory / _LOCK)
+        except LockedError:
             raise ConfigurationError(
                 "is in use by another process", key="--output", value=str(self.directory)
             ) from None
@@ -158,7 +157,7 @@ class StudyStore:
     def write_bound(self, case: Case, bound: float) -> None:
         """Store the minimum possible total deviation (m3) of a case's problem."""
         self.bounds[case.problem] = bound
-        _write(self._bounds, _with_digest(self.bounds))
+        replace_text(self._bounds, _with_digest(self.bounds))
 
     def write_tables(self) -> list[dict[str, Any]]:
         """Write ``results.csv``, and separately ``timings.csv``, because times never repeat.
@@ -207,6 +206,7 @@ def _numbers() -> dict[str, str]:
     digest = hashlib.sha256()
     parts = ["model", "formats", "weather", "forecast", "controllers", "experiment"]
     parts += ["analysis/study/case_run.py", "recording/results_table.py"]
+    parts += ["recording/trajectory.py"]
     # They read the numbers of sites, controllers and windows.
     parts += ["common/files.py", "common/parameter.py", "common/ranges.py", "common/times.py"]
     for part in parts:
@@ -248,15 +248,6 @@ def _read(file: Path) -> dict[str, Any]:
         ) from error
 
 
-def _write(path: Path, text: str) -> None:
-    """Replace a file as a whole: after a crash it is complete or as before."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.part")
-    with naming(part):
-        part.write_text(text, encoding="utf-8")
-    part.replace(path)
-
-
 def _write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write rows, with every column that any of them has; floats keep all their digits."""
     text = io.StringIO()
@@ -264,4 +255,4 @@ def _write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    _write(path, text.getvalue())
+    replace_text(path, text.getvalue())

@@ -10,8 +10,7 @@ from typing import Any, ClassVar
 
 from rclpy.node import Node
 
-from greenroof_ros.commands.checks.node import NodeCheck, ProblemError, checking_node, require
-from greenroof_ros.common.command_line import CheckResult
+from greenroof_ros.commands.checks.node import SETTLE_S, NodeCheck, ProblemError, require
 from greenroof_ros.controllers.check import trial_values
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import WithFront
@@ -34,8 +33,6 @@ _STOPS = (
 _STOP_TICKS = 3
 # Within this simulated time a controller must water again (s): it may limit the pump's starts.
 _WATERS_AGAIN_S = 3600.0
-# A second command follows the first within this time (s): awaited in the first tick and the last.
-_SETTLE_S = 0.5
 # How long the last input of a tick is kept back (s): a node that does not await it answers by then.
 _DELAY_S = 0.1
 # A solver's answers to equal inputs may differ by this much.
@@ -48,6 +45,7 @@ class ControllerCheck(NodeCheck):
     """Checks one controller's node."""
 
     kind: ClassVar[str] = "controller"
+    answer: ClassVar[str] = "command"
     output: ClassVar[str] = "/pump/command"
     inputs: ClassVar[tuple[str, ...]] = (*_LEVELS, _FROST)
     optional: ClassVar[tuple[str, ...]] = _FORECASTS
@@ -71,13 +69,12 @@ class ControllerCheck(NodeCheck):
         """
         super().__init__(node, controller, arrival, site.tau, 0.0)
         self._site = site
-        self._answer = answer
+        self._limit = answer
         # In front of a forecast: no time of issue, and the ends of the steps.
         self._front = array("d", [math.nan, *look_ahead_ends(site, horizon)[1:]])
         # The values of a tick, by topic; once they are known, those in which the controller waters.
         self._usual = dict.fromkeys(self.played[1:], 0.0)
         self._unanswered = ""
-        self._doubled = ""
         self._slowest = 0.0
 
     def run_checks(self) -> None:
@@ -109,13 +106,10 @@ class ControllerCheck(NodeCheck):
         with self.check("its commands are finite and not negative, at all levels and forecasts"):
             for trial in self._trials():
                 self._valid_command(trial)
-        with self.check(f"answers every tick, within {self._answer:g} s"):
+        with self.check(f"answers every tick, within {self._limit:g} s"):
             require(not self._unanswered, self._unanswered)
             self.result = f"{self.ticks} ticks, the slowest answer after {self._slowest:.3f} s"
-        with self.check("publishes exactly one command for each tick"):
-            self.spin(_SETTLE_S)
-            self._count_answers(0)
-            require(not self._doubled, self._doubled)
+        self.check_count()
         with self.check("ends when the plant has gone"):
             self._end()
 
@@ -195,7 +189,7 @@ class ControllerCheck(NodeCheck):
         Raises:
             ProblemError: there is no answer, or one before the last input.
         """
-        self._count_answers(0)
+        self.count_answers(0)
         self.start_tick()
         values = {**self._usual, **overrides}
         early = False
@@ -207,20 +201,26 @@ class ControllerCheck(NodeCheck):
             early = bool(self.answers)
             self.publish(last, self._value(last, values))
         began = time.monotonic()
-        if not self.wait_for_answer(began + self._answer):
+        if not self.wait_for_answer(began + self._limit):
             ended = "" if self.endpoints(self.output) else "; it has ended"
             self._unanswered = (
-                f"no command within {self._answer:g} s in tick {self.ticks - 1}"
+                f"no command within {self._limit:g} s in tick {self.ticks - 1}"
                 f"{_with(overrides)}{ended}"
             )
             raise ProblemError(self.hindered)
         self._slowest = max(self._slowest, time.monotonic() - began)
         if self.ticks == 1:
-            self.spin(_SETTLE_S)
+            self.spin(SETTLE_S)
         command = self.answers[0]
-        self._count_answers(1)
+        self.count_answers(1)
         require(not early, f"it answers before {last} of the tick has come")
         return command
+
+    def count_answers(self, expected: int) -> None:
+        """Also try no more ticks if there are too many commands."""
+        super().count_answers(expected)
+        if self.surplus:
+            self.hindered = "not tried: more than one command for a tick"
 
     def _value(self, topic: str, values: Mapping[str, float]) -> Any:
         """Return a value as it is published: the same rate in all steps of a forecast."""
@@ -228,15 +228,6 @@ class ControllerCheck(NodeCheck):
         if topic not in _FORECASTS:
             return value
         return WithFront(self._front, array("d", [value] * (len(self._front) - 1)))
-
-    def _count_answers(self, answers: int) -> None:
-        """Note commands beyond the expected number, and forget all: they hide later answers."""
-        if len(self.answers) > answers and not self._doubled:
-            self._doubled = (
-                f"{len(self.answers)} commands instead of {answers} after tick {self.ticks - 1}"
-            )
-            self.hindered = "not tried: more than one command for a tick"
-        self.answers.clear()
 
 
 def _problem(command: float, values: Mapping[str, float]) -> str:
@@ -248,28 +239,3 @@ def _problem(command: float, values: Mapping[str, float]) -> str:
 def _with(values: Mapping[str, float]) -> str:
     words = ", ".join(f"{value:g} on {topic}" for topic, value in values.items())
     return f" with {words}" if words else ""
-
-
-def check_controller_node(
-    controller: str, site: Site, *, horizon: float, answer: float, arrival: float
-) -> list[CheckResult]:
-    """Check a running controller's node.
-
-    Args:
-        controller: name of the node, with its namespace if it has one: ``/site1/controller``.
-        site: the site that sets the levels and the tick.
-        horizon: how far the forecasts reach (h), in growing steps; 0 for the next M ticks.
-        answer: longest time from the last input of a tick to the command (s).
-        arrival: longest wait for the node to join the graph (s).
-
-    Returns:
-        A result for each check.
-
-    Raises:
-        ConfigurationError: there is no such node.
-        OccupiedError: a graph already uses it.
-    """
-    with checking_node("check_controller", controller) as (node, name):
-        return ControllerCheck(
-            node, name, site, horizon=horizon, answer=answer, arrival=arrival
-        ).run()

@@ -34,6 +34,8 @@ _LAST_TICK = 1e9
 _EPOCH_NS = 1_751_371_200_000_000_000
 # Within this time the endpoints of topics discover each other on one machine (s).
 _DISCOVERY_S = 2.0
+# A second answer follows the first within this time (s): awaited in the first tick and the last.
+SETTLE_S = 0.5
 
 
 class ProblemError(Exception):
@@ -51,6 +53,7 @@ class NodeCheck(ABC):
 
     Attributes:
         kind: what the node is, for messages.
+        answer: what it answers, for messages.
         output: the topic on which it answers a tick, with a number.
         inputs: the topics that it must subscribe to.
         optional: the topics that it may subscribe to, and whose quality of service must then fit.
@@ -58,6 +61,7 @@ class NodeCheck(ABC):
         peers: which nodes the check plays, for messages.
         checks: the number of checks, for the progress messages.
         answers: the values received on ``output`` and not counted yet.
+        surplus: the first tick that had more answers than it must have, in words; empty if none.
         results: of the checks so far.
         result: of the present check, if it is worth showing.
         hindered: why no more ticks are tried; empty if they are.
@@ -65,6 +69,7 @@ class NodeCheck(ABC):
     """
 
     kind: ClassVar[str]
+    answer: ClassVar[str]
     output: ClassVar[str]
     inputs: ClassVar[tuple[str, ...]]
     optional: ClassVar[tuple[str, ...]] = ()
@@ -85,6 +90,7 @@ class NodeCheck(ABC):
         self.node = node
         self.interface = read_topics()
         self.answers: list[float] = []
+        self.surplus = ""
         self.results: list[CheckResult] = []
         self.result = ""
         self.hindered = ""
@@ -253,6 +259,22 @@ class NodeCheck(ABC):
             self._executor.spin_once(timeout_sec=remaining)
         return True
 
+    def count_answers(self, expected: int) -> None:
+        """Note answers beyond the expected number, and forget all: they hide later answers."""
+        if len(self.answers) > expected and not self.surplus:
+            self.surplus = (
+                f"{len(self.answers)} {self.answer}s instead of {expected} after tick "
+                f"{self.ticks - 1}"
+            )
+        self.answers.clear()
+
+    def check_count(self) -> None:
+        """Check that no tick had more than one answer, the last one neither."""
+        with self.check(f"publishes exactly one {self.answer} for each tick"):
+            self.spin(SETTLE_S)
+            self.count_answers(0)
+            require(not self.surplus, self.surplus)
+
     def spin(self, seconds: float) -> None:
         """Receive messages for this time, and show the progress."""
         until = time.monotonic() + seconds
@@ -261,16 +283,20 @@ class NodeCheck(ABC):
         self._lines.update(self._current_check)
 
 
-@contextmanager
-def checking_node(name: str, tested: str) -> Iterator[tuple[Node, str]]:
-    """Join the graph of a node under test.
+def check_node(
+    name: str, tested: str, make: Callable[[Node, str], NodeCheck]
+) -> list[CheckResult]:
+    """Join the graph of a running node, check it, and return a result for each check.
 
     Args:
         name: name of the node that plays the peers.
         tested: name of the node under test, with its namespace if it has one: ``/site1/pump``.
+        make: returns the check, given the node that plays the peers, in that namespace, and the
+            tested node's name without it.
 
-    Yields:
-        The node that plays the peers, in that namespace, and the tested node's name without it.
+    Raises:
+        ConfigurationError: there is no such node.
+        OccupiedError: a graph already uses it.
     """
     choose_transport()
     namespace, _, tested_name = tested.rpartition("/")
@@ -278,7 +304,7 @@ def checking_node(name: str, tested: str) -> Iterator[tuple[Node, str]]:
     try:
         node = Node(name, namespace=namespace or "/")
         try:
-            yield node, tested_name
+            return make(node, tested_name).run()
         finally:
             node.destroy_node()
     finally:

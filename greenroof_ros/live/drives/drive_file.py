@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
-from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
-from greenroof_ros.common.parameter import Word, entry, error_at, find, read_record
+from greenroof_ros.common.files import YamlMapping, shared_directory
+from greenroof_ros.common.parameter import Word, entry, find, read_record
 from greenroof_ros.live.drives.modbus_line import (
     WIDTHS,
     WORD_ORDERS,
@@ -311,11 +311,7 @@ def read_drive_file(path: Path) -> DriveFile:
         ConfigurationError: something in it is missing, unknown or impossible, or contradicts
             something else in it.
     """
-    content = read_yaml(path)
-    drive = replace(read_record(DriveFile, path, content), path=path)
-    for key, expected in _mistakes(drive, content):
-        raise error_at(path, content, key, expected)
-    return drive
+    return replace(read_record(DriveFile, path, _mistakes), path=path)
 
 
 # What a register must be if a key names it, besides its unit.

@@ -588,9 +588,7 @@ def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
         time.sleep(0.1)
 
 
-def stop_drive(
-    endpoint: Endpoint, *, driver: int | None = None, timeout_s: float = 0.5
-) -> DriveStatus:
+def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:
     """Stop a drive after its driver has died; blocks for `REST_LIMIT_S` at most.
 
     The lock keeps other drivers off meanwhile. It is not required: a hung driver still holds it,
@@ -599,7 +597,6 @@ def stop_drive(
     Args:
         endpoint: the drive.
         driver: process id of that driver, which may hold the lock; None if there is none.
-        timeout_s: longest wait for each answer (s).
 
     Returns:
         The drive's report after *stop*; it may not be stopped.
@@ -618,15 +615,15 @@ def stop_drive(
     except DriveError:
         pass
     try:
-        return _stop(endpoint, timeout_s)
+        return _stop(endpoint)
     finally:
         only.release()
 
 
-def _stop(endpoint: Endpoint, timeout_s: float) -> DriveStatus:
+def _stop(endpoint: Endpoint) -> DriveStatus:
     attempts, until = 3, time.monotonic() + REST_LIMIT_S
     while True:
-        drive = endpoint.connection(timeout_s)
+        drive = endpoint.connection()
         try:
             drive.line.connect()
             return _stop_until_at_rest(drive, until)

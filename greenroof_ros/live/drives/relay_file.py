@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from string import Template
 
-from greenroof_ros.common.files import YamlMapping, read_yaml
-from greenroof_ros.common.parameter import entry, error_at, find, read_record
+from greenroof_ros.common.files import YamlMapping
+from greenroof_ros.common.parameter import entry, find, read_record
 from greenroof_ros.live.drives.drive_file import Source
 
 MQTT = "mqtt"
@@ -140,11 +140,7 @@ def read_relay_file(path: Path) -> RelayFile:
         ConfigurationError: something in it is missing, unknown or impossible, or contradicts
             something else in it.
     """
-    content = read_yaml(path)
-    relay = replace(read_record(RelayFile, path, content), path=path)
-    for key, expected in _mistakes(relay, content):
-        raise error_at(path, content, key, expected)
-    return relay
+    return replace(read_record(RelayFile, path, _mistakes), path=path)
 
 
 def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str]]:

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_yaml, shared_directory
+from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import Topic, read_topics
 from greenroof_ros.common.mqtt import Broker, parse_topic
-from greenroof_ros.common.parameter import Word, entry, error_at, read_record
+from greenroof_ros.common.parameter import Word, entry, read_record
 from greenroof_ros.live.drives.modbus_line import (
     WIDTHS,
     WORD_ORDERS,
@@ -251,11 +251,7 @@ def read_sensors(path: Path, greatest_ages: Mapping[str, float] | None = None) -
         ConfigurationError: something in it is missing, unknown or impossible, or contradicts
             something else in it.
     """
-    content = read_yaml(path)
-    sensors = read_record(Sensors, path, content)
-    for key, expected in _mistakes(sensors, greatest_ages or {}):
-        raise error_at(path, content, key, expected)
-    return sensors
+    return read_record(Sensors, path, lambda sensors, _: _mistakes(sensors, greatest_ages or {}))
 
 
 def _mistakes(

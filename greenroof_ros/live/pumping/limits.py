@@ -56,7 +56,7 @@ class PumpSettings:
     """The limits of a pump, and the thresholds of its checks.
 
     Each field has its meaning, range, unit and default. Some defaults depend on the site:
-    :func:`pump_parameters` lists them all, and :func:`settings_for` fills in the missing ones.
+    :func:`pump_parameters` lists them all.
     """
 
     least_speed: float = entry(
@@ -158,13 +158,6 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
         replace(entry, default=of_site.get(entry.name, entry.default))
         for entry in parameters_of(PumpSettings)
     )
-
-
-def settings_for(site: Site, **changes: float) -> PumpSettings:
-    """Return the settings for a site: those given, and defaults for the others."""
-    return PumpSettings(**{
-        parameter.name: parameter.default for parameter in pump_parameters(site)
-    } | changes)
 
 
 class PumpLimits:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import json
 import random
+import secrets
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TextIO
+from typing import Any, TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.mqtt import make_client
 from greenroof_ros.live.drives.modbus_line import (
     Address,
     DriveError,
@@ -17,9 +21,8 @@ from greenroof_ros.live.drives.modbus_line import (
     encode,
     parse_address,
 )
-from greenroof_ros.live.drives.sensor_file import ModbusSensor, Sensors
+from greenroof_ros.live.drives.sensor_file import ModbusSensor, MqttSensor, Sensors
 from greenroof_ros.live.simulators import faults
-from greenroof_ros.live.simulators.mqtt_sensor import SimulatedMqttSensor
 from greenroof_ros.live.simulators.server import Bench, Device, Server
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.pump_speed import flow_at
@@ -31,6 +34,8 @@ _MIN_PAUSE_S = 0.02
 _DRIVE_ANSWERS_S = 1.0
 _PER_MINUTE = 60.0
 _TEMPERATURE = 15.0
+# Number of messages within the longest silence that the sensor file allows.
+_MESSAGES = 5
 COLUMNS = (
     "time_s", "cistern_level_m", "roof_level_m", "speed", "pump_flow_m3_per_s", "pumped_m3",
     "precipitation_m_per_s", "evapotranspiration_m3_per_s", "fault",
@@ -288,3 +293,48 @@ class SiteBench(Bench):
                 f"{self.pumped:.9g},{rain:.9g},{evapotranspiration:.9g},{self.fault.name}",
                 file=self._output, flush=True,
             )
+
+
+def payload(raw: float, sensor: MqttSensor) -> str:
+    """Return a message that has a number at the sensor's path."""
+    content: Any = raw
+    for step in reversed(sensor.steps):
+        content = {step: content} if isinstance(step, str) else [None] * step + [content]
+    return json.dumps(content)
+
+
+class SimulatedMqttSensor:
+    """Publishes readings regularly, and its availability if the sensor has a topic for that."""
+
+    def __init__(self, name: str, sensor: MqttSensor, read: Callable[[], float | None]) -> None:
+        """Prepare the sensor without connecting.
+
+        Args:
+            name: of the sensor.
+            sensor: where and how it publishes.
+            read: returns its raw value; None if it must not publish.
+        """
+        self._sensor, self._read = sensor, read
+        broker, self._topic = sensor.broker_and_topic()
+        self._will = (sensor.available, "offline") if sensor.available else None
+        self._client = make_client(
+            broker, f"simulated_{name}_{secrets.token_hex(6)}", self._announce,
+            lambda topic, payload, retained: None, will=self._will,
+        )
+
+    def _announce(self) -> None:
+        if self._will is not None:
+            self._client.publish(self._sensor.available, self._sensor.online, qos=1, retain=True)
+
+    async def run(self, ended: asyncio.Event) -> None:
+        """Publish until the simulator ends."""
+        self._client.loop_start()
+        while not ended.is_set():
+            raw = self._read()
+            if raw is not None:
+                self._client.publish(self._topic, payload(raw, self._sensor))
+            with contextlib.suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(ended.wait(), self._sensor.max_age / _MESSAGES)
+        if self._will is not None:
+            self._client.publish(*self._will, qos=1, retain=True)
+        self._client.disconnect()

@@ -60,7 +60,7 @@ WRONG = {
     "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': 'perfekt' is unk"),
     "forecast-skill": (
         GRID + "forecast: {model: errors, skill: [real, large]}\n",
-        "skill = 'large': 'large' must be one of much_",
+        "skill = 'large': must be one of much_",
     ),
     "forecast-twice": (GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"),
     "sensor_pump_errors-twice": (

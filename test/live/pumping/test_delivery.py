@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from paper import PAPER_SITE, site_with
 from places import CONFIG
-from pump_rig import Rig
+from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.conditions import Problem
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
-from greenroof_ros.live.pumping.limits import settings_for
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site, read_site
 

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import pytest
 from paper import PAPER_SITE
-from pump_rig import Rig
+from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.conditions import Problem
-from greenroof_ros.live.pumping.limits import settings_for
 
 SITE = replace(PAPER_SITE, greatest_dose=0.5)
 

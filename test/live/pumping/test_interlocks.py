@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from paper import PAPER_SITE
 from places import CHECKOUT
-from pump_rig import Rig
+from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.conditions import (
     INHIBIT,
@@ -25,7 +25,7 @@ from greenroof_ros.common.conditions import (
 )
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.live.pumping.interlocks import evaluate
-from greenroof_ros.live.pumping.limits import pump_parameters, settings_for
+from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.live.pumping.pump_control import Decision
 
 

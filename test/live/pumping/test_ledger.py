@@ -21,11 +21,10 @@ import pytest
 from disks import small_disk
 from graphs import wait_for
 from paper import PAPER_SITE
-from pump_rig import Rig
+from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.times import to_people
 from greenroof_ros.live.pumping.ledger import Ledger, PumpRecord, state_directory
-from greenroof_ros.live.pumping.limits import settings_for
 from greenroof_ros.live.pumping.pump_control import PumpControl
 
 

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import PAPER_SITE, site_with
-from pump_rig import Rig
+from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.conditions import Problem
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.live.pumping.ledger import Ledger
-from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings, settings_for
+from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
 from greenroof_ros.model.plant import maximum_pump_flow, pump_flow
 
 # A fifth of the maximum flow at 3 m, 0.00842205 m3/s, for 10 s.

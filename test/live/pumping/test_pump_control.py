@@ -8,12 +8,11 @@ import time
 
 import pytest
 from paper import PAPER_SITE, paper_run
-from pump_rig import Rig
+from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.conditions import Problem
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.live.pumping.ledger import Ledger
-from greenroof_ros.live.pumping.limits import settings_for
 from greenroof_ros.live.pumping.pump_control import Decision, Observation, PumpControl
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import maximum_pump_flow
