@@ -73,6 +73,9 @@ setup(
         "Topic :: Scientific/Engineering :: Hydrology",
     ],
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    # With it an editable install is a path of a .pth file. Otherwise the clone's folder, which has
+    # the package's name, would be imported by a Python that starts in the folder above.
+    package_dir={"": "."},
     package_data={NAME: ["py.typed"],
                   f"{NAME}.analysis.report": ["*.html"], f"{NAME}.watch": ["page/*"],
                   f"{NAME}.analysis.calibration": ["page.html", "findings.yaml"],

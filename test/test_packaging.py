@@ -424,6 +424,21 @@ def test_make_keeps_an_environment_that_is_active(tmp_path):
     assert plan == ".venv/bin/python -m greenroof_ros.bringup --controller mpc\n"
 
 
+def test_an_editable_install_works_in_the_folder_with_the_clone(package_index, tmp_path):
+    """The clone's folder has the package's name; Python must not import it as a namespace."""
+    clone = copy_of_checkout(tmp_path / "greenroof_ros")
+    environment = bare_environment(Path(os.environ.get("HOME", tmp_path)))
+    run(sys.executable, "-m", "venv", "--without-pip", tmp_path / "venv",
+        cwd=tmp_path, env=environment)
+    run(*pip_of(tmp_path / "venv"), "install", "--no-deps", "--editable", clone,
+        cwd=tmp_path, env=environment)
+    module = run(
+        tmp_path / "venv" / "bin" / "python", "-c",
+        "import greenroof_ros; print(greenroof_ros.__file__)", cwd=tmp_path, env=environment,
+    )
+    assert Path(module.strip()) == clone / "greenroof_ros" / "__init__.py"
+
+
 # -------------------------------------------------------------------------------------- colcon
 
 
