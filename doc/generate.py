@@ -153,7 +153,10 @@ def quality() -> str:
     shown = {name: (label, unit) for name, label, _, unit in displays()}
 
     def values(topic: Topic) -> str:
-        return topic.range.limits or "finite" if "Float64" in topic.type else "any"
+        limits = topic.range.limits or "finite" if "Float64" in topic.type else "any"
+        unit = "" if topic.unit == "1" or not topic.range.limits else topic.unit
+        display = ", ".join(filter(None, shown.get(f"`{topic.name}`", ())))
+        return f"{limits} {unit}".rstrip() + (f" (in layouts: {display})" if display else "")
 
     def messages(topic: Topic) -> str:
         if not topic.publishers:
@@ -172,7 +175,7 @@ def quality() -> str:
 
     return entries(
         (
-            f"`{topic.name}`", ", ".join(filter(None, shown.get(f"`{topic.name}`", ()))),
+            f"`{topic.name}`", "",
             "; ".join(filter(None, (values(topic), messages(topic), service(topic)))),
         )
         for topic in read_topics().values()

@@ -30,7 +30,7 @@ _NODE = (
     "last 64, and its publisher with a liveliness lease of 1 s; (2) exactly one message on "
     "/pump/command for each tick, when all its inputs of the tick have arrived; (3) an answer to "
     "every tick, finite and not negative, 0 in frost and when a level or frost is not finite; "
-    "(4) it ends when /clock has no publisher any more. The check plays plant and weather itself, "
+    "(4) it ends when /clock has no publisher any more. The check replaces plant and weather, "
     "so start no run; it ends the node."
 )
 

@@ -17,14 +17,14 @@ _SUBJECT = (
     "Check a running pump driver, this package's or your own in any language, against the "
     "interface, using topics only: off at start, one flow for each command, refused values, "
     "watchdog, a second publisher, frost, unknown levels and frost, a cistern at the suction "
-    "level, and that it runs again after each. The check plays plant, weather and controller "
-    "itself, so start no run. With a --period of less than tau this package's pump node "
-    "refuses any drive but the drive simulator; the pump node ends with the check, as it does "
-    "with the plant of a run."
+    "level, and that it runs again after each. The check replaces plant, weather and controller, "
+    "so start no run. With a --period of less than tau this package's pump node refuses any drive "
+    "but the drive simulator; the pump node ends with the check, as it does with the plant of a "
+    "run."
 )
 _LIMIT = (
     "The flows in the answers are the only evidence: topics do not show whether the pump's shaft "
-    "is really stopped, so watch the pump. The check plays lockstep, one flow for each command, "
+    "is really stopped, so watch the pump. The check runs in lockstep, one flow for each command, "
     "not a live graph, in which a driver must also stop for an input that falls silent."
 )
 # Options in seconds: option, field of `DriverLimits`, minimum value, default and meaning.

@@ -24,6 +24,11 @@ _SETTLED_S, _LONGEST_S = 2.0, 5.0
 _POLL_S = 0.1
 _MOST_LINES = 15
 _TILES = "roof", "cistern", "pump", "rain", "controller"
+# For a pump that should be off. Its drive reports standstill, or its timeout must have stopped it.
+_STANDS = {
+    True: "it stands, by its drive", False: "it may still turn: if it should be off, stop it at "
+    "its drive's panel or the main switch", None: "",
+}
 _LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not responding"}
 
 _DESCRIPTION = """\
@@ -68,7 +73,7 @@ def main() -> int:
     if arguments.json:
         text = json.dumps(values, indent=2, ensure_ascii=False)
     else:
-        text = "\n".join(_lines(shown, code))
+        text = "\n".join(_lines(shown, code, values["pump_stands"]))
     print(text.replace(SPACE, " "))
     return code
 
@@ -112,7 +117,7 @@ def _judge(shown: Mapping[str, Any]) -> int:
     return WARNING if blind or _present(shown) else EXIT_DONE
 
 
-def _lines(shown: Mapping[str, Any], code: int) -> list[str]:
+def _lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str]:
     """Return the status in words; a single line if nothing runs."""
     tiles = shown["tiles"]
     summary = tiles["summary"]
@@ -124,8 +129,10 @@ def _lines(shown: Mapping[str, Any], code: int) -> list[str]:
     for name in _TILES:
         tile = tiles[name]
         why = tile.get("why", "")
+        is_off = name == "pump" and tile["state"] in ("off", "held", "fault", "stopping")
         sentence = "; ".join(filter(None, (
             tile["sentence"], "" if why in tile["sentence"] else why,
+            _STANDS[stands] if is_off else "",
         )))
         lines.append(f"{tile['label']:14} {tile['value']:14} {sentence}".rstrip())
     lines += [*map(_alarm, _present(shown)), *shown["notes"]]
@@ -151,6 +158,7 @@ def _values(store: GraphStore, shown: Mapping[str, Any], code: int) -> dict[str,
     with store.lock:
         forecast, factor = store.forecast, store.factor
         command = store.present_value("/pump/command")
+        pump = None if store.is_lost(store.pump) else store.pump
     amount = None if forecast is None or now is None else forecast.amount(now)
     return {
         "status": _STATES[code],
@@ -166,6 +174,7 @@ def _values(store: GraphStore, shown: Mapping[str, Any], code: int) -> dict[str,
         "roof_level_m": tiles["roof"]["number"],
         "pump": tiles["pump"]["state"],
         "pump_why": tiles["pump"]["why"],
+        "pump_stands": None if pump is None else pump.values.get("stands"),
         "pump_flow_m3_s": tiles["pump"]["number"],
         "command": command,
         "controller": None if controller == UNKNOWN else controller,

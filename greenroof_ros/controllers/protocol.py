@@ -59,7 +59,7 @@ class Controller(Protocol):
 
         Args:
             cistern_level: water depth in the cistern (m).
-            roof_level: water depth on the roof (m).
+            roof_level: water in the roof's substrate, as a depth (m).
             precipitation: forecast of rain (m/s), the first entry now, shape (steps,); with
                 ``ensemble = True`` shape (members, steps).
             evapotranspiration: forecast of evapotranspiration off the whole bed (m3/s), the first

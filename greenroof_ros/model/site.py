@@ -85,7 +85,7 @@ class Site:
     r_o: float = entry("radius of the cistern's outlet", *_POSITIVE, unit="m")
     c_d: float = entry("discharge coefficient of the outlets", *_POSITIVE, unit="1")
     a2: float = entry("bottom surface area of the rooftop vegetation", *_POSITIVE, unit="m2")
-    z_veg: float = entry("desired water depth on the roof", *_POSITIVE, unit="m")
+    z_veg: float = entry("desired water in the substrate, as a depth", *_POSITIVE, unit="m")
     x2_star: float = entry(
         "desired water volume on the roof: a2 z_veg; computed if left out", *_POSITIVE,
         unit="m3",

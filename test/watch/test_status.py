@@ -21,8 +21,9 @@ from test_watch_command import WITHOUT, running_pump
 TILES = ["Roof level", "Cistern level", "Pump", "Rain", "Controller"]
 KEYS = {
     "status", "exit_code", "summary", "advice", "mode", "namespace", "time", "times_real_time",
-    "cistern_level_m", "roof_level_m", "pump", "pump_why", "pump_flow_m3_s", "command",
-    "controller", "rain_m_s", "forecast_rain_m", "forecast_reach_s", "alarms", "notes",
+    "cistern_level_m", "roof_level_m", "pump", "pump_why", "pump_stands",
+    "pump_flow_m3_s", "command", "controller", "rain_m_s", "forecast_rain_m", "forecast_reach_s",
+    "alarms", "notes",
 }
 
 
@@ -185,9 +186,13 @@ def test_a_drive_that_has_a_fault_is_an_alarm(domain: int, tmp_path: Path) -> No
                 and seen["pump"] == pump and seen, 90, f"{code}, {pump}",
             )
 
-        assert until(1, "running")["mode"] == "loop"
+        running = until(1, "running")
+        assert (running["mode"], running["pump_stands"]) == ("loop", False)
         stop(domain, tmp_path)
         held = until(1, "held")
+        wait_for(
+            lambda: data(domain, tmp_path, *namespace)["pump_stands"], 90, "a reported standstill"
+        )
         assert held["alarms"][0]["code"] == "hold"
         assert {alarm["level"] for alarm in held["alarms"]} == {"warn"}
         drive.inject("drive_fault")
@@ -196,6 +201,8 @@ def test_a_drive_that_has_a_fault_is_an_alarm(domain: int, tmp_path: Path) -> No
         code, lines = status(domain, tmp_path, *namespace)
         assert code == 2 and len(lines) <= 15
         assert any(line.startswith("Alarm: /site1/pump: pump: ") for line in lines)
+        (pump,) = (line for line in lines if line.startswith("Pump "))
+        assert pump.endswith("; it stands, by its drive")
 
 
 def stop(domain: int, cwd: Path) -> None:

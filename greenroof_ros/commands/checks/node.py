@@ -168,7 +168,7 @@ class NodeCheck(ABC):
             if publishers:
                 raise OccupiedError(
                     f"{self._name(topic)} already has a publisher "
-                    f"({display_name(publishers[0].node_name)}): the check plays {self.peers} "
+                    f"({display_name(publishers[0].node_name)}): the check replaces {self.peers} "
                     "itself; end the graph first"
                 )
 
