@@ -58,17 +58,21 @@ _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",
     re.DOTALL,
 )
+# An option, or a command with its options.
+_CODE = re.compile(
+    rf"\bgreenroof (?:{'|'.join(COMMANDS)})\b(?: --[a-z-]+)*|(?<![\w-])--[a-z][a-z-]*"
+)
 
 
 def cell(text: object) -> str:
     """Return a text as the cell of a table; text in backticks is left unchanged.
 
-    Options, and commands in quotes, become code.
+    Options and commands become code.
     """
     line = " ".join(str(text).split())
     line = re.sub(r"'((?:ros2|greenroof|python) [^']*)'", r"`\1`", line)
     parts = re.split(r"(`[^`]*`)", line)
-    parts[::2] = [re.sub(r"(?<![\w-])--[a-z][a-z-]*", r"`\g<0>`", part) for part in parts[::2]]
+    parts[::2] = [_CODE.sub(r"`\g<0>`", part) for part in parts[::2]]
     line = "".join(parts)
     parts = re.split(r"(`[^`]*`)", line)
     parts[::2] = [re.sub(r"([|*<>$\[\]{}]|\b_|_\b)", r"\\\1", part) for part in parts[::2]]
@@ -76,26 +80,22 @@ def cell(text: object) -> str:
 
 
 def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """Return a table; a cell that is a tuple has a line for each of its texts that is not empty."""
-
-    def part(content: object) -> str:
-        texts = content if isinstance(content, tuple) else (content,)
-        return "<br>".join(filter(None, map(cell, texts)))
-
+    """Return a table."""
     names = list(header)
     lines = [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
-    lines += [f"| {' | '.join(map(part, row))} |" for row in rows]
+    lines += [f"| {' | '.join(map(cell, row))} |" for row in rows]
     return "\n".join(lines) + "\n"
 
 
-def entries(rows: Iterable[tuple[str, str, str]]) -> str:
-    """Return a list of names, what each is, and its meaning.
+def entries(rows: Iterable[Sequence[str]]) -> str:
+    """Return a list of names, what each is, and its meaning, which may have several lines.
 
     Its lines break anywhere, while a table of long names is wider than a phone.
     """
     return "".join(
-        f"- **{cell(name)}**{f' ({cell(kind)})' if kind else ''}: {cell(meaning)}\n"
-        for name, kind, meaning in rows
+        f"- **{cell(name)}**{f' ({cell(kind)})' if kind else ''}: "
+        f"{'<br>'.join(map(cell, filter(None, lines)))}\n"
+        for name, kind, *lines in rows
     )
 
 
@@ -136,8 +136,8 @@ def topics() -> str:
     return entries(
         (
             f"`{topic.name}`", ", ".join(filter(None, (topic.unit, kind))),
+            topic.meaning,
             sentences(
-                topic.meaning,
                 f"From {roles(topic.publishers, topic.live_publishers)}",
                 f"To {readers}" if readers else "",
             ),
@@ -215,7 +215,7 @@ def _declared(parameter: Parameter, kind: str) -> tuple[str, str]:
 
 def metrics() -> str:
     """Return the metrics of a run, whose names end in their units."""
-    return entries((f"`{entry.name}`", "", f"{entry.label}: {entry.meaning}") for entry in METRICS)
+    return entries((f"`{entry.name}`", entry.label, entry.meaning) for entry in METRICS)
 
 
 def site() -> str:
@@ -338,30 +338,27 @@ def site_faults() -> str:
 
 def forecast_faults() -> str:
     """Return the faults of a simulated forecast service."""
-    rows = ((f"`{name}`", meaning) for name, meaning in FORECAST_FAULTS.items())
-    return markdown(("fault", "what then happens"), rows)
+    return entries((f"`{name}`", "", meaning) for name, meaning in FORECAST_FAULTS.items())
 
 
 def _faults(known: Mapping[str, Fault]) -> str:
-    return markdown(
-        ("no.", "fault", "what then happens"),
+    return entries(
         (
-            (
-                entry.number, f"`{name}`",
-                (
-                    entry.meaning,
-                    f"Parameter: {entry.parameter}; default {entry.default}"
-                    if entry.parameter else "",
-                ),
-            )
-            for name, entry in known.items()
-        ),
+            f"`{name}`", f"no. {entry.number}", entry.meaning,
+            f"Parameter: {entry.parameter}; default {entry.default}" if entry.parameter else "",
+        )
+        for name, entry in known.items()
     )
 
 
 def _files_of_drives(*, relays: bool) -> list[Path]:
     paths = sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
     return [path for path in paths if ("protocol" in read_yaml(path)) is relays]
+
+
+def _advice(*rows: tuple[str, str]) -> str:
+    """Return a list of what a person must do or know, without what is empty."""
+    return entries((name, "", text) for name, text in rows if text)
 
 
 def relays() -> str:
@@ -371,9 +368,8 @@ def relays() -> str:
         relay = relay_file.read_relay_file(path)
         parts += [
             f"### {path.stem}\n\n{cell(relay.make)}: {cell(relay.model)}.\n",
-            markdown(("its timer", ""), (
-                ("set it", relay.timer.how_to_set), ("beware", relay.timer.traps),
-            )),
+            "**Its timer**\n",
+            _advice(("Set it", relay.timer.how_to_set), ("Beware", relay.timer.traps)),
             "To set in the relay besides:\n",
             "\n".join(f"- {cell(text)}" for text in relay.set_up) + "\n",
         ]
@@ -392,15 +388,14 @@ def drives() -> str:
         ports: dict[tuple[tuple[str, str], ...], list[str]] = {}
         for interface, timeout in drive.timeout.by_interface.items():
             rows = (
-                ("set it", timeout.how_to_set), ("restarted by", timeout.kept_alive_by),
-                ("beware", timeout.traps),
+                ("Set it", timeout.how_to_set), ("Restarted by", timeout.kept_alive_by),
+                ("Beware", timeout.traps),
             )
             where = "own Ethernet port" if interface == "tcp" else "serial port"
             ports.setdefault(rows, []).append(where)
-        parts += [
-            markdown((f"communication timeout of its {' and its '.join(where)}", ""), rows)
-            for rows, where in ports.items()
-        ]
+        for rows, where in ports.items():
+            parts.append(f"**Communication timeout of its {' and its '.join(where)}**\n")
+            parts.append(_advice(*rows))
         parts.append("To set in the drive besides:\n")
         parts.append("\n".join(f"- {cell(text)}" for text in drive.set_up) + "\n")
         vital = set(drive.unverified_and_vital)
@@ -434,7 +429,7 @@ def interlocks() -> str | None:
             parts.append(f"set by {', '.join(map(limit, entry.limit))}")
         if entry.by or entry.on_page:
             parts.append(f"cleared by {entry.clears_by}")
-        text = re.sub(r"(?<!`)(~/\w+|/pump/\w+|greenroof release)", r"`\1`", "; ".join(parts))
+        text = re.sub(r"(?<!`)(~/\w+|/pump/\w+)", r"`\1`", "; ".join(parts))
         return f"`{code}`", "", text
 
     kinds = itertools.groupby(read_interlocks().items(), lambda item: item[1].kind)
@@ -517,13 +512,17 @@ def parser_of(name: str, arguments: Sequence[str] = ()) -> argparse.ArgumentPars
 
 def command_groups() -> str:
     """Return what each command of ``greenroof`` does, by the user's purpose."""
-    return markdown(
-        ("to", "`greenroof`", "does this"),
-        (
-            (title if name == next(iter(group)) else "", f"`{name}`", entry.about)
-            for title, group in GROUPS.items() for name, entry in group.items()
-        ),
+    return "\n".join(
+        f"**{title[0].upper()}{title[1:]}**\n\n" + "".join(
+            f"- {_section(name)}: {cell(entry.about)}\n" for name, entry in group.items()
+        )
+        for title, group in GROUPS.items()
     )
+
+
+def _section(name: str) -> str:
+    """Return a link to the description of a command."""
+    return f"[`{name}`](#{name.replace(' ', '-')})"
 
 
 def commands() -> str:
@@ -552,15 +551,16 @@ def _command(
     if positionals:
         lines = (f"greenroof {name} {positionals}" for name in names)
         parts.append("\n".join(["```text", *lines, "```\n"]))
-    for group in parser._action_groups:
-        actions = [
-            action for action in group._group_actions
-            if not isinstance(action, argparse._HelpAction)
-        ]
+    arguments, options, *others = parser._action_groups
+    groups = [(None, [*arguments._group_actions, *options._group_actions])]
+    groups += [(group, group._group_actions) for group in others]
+    for group, members in groups:
+        actions = [each for each in members if not isinstance(each, argparse._HelpAction)]
         if not actions:
             continue
-        if group.title not in ("options", "optional arguments", "positional arguments"):
-            about = f"**{str(group.title).capitalize()}.** {cell(group.description or '')}"
+        if group is not None:
+            title = cell(str(group.title).capitalize())
+            about = f"**{title}.** {cell(group.description or '')}"
             parts.append(f"{about.rstrip()}\n")
         rows = []
         elsewhere: dict[str, list[str]] = {}
@@ -578,31 +578,28 @@ def _command(
         if rows:
             parts.append(entries(rows))
         parts += [
-            f"As for [`{command}`](#{command.replace(' ', '-')}): {', '.join(options)}.\n"
-            for command, options in elsewhere.items()
+            f"As for {_section(command)}: {', '.join(same)}.\n"
+            for command, same in elsewhere.items()
         ]
-    group, _, simulated = names[0].partition(" ")
-    if group == "simulators":
+    kind, _, simulated = names[0].partition(" ")
+    if kind == "simulators":
         page = f"simulators.md#faults-of-the-{simulated}"
         parts.append(f"The list of faults: [Simulators]({page}).\n")
     return "\n".join(parts)
 
 
 def _prose(text: str) -> str:
-    """Return a command's description: its paragraphs, and its indented lines as a list."""
+    """Return a command's description: its paragraphs, and its indented lines as code."""
     parts = []
     for indented, lines in itertools.groupby(
         text.strip().splitlines(), lambda line: line.startswith("  ") if line.strip() else None
     ):
         if indented is None:
             continue
-        if not indented:
+        if indented:
+            parts.append("\n".join(["```text", *map(str.strip, lines), "```\n"]))
+        else:
             parts.append(f"{cell(' '.join(lines))}\n")
-            continue
-        items = (re.split(r" {2,}", line.strip(), maxsplit=1) for line in lines)
-        parts.append("".join(
-            f"- {': '.join([f'**{cell(term)}**', *map(cell, about)])}\n" for term, *about in items
-        ))
     return "\n".join(parts)
 
 
@@ -610,7 +607,7 @@ def _value(action: argparse.Action) -> str:
     """Return the values that an option takes."""
     if action.nargs == 0:
         return ""
-    if action.choices is not None:
+    if action.choices is not None and action.metavar is None:
         return ", ".join(map(str, action.choices))
     kind = getattr(action.type, "__name__", "")
     text = f"`{action.metavar or action.dest.upper()}`" + (" ..." if action.nargs == "+" else "")
@@ -652,7 +649,7 @@ def nodes() -> str | None:
             of_nodes.setdefault(row, []).append(node)
     settings = {f"`{parameter.name}`" for parameter in pump_parameters(site)}
     shared = [
-        (name, kind, sentences(meaning, f"Nodes: {', '.join(nodes)}"))
+        (name, kind, meaning, f"Nodes: {', '.join(nodes)}")
         for (name, kind, meaning), nodes in of_nodes.items()
         if len(nodes) > 1 and name not in settings
     ]

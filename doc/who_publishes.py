@@ -53,7 +53,7 @@ WAYS = {
         "live",
         (
             "rain_gauge", "thermometer", "weather", "controller", "recorder", "pump",
-            "cistern_sensor", "roof_sensor",
+            "flow_meter", "cistern_sensor", "roof_sensor",
         ),
         live=True,
         devices=("drive", "sensors"),
@@ -61,7 +61,7 @@ WAYS = {
             *_DRIVE, ("cistern level", "sensors", "cistern_sensor"),
             ("roof level", "sensors", "roof_sensor"),
         ),
-        perhaps=("rain_gauge", "thermometer"),
+        perhaps=("rain_gauge", "thermometer", "flow_meter"),
     ),
 }
 
