@@ -87,6 +87,12 @@ def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def narrow(table: str) -> str:
+    """Return a table whose longest names may break, for a phone."""
+    table = table.replace("anticipating_onoff", "anticipating_<wbr>onoff")
+    return table.replace("Neubrandenburg", "Neubranden&shy;burg")
+
+
 def entries(rows: Iterable[Sequence[str]]) -> str:
     """Return a list of names, what each is, and its meaning, which may have several lines.
 
@@ -486,17 +492,17 @@ def incident() -> str:
 
 def result(name: str) -> str:
     """Return a table of results."""
-    return markdown(*RESULTS[name]())
+    return narrow(markdown(*RESULTS[name]()))
 
 
 def real_seasons(name: str) -> str:
-    """Return a table of real seasons."""
-    return markdown(*REAL_SEASONS[name]())
+    """Return the tables of real seasons."""
+    return "\n".join(markdown(*table) for table in REAL_SEASONS[name]())
 
 
 def which_controller() -> str:
     """Return what each controller achieves, for the page that helps choose."""
-    return markdown(*choices())
+    return narrow(markdown(*choices()))
 
 
 # --- commands -------------------------------------------------------------------------------------

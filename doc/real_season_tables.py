@@ -17,15 +17,16 @@ FILE = Path(__file__).resolve().parent / "results" / "real_seasons.csv"
 MEAN, OVER_ONOFF, OVER_NO_RAIN = "mean deviation (mm)", "over on/off", "over no rain"
 TOGETHER = "the three as one"
 
-# The columns by measure: how a number is written, and whether its interval is.
-_COLUMNS = {
-    MEAN: ("{:.2f}", False),
-    OVER_ONOFF: ("{:.3f}", True),
-    OVER_NO_RAIN: ("{:.3f}", True),
-    "pumped (m³)": ("{:.1f}", False),
-    "water stress (h)": ("{:.0f}", False),
-    "rain kept": ("{:.0%}", False),
-}
+# The columns of each table by measure: how a number is written, and whether its interval is.
+# One table of all measures is wider than a phone.
+_TABLES = (
+    {MEAN: ("{:.2f}", False), OVER_ONOFF: ("{:.3f}", True), OVER_NO_RAIN: ("{:.3f}", True)},
+    {
+        "pumped (m³)": ("{:.1f}", False),
+        "water stress (h)": ("{:.0f}", False),
+        "rain kept": ("{:.0%}", False),
+    },
+)
 # The roofs, by the name of their table.
 _ROOFS = {
     "measured": "measured",
@@ -33,7 +34,9 @@ _ROOFS = {
     "paper": "paper",
 }
 
-Table = tuple[Sequence[str], list[tuple[str, ...]]]
+# A cell is a text, or a text for each of its lines.
+Cell = str | tuple[str, ...]
+Table = tuple[Sequence[str], list[tuple[Cell, ...]]]
 
 
 class Number(NamedTuple):
@@ -57,17 +60,23 @@ def numbers() -> dict[tuple[str, ...], Number]:
     return {tuple(row[:3]): Number(*map(float, row[3:])) for row in rows}
 
 
-def season(roof: str) -> Table:
+def season(roof: str) -> list[Table]:
     """Return the numbers of a roof's runs; a measure that is the same in all runs is left out."""
     forecasts = dict.fromkeys(key[1] for key in numbers() if key[0] == roof)
-    columns = {
-        measure: [numbers()[roof, forecast, measure].text(*how) for forecast in forecasts]
-        for measure, how in _COLUMNS.items()
-    }
-    columns = {name: texts for name, texts in columns.items() if len(set(texts)) > 1}
-    return ("forecast", *columns), list(zip(forecasts, *columns.values(), strict=True))
+    tables: list[Table] = []
+    for measures in _TABLES:
+        columns = {
+            measure.replace(MEAN, "mean (mm)"): [
+                numbers()[roof, forecast, measure].text(*how) for forecast in forecasts
+            ]
+            for measure, how in measures.items()
+        }
+        columns = {name: texts for name, texts in columns.items() if len(set(texts)) > 1}
+        rows = list(zip(forecasts, *columns.values(), strict=True))
+        tables.append((("forecast", *columns), rows))
+    return tables
 
 
-REAL_SEASONS: dict[str, Callable[[], Table]] = {
+REAL_SEASONS: dict[str, Callable[[], list[Table]]] = {
     name: partial(season, roof) for name, roof in _ROOFS.items()
 }

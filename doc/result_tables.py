@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from real_season_tables import OVER_ONOFF, TOGETHER, Table, numbers
+from real_season_tables import OVER_ONOFF, TOGETHER, Cell, Table, numbers
 
 from greenroof_ros.common.files import shared_directory
 
@@ -42,9 +42,9 @@ def _bound(row: Row) -> float:
     return _mm(row) * float(row["bound_m3"]) / float(row["total_deviation_m3"])
 
 
-def _table(corner: str, cells: Iterable[tuple[str, str, str]]) -> Table:
+def _table(corner: str, cells: Iterable[tuple[str, str, Cell]]) -> Table:
     """Return a table of cells, each with its row and its column, in reading order."""
-    rows: dict[str, dict[str, str]] = {}
+    rows: dict[str, dict[str, Cell]] = {}
     columns: dict[str, None] = {}
     for name, column, text in cells:
         columns.setdefault(column)
@@ -54,27 +54,28 @@ def _table(corner: str, cells: Iterable[tuple[str, str, str]]) -> Table:
     ]
 
 
+def _pairs(corner: str, numbers: dict[tuple[str, str], list[str]]) -> Table:
+    """Return a table whose cells have several numbers: a column for each is wider than a phone."""
+    return _table(corner, ((*place, " / ".join(texts)) for place, texts in numbers.items()))
+
+
 def methods() -> Table:
-    """Return the paper's settings, with the authors' totals, and with the other method."""
+    """Return the paper's settings: total, the authors' total, and the mean with each method."""
     path = shared_directory() / "config" / "paper" / "totals.csv"
     with path.open(newline="", encoding="utf-8") as stream:
         authors = {
             (row["controller"], float(row["parameter"])): float(row["total_deviation_m3"])
             for row in csv.DictReader(stream) if row["initial"] == "low-low"
         }
-    cells = []
+    numbers: dict[tuple[str, str], list[str]] = {}
     for row in read("methods"):
         name = _setting(row, "weight", "fraction")
         if row["evapotranspiration"] == "published":
             parameter = float(row["parameter:weight"] or row["parameter:fraction"])
-            cells += [
-                (name, "total (m³)", f"{float(row['total_deviation_m3']):.0f}"),
-                (name, "the authors' (m³)", f"{authors[row['controller'], parameter]:.0f}"),
-                (name, "mean (mm)", f"{_mm(row):.2f}"),
-            ]
-        else:
-            cells.append((name, "mean, `fao56` (mm)", f"{_mm(row):.2f}"))
-    return _table("setting", cells)
+            totals = (float(row["total_deviation_m3"]), authors[row["controller"], parameter])
+            numbers[name, "total / the authors' (m³)"] = [f"{total:.0f}" for total in totals]
+        numbers.setdefault((name, "mean / with `fao56` (mm)"), []).append(f"{_mm(row):.2f}")
+    return _pairs("setting", numbers)
 
 
 _WINDOWS = {
@@ -94,7 +95,10 @@ def windows() -> Table:
     return _table("", (
         *((_BOUND, window, f"{bound:.2f}") for window, bound in bounds.items()),
         *(
-            (_setting(row), _window(row), f"{_mm(row):.2f} ({_mm(row) / bounds[_window(row)]:.4f})")
+            (
+                _setting(row), _window(row),
+                (f"{_mm(row):.2f}", f"{_mm(row) / bounds[_window(row)]:.4f}"),
+            )
             for row in rows
         ),
     ))
@@ -117,32 +121,39 @@ def forecasts() -> Table:
 def useless_forecasts() -> Table:
     """Return the cost of useless forecasts."""
     rows = read("useless_forecasts")
-    cells = []
-    for window in ("the paper's hours", "a dry half day"):
-        for file, words in (("dry.csv", "no rain"), ("rain_that_never_comes.csv", "rain")):
-            for row in rows:
-                if _window(row) == window and row["forecast"] in (file, "perfect"):
-                    budget = row["parameter:waiting_budget"]
-                    name = f"{_setting(row)}, {float(budget):g} h" if budget else _setting(row)
-                    cells.append((name, f"{window}, {words}", f"{_mm(row):.2f}"))
-    return _table("`waiting_budget`", cells)
+    numbers: dict[tuple[str, str], list[str]] = {}
+    for file in ("dry.csv", "rain_that_never_comes.csv"):
+        for row in rows:
+            if row["forecast"] in (file, "perfect"):
+                budget = row["parameter:waiting_budget"]
+                name = f"{_setting(row)}, {float(budget):g} h" if budget else _setting(row)
+                numbers.setdefault((name, _window(row)), []).append(f"{_mm(row):.2f}")
+    return _pairs("`waiting_budget`", numbers)
+
+
+# The columns of errors, by offset and noise (mm) and the minimum on-time (s).
+_ERRORS = {
+    (0, 0, 0): "no error / noise 2 mm", (0, 2, 0): "no error / noise 2 mm",
+    (0, 0, 300): "300 s on and off",
+    (-2, 0, 0): "offset -2 / +2 mm", (2, 0, 0): "offset -2 / +2 mm",
+}
 
 
 def robustness() -> Table:
     """Return the cost of sensor and pump errors; the mean over the seeds of noise."""
-    values: dict[tuple[str, str], list[float]] = {}
+    values: dict[tuple[str, tuple[int, ...]], list[float]] = {}
     for row in read("robustness"):
-        offset, noise = (1000 * float(row[f"roof_{error}"]) for error in ("offset", "noise"))
-        errors = (
-            f"offset {offset:+.0f} mm" if offset
-            else f"noise {noise:.0f} mm" if noise
-            else f"{float(row['minimum_on']):.0f} s on and off" if float(row["minimum_on"])
-            else "none"
+        error = (
+            *(round(1000 * float(row[f"roof_{name}"])) for name in ("offset", "noise")),
+            round(float(row["minimum_on"])),
         )
-        values.setdefault((errors, _setting(row)), []).append(_mm(row))
-    return _table("error", (
-        (*case, f"{np.mean(deviations):.2f}") for case, deviations in values.items()
-    ))
+        values.setdefault((_setting(row), error), []).append(_mm(row))
+    numbers: dict[tuple[str, str], list[str]] = {}
+    for error, column in _ERRORS.items():
+        for (name, other), deviations in values.items():
+            if other == error:
+                numbers.setdefault((name, column), []).append(f"{np.mean(deviations):.2f}")
+    return _pairs("", numbers)
 
 
 def month() -> Table:
@@ -157,14 +168,14 @@ def month() -> Table:
 
     return _table("", (
         *(
-            (_setting(row), f"`{controller}`", text(_mm(row)))
+            (_setting(row), controller, text(_mm(row)))
             for row in rows if not row["parameter:horizon"] for controller in controllers
         ),
         *(
-            (f"{float(row['parameter:horizon']):g} h", f"`{row['controller']}`", text(_mm(row)))
+            (f"{float(row['parameter:horizon']):g} h", row["controller"], text(_mm(row)))
             for row in ahead
         ),
-        *((_BOUND, f"`{controller}`", text(bound)) for controller in controllers),
+        *((_BOUND, controller, text(bound)) for controller in controllers),
     ))
 
 
@@ -205,11 +216,11 @@ def seasons() -> Table:
 
 
 _GENERATED = {
-    ("anticipating_onoff", "real"): "`anticipating_onoff`, generated forecasts",
-    ("lookahead", "real"): "`lookahead`, generated",
-    ("lookahead", "none"): "`lookahead`, generated without skill",
+    ("anticipating_onoff", "real"): "anticipating_onoff, generated forecasts",
+    ("lookahead", "real"): "lookahead, generated",
+    ("lookahead", "none"): "lookahead, generated without skill",
 }
-_ISSUED = "`lookahead`, issued"
+_ISSUED = "lookahead, issued"
 
 
 def choices() -> Table:

@@ -22,8 +22,10 @@ _EXIT_S = 10.0
 
 def copy_of_checkout(to: Path) -> None:
     """Copy the files that a clone has; ``.venv`` is a link to the checkout's."""
-    shutil.copytree(CHECKOUT, to, ignore=shutil.ignore_patterns(
-        ".?*", "__pycache__", "_build", "runs", "studies", "build", "install", "log"
+    hidden = shutil.ignore_patterns(".?*", "__pycache__", "_build")
+    made = shutil.ignore_patterns("runs", "studies", "build", "install", "log")
+    shutil.copytree(CHECKOUT, to, ignore=lambda folder, names: (
+        hidden(folder, names) | (made(folder, names) if Path(folder) == CHECKOUT else set())
     ))
     (to / ".venv").symlink_to(Path(sys.prefix))
 
