@@ -26,8 +26,9 @@ _MOST_LINES = 15
 _TILES = "roof", "cistern", "pump", "rain", "controller"
 # For a pump that should be off. Its drive reports standstill, or its timeout must have stopped it.
 _STANDS = {
-    True: "it stands, by its drive", False: "it may still turn: if it should be off, stop it at "
-    "its drive's panel or the main switch", None: "",
+    True: "stopped, according to the drive",
+    False: "it may still turn: if it should be off, stop it at its drive's panel or the main switch",
+    None: "",
 }
 _LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not responding"}
 

@@ -202,7 +202,7 @@ def test_a_drive_that_has_a_fault_is_an_alarm(domain: int, tmp_path: Path) -> No
         assert code == 2 and len(lines) <= 15
         assert any(line.startswith("Alarm: /site1/pump: pump: ") for line in lines)
         (pump,) = (line for line in lines if line.startswith("Pump "))
-        assert pump.endswith("; it stands, by its drive")
+        assert pump.endswith("; stopped, according to the drive")
 
 
 def stop(domain: int, cwd: Path) -> None:
