@@ -27,7 +27,7 @@ _TILES = "roof", "cistern", "pump", "rain", "controller"
 # For a pump that should be off. Its drive reports standstill, or its timeout must have stopped it.
 _STANDS = {
     True: "stopped, according to the drive",
-    False: "it may still turn: if it should be off, stop it at its drive's panel or the main switch",
+    False: "it may still turn: if it should be off, stop it at the drive or the main switch",
     None: "",
 }
 _LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not responding"}
