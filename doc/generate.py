@@ -80,10 +80,15 @@ def cell(text: object) -> str:
 
 
 def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """Return a table."""
+    """Return a table; a cell that is a tuple has a line for each of its texts that is not empty."""
+
+    def part(content: object) -> str:
+        texts = content if isinstance(content, tuple) else (content,)
+        return "<br>".join(filter(None, map(cell, texts)))
+
     names = list(header)
     lines = [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
-    lines += [f"| {' | '.join(map(cell, row))} |" for row in rows]
+    lines += [f"| {' | '.join(map(part, row))} |" for row in rows]
     return "\n".join(lines) + "\n"
 
 
