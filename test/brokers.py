@@ -35,7 +35,7 @@ class Mosquitto:
 
         Args:
             directory: for its configuration and log.
-            lines: more lines of its configuration, instead of the line that lets anybody in.
+            lines: more lines of its configuration, instead of the line that lets anyone in.
         """
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port: int = free.getsockname()[1]

@@ -57,7 +57,7 @@ _HEADER = "flow [m3/s]", "head [m]"
 _DESCRIPTION = """\
 Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
 drainage time and crop coefficient, as far as the record determines them. The first half of its rain
-is fitted, the second judges the fit. If the record has the pumps' state and the cistern's level,
+is fitted, the second validates the fit. If the record has the pumps' state and the cistern's level,
 the pump curve is fitted first, to how fast the cistern falls.
 """
 _EPILOG = """\

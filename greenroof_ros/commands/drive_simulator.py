@@ -59,7 +59,7 @@ def make_parser() -> Parser:
     place = parser.add_argument_group("its address")
     place.add_argument(
         "--host", default="127.0.0.1",
-        help="address of this machine on which it listens; there is no protection: anybody who "
+        help="address of this machine on which it listens; there is no protection: anyone who "
         "reaches it can run it (default: %(default)s)",
     )
     place.add_argument(

@@ -26,8 +26,8 @@ _MOST_TABLES = 3
 _PAGE = "report.html"
 
 _DESCRIPTION = """\
-Judge and draw runs: figures and tables of deviation, water balance, energy and pump starts, on one
-page that needs nothing but a browser.
+Evaluate and plot runs: figures and tables of deviation, water balance, energy and pump starts, on
+one page that needs nothing but a browser.
 """
 _EPILOG = """\
 The output holds report.html, and each figure as SVG and PNG in figures/. A bag needs

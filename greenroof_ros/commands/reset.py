@@ -25,7 +25,7 @@ def make_parser() -> Parser:
         epilog="exit codes: 0 cleared, 1 not cleared, 2 bad usage",
     )
     parser.add_argument(
-        "--yes", action="store_true", help="do not ask, such as in a script of the operator's own"
+        "--yes", action="store_true", help="do not ask, for scripts"
     )
     add_namespace(parser)
     return parser

@@ -121,12 +121,12 @@ def _print_address(url: str, host: str, port: int | None, *, release: bool) -> N
         print(f"port {PORTS[0]} is in use, perhaps by another watcher", file=sys.stderr)
     if not is_loopback(host):
         print(
-            "anybody who has the address with its token may look, and stop the pump; the "
+            "anyone who has the address with its token may look, and stop the pump; the "
             "connection is not encrypted", file=sys.stderr,
         )
     if release:
         print(
-            "anybody who has the address with its token may release the pump, and ask for a dose "
+            "anyone who has the address with its token may release the pump, and ask for a dose "
             "if the site file allows it", file=sys.stderr,
         )
     print(url, flush=True)

@@ -29,8 +29,8 @@ HORIZON = Parameter(
 # By default as many days as the longest forecast has.
 DAYS_AFTER = Parameter(
     "days_after", 10, "days", 0, 10,
-    "days after the forecast that also count, with a slowly drying roof; 0 if the run ends with "
-    "the forecast",
+    "days after the forecast in the plan, with a slowly drying roof; 0 if the run ends with the "
+    "forecast",
 )
 
 Array = NDArray[np.float64]

@@ -163,7 +163,7 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--gaps", choices=GAPS, default=REFUSE,
         help="what to do if an hour of the run is missing in the weather files and the gap is "
-        "not short. refuse: name the hours; fill: count missing rain as none, and replace other "
+        "not short. refuse: name the hours; fill: treat missing rain as none, and replace other "
         "values by the mean at that time of day over the three days before and after "
         "(default: %(default)s)",
     )

@@ -174,7 +174,7 @@ def _notes(store: GraphStore, known: bool, incidents: bool, hidden: int) -> list
         notes[:0] = ["The site is starting. Not there yet:", *map(words.plain, listed)]
     if not known:
         notes.append(
-            "A recording tells when a drive, a sensor or a node was lost; other alarms are not "
+            "A recording shows when a drive, a sensor or a node was lost; other alarms are not "
             "recorded." if incidents else "A recording does not tell which alarms there were."
         )
     if hidden:

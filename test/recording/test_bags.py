@@ -328,7 +328,7 @@ def test_a_file_that_cannot_be_opened(tmp_path: Path) -> None:
     assert len(read(tmp_path / "bag-recovered")) == len(sent) - len(had)
 
 
-def test_a_bag_of_anybodys_that_was_cut(tmp_path: Path) -> None:
+def test_another_bag_that_was_cut(tmp_path: Path) -> None:
     """A topic and a type that this package does not know, without chunks."""
     (tmp_path / "scan").mkdir()
     with (tmp_path / "scan" / "scan_0.mcap").open("wb") as stream:

@@ -182,7 +182,7 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
         token = re.fullmatch(rf"http://[^/]+:{port}/#token=([\w-]{{32}})\n", url)
         assert token, url
         tokens.add(token[1])
-        assert f"anybody who has the address with its token {warning}" in process.stderr()
+        assert f"anyone who has the address with its token {warning}" in process.stderr()
         for headers, status in (({}, 401), ({"Authorization": f"Bearer {token[1]}"}, 200)):
             assert request(
                 port, "POST", "/acknowledge", b'{"id": "x"}',

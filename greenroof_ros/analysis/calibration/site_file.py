@@ -16,8 +16,8 @@ from greenroof_ros.model.pump_curve import PumpCurve
 from greenroof_ros.model.site import edited, read_site, site_parameters, site_yaml
 
 CROP_NOTE = (
-    "counts if evapotranspiration is computed (fao56; hargreaves in calibrate), not if a weather "
-    "file has it"
+    "applies only if evapotranspiration is computed (fao56; hargreaves in calibrate), not if a "
+    "weather file has it"
 )
 """Where a crop coefficient has an effect."""
 INTERVAL_NOTE = (

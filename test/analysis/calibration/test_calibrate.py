@@ -84,8 +84,8 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert high - low < 6.0
     assert low < site.c_hat < high
     assert lines["crop_coefficient"].endswith(
-        "; counts if evapotranspiration is computed (fao56; hargreaves in calibrate), not if a "
-        "weather file has it"
+        "; applies only if evapotranspiration is computed (fao56; hargreaves in calibrate), not if "
+        "a weather file has it"
     )
     assert site.z_pump == 0.15  # a value that was not fitted stays, with its comment
     assert "# m       elevation of the pumps above the cistern's base [T1]" in text
@@ -220,7 +220,7 @@ def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
         assert [note.split(":")[0] for note in notes] == [
             "data sheet", "months", "target", "level sensor", "pumps", "pumps"
         ]
-        assert "The crop_coefficient counts if evapotranspiration is computed" in words
+        assert "The crop_coefficient applies only if evapotranspiration is computed" in words
         assert page.locator("canvas").count() == 8
 
 
