@@ -103,10 +103,12 @@ def test_a_run_that_is_well(domain: int, tmp_path: Path) -> None:
     assert lines[1].startswith("What to do: ")
     assert re.match("Simulated run, [0-9.]+ times real time; /site1; 20", lines[2])
     assert [line[:14].strip() for line in lines[3:]] == TILES
-    # On a busy machine the forecast can come after the first two seconds.
+    # On a busy machine forecast and flow can come after the first two seconds.
     values = wait_for(
-        lambda: (seen := data(domain, tmp_path, "--namespace", "/site1"))["forecast_rain_m"]
-        is not None and seen, 60, "the forecast",
+        lambda: None not in (
+            (seen := data(domain, tmp_path, "--namespace", "/site1"))["forecast_rain_m"],
+            seen["pump_flow_m3_s"],
+        ) and seen, 60, "forecast and flow",
     )
     assert (values["status"], values["mode"], values["namespace"]) == (
         "well", "simulated", "/site1"
