@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import sys
+import time
 
 from greenroof_ros.commands.pump_request import request_of_pump
 from greenroof_ros.common.command_line import EXIT_FAILED, Parser, add_namespace, command
+from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import GraphClient
+from greenroof_ros.watch.store import GraphStore
 
+# How long it waits for the pump node's report, which comes four times a second, before it asks (s).
+_LONGEST_S = 5.0
 _QUESTION = (
     "The pump may start as soon as the fault is cleared. Is its cause remedied, and is no one "
     "working on the pump? [y/N] "
@@ -31,8 +36,24 @@ def make_parser() -> Parser:
     return parser
 
 
-def _confirmed() -> bool:
+def _reported_fault(namespace: str) -> str:
+    """Return what a reset would clear, as the pump node reports it; empty if it reports nothing."""
+    store = GraphStore(namespace)
+    until = time.monotonic() + _LONGEST_S
+    with Feed(store, recording=False):
+        while time.monotonic() < until:
+            time.sleep(0.1)
+            with store.lock:
+                pump = store.alarms.registry.pump(time.monotonic())
+                if pump is not None:
+                    return pump.text("fault") or pump.text("unknown")
+    return ""
+
+
+def _confirmed(fault: str) -> bool:
     """Ask on the terminal; no answer is a no."""
+    if fault:
+        print(f"The fault: {fault}", file=sys.stderr)
     try:
         return input(_QUESTION).strip().lower() in ("y", "yes")
     except EOFError:
@@ -44,7 +65,7 @@ def _confirmed() -> bool:
 def main() -> int:
     """Clear the fault, and print what the pump node answers."""
     arguments = make_parser().parse_args()
-    if not arguments.yes and not _confirmed():
+    if not arguments.yes and not _confirmed(_reported_fault(arguments.namespace)):
         print("not cleared: it was not confirmed", file=sys.stderr)
         return EXIT_FAILED
     return request_of_pump(arguments.namespace, GraphClient.reset_fault)

@@ -199,9 +199,9 @@ class GraphClient:
         while not client.service_is_ready():
             if time.monotonic() > until:
                 raise PumpRequestError(
-                    f"{name} does not answer: nothing provides its service {service}. Is its graph "
-                    "running, with the same ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE and "
-                    "namespace?"
+                    f"{name} does not answer: nothing provides its service {service}. Start its "
+                    "graph first, in the same ROS_DOMAIN_ID and with the same "
+                    "ROS_AUTOMATIC_DISCOVERY_RANGE and --namespace."
                 )
             time.sleep(0.02)
         answer = client.call_async(self._types[service].Request(**request))

@@ -449,6 +449,7 @@ def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
     rig.join()
     code, output = command(rig, "reset")
     assert code == 1 and "not cleared: it was not confirmed" in output
+    assert "The fault: " in output and "pump.json.broken is there" in output
     assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
     code, output = command(rig, "reset", "--yes")
     assert code == 0 and "pump.json.broken is there" in output
