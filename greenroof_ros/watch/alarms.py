@@ -38,7 +38,7 @@ OTHER = "There is no advice for this; read the log of the node that reports it."
 FOREIGN = "Reported by another device or program, not by the green roof: see its instructions."
 
 # A ROS command means nothing to a person at the pump.
-_RESET = "the page of the site shows how"
+_RESET = "greenroof reset, in a terminal of its machine"
 _PUMP_INPUTS = {interlock.input for interlock in read_interlocks().values()} - {""}
 # For other parts: the parts of the same node that give more detail.
 _DETAILED_BY = {
