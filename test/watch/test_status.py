@@ -108,7 +108,7 @@ def test_a_run_that_is_well(domain: int, tmp_path: Path) -> None:
         lambda: None not in (
             (seen := data(domain, tmp_path, "--namespace", "/site1"))["forecast_rain_m"],
             seen["pump_flow_m3_s"],
-        ) and seen, 60, "forecast and flow",
+        ) and seen, 240, "forecast and flow",
     )
     assert (values["status"], values["mode"], values["namespace"]) == (
         "well", "simulated", "/site1"
