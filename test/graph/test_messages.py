@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from doc_commands.blocks import fences
 
 rclpy = pytest.importorskip("rclpy", reason="the message types come with ROS 2")
 
@@ -81,6 +82,19 @@ def test_what_stands_in_front_is_skipped_by_the_layout(values: Any) -> None:
     again = decoder(NUMBERS)(written)
     assert type(again) is type(values)
     np.testing.assert_array_equal(again, values)
+
+
+def test_the_tutorials_function_reads_an_ensemble() -> None:
+    """Steps of 10, 10 and 40 s: 0 + 10 + 80 m and 30 + 40 + 200 m."""
+    (block,) = (
+        text for _, language, text in fences("doc/tutorials/your-node.md") if language == "python"
+    )
+    names: dict[str, Any] = {}
+    exec(compile(block, "your-node.md", "exec"), names)
+    front = array("d", [1_625_641_200.0, 10.0, 20.0, 60.0])
+    written = encoder(NUMBERS, ENSEMBLE)(WithFront(front, np.arange(6.0).reshape(2, 3)))
+    depth = names["rain_depth"](deserialize_message(written, Float64MultiArray))
+    assert depth.tolist() == [90.0, 270.0]
 
 
 def test_members_travel_in_the_layout() -> None:
