@@ -17,7 +17,7 @@ state = dict.fromkeys(("cistern/level", "roof/level", "weather/frost"), math.nan
 
 
 def on_command(message):
-    """Follow a command, and publish the flow (m3/s)."""
+    """Follow a command, and publish the flow (m3/s), here simulated: command and ask your pump."""
     watchdog.reset()
     command = min(message.data, 1.0) if 0.0 <= message.data < math.inf else 0.0  # not a NaN
     dry = not state["cistern/level"] > SUCTION  # an unknown level, NaN, is treated as dry
@@ -28,12 +28,12 @@ def on_command(message):
 
 
 def on_silence():
-    """Stop the pump: no command has come."""
+    """Stop the pump, as no command has come: send yours 0."""
     flow.data = 0.0
 
 
 def on_liveliness(event):
-    """Count controllers; stop the pump when the last has ended, was killed, or hangs."""
+    """Count controllers; when the last has ended, was killed, or hangs: send your pump 0."""
     node.commanders = event.alive_count
     if event.alive_count == 0:
         print("stopped: no controller")
@@ -53,7 +53,7 @@ events = SubscriptionEventCallbacks(liveliness=on_liveliness)
 node.create_subscription(Float64, "pump/command", on_command, qos, event_callbacks=events)
 try:
     rclpy.spin(node)
-except (KeyboardInterrupt, ExternalShutdownException):  # SIGINT, SIGTERM: the pump stops
+except (KeyboardInterrupt, ExternalShutdownException):  # SIGINT, SIGTERM: send your pump 0
     pass
 except RuntimeError:  # also SIGTERM, just as rclpy begins to wait
     if rclpy.ok():
