@@ -26,7 +26,7 @@ def on_message(topic, message):
     """Answer each tick once: when all of its inputs have come."""
     if topic in tick:
         raise SystemExit(f"{topic} has a second message in a tick: is there another graph?")
-    tick[topic] = message
+    tick[topic] = message.data
     if len(tick) == len(INPUTS):
         publisher.publish(Float64(data=command()))
         tick.clear()
@@ -34,8 +34,8 @@ def on_message(topic, message):
 
 def command():
     """Return the share of the maximum flow, from 0 to 1."""
-    cistern, roof, frost = (tick[name].data for name in list(INPUTS)[:3])
-    if frost != 0 or not SUCTION <= cistern < math.inf or not math.isfinite(roof):
+    cistern, roof = tick["cistern/level"], tick["roof/level"]
+    if tick["weather/frost"] != 0 or not SUCTION <= cistern < math.inf or not math.isfinite(roof):
         return 0.0
     return min(max(GAIN * (TARGET - roof), 0.0), 1.0)
 
