@@ -94,6 +94,7 @@ class PlantNode(SimulationNode):
         self._start_ns = epoch_ns(read_start(values["start"]))
         self._tick_ns = round(site.tau * 1e9)
         self._tick = 0
+        self._published = 0, *self._levels()  # the tick that was published last, and its levels
         self._written = 0
         self._running = False
         self._paused = False  # the tick waits for the pace or the recorder
@@ -155,7 +156,8 @@ class PlantNode(SimulationNode):
         """Publish the time and the levels of the present tick."""
         now = self._time_ns
         self.publish(CLOCK, now)
-        cistern, roof = self._levels()
+        self._published = self._tick, *self._levels()
+        _, cistern, roof = self._published
         self.publish("/cistern/level", cistern)
         self.publish("/roof/level", roof)
         self._paused = False
@@ -258,10 +260,14 @@ class PlantNode(SimulationNode):
         return self._limit if answered else max(self._limit, self._start_limit)
 
     def progress(self) -> dict[str, Any]:
-        """Return the tick, the levels (m) and the command."""
-        cistern, roof = self._levels()
+        """Return the tick, the levels (m) and the command.
+
+        These are of the tick that was published last, whose time is the report's stamp: the next
+        one may be computed already, and wait for its time.
+        """
+        tick, cistern, roof = self._published
         return {
-            "tick": self._tick,
+            "tick": tick,
             "cistern_level": cistern,
             "roof_level": roof,
             "command": self._command.value,
