@@ -201,7 +201,6 @@ class Registry:
         self._by_role: dict[str, Node] = {}  # by role: the node that has it
         self._foreign: dict[str, _PartStatus] = {}
         self._ticks: deque[tuple[float, int]] = deque()
-        self._start_ns = 0
 
     # --- receiving ------------------------------------------------------------------------------
 
@@ -215,7 +214,7 @@ class Registry:
 
     def receive(
         self, wall: float, statuses: Sequence[WireStatus], *, stamp_ns: int = 0,
-        arrived: float | None = None, tau: float = 1.0,
+        arrived: float | None = None,
     ) -> None:
         """Receive the statuses of one or more messages; no content raises an exception.
 
@@ -224,7 +223,6 @@ class Registry:
             statuses: the statuses.
             stamp_ns: time stamp of the message, in a simulation the tick's time (ns since 1970).
             arrived: when the message arrived (s); None if unknown: ``wall`` is used.
-            tau: duration of a tick (s).
         """
         if len(self._foreign) >= _FOREIGN:
             self._foreign = {
@@ -240,7 +238,7 @@ class Registry:
             elif (node := self._receive_node(wall, name, status.message, values)) is not None and (
                 self._by_role.get(_PLANT) is node
             ):
-                self._receive_plant(node, stamp_ns, wall if arrived is None else arrived, tau)
+                self._receive_plant(node, stamp_ns, wall if arrived is None else arrived)
 
     def _receive_other(self, wall: float, name: str, status: WireStatus) -> None:
         """Receive a status of a part of a node, or of another device."""
@@ -327,7 +325,7 @@ class Registry:
         self._by_role[node.role] = node
         if node.role == _PLANT and before is not None:
             self.runs += 1
-            self._start_ns, self.samples = 0, None
+            self.samples = None
             self._ticks.clear()
             # Reports of silent nodes are about the run before.
             for other in list(self._nodes.values()):
@@ -363,21 +361,18 @@ class Registry:
                 f"the pump is off until it is reset: {fault}" if fault else "the fault was reset"
             )
 
-    def _receive_plant(self, node: Node, stamp_ns: int, arrived: float, tau: float) -> None:
+    def _receive_plant(self, node: Node, stamp_ns: int, arrived: float) -> None:
         tick = node.values.get("tick")
         if type(tick) is not int or not 0 < tick <= _LAST_TICK:
             return  # before the first tick the stamp is not the run's
         self._ticks.append((arrived, tick))
         while arrived - self._ticks[0][0] > _SPEED_MOST_S:
             self._ticks.popleft()
-        # While a tick waits for its time, the clock is behind it: the latest start is right.
-        self._start_ns = max(self._start_ns, stamp_ns - round(tick * tau * 1e9))
         values = {
             topic: float(value) for topic, key in _SAMPLES.items()
             if isinstance(value := node.values.get(key), (int, float))
         }
-        time_ns = self._start_ns + round(tick * tau * 1e9)
-        self.samples = (time_ns, values) if time_ns < _LAST_NS else None
+        self.samples = (stamp_ns, values) if stamp_ns < _LAST_NS else None
 
     def excuse_silence(self, seconds: float) -> None:
         """Excuse the silence of all in a time in which nothing could be received (s)."""

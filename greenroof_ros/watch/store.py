@@ -488,9 +488,7 @@ class GraphStore:
             if self._received_since is None:
                 self._received_since = time.time()
             self._update_clock()
-            self.alarms.receive(
-                wall, now, statuses, stamp_ns=stamp_ns, arrived=arrived, tau=self.site.tau
-            )
+            self.alarms.receive(wall, now, statuses, stamp_ns=stamp_ns, arrived=arrived)
             self._update_controller(now)
             pump = self.pump
             if pump is not None and "flow" in pump.values:
