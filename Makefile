@@ -54,7 +54,7 @@ help:
 	@echo "make study  the 30 runs of the paper, and their report: no ROS"
 	@echo "make test   every test"
 	@echo "make test-kilted  the tests that start nodes, with the next ROS 2"
-	@echo "make lint   ruff, mypy, which folder imports from which, spelling and phrases"
+	@echo "make lint   ruff, mypy, which folder imports from which, spelling"
 	@echo "make docs   the documentation, doc/_build/index.html"
 	@echo "make bench  the speed of graph and controller, as ratios"
 	@echo "make doc-commands  every block of commands in README and doc/, as written: half an hour"

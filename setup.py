@@ -162,7 +162,7 @@ setup(
             "ruff~=0.17.0",
             "mypy~=2.4.0",
             "types-PyYAML>=6.0",
-            "codespell[toml]>=2.4,<3",  # spelling, and phrases.txt; Python 3.10 has no TOML
+            "codespell[toml]>=2.4,<3",  # spelling; Python 3.10 has no TOML
             "import-linter>=2.16,<3",  # which room may import from which: pyproject.toml
             "build>=1.2",  # sdist and wheel, as they would be released
             "twine>=6",  # whether a package index would take them

@@ -47,7 +47,7 @@ from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.experiment.incidents import Incident
 from greenroof_ros.forecast.skill import Climate, Errors
 from greenroof_ros.formats.records import NEARLY, QUANTITIES
-from greenroof_ros.live.drives import drive_file, relay_file, sensor_file
+from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.live.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS, SITE_FAULTS, Fault
 from greenroof_ros.live.simulators.forecast_service import FAULTS as FORECAST_FAULTS

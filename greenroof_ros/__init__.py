@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from greenroof_ros.analysis.api import gym
+    from greenroof_ros.analysis.api.arguments import read_site
     from greenroof_ros.analysis.api.environment import Environment
-    from greenroof_ros.analysis.api.inputs import read_site
     from greenroof_ros.analysis.api.simulate import Result, compare, read_bag, simulate
 
 __version__ = "1.0.0"

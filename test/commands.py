@@ -27,7 +27,7 @@ from places import words_of
 
 # Without the nodes: each must be the main module of its process.
 _ROOMS = (
-    "common", "controllers", "experiment", "live.pumping", "live.drives", "recording",
+    "common", "controllers", "experiment", "live.pumping", "live.devices", "recording",
     "live.simulators", "watch", "analysis.report", "analysis.study", "analysis.calibration",
     "analysis.verification", "graph", "bringup",
 )

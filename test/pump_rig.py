@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from paper import PAPER_SITE
 
-from greenroof_ros.live.pumping.inputs import Observation
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
+from greenroof_ros.live.pumping.pump_inputs import Observation
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site
 

@@ -19,7 +19,7 @@ from places import CHECKOUT, words_of
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import child_environment
-from greenroof_ros.live.drives.modbus_line import Address, DriveError, ModbusLine, parse_address
+from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
 from greenroof_ros.live.simulators import faults
 from greenroof_ros.live.simulators.faults import (
     DEFAULT,

@@ -48,7 +48,7 @@ except ModuleNotFoundError:
 else:
     raise AssertionError("ROS was not hidden")
 import greenroof_ros
-import greenroof_ros.live.drives, greenroof_ros.live.pumping, greenroof_ros.live.simulators
+import greenroof_ros.live.devices, greenroof_ros.live.pumping, greenroof_ros.live.simulators
 live = (getattr(greenroof_ros.live, part) for part in ("drives", "pumping", "simulators"))
 print(*(name for package in (greenroof_ros, *live) for name in modules(package)), sep="\\n")
 assert not asked, f"the core asks for {asked}"
@@ -68,7 +68,7 @@ def test_every_module_but_the_graphs_imports_without_ros() -> None:
     assert {f"greenroof_ros.{name}" for name in rooms} <= imported
     modules = {
         "bringup", "commands.simulate", "analysis.study.grid", "model.plant", "controllers.mpc",
-        "experiment.closed_loop", "live.drives.exchange", "live.pumping.limits",
+        "experiment.closed_loop", "live.devices.exchange", "live.pumping.limits",
         "live.simulators.server",
     }
     assert {f"greenroof_ros.{name}" for name in modules} <= imported

@@ -43,7 +43,7 @@ from greenroof_ros.recording.bag_reader import count_ticks
 
 if TYPE_CHECKING:
     from greenroof_ros.bringup.composition import Composition
-    from greenroof_ros.live.drive import DriveChoice
+    from greenroof_ros.live.drive_choice import DriveChoice
 
 _NODES = "greenroof_ros.nodes"
 
@@ -186,7 +186,7 @@ def _chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
     """
     if arguments.drive is None and arguments.drive_at is None:
         return None
-    from greenroof_ros.live.drive import chosen_drive
+    from greenroof_ros.live.drive_choice import chosen_drive
 
     return chosen_drive(arguments)
 

@@ -10,9 +10,9 @@ from greenroof_ros.common.command_line import Parser, add_site, command, within
 from greenroof_ros.common.errors import ConfigurationError, must_be_one_of
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.mqtt import parse_topic
-from greenroof_ros.live.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.live.drives.modbus_line import Address, check_installed
-from greenroof_ros.live.drives.relay_file import read_relay_file
+from greenroof_ros.live.devices.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.live.devices.modbus_line import Address, check_installed
+from greenroof_ros.live.devices.relay_file import read_relay_file
 from greenroof_ros.live.simulators import faults
 from greenroof_ros.live.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS
 from greenroof_ros.model.site import read_site

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from greenroof_ros.common.command_line import Parser, command, within
 from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
-from greenroof_ros.live.drives.modbus_line import Address, check_installed, parse_address
-from greenroof_ros.live.drives.sensor_file import default_sensors, read_sensors
+from greenroof_ros.live.devices.modbus_line import Address, check_installed, parse_address
+from greenroof_ros.live.devices.sensor_file import default_sensors, read_sensors
 from greenroof_ros.live.simulators import faults
 from greenroof_ros.live.simulators.faults import SITE_FAULTS
 

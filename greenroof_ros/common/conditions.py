@@ -116,7 +116,7 @@ def read_interlocks() -> dict[str, Interlock]:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Diagnosis:
     """A condition that is present.
 
     Attributes:
@@ -131,7 +131,7 @@ class Problem:
     values: Mapping[str, Value] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, code: str, *cases: str, **values: Value) -> Problem:
+    def of(cls, code: str, *cases: str, **values: Value) -> Diagnosis:
         """Return a condition.
 
         Args:
@@ -155,24 +155,24 @@ class Problem:
     def __str__(self) -> str:
         return self.sentence
 
-    def under(self, code: str) -> Problem:
+    def under(self, code: str) -> Diagnosis:
         """Return it under another code, with the same sentence and values."""
         return replace(self, code=code, text=self.sentence)
 
-    def plus(self, case: str, **values: Value) -> Problem:
+    def plus(self, case: str, **values: Value) -> Diagnosis:
         """Return it with one more of its sentences."""
-        return Problem.of(self.code, str(self.values["case"]), case, **{**self.values, **values})
+        return Diagnosis.of(self.code, str(self.values["case"]), case, **{**self.values, **values})
 
     @classmethod
-    def if_any(cls, code: str, why: str) -> Problem | None:
+    def if_any(cls, code: str, why: str) -> Diagnosis | None:
         """Return a condition whose only value is a reason; None if there is no reason."""
         return cls.of(code, why=why) if why else None
 
 
-Value = float | str | Problem
+Value = float | str | Diagnosis
 
 
-def joined(problems: Sequence[Problem], worst: Problem | None = None) -> Problem | None:
+def joined(problems: Sequence[Diagnosis], worst: Diagnosis | None = None) -> Diagnosis | None:
     """Return problems as one, with the code and the values of the worst; None if there is none.
 
     Args:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.graph.messages import decoder
 
@@ -47,11 +47,11 @@ class Input:
         return not self.refusal
 
     @property
-    def problem(self) -> Problem | None:
+    def problem(self) -> Diagnosis | None:
         """Why the newest value must not be acted on; None if it may be."""
         if self.good:
             return None
-        return Problem.of("input_refused", "refused", topic=self.name, why=self.refusal)
+        return Diagnosis.of("input_refused", "refused", topic=self.name, why=self.refusal)
 
     def receive(self, message: bytes) -> None:
         """Keep the value of a message, or 0 if the value must be refused."""

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import NumberFile
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
@@ -33,8 +33,8 @@ from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
+from greenroof_ros.live.live_diagnostics import WARN
 from greenroof_ros.live.node import LiveNode, live_command, live_help
-from greenroof_ros.live.reports import WARN
 from greenroof_ros.model.plant import pump_flow
 
 # The inputs; without the forecasts, the flow or the gauge it still commands.
@@ -149,7 +149,7 @@ class LiveControllerNode(LiveNode):
         try:
             command, decides = self._decide_or_refuse(allowed)
         except ConfigurationError as error:
-            self.reports.diagnose("command", Problem.of("controller_failed", why=str(error)))
+            self.reports.diagnose("command", Diagnosis.of("controller_failed", why=str(error)))
             command, decides = 0.0, False
         else:
             if "command" in self.reports.diagnoses:
@@ -277,7 +277,7 @@ class LiveControllerNode(LiveNode):
             case, values["since"] = "onoff", self._without_since
         bad = (self._evapotranspiration if self._rain.good else self._rain).problem
         self.reports.diagnose(
-            "forecast", Problem.of("no_forecast", case, **values), level=WARN,
+            "forecast", Diagnosis.of("no_forecast", case, **values), level=WARN,
             cause=bad.code if bad else "",
         )
 

@@ -14,7 +14,8 @@ from typing import Any
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
-from greenroof_ros.live.inputs import LiveInput, bad_inputs
+from greenroof_ros.live.live_diagnostics import ERROR, WARN, LiveDiagnostics
+from greenroof_ros.live.live_input import LiveInput, bad_inputs
 from greenroof_ros.live.pumping.input_rules import (
     AWAITED,
     LevelRule,
@@ -23,7 +24,6 @@ from greenroof_ros.live.pumping.input_rules import (
     expected_movement,
     roof_bounds,
 )
-from greenroof_ros.live.reports import ERROR, WARN, LiveReports
 from greenroof_ros.model.site import Site
 
 # A gap longer than this means that this process was paused (s): its inputs are outdated. Messages
@@ -118,7 +118,7 @@ class SampleAndHold:
         has_acted: whether a node with a period has acted, or acts; always true without a period.
     """
 
-    def __init__(self, act: Callable[[], None], reports: LiveReports) -> None:
+    def __init__(self, act: Callable[[], None], reports: LiveDiagnostics) -> None:
         """Begin without a period.
 
         Args:

@@ -14,7 +14,7 @@ from greenroof_ros.common.standard_error import print_line
 from greenroof_ros.experiment.incidents import INCIDENTS, IncidentLog
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.graph.states import PUMP
-from greenroof_ros.live.drive import DriveChoice
+from greenroof_ros.live.drive_choice import DriveChoice
 from greenroof_ros.live.supervisor import START_LIMIT_S, NodeFailed, NodeStart, Supervisor
 
 PUMP_NODE = "greenroof_ros.live.loop_pump"

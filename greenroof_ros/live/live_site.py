@@ -17,10 +17,10 @@ from greenroof_ros.experiment.options import (
 )
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.graph.states import PUMP, RECORDER
-from greenroof_ros.live.drive import DriveChoice, chosen_drive
-from greenroof_ros.live.drives.drive import DriveEndpoint
-from greenroof_ros.live.drives.modbus_line import parse_address
-from greenroof_ros.live.drives.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
+from greenroof_ros.live.devices.drive import DriveEndpoint
+from greenroof_ros.live.devices.modbus_line import parse_address
+from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
+from greenroof_ros.live.drive_choice import DriveChoice, chosen_drive
 from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.model.site import read_site
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.executable import node_command, node_help
@@ -17,11 +17,11 @@ from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live import pump_behaviour
-from greenroof_ros.live.drives.drive import real_time_error
+from greenroof_ros.live.devices.drive import real_time_error
 from greenroof_ros.live.lifecycle import Lifecycle
+from greenroof_ros.live.live_diagnostics import LiveDiagnostics
 from greenroof_ros.live.pump_behaviour import COMMAND_LIMIT, PumpBehaviour, common_parameters
-from greenroof_ros.live.pumping.inputs import INPUTS
-from greenroof_ros.live.reports import LiveReports
+from greenroof_ros.live.pumping.pump_inputs import INPUTS
 from greenroof_ros.model.site import Site
 
 
@@ -33,7 +33,7 @@ def parameters(site: Site) -> list[Parameter]:
 class LoopPumpNode(Lifecycle, SimulationNode):
     """Runs a drive in place of the simulated pump."""
 
-    reports: LiveReports
+    reports: LiveDiagnostics
 
     def __init__(self) -> None:
         """Declare the parameters, and open topics and services.
@@ -41,7 +41,7 @@ class LoopPumpNode(Lifecycle, SimulationNode):
         Raises:
             ConfigurationError: a parameter, or the drive file, is wrong.
         """
-        SimulationNode.__init__(self, "pump", "pump", LiveReports)
+        SimulationNode.__init__(self, "pump", "pump", LiveDiagnostics)
         self._site = self.declare_site()
         values = declare(self, parameters(self._site))
         self._simulated = 0.0  # simulated time (s), counted from 0
@@ -78,7 +78,7 @@ class LoopPumpNode(Lifecycle, SimulationNode):
         """Return the values that bringup shows and waits for."""
         return self._pump.progress()
 
-    def _missing_run(self) -> Problem | None:
+    def _missing_run(self) -> Diagnosis | None:
         """Return why the drive must not run before /run gives the speed; None if it may.
 
         Levels without a plant are invented and may change at any speed. Only the drive simulator,
@@ -87,7 +87,7 @@ class LoopPumpNode(Lifecycle, SimulationNode):
         why = self._pump.drive.snapshot.no_simulator
         if self.lockstep.run is not None or why == "":
             return None
-        return Problem.of(
+        return Diagnosis.of(
             "no_run", why=why or "it is still unknown whether the drive is the drive simulator"
         )
 

@@ -24,9 +24,9 @@ from greenroof_ros.graph.publishers import DISCOVERY_S
 from greenroof_ros.graph.spin import start_receiving
 from greenroof_ros.graph.states import READY
 from greenroof_ros.live.engine import LIMITS, RECOVERY, SampleAndHold
-from greenroof_ros.live.inputs import LiveInput, LivePublishers
+from greenroof_ros.live.live_diagnostics import LiveDiagnostics
+from greenroof_ros.live.live_input import LiveInput, LivePublishers
 from greenroof_ros.live.pumping.input_rules import InputRules, LevelRule
-from greenroof_ros.live.reports import LiveReports
 from greenroof_ros.model.site import Site
 
 # How long a node waits for messages at most before it checks its clocks and signals again (s).
@@ -43,7 +43,7 @@ class LiveNode(GraphNode):
     ``progress``.
     """
 
-    reports: LiveReports
+    reports: LiveDiagnostics
 
     def __init__(self, name: str, role: str) -> None:
         """Join the graph.
@@ -55,7 +55,7 @@ class LiveNode(GraphNode):
         Raises:
             ConfigurationError: ROS arguments or a parameter file are wrong.
         """
-        super().__init__(name, role, read_live_topics(), LiveReports)
+        super().__init__(name, role, read_live_topics(), LiveDiagnostics)
         if self.get_parameter(USE_SIM_TIME).value:
             raise ConfigurationError(
                 "must be false: a live site runs on the steady clock",

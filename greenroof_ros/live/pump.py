@@ -18,7 +18,7 @@ from greenroof_ros.live.engine import Levels, live_parameters
 from greenroof_ros.live.lifecycle import Lifecycle
 from greenroof_ros.live.node import LiveNode, live_command, live_help
 from greenroof_ros.live.pump_behaviour import COMMAND_LIMIT, PumpBehaviour, common_parameters
-from greenroof_ros.live.pumping.inputs import INPUTS
+from greenroof_ros.live.pumping.pump_inputs import INPUTS
 from greenroof_ros.model.site import Site
 
 

@@ -29,7 +29,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import SetBool, Trigger
 
-from greenroof_ros.common.conditions import Problem, joined, read_interlocks
+from greenroof_ros.common.conditions import Diagnosis, joined, read_interlocks
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
@@ -38,12 +38,11 @@ from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.parameters import site_file
 from greenroof_ros.graph.publishers import Publishers
 from greenroof_ros.graph.states import PumpState
-from greenroof_ros.live.drives.drive import DriveStatus
-from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S, find_drive_file
-from greenroof_ros.live.drives.endpoint import Endpoint, read_endpoint
-from greenroof_ros.live.drives.exchange import RESET_S, UNREAD_S, DriveExchange, DriveSnapshot
+from greenroof_ros.live.devices.drive import DriveStatus
+from greenroof_ros.live.devices.drive_file import LONGEST_RAMP_S, find_drive_file
+from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
+from greenroof_ros.live.devices.exchange import RESET_S, UNREAD_S, DriveExchange, DriveSnapshot
 from greenroof_ros.live.engine import LIMITS, PAUSE_S
-from greenroof_ros.live.inputs import bad_inputs
 from greenroof_ros.live.lifecycle import (
     ACTIVE,
     INACTIVE,
@@ -51,8 +50,9 @@ from greenroof_ros.live.lifecycle import (
     Lifecycle,
     RefusedError,
 )
+from greenroof_ros.live.live_diagnostics import ERROR, OK, STALE, WARN, LiveDiagnostics
+from greenroof_ros.live.live_input import bad_inputs
 from greenroof_ros.live.pumping.dose import DONE
-from greenroof_ros.live.pumping.inputs import INPUTS, Observation
 from greenroof_ros.live.pumping.ledger import MOST, Ledger, state_directory
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import (
@@ -60,7 +60,7 @@ from greenroof_ros.live.pumping.pump_control import (
     PumpControl,
     drive_fault,
 )
-from greenroof_ros.live.reports import ERROR, OK, STALE, WARN, LiveReports
+from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
 from greenroof_ros.model.site import Site
 
 COMMAND_LIMIT = LIMITS["/pump/command"]
@@ -129,7 +129,7 @@ class PumpBehaviour:
         inputs: Mapping[str, Input], commanders: Publishers, *, clock: Callable[[], float],
         displacements: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0),
         own_flow: Publishers | None = None,
-        missing_run: Callable[[], Problem | None] = lambda: None, simulated: bool = False,
+        missing_run: Callable[[], Diagnosis | None] = lambda: None, simulated: bool = False,
     ) -> None:
         """Open the node's topics and services.
 
@@ -137,7 +137,8 @@ class PumpBehaviour:
             node: the node, which also has a :class:`Lifecycle`.
             site: the site.
             values: values of the node's parameters.
-            inputs: the node's inputs, by their names in :mod:`greenroof_ros.live.pumping.inputs`.
+            inputs: the node's inputs, by their names in
+                :mod:`greenroof_ros.live.pumping.pump_inputs`.
             commanders: the publishers of the command.
             clock: returns the time of the pump control (s).
             displacements: returns how far impossible jumps have shifted both levels so far (m).
@@ -151,7 +152,7 @@ class PumpBehaviour:
             ConfigurationError: a parameter, or the drive file, is wrong.
         """
         self._node, self._lifecycle = node, cast(Lifecycle, node)
-        self._reports, self._log = cast(LiveReports, node.reports), node.get_logger()
+        self._reports, self._log = cast(LiveDiagnostics, node.reports), node.get_logger()
         self._clock, self._displacements = clock, displacements
         self._own_flow, self._missing_run = own_flow, missing_run
         self._site = site
@@ -237,13 +238,13 @@ class PumpBehaviour:
             problem = self._exchange.timeout_problem(self._exchange.snapshot)
         if problem is None:
             self._acquire_state()
-            problem = Problem.if_any("state_not_kept", self._ledger.flush())
+            problem = Diagnosis.if_any("state_not_kept", self._ledger.flush())
         if problem is not None:
             raise RefusedError(f"not activated: {problem.sentence}")
         file = self._exchange.endpoint.file
         unverified = file.unverified_and_vital
         if unverified:
-            self._reports.diagnose("drive file", Problem.of(
+            self._reports.diagnose("drive file", Diagnosis.of(
                 "drive_file_unverified", file=str(file.path), settings=", ".join(unverified)
             ), level=WARN)
 
@@ -423,13 +424,13 @@ class PumpBehaviour:
         seconds = self._suspended - before
         if seconds > PAUSE_S and not self._decision.at_rest:
             self._suspended_at = now
-            self._reports.diagnose("suspend", Problem.of("suspended", suspended_s=seconds))
+            self._reports.diagnose("suspend", Diagnosis.of("suspended", suspended_s=seconds))
         elif now - self._suspended_at > _REPORTED_S:
             self._reports.diagnose("suspend", None, "the machine stays awake while the pump is on")
 
     # --- the pump ---------------------------------------------------------------------------------
 
-    def _reasons_against(self, now: float) -> Iterator[Problem]:
+    def _reasons_against(self, now: float) -> Iterator[Diagnosis]:
         """Yield this node's own reasons against running the pump."""
         snapshot, absence = self._exchange.snapshot, self._exchange.absence(now)
         if absence is not None:
@@ -441,7 +442,7 @@ class PumpBehaviour:
         status = self._exchange.status(now)
         if status is not None:
             if not status.remote:
-                yield Problem.of("drive_local", "local")
+                yield Diagnosis.of("drive_local", "local")
             yield from filter(None, (
                 snapshot.second_master, snapshot.start_failed, snapshot.unguarded,
                 None if self._without_timeout else self._exchange.timeout_problem(snapshot),
@@ -453,26 +454,26 @@ class PumpBehaviour:
             self._second_pump(), self._missing_command(),
         ))
 
-    def _not_active(self, case: str, refusal: str) -> Problem:
+    def _not_active(self, case: str, refusal: str) -> Diagnosis:
         if refusal:
-            return Problem.of("not_active", "refused", refusal=refusal)
-        return Problem.of("not_active", case)
+            return Diagnosis.of("not_active", "refused", refusal=refusal)
+        return Diagnosis.of("not_active", case)
 
-    def _second_pump(self) -> Problem | None:
+    def _second_pump(self) -> Diagnosis | None:
         """Return that another node publishes a flow; None if none does."""
         if self._own_flow is None:
             return None
         return second_publisher(self._own_flow, "two_pumps")
 
-    def _missing_command(self) -> Problem | None:
+    def _missing_command(self) -> Diagnosis | None:
         """Return that commands are missing, or that this node was paused; None if neither."""
         now = boot_time()
         if self._commanded_at < 0:
-            return Problem.of("no_command", "none")
+            return Diagnosis.of("no_command", "none")
         if now - self._commanded_at > self._command_limit:
-            return Problem.of("no_command", "silent", limit=self._command_limit)
+            return Diagnosis.of("no_command", "silent", limit=self._command_limit)
         if now - self._timed_at > PAUSE_S:
-            return Problem.of("no_command", "paused", time=now - self._timed_at)
+            return Diagnosis.of("no_command", "paused", time=now - self._timed_at)
         return None
 
     def _value(self, name: str) -> float | None:
@@ -583,12 +584,12 @@ class PumpBehaviour:
         known_for = f"both levels have not yet been known for {self._settings.averaging_time:g} s"
         diagnose(
             "delivery",
-            Problem.of("delivery_blind") if decision.blind_for and not levels_known else None,
+            Diagnosis.of("delivery_blind") if decision.blind_for and not levels_known else None,
             known_for if decision.blind_for else "what is pumped is compared with both levels",
             WARN,
         )
         diagnose(
-            "state file", Problem.if_any("state_not_kept", self._ledger.problem),
+            "state file", Diagnosis.if_any("state_not_kept", self._ledger.problem),
             "holds and faults are kept",
         )
         self._diagnose_drive(now)
@@ -673,11 +674,11 @@ class PumpBehaviour:
             level, problem = ERROR, drive_fault(status.fault, status.runs_on)
         elif not status.remote:
             more = {"problem": trouble} if trouble else {}
-            problem = Problem.of("drive_local", "local", *more, **more)
+            problem = Diagnosis.of("drive_local", "local", *more, **more)
         elif snapshot.second_master:
             problem = snapshot.second_master
         elif trouble:
-            problem = Problem.of("drive_warning", warning=trouble)
+            problem = Diagnosis.of("drive_warning", warning=trouble)
         self._reports.diagnose("drive", problem, f"connected to {snapshot.identity}", level)
         self._diagnose_timeout(snapshot)
 
@@ -713,7 +714,7 @@ def _read_endpoint(values: Mapping[str, Any], node_name: str) -> Endpoint:
     )
 
 
-def second_publisher(publishers: Publishers, code: str) -> Problem | None:
+def second_publisher(publishers: Publishers, code: str) -> Diagnosis | None:
     """Return that a topic has a second publisher, under this code; None if it has none.
 
     If one of them is incompatible, it is named: it may be trying to stop the pump.
@@ -721,7 +722,7 @@ def second_publisher(publishers: Publishers, code: str) -> Problem | None:
     second = publishers.second()
     if not second:
         return None
-    return Problem.of(
+    return Diagnosis.of(
         code, topic=publishers.full_name, problem=publishers.incompatible() or second
     )
 

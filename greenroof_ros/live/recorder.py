@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
@@ -86,9 +86,9 @@ class LiveRecorderNode(LiveNode):
             DISK.do(partial(self._bag.flush_if_due, now))
         directory, why, problem = str(self._bag.directory), self._bag.problem, None
         if DISK.late:
-            problem = Problem.of("not_recorded", "late", directory=directory)
+            problem = Diagnosis.of("not_recorded", "late", directory=directory)
         elif why:
-            problem = Problem.of("not_recorded", "why", why=why)
+            problem = Diagnosis.of("not_recorded", "why", why=why)
         self.reports.diagnose("recording", problem, f"recording to {directory}")
 
     def progress(self) -> dict[str, Any]:

@@ -13,15 +13,15 @@ import time
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.parameters import declare
-from greenroof_ros.live.drives.modbus_sensor import ModbusReader, SensorLine
-from greenroof_ros.live.drives.mqtt_sensor import MqttReader
-from greenroof_ros.live.drives.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
+from greenroof_ros.live.devices.modbus_sensor import ModbusReader, SensorLine
+from greenroof_ros.live.devices.mqtt_sensor import MqttReader
+from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.engine import LIMITS
+from greenroof_ros.live.live_diagnostics import ERROR, STALE, WARN
 from greenroof_ros.live.node import LiveNode, live_command, live_help
-from greenroof_ros.live.reports import ERROR, STALE, WARN
 from greenroof_ros.model.site import Site
 
 # After this many periods without a reading, good or bad, the reader of a device is treated as hung.
@@ -83,7 +83,7 @@ class SensorNode(LiveNode):
         reading = self._reader.snapshot
         if now - max(reading.read_at, self._started) > self._hangs_s:
             self._value = None
-            self.reports.diagnose(self._part, Problem.of("sensor_hangs"), level=STALE)
+            self.reports.diagnose(self._part, Diagnosis.of("sensor_hangs"), level=STALE)
         elif reading.read_at > self._published or reading.value != self._newest or (
             math.isinf(reading.read_at) and now - self._started > _AWAITED_S
         ):
@@ -98,7 +98,7 @@ class SensorNode(LiveNode):
                 self.publish(self._topic, self._value)
             self.reports.numbers[self._part] = {"value": self._value}
             self.reports.diagnose(
-                self._part, Problem.if_any(reading.code, reading.problem), "the sensor is read",
+                self._part, Diagnosis.if_any(reading.code, reading.problem), "the sensor is read",
                 self._level,
             )
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
-from greenroof_ros.common.conditions import Problem, read_conditions
+from greenroof_ros.common.conditions import Diagnosis, read_conditions
 from greenroof_ros.common.disk import DISK, LatestWriter
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.processes import (
@@ -275,7 +275,7 @@ class _SiteRecord:
         """Find what was lost or has come back since the last call; print and record it."""
         for node in supervisor.ready:
             self.log.end(node, PROCESS)
-        hangs = Problem.of("disk_hangs", directory=str(self._state))
+        hangs = Diagnosis.of("disk_hangs", directory=str(self._state))
         disk = {
             "level": "ERROR" if DISK.late else "OK", "code": hangs.code if DISK.late else "",
             "message": hangs.sentence,

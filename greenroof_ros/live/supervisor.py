@@ -31,8 +31,8 @@ from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.processes import child_environment
 from greenroof_ros.graph.domain import LEASE
 from greenroof_ros.graph.states import PUMP, READY, RECORDER
-from greenroof_ros.live.drives.sensor_file import QUANTITIES, TANKS
-from greenroof_ros.live.supervision import SOCKET, read_report
+from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS
+from greenroof_ros.live.supervisor_socket import SOCKET, read_report
 
 # How long to wait after asking a process to end before killing it (s). The pump node gets longer:
 # it waits until the pump is stopped, for as long as the speed falls.

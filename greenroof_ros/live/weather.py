@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import DiskThread
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
@@ -34,9 +34,9 @@ from greenroof_ros.forecast.service import (
 from greenroof_ros.graph.messages import WithFront
 from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.live.engine import live_parameters
-from greenroof_ros.live.inputs import LiveInput
+from greenroof_ros.live.live_diagnostics import ERROR, WARN
+from greenroof_ros.live.live_input import LiveInput
 from greenroof_ros.live.node import LiveNode, live_command, live_help
-from greenroof_ros.live.reports import ERROR, WARN
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 
@@ -130,7 +130,7 @@ class LiveWeatherNode(LiveNode):
         now = from_epoch_ns(self.get_clock().now().nanoseconds)
         rain = self._rain_gauge.value if self._rain_gauge.good else None
         if self._fetcher is not None:
-            unfetched = Problem.if_any("forecast_not_fetched", self._fetcher.problem)
+            unfetched = Diagnosis.if_any("forecast_not_fetched", self._fetcher.problem)
             self.reports.diagnose("forecast service", unfetched, ATTRIBUTION, WARN)
         forecast = self._forecast
         outlook = None if forecast is None else self._outlook(forecast, now, rain)
@@ -212,15 +212,15 @@ class LiveWeatherNode(LiveNode):
             why = "; ".join(filter(None, [str(error), problem, reading]))
             self.reports.numbers.pop("forecast", None)
             code = "forecast_missing" if self._fetcher is None else "forecast_service_silent"
-            self.reports.diagnose("forecast", Problem.of(code, why=why), cause=unreadable)
+            self.reports.diagnose("forecast", Diagnosis.of(code, why=why), cause=unreadable)
             return None
         assert outlook.issued is not None  # a file's forecasts have issues
         self._front[0] = outlook.issued.timestamp()
         age = (now - outlook.issued).total_seconds()
         self.reports.numbers["forecast"] = {"issued_ago_s": age}
-        issued, trouble = to_people(outlook.issued), Problem.if_any("forecast_short", short)
+        issued, trouble = to_people(outlook.issued), Diagnosis.if_any("forecast_short", short)
         if problem:
-            trouble = Problem.of("forecast_unreadable", issued=issued, why=problem)
+            trouble = Diagnosis.of("forecast_unreadable", issued=issued, why=problem)
         self.reports.diagnose(
             "forecast", trouble, f"the newest forecast was issued at {issued}", WARN
         )
@@ -237,7 +237,7 @@ class LiveWeatherNode(LiveNode):
             self.reports.diagnose("frost", None, "the temperature is known")
             return float(temperature <= 0)
         level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
-        problem = Problem.of("temperature_unknown", case, why=why)
+        problem = Diagnosis.of("temperature_unknown", case, why=why)
         self.reports.diagnose("frost", problem.under(self._temperature_code()), level=level)
         return self._unknown_frost
 
@@ -265,7 +265,7 @@ class LiveWeatherNode(LiveNode):
         ):
             well = problem.sentence
         elif problem is not None:
-            bad = Problem.of("gauge_bad", problem=problem, instead=instead)
+            bad = Diagnosis.of("gauge_bad", problem=problem, instead=instead)
         self.reports.diagnose(part, bad, well, WARN, problem.code if problem else "")
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 from greenroof_ros.common.conditions import (
     LATCHED,
-    Problem,
+    Diagnosis,
     Value,
     read_conditions,
     read_interlocks,
@@ -114,7 +114,7 @@ class Node:
         name: fully qualified.
         role: as in the interface.
         process: the operating-system process: its machine and number.
-        state: one of :mod:`greenroof_ros.live.supervision`.
+        state: one of :mod:`greenroof_ros.live.supervisor_socket`.
         values: what else it reports; a number that is not finite is None.
         began: when it was first received.
         received_at: when it was last received.
@@ -545,7 +545,7 @@ def _hold_text(values: Mapping[str, Any]) -> str:
 
 def _observed(level: int, role: str, code: str, **values: Value) -> Trouble:
     """Return a trouble that is observed here."""
-    return Trouble(level, Problem.of(code, **values).sentence, code, role)
+    return Trouble(level, Diagnosis.of(code, **values).sentence, code, role)
 
 
 def _trouble_of_part(node: Node, part: str, reported: _PartStatus) -> Trouble:

@@ -26,9 +26,9 @@ from greenroof_ros.experiment.parameter_file import node_parameter_files
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run_directory import write_parameters
 from greenroof_ros.live import in_the_loop, site_run
-from greenroof_ros.live.drive import DriveChoice, chosen_drive
-from greenroof_ros.live.drives.drive_file import find_drive_file
-from greenroof_ros.live.drives.lock import DriveLock
+from greenroof_ros.live.devices.drive_file import find_drive_file
+from greenroof_ros.live.devices.lock import DriveLock
+from greenroof_ros.live.drive_choice import DriveChoice, chosen_drive
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.live_site import make_parser as live_site_parser
 from greenroof_ros.live.supervisor import NodeFailed

@@ -17,7 +17,7 @@ sys.path.append(str(CHECKOUT / "doc"))
 import generate
 import readme_pictures
 
-from greenroof_ros.live.drives.sensor_file import read_sensors
+from greenroof_ros.live.devices.sensor_file import read_sensors
 
 DOC = CHECKOUT / "doc"
 PAGES = [

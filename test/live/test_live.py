@@ -42,7 +42,7 @@ from ros_rig import (
 )
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
-from greenroof_ros.live.drives.sensor_file import QUANTITIES
+from greenroof_ros.live.devices.sensor_file import QUANTITIES
 from greenroof_ros.live.simulators.forecast_service import ForecastService
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site

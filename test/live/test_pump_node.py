@@ -33,9 +33,9 @@ from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.times import to_people
-from greenroof_ros.live.drives.drive_file import find_drive_file
-from greenroof_ros.live.drives.endpoint import read_endpoint
-from greenroof_ros.live.drives.exchange import DriveExchange, DriveSnapshot
+from greenroof_ros.live.devices.drive_file import find_drive_file
+from greenroof_ros.live.devices.endpoint import read_endpoint
+from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
 from greenroof_ros.live.pumping.ledger import Ledger
 
 

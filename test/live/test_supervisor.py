@@ -22,8 +22,8 @@ from greenroof_ros.common.disk import DISK
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.live import supervisor
 from greenroof_ros.live.site_run import _StartReport, values_of
-from greenroof_ros.live.supervision import SOCKET, SupervisorSocket, read_report
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart, Supervisor
+from greenroof_ros.live.supervisor_socket import SOCKET, SupervisorSocket, read_report
 
 TOO_LONG_S = 60
 

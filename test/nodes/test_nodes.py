@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 from ros_rig import FORECASTS, Observer
 from std_msgs.msg import Float64, Float64MultiArray
 
-from greenroof_ros.live.drives.sensor_file import QUANTITIES
+from greenroof_ros.live.devices.sensor_file import QUANTITIES
 from greenroof_ros.live.engine import LIMITS
 
 START = 1_625_641_200  # 2021-07-07T02:00-05:00 in seconds since 1970

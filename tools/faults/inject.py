@@ -27,8 +27,8 @@ from ros_rig import FORECAST_HEADER, write_forecast
 from greenroof_ros.common.command_line import EXIT_OCCUPIED
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.incidents import INCIDENTS, Incident, wall_time
-from greenroof_ros.live.drives.drive_file import read_drive_file
-from greenroof_ros.live.drives.modbus_line import encode, parse_address
+from greenroof_ros.live.devices.drive_file import read_drive_file
+from greenroof_ros.live.devices.modbus_line import encode, parse_address
 
 _SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
 # Shorter than every limit (s).

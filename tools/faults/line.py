@@ -8,7 +8,7 @@ import socket
 import threading
 import time
 
-from greenroof_ros.live.drives.modbus_line import Address, DriveError, ModbusLine
+from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine
 from greenroof_ros.live.simulators import faults
 from greenroof_ros.live.simulators.server import ActiveFault, Device, Server
 

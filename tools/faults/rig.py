@@ -32,7 +32,7 @@ from ros_rig import write_forecast
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import read_incidents
-from greenroof_ros.live.drives.modbus_line import Address, parse_address
+from greenroof_ros.live.devices.modbus_line import Address, parse_address
 from greenroof_ros.live.simulators.control_profiles import AbbDrives
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site

@@ -20,9 +20,9 @@ from greenroof_ros.controllers.decide import decide
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
 from greenroof_ros.forecast.service import Fetcher, Service
-from greenroof_ros.live.pumping.inputs import Observation
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.pump_control import PumpControl
+from greenroof_ros.live.pumping.pump_inputs import Observation
 from greenroof_ros.live.simulators.forecast_service import NONE, ForecastService
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.reading import default_weather, read_weather

@@ -11,7 +11,7 @@ from contextlib import suppress
 
 from simulators import FAULTS, Workbench
 
-from greenroof_ros.live.drives.modbus_line import Address, DriveError
+from greenroof_ros.live.devices.modbus_line import Address, DriveError
 from greenroof_ros.live.simulators.faults import DEFAULT, SITE_FAULTS
 
 _PERIOD_S = 0.05

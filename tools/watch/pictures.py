@@ -32,7 +32,7 @@ from graphs import Process, bring_up, free_ports, reserved_domain, wait_for
 from places import CHECKOUT, DATA
 from simulators import Workbench
 
-from greenroof_ros.live.drives.modbus_line import parse_address
+from greenroof_ros.live.devices.modbus_line import parse_address
 
 WIDTHS, SCHEMES, HEIGHT = (1400, 800, 400), ("light", "dark"), 900
 # The pictures of the documentation: end of the file's name, width (px), and the part of the page

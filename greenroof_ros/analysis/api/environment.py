@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from greenroof_ros.analysis.api.arguments import make_run
 from greenroof_ros.analysis.api.control import ForecastSteps, FunctionController, SiteState
-from greenroof_ros.analysis.api.inputs import make_run
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import choice_of
 from greenroof_ros.experiment.closed_loop import Tick, open_loop

@@ -10,13 +10,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from greenroof_ros.analysis.api.arguments import PathText, file_of_site, make_run
 from greenroof_ros.analysis.api.control import (
     Function,
     FunctionController,
     choose_controller,
     parameters_of,
 )
-from greenroof_ros.analysis.api.inputs import PathText, file_of_site, make_run
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.times import duration, to_minutes
 from greenroof_ros.controllers.protocol import Controller, set_forecast_ends

@@ -56,7 +56,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.live.pumping.limits import PumpSettings
 from greenroof_ros.model.plant import low_outlet_flow
 from greenroof_ros.model.site import Site
@@ -151,7 +151,7 @@ class DeliveryCheck:
         least_pumped: float,
         most_pumped: float,
         displacements: tuple[float, float] = (0.0, 0.0),
-    ) -> Problem | None:
+    ) -> Diagnosis | None:
         """Update with the sensors' readings, and return the fault; None if there is none.
 
         Args:
@@ -211,7 +211,7 @@ class DeliveryCheck:
             return _lost_from_cistern(self._lost.since_minimum)
         return self._check_cistern_falls(change)
 
-    def _check_cistern_falls(self, change: _Sums) -> Problem | None:
+    def _check_cistern_falls(self, change: _Sums) -> Diagnosis | None:
         """Return the fault of a cistern that does not fall although it is pumped from."""
         site, share = self._site, self._settings.least_delivery
         not_drawn = share * change.least_pumped + change.overfull_cistern
@@ -229,7 +229,7 @@ class DeliveryCheck:
             return None
         if since.roof < self._share_on_roof * since.least_pumped:
             return _missing_on_roof(since)
-        return Problem.of(
+        return Diagnosis.of(
             "delivery", "cistern_stuck", pumped=since.least_pumped, minutes=since.elapsed / 60,
             change=1000 * since.overfull_cistern / site.a1,
         )
@@ -247,7 +247,7 @@ class DeliveryCheck:
         self._mean = before.plus(present.plus(before, -1.0), weight)
         return self._mean.plus(before, -1.0) if self._watched > averaging else _Sums()
 
-    def _check_unchanged(self, now: _Sums) -> Problem | None:
+    def _check_unchanged(self, now: _Sums) -> Diagnosis | None:
         """Return the fault of a roof, or of both tanks, unchanged while water was pumped."""
         site = self._site
         (_, cistern), (_, roof) = self._last_change
@@ -263,19 +263,19 @@ class DeliveryCheck:
         return None
 
 
-def _missing_on_roof(since: _Sums, *stuck: str) -> Problem:
+def _missing_on_roof(since: _Sums, *stuck: str) -> Diagnosis:
     fell = max(0.0, -since.cistern)
     cause = "burst" if fell - since.drained > since.least_pumped / 2 else "closed"
-    return Problem.of(
+    return Diagnosis.of(
         "delivery", "roof", cause, *stuck, pumped=since.least_pumped, minutes=since.elapsed / 60,
         roof=since.roof, cistern=fell,
     )
 
 
-def _lost_from_cistern(since: _Sums) -> Problem:
+def _lost_from_cistern(since: _Sums) -> Diagnosis:
     fell = -since.cistern
     by_outlet = ["outlet"] if since.drained else []
-    return Problem.of(
+    return Diagnosis.of(
         "delivery", "cistern", *by_outlet, "contactor" if since.roof > fell / 2 else "leak",
         cistern=fell, minutes=since.elapsed / 60, pumped=since.most_pumped, drained=since.drained,
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.model.site import Site
 
 EXPIRES_S = 60.0
@@ -59,9 +59,9 @@ class Dose:
         return self.ended_early.sentence
 
     @property
-    def ended_early(self) -> Problem:
+    def ended_early(self) -> Diagnosis:
         """That it ended before all was delivered."""
-        return Problem.of(
+        return Diagnosis.of(
             "dose_ended_early", volume=self.volume, delivered=self.delivered, why=self.why
         )
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.formats.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.model.plant import (
     low_outlet_flow,
@@ -201,13 +201,14 @@ class LevelRule:
         moved = max(self._risen, self._fallen)
         self._frozen = self._frozen or moved > self._frozen_movement
 
-    def check(self, now: float, value: float) -> Problem | None:
+    def check(self, now: float, value: float) -> Diagnosis | None:
         """Check a new value (m): return why water cannot have reached it; None if it can.
 
         What it returns still lacks the topic.
         """
         if value > self._bounds.highest:
-            return Problem.of("input_refused", "absurd", value=value, highest=self._bounds.highest)
+            highest = self._bounds.highest
+            return Diagnosis.of("input_refused", "absurd", value=value, highest=highest)
         if value != self._value:
             self._risen = self._fallen = 0.0
             self._frozen = False
@@ -232,16 +233,16 @@ class LevelRule:
             self.displacement += value - before
         self._old_low, self._old_high = low, high
         end = high if value > high else low
-        return Problem.of("input_jump", **{
+        return Diagnosis.of("input_jump", **{
             "from": before, "value": value, "time": passed, "expected": max(end, 0.0),
             "tolerance": half,
         })
 
-    def check_frozen(self) -> Problem | None:
+    def check_frozen(self) -> Diagnosis | None:
         """Return that the reading is unchanged although the level must have moved, if so."""
         if not self._frozen:
             return None
-        return Problem.of("input_frozen", movement=self._frozen_movement)
+        return Diagnosis.of("input_frozen", movement=self._frozen_movement)
 
 
 class InputRules:
@@ -268,13 +269,13 @@ class InputRules:
         self._started_at = now
         self._received_at: float | None = None
         # What is wrong with the newest value, or why there is none; and what to recover from.
-        self._newest: Problem | None
-        self._newest = self._broken = Problem.of(_WAITING, topic=topic)
+        self._newest: Diagnosis | None
+        self._newest = self._broken = Diagnosis.of(_WAITING, topic=topic)
         self._good_since: float | None = None
 
     def receive(
-        self, now: float, value: object, refused: Problem | None = None
-    ) -> Problem | None:
+        self, now: float, value: object, refused: Diagnosis | None = None
+    ) -> Diagnosis | None:
         """Receive a value, and check it.
 
         Args:
@@ -292,18 +293,18 @@ class InputRules:
             self._newest = None
         return self.check(now)
 
-    def refuse(self, now: float, why: str) -> Problem | None:
+    def refuse(self, now: float, why: str) -> Diagnosis | None:
         """Refuse the newest value, because its reader cannot use it."""
-        self._newest = Problem.of("input_refused", "refused", why=why)
+        self._newest = Diagnosis.of("input_refused", "refused", why=why)
         return self.check(now)
 
     def clear(self, seconds: float) -> None:
         """Forget all values, because this process itself was paused for this long (s)."""
         if self._received_at is not None:
             self._received_at = None
-            self._newest = Problem.of("input_paused", time=seconds)
+            self._newest = Diagnosis.of("input_paused", time=seconds)
 
-    def check(self, now: float, publishers: str = "") -> Problem | None:
+    def check(self, now: float, publishers: str = "") -> Diagnosis | None:
         """Return why the input must not be acted on; None if it may be.
 
         Args:
@@ -320,22 +321,22 @@ class InputRules:
         if now - self._good_since >= self._recovery:
             return None
         if self._broken.code == _WAITING:
-            return Problem.of(_RECOVERING, "first", topic=self._topic, time=self._recovery)
-        return Problem.of(
+            return Diagnosis.of(_RECOVERING, "first", topic=self._topic, time=self._recovery)
+        return Diagnosis.of(
             _RECOVERING, "again", topic=self._topic, time=self._recovery, before=self._broken
         )
 
-    def _broken_rule(self, now: float, publishers: str) -> Problem | None:
+    def _broken_rule(self, now: float, publishers: str) -> Diagnosis | None:
         """Return the first rule that is broken now, ignoring recovery."""
         if publishers:
-            return Problem.of("input_publishers", problem=publishers)
+            return Diagnosis.of("input_publishers", problem=publishers)
         if self._received_at is None:
             waiting = self._newest is not None and self._newest.code == _WAITING
             if waiting and now - self._started_at > _START_S:
-                return Problem.of("input_silent", "never")
+                return Diagnosis.of("input_silent", "never")
             return self._newest
         if now - self._received_at > self._limit:
-            return Problem.of(
+            return Diagnosis.of(
                 "input_silent", "old", limit=self._limit, parameter=self._limit_name
             )
         if self._newest is None and self.level is not None:

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from greenroof_ros.common.conditions import Problem, read_interlocks
+from greenroof_ros.common.conditions import Diagnosis, read_interlocks
 
 
-def evaluate(reasons: Iterable[Problem]) -> dict[str, Problem]:
+def evaluate(reasons: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
     """Return the active interlocks by code, in the order of the table.
 
     Args:
@@ -23,7 +23,7 @@ def evaluate(reasons: Iterable[Problem]) -> dict[str, Problem]:
     interlocks = read_interlocks()
     if unknown := present.keys() - interlocks.keys():
         raise KeyError(*unknown)
-    active: dict[str, Problem] = {}
+    active: dict[str, Diagnosis] = {}
     for code, interlock in interlocks.items():
         explained = interlock.follows and any(
             interlocks[earlier].kind == interlock.kind for earlier in active

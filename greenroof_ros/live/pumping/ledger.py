@@ -41,7 +41,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import DISK, PATIENCE_S, LatestWriter
 from greenroof_ros.common.processes import LockedError, acquire_file_lock
 from greenroof_ros.common.ranges import Range
@@ -199,7 +199,7 @@ class Ledger:
         return self._clock()
 
     @property
-    def active_hold(self) -> Problem | None:
+    def active_hold(self) -> Diagnosis | None:
         """Who holds the pump, until when and why; None if no one does."""
         owner, reason, until = self.record.hold
         if not owner or (until is not None and self.now >= until):
@@ -208,7 +208,7 @@ class Ledger:
             "until": to_people(datetime.fromtimestamp(until).astimezone())
         }
         more = end | ({"reason": reason} if reason else {})
-        return Problem.of("hold", "owner", *more, owner=owner, **more)
+        return Diagnosis.of("hold", "owner", *more, owner=owner, **more)
 
     def hold(self, owner: str, reason: str = "", until: float | None = None) -> None:
         """Keep the pump off until a release, or until a time (s since 1970) if one is given."""

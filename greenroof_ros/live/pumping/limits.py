@@ -9,12 +9,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter, entry, parameters_of
 from greenroof_ros.common.times import to_people
-from greenroof_ros.live.pumping.inputs import Observation
 from greenroof_ros.live.pumping.ledger import DAY_S, Ledger
+from greenroof_ros.live.pumping.pump_inputs import Observation
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.pump_speed import flow_at, speed_for
 from greenroof_ros.model.site import Site
@@ -211,7 +211,7 @@ class PumpLimits:
             self._on_for = 0.0
             self._rests_for = max(0.0, self._rests_for - dt)
 
-    def reasons(self, command: float | None, observed: Observation) -> Iterator[Problem]:
+    def reasons(self, command: float | None, observed: Observation) -> Iterator[Diagnosis]:
         """Yield the reasons against running now; must be called at every step.
 
         Args:
@@ -222,37 +222,38 @@ class PumpLimits:
         settings, record = self._settings, self._ledger.record
         cistern_level, time_ns = observed.cistern_level, observed.time_ns
         if cistern_level is None:
-            yield Problem.of("cistern_level_unknown")
+            yield Diagnosis.of("cistern_level_unknown")
         else:
             minimum = self._site.suction_level + settings.level_offset
             if self._dry:
                 minimum += settings.suction_hysteresis
             self._dry = cistern_level <= minimum
             if self._dry:
-                yield Problem.of("cistern_low", level=cistern_level, least=minimum)
+                yield Diagnosis.of("cistern_low", level=cistern_level, least=minimum)
         if observed.roof_level is None:
-            yield Problem.of("roof_level_unknown")
+            yield Diagnosis.of("roof_level_unknown")
         if observed.frost is None:
-            yield Problem.of("frost_unknown")
+            yield Diagnosis.of("frost_unknown")
         elif observed.frost:
-            yield Problem.of("frost")
+            yield Diagnosis.of("frost")
         if (quiet := self._site.quiet) is not None:
             if time_ns is None:
-                yield Problem.of("quiet_hours", "no_time")
+                yield Diagnosis.of("quiet_hours", "no_time")
             elif quiet.quiet_at(time_ns):
-                yield Problem.of("quiet_hours", "until", until=to_people(quiet.end_after(time_ns)))
+                until = to_people(quiet.end_after(time_ns))
+                yield Diagnosis.of("quiet_hours", "until", until=until)
         if command == 0:
             self._rests_for = 0.0
         if self._rests_for > 0:
-            yield Problem.of("longest_run", longest=settings.greatest_run, rest=self._rests_for)
+            yield Diagnosis.of("longest_run", longest=settings.greatest_run, rest=self._rests_for)
         again = DAY_S - record.day_elapsed
         if record.day_volume >= settings.greatest_volume_per_day:
-            yield Problem.of(
+            yield Diagnosis.of(
                 "daily_volume", volume=record.day_volume, limit=settings.greatest_volume_per_day,
                 again=again,
             )
         if record.day_run >= settings.greatest_run_per_day:
-            yield Problem.of(
+            yield Diagnosis.of(
                 "daily_run", run=record.day_run, limit=settings.greatest_run_per_day, again=again
             )
 

@@ -10,15 +10,15 @@ from greenroof_ros.common.conditions import (
     INHIBIT,
     LATCHED,
     PERMISSIVE,
-    Problem,
+    Diagnosis,
     read_interlocks,
 )
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Dose, Doses
-from greenroof_ros.live.pumping.inputs import Observation
 from greenroof_ros.live.pumping.interlocks import evaluate
 from greenroof_ros.live.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
+from greenroof_ros.live.pumping.pump_inputs import Observation
 from greenroof_ros.model.pump_speed import STANDSTILL, flow_at
 from greenroof_ros.model.site import Site
 
@@ -57,10 +57,10 @@ class Decision:
     speed: float | None
     state: str
     why: str
-    interlocks: Mapping[str, Problem]
+    interlocks: Mapping[str, Diagnosis]
     flow: float
     source: str
-    warnings: Sequence[Problem]
+    warnings: Sequence[Diagnosis]
     at_rest: bool
     reported_speed: float | None
     flow_known: bool
@@ -202,7 +202,7 @@ class PumpControl:
             observed.speed is not None, _backwards(observed), observed.speed
         )
         observed = _plausible(observed)
-        warnings: list[Problem] = []
+        warnings: list[Diagnosis] = []
         computed = None
         if observed.speed is not None and observed.cistern_level is not None:
             computed = flow_at(self._site, observed.speed, observed.cistern_level)
@@ -224,14 +224,14 @@ class PumpControl:
         )
         levels_known = observed.cistern_level is not None and observed.roof_level is not None
         self._blind_for = 0.0 if levels_known and self._delivery.has_mean else self._blind_for + dt
-        command, missing = observed.command, list[Problem]()
+        command, missing = observed.command, list[Diagnosis]()
         if command is None:
-            missing.append(Problem.of("command_unknown"))
+            missing.append(Diagnosis.of("command_unknown"))
         elif not 0 <= command < math.inf:
-            missing.append(Problem.of("command_refused", command=command))
+            missing.append(Diagnosis.of("command_refused", command=command))
             command = None
         elif command > 1:
-            warnings.append(Problem.of("limited", "above", command=command))
+            warnings.append(Diagnosis.of("limited", "above", command=command))
             command = 1.0
         full = observed.roof_level is not None and observed.roof_level >= self._site.z_veg
         if full:
@@ -240,9 +240,9 @@ class PumpControl:
             self._pulses.clear()  # commands during a dose leave nothing outstanding
         dosed = command is not None and self._doses.present is not None
         if observed.speed is None and not backwards:
-            missing.append(Problem.of("drive_speed_unknown"))
+            missing.append(Diagnosis.of("drive_speed_unknown"))
         if not observed.drive_ready and not backwards:
-            missing.append(Problem.of("drive_not_ready"))
+            missing.append(Diagnosis.of("drive_not_ready"))
         active = evaluate([
             *self._faults(drive_dt, observed, backwards, undelivered),
             *self._limits.reasons(1.0 if dosed else command, observed),
@@ -305,7 +305,7 @@ class PumpControl:
         return max(self._doses.share(maximum), self._pulses.least_share(cistern_level))
 
     def _flow(
-        self, observed: Observation, computed: float | None, warnings: list[Problem]
+        self, observed: Observation, computed: float | None, warnings: list[Diagnosis]
     ) -> tuple[float | None, str]:
         """Return the present flow (m3/s; None if unknown), and how it is known.
 
@@ -325,7 +325,7 @@ class PumpControl:
             if flow is not None and flow <= most:
                 return flow, source
             if flow is not None:
-                warnings.append(Problem.of(
+                warnings.append(Diagnosis.of(
                     "limited", "flow", source=source, flow=flow, most=most / _MAX_FLOW
                 ))
         return computed, "unknown, assumed 0" if computed is None else "computed from the speed"
@@ -373,7 +373,7 @@ class PumpControl:
             self._ramped = speed
         return not minimum - tolerance <= speed <= maximum + tolerance
 
-    def _flows_at_rest(self, drive_dt: float, observed: Observation) -> Problem | None:
+    def _flows_at_rest(self, drive_dt: float, observed: Observation) -> Diagnosis | None:
         """Return that a meter shows flow although the drive reports rest; None if it does not.
 
         A drive knows its motor, and a relay its order; neither detects a welded contact.
@@ -386,12 +386,12 @@ class PumpControl:
         self._flowed_for = self._flowed_for + drive_dt if at_rest and measured > minimum else 0.0
         if self._flowed_for <= self._settings.follow_time:
             return None
-        return Problem.of("runs_on", "flow", flow=measured, time=self._flowed_for)
+        return Diagnosis.of("runs_on", "flow", flow=measured, time=self._flowed_for)
 
     def _faults(
-        self, drive_dt: float, observed: Observation, backwards: Problem | None,
-        undelivered: Problem | None,
-    ) -> list[Problem]:
+        self, drive_dt: float, observed: Observation, backwards: Diagnosis | None,
+        undelivered: Diagnosis | None,
+    ) -> list[Diagnosis]:
         """Return the faults: the present ones, and the latched one until its reset.
 
         Also the other reasons that the ledger keeps: a hold, and an unreadable record.
@@ -409,12 +409,12 @@ class PumpControl:
         found = [undelivered, self._flows_at_rest(drive_dt, observed), backwards]
         if observed.speed is not None and self._follow_error_for > self._settings.follow_time:
             code = "runs_on" if self._setpoint is None else "speed_not_followed"
-            found.append(Problem.of(
+            found.append(Diagnosis.of(
                 code, "speed", speed=observed.speed, requested=self._setpoint or 0.0,
                 time=self._follow_error_for, ramp=self._settings.drive_ramp,
             ))
         if self._failed_starts >= _FAILED_STARTS:
-            found.append(Problem.of(
+            found.append(Diagnosis.of(
                 "speed_not_followed", "starts", starts=self._failed_starts, why=failed_start or ""
             ))
         if observed.drive_fault:
@@ -431,17 +431,17 @@ class PumpControl:
         if worst:
             self._ledger.fault(latched[worst].sentence, worst)
         record = self._ledger.record
-        persistent = Problem.if_any("record_unknown", record.unknown), self._ledger.active_hold
+        persistent = Diagnosis.if_any("record_unknown", record.unknown), self._ledger.active_hold
         reasons += [reason for reason in persistent if reason is not None]
         if record.fault:
             row = interlocks.get(record.fault_code)
             known = row is not None and row.kind == LATCHED
             code = record.fault_code if known else "fault_unknown"
-            reasons.append(Problem(code, record.fault))  # as the sentence was when it latched
+            reasons.append(Diagnosis(code, record.fault))  # as the sentence was when it latched
         return reasons
 
     def _follow(
-        self, dt: float, command: float, full: bool, cistern_level: float, warnings: list[Problem]
+        self, dt: float, command: float, full: bool, cistern_level: float, warnings: list[Diagnosis]
     ) -> tuple[float | None, str]:
         """Return the speed for a command (None means off), and why; no interlock is active."""
         pulses, on = self._pulses, self._setpoint is not None
@@ -453,7 +453,7 @@ class PumpControl:
         if demanded < minimum:
             why = "a pulse, since the command is below the minimum flow"
             if pulses.outstanding > pulse:
-                warnings.append(Problem.of(
+                warnings.append(Diagnosis.of(
                     "limited", "outstanding", volume=pulses.outstanding, pulse=pulse
                 ))
         if on and share == 0 and since_start < self._settings.least_on:
@@ -472,18 +472,18 @@ class PumpControl:
         return min(max(speed, self._setpoint - change), self._setpoint + change), why
 
 
-def drive_fault(fault: str, runs_on: bool) -> Problem:
+def drive_fault(fault: str, runs_on: bool) -> Diagnosis:
     """Return the fault that a drive reports; ``runs_on``: it does not obey a stop."""
     if runs_on:
-        return Problem.of("runs_on", "drive", fault=fault)
-    return Problem.of("drive_fault", fault=fault)
+        return Diagnosis.of("runs_on", "drive", fault=fault)
+    return Diagnosis.of("drive_fault", fault=fault)
 
 
-def _backwards(observed: Observation) -> Problem | None:
+def _backwards(observed: Observation) -> Diagnosis | None:
     """Return that the pump turns backwards, beyond noise; None if it does not."""
     if observed.speed is None or not -_MAX_SPEED <= observed.speed < -STANDSTILL:
         return None
-    return Problem.of("turns_backwards", speed=-observed.speed)
+    return Diagnosis.of("turns_backwards", speed=-observed.speed)
 
 
 def _plausible(observed: Observation) -> Observation:

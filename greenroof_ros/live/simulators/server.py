@@ -25,7 +25,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from pymodbus.transport import CommType
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.live.drives.modbus_line import Address, Serial
+from greenroof_ros.live.devices.modbus_line import Address, Serial
 from greenroof_ros.live.simulators import faults
 
 _WRITES = (5, 6, 15, 16, 22, 23)

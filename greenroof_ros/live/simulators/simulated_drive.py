@@ -19,8 +19,8 @@ from typing import Any, ClassVar
 from pymodbus.constants import ExcCodes
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.live.drives.drive_file import DriveFile, Register
-from greenroof_ros.live.drives.modbus_line import SIMULATOR, Address, decode, encode
+from greenroof_ros.live.devices.drive_file import DriveFile, Register
+from greenroof_ros.live.devices.modbus_line import SIMULATOR, Address, decode, encode
 from greenroof_ros.live.simulators import faults
 from greenroof_ros.live.simulators.server import Bench, Device, PseudoLine, Server
 from greenroof_ros.model.initial_state import default_state

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import Broker, make_client
-from greenroof_ros.live.drives.modbus_line import SIMULATOR, Address
+from greenroof_ros.live.devices.modbus_line import SIMULATOR, Address
 from greenroof_ros.live.simulators import faults
 from greenroof_ros.live.simulators.server import Bench
 

@@ -14,14 +14,14 @@ from typing import Any, TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import make_client
-from greenroof_ros.live.drives.modbus_line import (
+from greenroof_ros.live.devices.modbus_line import (
     Address,
     DriveError,
     ModbusLine,
     encode,
     parse_address,
 )
-from greenroof_ros.live.drives.sensor_file import ModbusSensor, MqttSensor, Sensors
+from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensors
 from greenroof_ros.live.simulators import faults
 from greenroof_ros.live.simulators.server import Bench, Device, Server
 from greenroof_ros.model.plant import Plant

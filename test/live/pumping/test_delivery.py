@@ -12,7 +12,7 @@ from paper import PAPER_SITE, site_with
 from places import CONFIG
 from pump_rig import Rig, settings_for
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site, read_site
@@ -22,7 +22,7 @@ NOISE = 0.005
 SLOW: dict[str, Any] = {"tau": 10.0, "noise": 0.0015}
 """for hours: ticks of 10 s, with a mean as exact as for 5 mm each second"""
 
-LOST = Problem("drive_lost", "connection lost")
+LOST = Diagnosis("drive_lost", "connection lost")
 
 
 def steps_to_fault(

@@ -10,7 +10,7 @@ import pytest
 from paper import PAPER_SITE
 from pump_rig import Rig, settings_for
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 
 SITE = replace(PAPER_SITE, greatest_dose=0.5)
 
@@ -121,7 +121,7 @@ def test_what_cannot_begin_within_a_minute_expires() -> None:
     ("change", "cause"),
     [
         ({"frost": True}, "frost"), ({"roof_level": None}, "roof_level_unknown"),
-        ({"reasons": [Problem("drive_lost", "no connection")]}, "drive_lost"),
+        ({"reasons": [Diagnosis("drive_lost", "no connection")]}, "drive_lost"),
         ({"command": None}, "command_unknown"),
     ],
 )

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE
 from places import CHECKOUT
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.live.pumping.input_rules import (
     InputRules,
     LevelBounds,
@@ -34,7 +34,7 @@ def level_rule(frozen: float = 0.01, tolerance: float = 0.02) -> LevelRule:
     return LevelRule(TANK, frozen, tolerance)
 
 
-def rule(problem: Problem | None) -> str:
+def rule(problem: Diagnosis | None) -> str:
     """Return the rule that is broken, for codes without their common prefix; empty if none is."""
     return "" if problem is None else problem.code.removeprefix("input_")
 
@@ -63,7 +63,7 @@ def test_a_level_in_another_unit_is_refused() -> None:
     assert roof.displacement == 0.0
 
 
-NAN = Problem.of("input_refused", "refused", why="nan")
+NAN = Diagnosis.of("input_refused", "refused", why="nan")
 # What happens at each time (s), and the rule that is then broken, for an input with a limit of 5 s
 # and a recovery of 3 s. None: nothing comes, and the input is only checked.
 COURSES: dict[str, list[tuple[float, str, str]]] = {

@@ -19,7 +19,7 @@ from greenroof_ros.common.conditions import (
     INHIBIT,
     LATCHED,
     PERMISSIVE,
-    Problem,
+    Diagnosis,
     read_conditions,
     read_interlocks,
 )
@@ -68,7 +68,7 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
 
     The minimum time on, 10 s, does not delay the stop.
     """
-    own = {"change": {"reasons": [Problem(code, "it is so")]}}
+    own = {"change": {"reasons": [Diagnosis(code, "it is so")]}}
     broken = {"command": 0.5, "record": {}} | CAUSES.get(code, own)
     rig = Rig(
         x2=0.5, site=broken.pop("site", PAPER_SITE), settings=broken.pop("settings", None)
@@ -104,7 +104,7 @@ def test_they_are_named_in_the_order_of_the_table() -> None:
     rig.ledger.hold("the operator")
     rig.ledger.fault("burst pipe", "delivery")
     rig.change = {
-        "frost": True, "roof_level": None, "reasons": [Problem("no_run", "no plant has joined")],
+        "frost": True, "roof_level": None, "reasons": [Diagnosis("no_run", "no plant has joined")],
     }
     decision = rig.step(0.5)
     assert codes(decision) == ["delivery", "hold", "roof_level_unknown", "frost", "no_run"]
@@ -114,11 +114,11 @@ def test_they_are_named_in_the_order_of_the_table() -> None:
 def test_what_follows_is_not_said_next_to_its_cause() -> None:
     """A lost drive has no speed, and a node that is not active has no command."""
     rig = Rig()
-    rig.change = {"speed": None, "reasons": [Problem("drive_lost", "no connection")]}
+    rig.change = {"speed": None, "reasons": [Diagnosis("drive_lost", "no connection")]}
     assert codes(rig.step(None)) == ["drive_lost"]
     rig.change = {"drive_ready": False}
     assert codes(rig.step(None)) == ["command_unknown"]
-    alone = Problem("drive_not_ready", "x")
+    alone = Diagnosis("drive_not_ready", "x")
     assert evaluate([alone]) == {"drive_not_ready": alone}
 
 
@@ -151,7 +151,7 @@ def test_faults_next_to_each_other() -> None:
 def test_the_table_is_whole() -> None:
     """Latched ones first, then inhibits; each has advice, and limits that exist."""
     with pytest.raises(KeyError):
-        evaluate([Problem("holds", "x")])
+        evaluate([Diagnosis("holds", "x")])
     rows = INTERLOCKS.values()
     kinds = [row.kind for row in rows]
     assert kinds == sorted(kinds, key=[LATCHED, INHIBIT, PERMISSIVE].index)
@@ -231,14 +231,14 @@ def texts_in(tree: ast.AST) -> set[str]:
 
 
 def test_what_is_reported_is_in_the_table_and_the_other_way_round() -> None:
-    """Each ``Problem.of`` has a code of the table, its cases, and all values of its sentences."""
+    """Each ``Diagnosis.of`` has a code of the table, its cases, and all values of its sentences."""
     conditions, texts, reported = read_conditions(), set[str](), set[str]()
-    for room in ("graph", "live", "watch", "live/pumping", "live/drives"):
+    for room in ("graph", "live", "watch", "live/pumping", "live/devices"):
         for file in (PACKAGE / room).glob("*.py"):
             tree = ast.parse(file.read_text(encoding="utf-8"))
             texts |= texts_in(tree)
             for call in ast.walk(tree):
-                if isinstance(call, ast.Call) and ast.unparse(call.func).startswith("Problem."):
+                if isinstance(call, ast.Call) and ast.unparse(call.func).startswith("Diagnosis."):
                     reported |= check_problem(call)
     assert {"no_forecast", "limited", "state_not_kept"} <= reported
     of_inputs = {text for text in texts if text.startswith("input_") and text.isidentifier()}
@@ -254,12 +254,12 @@ def check_problem(call: ast.Call) -> set[str]:
     row = read_conditions()[code.value]
     if isinstance(row.sentence, str):
         templates = [row.sentence or row.meaning]
-        assert not cases or ast.unparse(call.func) == "Problem.if_any", code.value
+        assert not cases or ast.unparse(call.func) == "Diagnosis.if_any", code.value
     else:
         assert cases, code.value
         templates = [row.sentence[case] for each in cases for case in texts_in(each)]
     given = {keyword.arg for keyword in call.keywords} | {
-        "why" for _ in cases if ast.unparse(call.func) == "Problem.if_any"
+        "why" for _ in cases if ast.unparse(call.func) == "Diagnosis.if_any"
     }
     if code.value.startswith("input_"):
         given |= {"topic"}  # the rules of the input add it

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, site_with
 from pump_rig import Rig, settings_for
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
+from greenroof_ros.live.devices.drive_file import LONGEST_RAMP_S
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
 from greenroof_ros.model.plant import maximum_pump_flow, pump_flow
@@ -136,7 +136,7 @@ CHANGES: list[dict[str, object]] = [
     {}, {"frost": True}, {"frost": None}, {"cistern_level": None}, {"roof_level": math.nan},
     {"cistern_level": 1e9}, {"speed": None}, {"speed": math.nan}, {"speed": 5.0},
     {"drive_ready": False},
-    {"reasons": [Problem("drive_lost", "the cable is out")]}, {"drive_fault": "overload"},
+    {"reasons": [Diagnosis("drive_lost", "the cable is out")]}, {"drive_fault": "overload"},
 ]
 
 

@@ -10,7 +10,7 @@ import pytest
 from paper import PAPER_SITE, paper_run
 from pump_rig import Rig, settings_for
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.pump_control import Decision, Observation, PumpControl
@@ -81,7 +81,7 @@ def test_what_was_missed_is_not_caught_up() -> None:
     """After minutes without contact to the drive, the next pulse is as far away as before."""
     rig = Rig()
     rig.run(15, 0.5)
-    rig.change = {"reasons": [Problem("drive_lost", "no answer from 10.0.0.7:502")]}
+    rig.change = {"reasons": [Diagnosis("drive_lost", "no answer from 10.0.0.7:502")]}
     decision = rig.step(0.5)
     assert (decision.speed, decision.why) == (None, "no answer from 10.0.0.7:502")
     rig.run(600, 0.01)
@@ -102,7 +102,7 @@ def test_what_is_unknown_is_reported_so() -> None:
     decision = rig.run(15, 0.5)
     assert (decision.at_rest, decision.flow_known, decision.blind_for) == (False, True, 15)
     assert decision.reported_speed is not None and decision.reported_speed > 0.5
-    rig.change = {"speed": None, "reasons": [Problem("drive_lost", "connection lost")]}
+    rig.change = {"speed": None, "reasons": [Diagnosis("drive_lost", "connection lost")]}
     rig.run(14, 0.5)
     assert {
         (decision.state, decision.flow, decision.flow_known, decision.reported_speed,
@@ -153,7 +153,7 @@ def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) ->
     assert rig.run(100, command).state == "fault"
 
 
-LOST = {"speed": None, "reasons": [Problem("drive_lost", "no connection")]}
+LOST = {"speed": None, "reasons": [Diagnosis("drive_lost", "no connection")]}
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_a_failed_start_is_a_start_and_the_third_in_a_row_a_fault(
     for _ in range(1200):
         gives_up = on_for == 2 and len(begun) % (runs_after + 1) != 0
         rig.stuck_speed = 0.0 if len(begun) % (runs_after + 1) else None
-        rig.change = {"reasons": [Problem("start_failed", failed)]} if gives_up else {}
+        rig.change = {"reasons": [Diagnosis("start_failed", failed)]} if gives_up else {}
         decision = rig.step(0.5 if on_for < 30 else 0.0)
         if decision.speed is not None and on_for == 0:
             begun.append(rig.now)

@@ -20,10 +20,10 @@ from places import guarding
 from simulators import DEFAULT, Simulator, refusal, until
 
 from greenroof_ros.commands import drive_simulator
-from greenroof_ros.live.drives.drive import Drive, DriveEndpoint
-from greenroof_ros.live.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.live.drives.exchange import DriveExchange
-from greenroof_ros.live.drives.modbus_line import (
+from greenroof_ros.live.devices.drive import Drive, DriveEndpoint
+from greenroof_ros.live.devices.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.live.devices.exchange import DriveExchange
+from greenroof_ros.live.devices.modbus_line import (
     Address,
     DriveError,
     parse_address,

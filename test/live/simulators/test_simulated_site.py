@@ -17,10 +17,10 @@ from places import CONFIG
 from simulators import Simulator, refusal, until
 
 from greenroof_ros.commands import site_simulator
-from greenroof_ros.live.drives.modbus_line import Address
-from greenroof_ros.live.drives.modbus_sensor import ModbusReader, SensorLine
-from greenroof_ros.live.drives.mqtt_sensor import MqttReader
-from greenroof_ros.live.drives.sensor_file import ModbusSensor, MqttSensor, Sensors, read_sensors
+from greenroof_ros.live.devices.modbus_line import Address
+from greenroof_ros.live.devices.modbus_sensor import ModbusReader, SensorLine
+from greenroof_ros.live.devices.mqtt_sensor import MqttReader
+from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensors, read_sensors
 from greenroof_ros.live.simulators.faults import DEFAULT
 from greenroof_ros.live.simulators.simulated_site import SiteBench
 

@@ -21,17 +21,17 @@ from simulators import Simulator
 from simulators import until as wait
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.live.drives.drive_file import find_drive_file
-from greenroof_ros.live.drives.endpoint import read_endpoint
-from greenroof_ros.live.drives.exchange import (
+from greenroof_ros.live.devices.drive_file import find_drive_file
+from greenroof_ros.live.devices.endpoint import read_endpoint
+from greenroof_ros.live.devices.exchange import (
     DriveExchange,
     DriveSnapshot,
     ExchangeState,
     stop_drive,
 )
-from greenroof_ros.live.drives.modbus_line import DriveError
-from greenroof_ros.live.drives.relay import RelayEndpoint
-from greenroof_ros.live.drives.relay_file import read_relay_file
+from greenroof_ros.live.devices.modbus_line import DriveError
+from greenroof_ros.live.devices.relay import RelayEndpoint
+from greenroof_ros.live.devices.relay_file import read_relay_file
 
 pytestmark = needs_mosquitto
 
@@ -189,7 +189,7 @@ def test_one_that_nothing_would_switch_off_is_not_switched_on(
 def test_a_timer_that_is_turned_off_meanwhile_is_seen(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("greenroof_ros.live.drives.exchange.SETTINGS_S", 1.0)
+    monkeypatch.setattr("greenroof_ros.live.devices.exchange.SETTINGS_S", 1.0)
     with bench_of("tasmota", tmp_path) as bench:
         bench.run()
         bench.relay.inject("timer_off")

@@ -24,7 +24,7 @@ from greenroof_ros.graph.states import STARTING
 _LONGEST = 16_000
 
 
-class Reports:
+class NodeDiagnostics:
     """Reports a node's state.
 
     As usual in ROS, /diagnostics is one topic for all nodes of a domain. The name of a status is

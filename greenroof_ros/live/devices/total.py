@@ -7,7 +7,7 @@ import time
 from collections import defaultdict, deque
 
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.live.drives.sensor_file import Sensor
+from greenroof_ros.live.devices.sensor_file import Sensor
 
 # A message may be repeated or overtaken for this long (s).
 _LATE_S = 2.0

@@ -8,9 +8,9 @@ from collections import deque
 from dataclasses import dataclass, replace
 
 from greenroof_ros.common.times import suspended_time
-from greenroof_ros.live.drives.modbus_line import DeviceSnapshot
-from greenroof_ros.live.drives.sensor_file import Sensor
-from greenroof_ros.live.drives.total import Total
+from greenroof_ros.live.devices.modbus_line import DeviceSnapshot
+from greenroof_ros.live.devices.sensor_file import Sensor
+from greenroof_ros.live.devices.total import Total
 
 # After a suspend longer than this (s), earlier readings are too old.
 _SUSPEND_S = 1.0

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 
 import pytest
 
-from greenroof_ros.live.drives import total
-from greenroof_ros.live.drives.sensor_file import MqttSensor
-from greenroof_ros.live.drives.total import Total
+from greenroof_ros.live.devices import total
+from greenroof_ros.live.devices.sensor_file import MqttSensor
+from greenroof_ros.live.devices.total import Total
 
 # Time between two looks of a sensor's node (s), and what they may add to the last rise (mm).
 LOOK_S = 0.05

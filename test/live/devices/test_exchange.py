@@ -20,29 +20,29 @@ from places import CHECKOUT
 from simulators import until as wait
 
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.live.drives import exchange, stop_monitor
-from greenroof_ros.live.drives.drive import DriveEndpoint, DriveStatus
-from greenroof_ros.live.drives.drive_file import (
+from greenroof_ros.live.devices import exchange, stop_monitor
+from greenroof_ros.live.devices.drive import DriveEndpoint, DriveStatus
+from greenroof_ros.live.devices.drive_file import (
     DriveFile,
     Timeouts,
     find_drive_file,
     read_drive_file,
 )
-from greenroof_ros.live.drives.exchange import (
+from greenroof_ros.live.devices.exchange import (
     PAUSE_S,
     DriveExchange,
     DriveSnapshot,
     ExchangeState,
     stop_drive,
 )
-from greenroof_ros.live.drives.lock import DriveInUseError, DriveLock
-from greenroof_ros.live.drives.modbus_line import (
+from greenroof_ros.live.devices.lock import DriveInUseError, DriveLock
+from greenroof_ros.live.devices.modbus_line import (
     DriveError,
     ModbusLine,
     parse_address,
     parse_drive_address,
 )
-from greenroof_ros.live.drives.stop_monitor import RunsOnError, StopMonitor
+from greenroof_ros.live.devices.stop_monitor import RunsOnError, StopMonitor
 
 PERIOD, DEAD_MAN, TIMEOUT = 0.05, 0.3, 0.2
 OFF, RUN, ACKNOWLEDGE = (0, 0x047E), (0, 0x047F), (0, 0x04FE)
@@ -866,7 +866,7 @@ def test_the_waits_fit_into_the_longer_ones_of_pump_control_bringup_and_service(
 
     Then the pump node's end; the supervisor's stop, perhaps after another one; the other nodes.
     """
-    from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
+    from greenroof_ros.live.devices.drive_file import LONGEST_RAMP_S
     from greenroof_ros.live.supervisor import ENDING_S, KILLING_S, PUMP_ENDING_S
 
     runs_on_s = stop_monitor.RUNS_ON_S

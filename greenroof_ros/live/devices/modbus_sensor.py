@@ -6,15 +6,15 @@ import math
 import threading
 import time
 
-from greenroof_ros.live.drives.modbus_line import (
+from greenroof_ros.live.devices.modbus_line import (
     DeviceSnapshot,
     DeviceThread,
     DriveError,
     ModbusLine,
     decode,
 )
-from greenroof_ros.live.drives.readings import Reading, Readings
-from greenroof_ros.live.drives.sensor_file import ModbusSensor
+from greenroof_ros.live.devices.readings import Reading, Readings
+from greenroof_ros.live.devices.sensor_file import ModbusSensor
 
 # Longest wait for a connection, and for each answer (s).
 _TIMEOUT_S = 0.5

@@ -14,10 +14,10 @@ from places import CONFIG
 from simulators import until
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.live.drives import readings
-from greenroof_ros.live.drives.modbus_line import DriveError
-from greenroof_ros.live.drives.modbus_sensor import ModbusReader, SensorLine
-from greenroof_ros.live.drives.sensor_file import ModbusSensor, read_sensors
+from greenroof_ros.live.devices import readings
+from greenroof_ros.live.devices.modbus_line import DriveError
+from greenroof_ros.live.devices.modbus_sensor import ModbusReader, SensorLine
+from greenroof_ros.live.devices.sensor_file import ModbusSensor, read_sensors
 
 SHIPPED = (CONFIG / "sensors.yaml").read_text()
 

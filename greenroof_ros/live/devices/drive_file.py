@@ -11,7 +11,7 @@ from typing import Any
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import YamlMapping, shared_directory
 from greenroof_ros.common.parameter import Word, entry, find, read_record
-from greenroof_ros.live.drives.modbus_line import (
+from greenroof_ros.live.devices.modbus_line import (
     WIDTHS,
     WORD_ORDERS,
     Address,

@@ -8,11 +8,11 @@ from typing import TypeAlias
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.mqtt import parse_topic
-from greenroof_ros.live.drives.drive import Drive, DriveEndpoint
-from greenroof_ros.live.drives.drive_file import read_drive_file
-from greenroof_ros.live.drives.modbus_line import parse_drive_address
-from greenroof_ros.live.drives.relay import Relay, RelayEndpoint
-from greenroof_ros.live.drives.relay_file import read_relay_file
+from greenroof_ros.live.devices.drive import Drive, DriveEndpoint
+from greenroof_ros.live.devices.drive_file import read_drive_file
+from greenroof_ros.live.devices.modbus_line import parse_drive_address
+from greenroof_ros.live.devices.relay import Relay, RelayEndpoint
+from greenroof_ros.live.devices.relay_file import read_relay_file
 
 Endpoint: TypeAlias = DriveEndpoint | RelayEndpoint
 Connection: TypeAlias = Drive | Relay
@@ -26,7 +26,7 @@ def read_endpoint(
     Args:
         file: the drive file or relay file.
         at: its address. For a relay ``mqtt://HOST[:PORT]/DEVICE``, ``mqtts`` over TLS; else see
-            :func:`greenroof_ros.live.drives.modbus_line.parse_drive_address`.
+            :func:`greenroof_ros.live.devices.modbus_line.parse_drive_address`.
         key: the name of the address in error messages.
         login: for a relay's broker: file with ``username`` and ``password``; empty for none.
         authority: for a relay's broker: file of trusted certificates (PEM); empty for the system's.

@@ -26,10 +26,10 @@ from modbus_wire import (
 )
 from simulators import until
 
-from greenroof_ros.common.conditions import Problem
-from greenroof_ros.live.drives.drive import Drive, DriveStatus
-from greenroof_ros.live.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.live.drives.modbus_line import (
+from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.live.devices.drive import Drive, DriveStatus
+from greenroof_ros.live.devices.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.live.devices.modbus_line import (
     DriveError,
     ModbusLine,
     Serial,
@@ -225,7 +225,7 @@ def test_another_ones_run_is_noticed(name: str, register: str, runs: str, stops:
     """Noticed when the control word that is read back is not the one written, but *run*."""
     read_back = "".join(f"\n: 03 {register} 0001 -> 03 02 {word}" for word in (runs, stops, runs))
 
-    def stop_and_look(drive: Drive) -> list[Problem | None]:
+    def stop_and_look(drive: Drive) -> list[Diagnosis | None]:
         drive.stop()
         return [drive.second_master() for _ in range(3)]
 

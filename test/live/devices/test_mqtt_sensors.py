@@ -18,9 +18,9 @@ from places import CONFIG
 from simulators import until
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.live.drives import readings
-from greenroof_ros.live.drives.mqtt_sensor import MqttReader
-from greenroof_ros.live.drives.sensor_file import MqttSensor, read_sensors
+from greenroof_ros.live.devices import readings
+from greenroof_ros.live.devices.mqtt_sensor import MqttReader
+from greenroof_ros.live.devices.sensor_file import MqttSensor, read_sensors
 
 pytestmark = needs_mosquitto
 TOPIC = "tele/roof/SENSOR"

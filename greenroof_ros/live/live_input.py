@@ -13,7 +13,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from greenroof_ros.common.conditions import Problem, joined
+from greenroof_ros.common.conditions import Diagnosis, joined
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.inputs import Input
@@ -118,7 +118,7 @@ class LiveInput(Input):
         optional: whether the node acts without it.
     """
 
-    problem: Problem | None = Problem("input_waiting")
+    problem: Diagnosis | None = Diagnosis("input_waiting")
 
     def __init__(self, publishers: LivePublishers, rules: InputRules, *, optional: bool) -> None:
         """Start without a value.
@@ -151,7 +151,7 @@ class LiveInput(Input):
         refused = None
         if self.refusal:
             case = "unknown" if self._unknown else "refused"
-            refused = Problem.of("input_refused", case, why=self.refusal)
+            refused = Diagnosis.of("input_refused", case, why=self.refusal)
         self.rules.receive(boot_time(), self.value, refused)
         self.check()
 
@@ -176,7 +176,7 @@ class LiveInput(Input):
         super()._refuse(value, instead)
 
 
-def bad_inputs(inputs: Iterable[Input]) -> Problem | None:
+def bad_inputs(inputs: Iterable[Input]) -> Diagnosis | None:
     """Return what is wrong with the inputs that are not good, under the code of the worst.
 
     That is the first that breaks a rule, or else the first that is awaited.

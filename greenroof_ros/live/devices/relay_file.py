@@ -13,7 +13,7 @@ from string import Template
 
 from greenroof_ros.common.files import YamlMapping
 from greenroof_ros.common.parameter import entry, find, read_record
-from greenroof_ros.live.drives.drive_file import Source
+from greenroof_ros.live.devices.drive_file import Source
 
 MQTT = "mqtt"
 # A timer shorter than this many rounds of questions cannot be renewed within a third of its time.

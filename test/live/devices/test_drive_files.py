@@ -12,10 +12,10 @@ import pytest
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.parameter import Word
-from greenroof_ros.live.drives.drive import DriveEndpoint
-from greenroof_ros.live.drives.drive_file import Codes, find_drive_file, read_drive_file
-from greenroof_ros.live.drives.exchange import DriveExchange
-from greenroof_ros.live.drives.modbus_line import (
+from greenroof_ros.live.devices.drive import DriveEndpoint
+from greenroof_ros.live.devices.drive_file import Codes, find_drive_file, read_drive_file
+from greenroof_ros.live.devices.exchange import DriveExchange
+from greenroof_ros.live.devices.modbus_line import (
     Address,
     decode,
     limits,

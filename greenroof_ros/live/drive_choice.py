@@ -14,8 +14,8 @@ from greenroof_ros.common.command_line import refuse
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.experiment.run_directory import writable
-from greenroof_ros.live.drives.drive_file import find_drive_file
-from greenroof_ros.live.drives.endpoint import Endpoint, read_endpoint
+from greenroof_ros.live.devices.drive_file import find_drive_file
+from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
 from greenroof_ros.live.pumping.ledger import state_directory
 from greenroof_ros.live.supervisor import StopDrive
 
@@ -108,8 +108,8 @@ class DriveChoice:
         """
         if speed == 1:
             return
-        from greenroof_ros.live.drives.drive import real_time_error
-        from greenroof_ros.live.drives.modbus_line import DriveError
+        from greenroof_ros.live.devices.drive import real_time_error
+        from greenroof_ros.live.devices.modbus_line import DriveError
 
         endpoint = self.read()
         until = time.monotonic() + _SIMULATOR_S
@@ -140,8 +140,8 @@ class DriveChoice:
         Raises:
             ConfigurationError: the file or the address is wrong.
         """
-        from greenroof_ros.live.drives.exchange import stop_drive
-        from greenroof_ros.live.drives.lock import DriveInUseError
+        from greenroof_ros.live.devices.exchange import stop_drive
+        from greenroof_ros.live.devices.lock import DriveInUseError
 
         endpoint = self.read()
         endpoint.connection()  # loads its library now: the disk may hang when it is needed

@@ -35,7 +35,7 @@ def _is_list(value: object) -> bool:
 
 
 def _is_diagnosis(value: object) -> bool:
-    """Whether it is a part's diagnosis; see :class:`greenroof_ros.live.reports.Diagnosis`."""
+    """Whether it is the status of a part: ``live_diagnostics.PartStatus``."""
     keys = ("level", "message", "code", "cause", "since")
     return isinstance(value, dict) and all(_is_text(value.get(key)) for key in keys)
 

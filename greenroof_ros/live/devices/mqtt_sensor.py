@@ -11,8 +11,8 @@ import time
 import uuid
 
 from greenroof_ros.common.mqtt import make_client
-from greenroof_ros.live.drives.readings import Reading, Readings
-from greenroof_ros.live.drives.sensor_file import MqttSensor
+from greenroof_ros.live.devices.readings import Reading, Readings
+from greenroof_ros.live.devices.sensor_file import MqttSensor
 
 # Longest message of a sensor that is accepted (bytes).
 _LONGEST = 65_536

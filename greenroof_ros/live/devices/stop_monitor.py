@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from greenroof_ros.live.drives.drive import DriveStatus
-from greenroof_ros.live.drives.modbus_line import DriveError
+from greenroof_ros.live.devices.drive import DriveStatus
+from greenroof_ros.live.devices.modbus_line import DriveError
 
 # The minimum decrease of the speed that counts (share of rated speed).
 SLOWER = 0.005

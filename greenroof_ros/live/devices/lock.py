@@ -5,8 +5,8 @@ from __future__ import annotations
 import socket
 
 from greenroof_ros.common.processes import LockedError, acquire_name_lock
-from greenroof_ros.live.drives.endpoint import Endpoint
-from greenroof_ros.live.drives.modbus_line import DriveError
+from greenroof_ros.live.devices.endpoint import Endpoint
+from greenroof_ros.live.devices.modbus_line import DriveError
 
 
 class DriveInUseError(DriveError):

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from string import Template
 from typing import Any
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.mqtt import Broker, make_client
-from greenroof_ros.live.drives.drive import DriveStatus
-from greenroof_ros.live.drives.modbus_line import SIMULATOR, Address, DriveError
-from greenroof_ros.live.drives.relay_file import RelayFile, RelayMessage, Timer, Value
+from greenroof_ros.live.devices.drive import DriveStatus
+from greenroof_ros.live.devices.modbus_line import SIMULATOR, Address, DriveError
+from greenroof_ros.live.devices.relay_file import RelayFile, RelayMessage, Timer, Value
 
 # Longest wait for the broker (s).
 _CONNECT_S = 3.0
@@ -389,7 +389,7 @@ class Relay:
         """
         self.stop()
 
-    def second_master(self) -> Problem | None:
+    def second_master(self) -> Diagnosis | None:
         """Return that its state is not the one last ordered; None if it is, or if unknown.
 
         Its own timer, a power failure, a person or another program may have switched it.
@@ -400,7 +400,7 @@ class Relay:
         is_on = self._read()
         if self._ordered is None or is_on == self._ordered:
             return None
-        return Problem.of("second_master", "on" if is_on else "off", where=self.line.where)
+        return Diagnosis.of("second_master", "on" if is_on else "off", where=self.line.where)
 
     def simulator_problem(self) -> str:
         """Return why this may not be the relay simulator; empty if it certainly is.

@@ -10,9 +10,9 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from greenroof_ros.common.conditions import Problem, Value
-from greenroof_ros.graph.reports import Reports, iso
-from greenroof_ros.live.supervision import supervisor_socket
+from greenroof_ros.common.conditions import Diagnosis, Value
+from greenroof_ros.graph.diagnostics import NodeDiagnostics, iso
+from greenroof_ros.live.supervisor_socket import supervisor_socket
 
 # The levels of a diagnosis, as ROS tools know them.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
@@ -23,7 +23,7 @@ _LEVELS = {OK: "OK", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class PartStatus:
     """The state of a part of a node.
 
     Attributes:
@@ -48,7 +48,7 @@ class Diagnosis:
         return {"code": self.code, "since": since, "cause": self.cause}
 
 
-class LiveReports(Reports):
+class LiveDiagnostics(NodeDiagnostics):
     """Reports the state of a node and its parts, also to the supervisor that started the process.
 
     The status of a part adds the part's name to the node's: ``/mpc: inputs``.
@@ -63,13 +63,13 @@ class LiveReports(Reports):
     def __init__(self, node: Node, role: str) -> None:
         """Open the topic; see the base."""
         super().__init__(node, role)
-        self.diagnoses: dict[str, Diagnosis] = {}
+        self.diagnoses: dict[str, PartStatus] = {}
         self.numbers: dict[str, Mapping[str, float | None]] = {}
         self.hardware = ""
         self.urgent = False
 
     def diagnose(
-        self, part: str, problem: Problem | None, well: str = "", level: bytes = ERROR,
+        self, part: str, problem: Diagnosis | None, well: str = "", level: bytes = ERROR,
         cause: str = "", *, log: bool = True,
     ) -> None:
         """Set the diagnosis of a part; a change is logged, and reported soon.
@@ -84,9 +84,9 @@ class LiveReports(Reports):
         """
         before = self.diagnoses.get(part)
         if problem is None:
-            problem, level = Problem("", well), OK
+            problem, level = Diagnosis("", well), OK
         same_code = before is not None and before.code == problem.code
-        diagnosis = self.diagnoses[part] = Diagnosis(
+        diagnosis = self.diagnoses[part] = PartStatus(
             level, problem.sentence, problem.code, cause,
             before.since if before is not None and same_code else time.time(), problem.values,
         )
@@ -130,7 +130,7 @@ class LiveReports(Reports):
         supervisor_socket().flush(_FLUSH_S)
 
 
-def _values(diagnosis: Diagnosis, numbers: Mapping[str, float | None]) -> list[KeyValue]:
+def _values(diagnosis: PartStatus, numbers: Mapping[str, float | None]) -> list[KeyValue]:
     """Return the values in the status of a part: its numbers, code, start and cause."""
     values = {
         key: f"{value:.6g}" if isinstance(value, (float, int)) else str(value)

@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.live.drives.drive_file import (
+from greenroof_ros.live.devices.drive_file import (
     Codes,
     DriveFile,
     Register,
@@ -17,7 +17,7 @@ from greenroof_ros.live.drives.drive_file import (
     Step,
     Timeout,
 )
-from greenroof_ros.live.drives.modbus_line import SIMULATOR, Address, DriveError, decode, limits
+from greenroof_ros.live.devices.modbus_line import SIMULATOR, Address, DriveError, decode, limits
 from greenroof_ros.model.pump_speed import STANDSTILL
 
 # Time between two checks whether a drive has reached a state (s).
@@ -245,7 +245,7 @@ class Drive:
         self._prepared = False
         self._perform(self.file.sequences.reset)
 
-    def second_master(self) -> Problem | None:
+    def second_master(self) -> Diagnosis | None:
         """Return that the control word is not the one last written; None if it is, or if unknown.
 
         Only the bits that the drive file uses are compared, and only on a connection on which the
@@ -267,7 +267,7 @@ class Drive:
         self._echoes |= same
         if same or not self._echoes:
             return None
-        return Problem.of(
+        return Diagnosis.of(
             "second_master", "word", where=self.line.where, word=word, written=self._word
         )
 

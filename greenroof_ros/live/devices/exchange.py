@@ -8,14 +8,14 @@ import time
 from dataclasses import dataclass, replace
 from typing import Any
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.live.drives.drive import DriveStatus
-from greenroof_ros.live.drives.drive_file import LONGEST_RAMP_S
-from greenroof_ros.live.drives.endpoint import Connection, Endpoint
-from greenroof_ros.live.drives.lock import DriveInUseError, DriveLock
-from greenroof_ros.live.drives.modbus_line import DeviceSnapshot, DeviceThread, DriveError
-from greenroof_ros.live.drives.stop_monitor import (
+from greenroof_ros.live.devices.drive import DriveStatus
+from greenroof_ros.live.devices.drive_file import LONGEST_RAMP_S
+from greenroof_ros.live.devices.endpoint import Connection, Endpoint
+from greenroof_ros.live.devices.lock import DriveInUseError, DriveLock
+from greenroof_ros.live.devices.modbus_line import DeviceSnapshot, DeviceThread, DriveError
+from greenroof_ros.live.devices.stop_monitor import (
     RUNS_ON_S,
     Deceleration,
     RunsOnError,
@@ -91,10 +91,10 @@ class DriveSnapshot(DeviceSnapshot):
     timeout_s: float | None = None
     timeout_known: bool = False
     timeout_note: str = ""
-    unguarded: Problem | None = None
+    unguarded: Diagnosis | None = None
     no_simulator: str | None = None
-    second_master: Problem | None = None
-    start_failed: Problem | None = None
+    second_master: Diagnosis | None = None
+    start_failed: Diagnosis | None = None
     errors: int = 0
 
     @property
@@ -245,17 +245,17 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         snapshot = self.snapshot
         return snapshot.status if now - snapshot.read_at < STATUS_AGE_S else None
 
-    def absence(self, now: float) -> Problem | None:
+    def absence(self, now: float) -> Diagnosis | None:
         """Return why the drive does not answer; None if it does."""
         if self._closing:
-            return Problem.of("drive_lost", "released")
+            return Diagnosis.of("drive_lost", "released")
         if self.status(now) is not None:
             return None
         if problem := self.snapshot.problem:
-            return Problem.of("drive_lost", "problem", problem=problem)
-        return Problem.of("drive_lost", "silent", time=STATUS_AGE_S)
+            return Diagnosis.of("drive_lost", "problem", problem=problem)
+        return Diagnosis.of("drive_lost", "silent", time=STATUS_AGE_S)
 
-    def timeout_problem(self, snapshot: DriveSnapshot) -> Problem | None:
+    def timeout_problem(self, snapshot: DriveSnapshot) -> Diagnosis | None:
         """Return what is wrong with the drive's own communication timeout; None if nothing is."""
         guard, seconds, limit_s = self.endpoint.guard, snapshot.timeout_s, self._timeout_limit_s
         values: dict[str, float | str] = {}
@@ -271,7 +271,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             return None
         more = {} if guard is None else {"repair": guard.how_to_set, "traps": guard.traps}
         cases = [name for name, text in more.items() if text]
-        return Problem.of("drive_timeout", case, *cases, **values, **more)
+        return Diagnosis.of("drive_timeout", case, *cases, **values, **more)
 
     def request_speed(self, speed: float | None) -> None:
         """Request a speed (share of rated speed), or off (None); valid for `dead_man_s`.
@@ -323,18 +323,18 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         fresh = boot_time() - at <= self._dead_man_s  # a suspend counts
         return speed if fresh and not self._closing and self._unguarded() is None else None
 
-    def _unguarded(self) -> Problem | None:
+    def _unguarded(self) -> Diagnosis | None:
         """Return why the drive must not run although it is connected; None if it may.
 
         It may have lost power since the last connection; a cut cable looks the same.
         """
         if self._requires_simulator and (why := self._snapshot.no_simulator) != "":
             if why is None:
-                return Problem.of("drive_guards_later", "unknown")
-            return Problem.of("drive_guards_later", "another", why=why)
+                return Diagnosis.of("drive_guards_later", "unknown")
+            return Diagnosis.of("drive_guards_later", "another", why=why)
         if time.monotonic() >= self._guarded_from:
             return None
-        return Problem.of("drive_guards_later", "power_up", time=self._unguarded_s)
+        return Diagnosis.of("drive_guards_later", "power_up", time=self._unguarded_s)
 
     def _step(self) -> None:
         """Do what the present state requires."""
@@ -352,7 +352,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         """Close the connection; then stay silent, connect again after a while, or end."""
         now, drive = time.monotonic(), self._drive
         if self._requested[0] is not None:
-            self._update(start_failed=Problem.of("start_failed", "lost", problem=problem))
+            self._update(start_failed=Diagnosis.of("start_failed", "lost", problem=problem))
         why = self._stop_monitor.connection_lost(drive.stopped, now)
         if isinstance(error, RunsOnError):
             why = ""  # the error already gives the reason
@@ -562,7 +562,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._drive.run(speed, lambda: self._target_speed() is not None)
         except DriveError as error:
             if error.kind == "drive":
-                failed = Problem.of("start_failed", "failed", problem=str(error))
+                failed = Diagnosis.of("start_failed", "failed", problem=str(error))
                 self._update(start_failed=failed)
             else:
                 self._stop_monitor.order_changed()  # it may obey although the answer was lost

@@ -15,7 +15,7 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import Topic, read_topics
 from greenroof_ros.common.mqtt import Broker, parse_topic
 from greenroof_ros.common.parameter import Word, entry, read_record
-from greenroof_ros.live.drives.modbus_line import (
+from greenroof_ros.live.devices.modbus_line import (
     WIDTHS,
     WORD_ORDERS,
     ModbusLine,

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from greenroof_ros.common.conditions import Problem
+from greenroof_ros.common.conditions import Diagnosis
 
 
 class PumpInput(NamedTuple):
@@ -68,4 +68,4 @@ class Observation:
     drive_ready: bool = False
     drive_fault: str = ""
     runs_on: bool = False
-    reasons: Sequence[Problem] = ()
+    reasons: Sequence[Diagnosis] = ()
