@@ -41,13 +41,12 @@ FOR_STUDY := $(VENV)/.for-study
 FOR_TEST := $(VENV)/.for-test
 FOR_BENCH := $(VENV)/.for-bench
 FOR_DOCS := $(VENV)/.for-docs
-FOR_MUTATION := $(VENV)/.for-mutation
 
 # It prints what it installs: the first time it takes a minute or two. Python compiles what is
 # imported, which is a small part of it.
 PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --no-compile --editable
 
-.PHONY: help run study test lint docs bench doc-commands faults test-kilted mutation clean
+.PHONY: help run study test lint docs bench doc-commands faults test-kilted clean
 
 help:
 	@echo "make run    the 12 h of the paper with the predictive controller, as a node graph"
@@ -59,7 +58,6 @@ help:
 	@echo "make bench  the speed of graph and controller, as ratios"
 	@echo "make doc-commands  every block of commands in README and doc/, as written: half an hour"
 	@echo "make faults every process, cable and message made to fail, 1,600 times: over an hour"
-	@echo "make mutation  the code changed in one place at a time, to see whether a test fails: hours"
 	@echo "make clean  remove .venv and all else that can be made again; runs/ stays"
 
 run: $(FOR_RUN)
@@ -128,10 +126,6 @@ ifeq ($(ARGS),)
 	@$(BIN)/python tools/faults/table.py runs/faults doc/development/fault-campaign.md
 endif
 
-# Ends after the mutant in hand on Ctrl-C; what was found is kept in runs/.
-mutation: $(FOR_MUTATION)
-	@$(BIN)/python tools/mutation $(ARGS)
-
 $(MADE):
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
 	    echo "Python 3.10 or later is needed; $(PYTHON) is $$($(PYTHON) --version 2>&1)." >&2; \
@@ -168,10 +162,6 @@ $(FOR_BENCH): $(MADE) setup.py
 $(FOR_DOCS): $(MADE) setup.py
 	$(PIP_INSTALL) '.$(DOCS_EXTRAS)'
 	@touch $(FOR_RUN) $(FOR_STUDY) $@
-
-$(FOR_MUTATION): $(FOR_TEST)
-	$(PIP_INSTALL) '.[mutation]'
-	@touch $@
 
 clean:
 	rm -rf $(VENV) $(KILTED) build dist install log *.egg-info doc/_build doc/api/modules

@@ -178,12 +178,8 @@ setup(
             "myst-parser>=4,<6",  # pages are Markdown
             "furo>=2024.8.6",  # theme: light and dark, wide and narrow
         ],
-        # The stormwater model that the Neubrandenburg roof is compared with: tools/measured_roofs.
-        "swmm": ["pyswmm>=2.2,<3"],  # EPA SWMM 5.2 in Python
         # Another implementation of the same controller, to compare the solve times with.
         "bench": ["do-mpc>=5.1,<6"],
-        # What changes the code in one place at a time, to see whether a test fails: tools/mutation.
-        "mutation": ["cosmic-ray>=8.7,<9", "pytest-rerunfailures>=15"],
     },
     entry_points={
         "console_scripts": [

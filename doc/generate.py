@@ -4,7 +4,7 @@ A table stands in a page between ``<!-- table: NAME -->`` and ``<!-- end of tabl
 be read without a build, and a file of the package between ``<!-- file: PATH -->`` and ``<!-- end of
 file -->``. ``make docs`` writes all of them again, and a test compares them with what
 this writes. The nodes' tables need ROS 2; without it they stay unchanged. The layouts in
-``config/layouts/``, the drawings of who publishes what, and the pictures of results and README are
+``config/layouts/``, the drawings of who publishes what, and the README's pictures are
 written too.
 """
 
@@ -21,7 +21,6 @@ import re
 import sys
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, Union, get_args, get_origin
 from unittest import mock
@@ -32,9 +31,6 @@ sys.path[:0] = [str(DOC), str(DOC.parent)]
 from layouts import LAYOUTS
 from layouts import rows as displays
 from readme_pictures import draw as draw_readme_pictures
-from real_season_tables import REAL_SEASONS
-from result_figures import FIGURES, draw
-from result_tables import RESULTS, choices
 from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
@@ -90,12 +86,6 @@ def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     lines = [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
     lines += [f"| {' | '.join(map(part, row))} |" for row in rows]
     return "\n".join(lines) + "\n"
-
-
-def narrow(table: str) -> str:
-    """Return a table whose longest names may break, for a phone."""
-    table = table.replace("anticipating_onoff", "anticipating_<wbr>onoff")
-    return table.replace("Neubrandenburg", "Neubranden&shy;burg")
 
 
 def entries(rows: Iterable[Sequence[str]]) -> str:
@@ -495,21 +485,6 @@ def incident() -> str:
     ))
 
 
-def result(name: str) -> str:
-    """Return a table of results."""
-    return narrow(markdown(*RESULTS[name]()))
-
-
-def real_seasons(name: str) -> str:
-    """Return the tables of real seasons."""
-    return "\n".join(markdown(*table) for table in REAL_SEASONS[name]())
-
-
-def which_controller() -> str:
-    """Return what each controller achieves, for the page that helps choose."""
-    return narrow(markdown(*choices()))
-
-
 # --- commands -------------------------------------------------------------------------------------
 
 
@@ -698,9 +673,6 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "relay faults": relay_faults,
     "site faults": site_faults,
     "forecast faults": forecast_faults,
-    "which controller": which_controller,
-    **{f"results {name}": partial(result, name) for name in RESULTS},
-    **{f"real seasons {name}": partial(real_seasons, name) for name in REAL_SEASONS},
 }
 
 
@@ -749,9 +721,6 @@ def main() -> None:
         path.write_text(layout(), encoding="utf-8")
     for name, way in WAYS.items():
         (DOC / "_static" / f"{name}.svg").write_text(drawing(way), encoding="utf-8")
-    for name, figure in FIGURES.items():
-        path = DOC / "_static" / "results" / f"{name}.svg"
-        path.write_text(draw(figure()), encoding="utf-8")
     draw_readme_pictures()
 
 

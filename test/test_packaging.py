@@ -43,7 +43,7 @@ ROSDEP_KEYS = {
     "rosbags": ["python3-rosbags-pip"],
 }
 # Extras for developers of this package, or for another ROS 2; the others are for users.
-OTHER_EXTRAS = {"ros", "test", "docs", "swmm", "bench", "mutation"}
+OTHER_EXTRAS = {"ros", "test", "docs", "bench"}
 
 
 def run(*command, cwd, env, timeout=1800):

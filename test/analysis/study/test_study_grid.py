@@ -127,9 +127,11 @@ YEARS = {
     "ticks.yaml": (4, {1, 60}, 4 * 3),
 }
 GRIDS = {path.name: path for path in (CONFIG / "studies").iterdir()}
+# Grids that need files which the package does not have.
+OTHERS = {"month.yaml", "issued_forecasts.yaml"}
 
 
-@pytest.mark.parametrize("file", sorted(GRIDS.keys() - YEARS.keys()))
+@pytest.mark.parametrize("file", sorted(GRIDS.keys() - YEARS.keys() - OTHERS))
 def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
     """A copy of each in an empty directory can be run unchanged, with the package's files."""
     copy = tmp_path / "my_study.yaml"
@@ -158,6 +160,27 @@ def test_grids_of_years(tmp_path: Path, file: str) -> None:
     assert {case.start for case in cases} == {f"{year}-05-01T00:00:00-05:00"}
     assert len({case.site.content for case in cases}) == sites
     assert {yaml.safe_load(case.site.content)["tau"] for case in cases} == ticks
+
+
+def test_grids_of_records_that_users_bring(tmp_path: Path) -> None:
+    """July's record, with five horizons of two controllers; a gauge, and archives of services."""
+    (tmp_path / "2021_7.csv").symlink_to(DATA / "en_climate_hourly_07-2021.csv")
+    cases = read_grid(GRIDS["month.yaml"], tmp_path)
+    assert len(cases) == 1 + 1 + 2 * 5
+    assert {case.hours for case in cases} == {744.0}
+    (tmp_path / "gauge.csv").write_text("time,precipitation [mm/h]\n" + "".join(
+        f"2024-03-{day:02}T{hour:02}:00+00:00,0.5\n" for day in range(1, 31) for hour in range(24)
+    ))
+    archive = (DATA / "gem_global_previous_runs_2024-03.csv").read_bytes()
+    for name in ("gem", "knmi", "gfs", "together", "no_rain"):
+        (tmp_path / f"{name}.csv").write_bytes(archive)
+    text = GRIDS["issued_forecasts.yaml"].read_text()
+    text = text.replace("2024-05-01T00:00, hours: 4416", "2024-03-05T12:00, hours: 24")
+    cases = read_grid(tmp_path / grid(tmp_path, text), tmp_path)
+    assert len(cases) == 3 * (1 + 6)
+    assert [float(yaml.safe_load(case.site.content)["z_veg"]) for case in cases[::7]] == [
+        0.0457, 0.039, 0.0457
+    ]
 
 
 def test_settings_and_whole_numbers(tmp_path: Path) -> None:
