@@ -22,7 +22,7 @@ __all__ = ["Environment", "Result", "compare", "gym", "read_bag", "read_site", "
 # The module of each of these names in analysis/api; gym is itself one.
 _MODULES = {
     "Environment": "environment", "Result": "simulate", "compare": "simulate",
-    "read_bag": "simulate", "read_site": "inputs", "simulate": "simulate",
+    "read_bag": "simulate", "read_site": "arguments", "simulate": "simulate",
 }
 
 
