@@ -22,14 +22,14 @@ ifeq ($(ROS),sourced)
 VENV_OPTIONS := --system-site-packages
 RUN_EXTRAS := [pump,mqtt,watch,foxglove,fetch]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [pump,mqtt,watch,foxglove,fetch,study,netcdf,dask,completion,test]
+TEST_EXTRAS := [pump,mqtt,watch,foxglove,fetch,study,dask,completion,test]
 BENCH_EXTRAS := [study,bench]
 DOCS_EXTRAS := [pump,mqtt,watch,foxglove,fetch,study,docs]
 else
 VENV_OPTIONS :=
 RUN_EXTRAS := [ros,pump,mqtt,watch,foxglove,fetch]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [ros,pump,mqtt,watch,foxglove,fetch,study,netcdf,dask,completion,test]
+TEST_EXTRAS := [ros,pump,mqtt,watch,foxglove,fetch,study,dask,completion,test]
 BENCH_EXTRAS := [ros,study,bench]
 DOCS_EXTRAS := [ros,pump,mqtt,watch,foxglove,fetch,study,docs]
 endif
@@ -95,7 +95,7 @@ test-kilted: $(KILTED)/.made
 $(KILTED)/.made: setup.py
 	$(PYTHON) -m venv $(KILTED)
 	$(KILTED)/bin/python -m pip --disable-pip-version-check install $(KILTED_WHEELS) \
-	    --editable ".[pump,mqtt,watch,foxglove,fetch,study,netcdf,dask,test]"
+	    --editable ".[pump,mqtt,watch,foxglove,fetch,study,dask,test]"
 	@touch $@
 
 lint: $(FOR_TEST)

@@ -140,8 +140,6 @@ setup(
         # Completes greenroof's commands and options in bash and zsh; 3.1 is in ROS 2 Jazzy's
         # Ubuntu.
         "completion": ["argcomplete>=3.1,<4"],
-        # Forecasts of CaSPAr; Unidata's own reader, while h5netcdf brings h5py and xarray pandas.
-        "netcdf": ["netCDF4>=1.7,<2"],
         "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
         # The environment GreenRoof-v0, for reinforcement learning; 0.29 has the present interface.
         "gym": ["gymnasium>=0.29,<2"],

@@ -55,7 +55,7 @@ For an ensemble the first five use member 0, the last two all members.
 
 examples:
   greenroof verify gem_previous_runs.csv --weather gauge.csv
-  greenroof verify caspar/ --weather 'hourly_*.csv' --lead 6 --sums 1 6 --events 1 2
+  greenroof verify gem_runs/ --weather 'hourly_*.csv' --lead 6 --sums 1 6 --events 1 2
   greenroof verify errors --weather 'hourly_*.csv' -o errors.html -o errors.csv
 
 exit codes: 0 done, 2 bad usage, configuration or file

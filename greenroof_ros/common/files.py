@@ -75,24 +75,6 @@ MOST_BYTES = 100_000_000
 three years, or the hourly runs of a year with one member. So no file exhausts the memory."""
 
 
-def refuse_large(path: Path, size: int) -> None:
-    """Refuse a file if too much of it would be read.
-
-    Args:
-        path: of the file.
-        size: what would be read (bytes).
-
-    Raises:
-        ConfigurationError: it is more than :data:`MOST_BYTES`.
-    """
-    if size > MOST_BYTES:
-        raise ConfigurationError(
-            f"has {size / 1e6:.0f} MB to read; a file may have at most {MOST_BYTES / 1e6:g} MB: "
-            "leave out what no run needs, or split it, since weather can be several files and "
-            "forecasts a directory of files", file=path,
-        )
-
-
 def read_lines(path: Path) -> Iterator[str]:
     """Read a UTF-8 text file line by line; a byte order mark at its start is dropped.
 
@@ -110,7 +92,13 @@ def read_lines(path: Path) -> Iterator[str]:
     blank = True
     try:
         with path.open("rb") as stream:
-            refuse_large(path, os.fstat(stream.fileno()).st_size)
+            size = os.fstat(stream.fileno()).st_size
+            if size > MOST_BYTES:
+                raise ConfigurationError(
+                    f"has {size / 1e6:.0f} MB to read; a file may have at most "
+                    f"{MOST_BYTES / 1e6:g} MB: leave out what no run needs, or split it, since "
+                    "weather can be several files and forecasts a directory of files", file=path,
+                )
             for number, raw in enumerate(stream, start=1):
                 try:
                     line = (raw if number > 1 else raw.removeprefix(codecs.BOM_UTF8)).decode()

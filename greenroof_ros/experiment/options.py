@@ -68,8 +68,8 @@ def add_run_arguments(
         help="what the controller knows about the coming weather. perfect: all of it; "
         "persistence: it stays unchanged; errors: a forecast as good as real ones; ensemble: "
         "several of these; a file, or a directory of files: archived forecasts, in this project's "
-        "CSV, CSV or JSON of Open-Meteo, or NetCDF of CaSPAr. All but perfect are issued every 6 "
-        "hours, archived forecasts at their own times (default: %(default)s)",
+        "CSV, or CSV or JSON of Open-Meteo. All but perfect are issued every 6 hours, archived "
+        "forecasts at their own times (default: %(default)s)",
     )
     add_forecast_options(group)
     _add_parameters(

@@ -11,11 +11,11 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.formats import caspar, eccc, open_meteo, own_csv
+from greenroof_ros.formats import eccc, open_meteo, own_csv
 from greenroof_ros.formats.records import Archive, Issue, Records, check_alike
 from greenroof_ros.model.site import Site
 
-SUFFIXES = (".csv", ".json", ".nc")
+SUFFIXES = (".csv", ".json")
 """Suffixes of files of forecasts; the format is recognised by the content."""
 _HEAD_BYTES = 4096
 
@@ -23,7 +23,7 @@ _HEAD_BYTES = 4096
 _WEATHER = {
     eccc: "Environment and Climate Change Canada", open_meteo: "Open-Meteo", own_csv: "own CSV",
 }
-_FORECASTS = (caspar, open_meteo, own_csv)
+_FORECASTS = (open_meteo, own_csv)
 
 
 def read_records(file: Path, site: Site) -> Records:
@@ -72,8 +72,8 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
         for file in files:
             if file.suffix not in SUFFIXES:
                 raise ConfigurationError(
-                    f"must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}, like all files in "
-                    "a directory of forecasts", file=file,
+                    f"must end in {' or '.join(SUFFIXES)}, like all files in a "
+                    "directory of forecasts", file=file,
                 )
     form = _format_of(files[0], _FORECASTS)
     for file in files[1:]:

@@ -72,7 +72,7 @@ _CODES = {
     "32767", "32768", "65535", "2147483647", "2147483648", "4294967295", "27315", "6999", "7999",
     "777", "7777", "888", "8888",
 }
-_HUGE = 1e15  # fill values of NetCDF and GRIB are larger
+_HUGE = 1e15  # fill values of GRIB are larger
 # Share of a column's values other than 0 that may be neither plausible nor a code: a wrong unit of
 # rain shows in the few wettest hours.
 _MOST_WRONG = 0.01

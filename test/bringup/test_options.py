@@ -108,7 +108,7 @@ WRONG = {
     f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
         "show whether there is frost; give it if your own node publishes /gauge/temperature",
-    f"{WEATHERED} --forecast no.nc": "--forecast = 'no.nc': must be a FILE.csv, which is",
+    f"{WEATHERED} --forecast no.json": "--forecast = 'no.json': must be a FILE.csv, which is",
     f"{WEATHERED} --forecast {CHECKOUT}/package.xml": "package.xml': must be a FILE.csv, which is",
     f"{WEATHERED} --weather external --forecast forecast.csv":
         "--forecast = 'forecast.csv': is for the weather node",

@@ -346,7 +346,7 @@ def test_end_of_the_records() -> None:
 
 def test_choices(tmp_path: Path) -> None:
     """Names and their options; files by their suffix, directories if they exist or by a slash."""
-    for text in ("a.csv", "a.JSON", "b/a.nc", "later/", str(tmp_path)):
+    for text in ("a.csv", "a.JSON", "b/a.json", "later/", str(tmp_path)):
         choice = choose(text, "--forecast")
         assert (choice.model, choice.file, choice.options()) == ("file", Path(text), {})
         assert choice.option_names == ("delay",)

@@ -9,7 +9,6 @@ import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
-import netCDF4
 import numpy as np
 import pytest
 from paper import PAPER_SITE
@@ -117,22 +116,6 @@ def test_a_file_of_any_kind_that_is_too_large(
     assert refusal(read, file) == (
         f"{file}: has 150 MB to read; a file may have at most 100 MB: leave out what no run needs, "
         "or split it, since weather can be several files and forecasts a directory of files"
-    )
-
-
-def test_a_grid_that_is_too_large(tmp_path: Path) -> None:
-    """Of NetCDF only the site's point is read, but the places of all points: 2 x 8 M of 8 bytes."""
-    with netCDF4.Dataset(tmp_path / "2021070800.nc", "w") as dataset:
-        for name, size in (("time", 2), ("rlat", 2000), ("rlon", 4000)):
-            dataset.createDimension(name, size)
-        hours = dataset.createVariable("time", "f8", ("time",))
-        hours.units, hours[:] = "hours since 2021-07-08 00:00:00", [0, 1]
-        for name in ("latitude", "longitude"):
-            dataset.createVariable(name, "f4", ("rlat", "rlon")).standard_name = name
-        rain = dataset.createVariable("HRDPS_P_PR_SFC", "f4", ("time", "rlat", "rlon"), zlib=True)
-        rain.units = "m"
-    assert "has 128 MB to read; a file may have at most 100 MB" in refusal(
-        archive, tmp_path / "2021070800.nc"
     )
 
 

@@ -383,7 +383,7 @@ def test_wrong_directories(tmp_path: Path) -> None:
     refusal(read_archive, tmp_path, BUDVA, match="must contain files of forecasts")
     (tmp_path / "a_2024060112.json").write_text(run_of(1))
     for name, text, wrong in (
-        ("README.md", "# Forecasts", r"README.md: must end in .csv, .json or .nc, like "),
+        ("README.md", "# Forecasts", r"README.md: must end in .csv or .json, like "),
         (
             "b_2024060112.json", run_of(1, precipitation=[1.0] * 6),
             r"has the issue of 2024-06-01T12:00.00:00, which a_2024060112.json has already",

@@ -487,12 +487,11 @@ class _Grid:
     ) -> tuple[ForecastChoice, dict[str, InputFile]]:
         """Return a choice of forecasts with the names of its files in the study, and the files.
 
-        A directory becomes one file in the project's own format, and so does NetCDF, because the
-        issue of a NetCDF file is in its name, which the study may change.
+        A directory becomes one file in the project's own format.
         """
         skill, path = choice.skill_file, choice.file
         files = {} if skill is None else {"skill": self._input(skill)}
-        if path is not None and (path.is_dir() or path.suffix.lower() == ".nc"):
+        if path is not None and path.is_dir():
             archive = read_archive(path, site, choice.delay)
             if all(issue.available is None for issue in archive.issues):
                 choice = replace(choice, delay=archive.delay)
