@@ -17,6 +17,8 @@ from greenroof_ros.live.supervisor_socket import supervisor_socket
 # The levels of a diagnosis, as ROS tools know them.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+# How often the state is published while it does not change (s).
+_PUBLISH_S = 1.0
 # How long the end of a node waits for the supervisor at most (s).
 _FLUSH_S = 1.0
 _LEVELS = {OK: "OK", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
@@ -67,6 +69,8 @@ class LiveDiagnostics(NodeDiagnostics):
         self.numbers: dict[str, Mapping[str, float | None]] = {}
         self.hardware = ""
         self.urgent = False
+        self._published: tuple[object, ...] = ()
+        self._published_at = 0.0
 
     def diagnose(
         self, part: str, problem: Diagnosis | None, well: str = "", level: bytes = ERROR,
@@ -102,17 +106,27 @@ class LiveDiagnostics(NodeDiagnostics):
             logger.info(diagnosis.message)
 
     def publish(self, values: dict[str, Any]) -> None:
-        """Publish the state of the node with these values, and of its parts."""
+        """Report the state of the node with these values, and of its parts.
+
+        The supervisor gets each report: it must find out soon that a node hangs. /diagnostics gets
+        a state, level or code that has changed, and otherwise one report a second.
+        """
         self.urgent = False
         status, values = self.status(values)
-        self.send([status, *(
-            DiagnosticStatus(
-                level=diagnosis.level, name=f"{status.name}: {part}", message=diagnosis.message,
-                hardware_id=self.hardware or self.machine,
-                values=_values(diagnosis, self.numbers.get(part, {})),
-            )
-            for part, diagnosis in self.diagnoses.items()
-        )])
+        now = time.monotonic()
+        published = self.state, status.level, values.get("code"), *(
+            (part, diagnosis.level, diagnosis.code) for part, diagnosis in self.diagnoses.items()
+        )
+        if published != self._published or now - self._published_at >= _PUBLISH_S:
+            self._published, self._published_at = published, now
+            self.send([status, *(
+                DiagnosticStatus(
+                    level=diagnosis.level, name=f"{status.name}: {part}",
+                    message=diagnosis.message, hardware_id=self.hardware or self.machine,
+                    values=_values(diagnosis, self.numbers.get(part, {})),
+                )
+                for part, diagnosis in self.diagnoses.items()
+            )])
         diagnoses = {
             part: {
                 "level": _LEVELS[diagnosis.level], "message": diagnosis.message,

@@ -24,8 +24,9 @@ from greenroof_ros.live.drive_choice import DriveChoice, chosen_drive
 from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.model.site import read_site
 
-# Largest size of one file of the bag (MB); a tenth of the bag's limit if that is smaller.
-_BAG_FILE_MB = 100.0
+# Largest size of one file of the bag (MB); a tenth of the bag's limit if that is smaller. The
+# smallest limit (MB).
+_BAG_FILE_MB, MIN_BAG_MB = 100.0, 2.0
 
 
 class LiveSite:
@@ -234,8 +235,9 @@ def make_parser() -> Parser:
     )
     group.add_argument("--no-record", action="store_true", help="no bag")
     group.add_argument(
-        "--bag-limit", type=within(2, 1e9), default=10_000.0, metavar="MB",
-        help="size of the bag beyond which its oldest files are removed (default: %(default)g MB)",
+        "--bag-limit", type=within(MIN_BAG_MB, 1e9), default=10_000.0, metavar="MB",
+        help="size of the bag beyond which its oldest files are removed (default: %(default)g MB); "
+        "at most nine tenths of the room on its disk at the start",
     )
     add_graph_arguments(parser)
     return parser

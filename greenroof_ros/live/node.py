@@ -31,7 +31,8 @@ from greenroof_ros.model.site import Site
 
 # How long a node waits for messages at most before it checks its clocks and signals again (s).
 _CHECK_S = 0.05
-# How often a node reports its state (s).
+# How often a node reports its state to the supervisor (s), which kills a silent pump node after
+# 2 s; on /diagnostics it does so once a second.
 _REPORT_S = 0.25
 
 
@@ -164,7 +165,6 @@ class LiveNode(GraphNode):
         begins = not self.ready and self.acted and not self.absent()
         if begins:
             self.reports.state = READY
-        # Repeated, since a reader that joins late may have missed it.
         if begins or self.reports.urgent or now - self._reported > _REPORT_S:
             self._reported = now
             self.report_state()

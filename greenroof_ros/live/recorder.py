@@ -4,6 +4,9 @@ Messages go into the files of a bag, split by size and by day (UTC), with their 
 and are on the disk after 10 s. The oldest files are removed when the bag reaches its limit. A full
 disk stops the recording and raises an alarm; the node keeps running, and tries again every minute.
 If the disk hangs, messages wait in memory, up to 32 MB, until it responds; that is an alarm, too.
+
+Of /diagnostics, changes of a state, level or code are recorded, and one report of each node in ten
+seconds.
 """
 
 from __future__ import annotations
@@ -13,6 +16,9 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import deserialize_message
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import DISK
@@ -26,6 +32,9 @@ from greenroof_ros.recording.bag_writer import LiveBag
 _MB = 1e6
 # How often the node checks whether a flush is due, and how long its end waits for the disk (s).
 _UPDATE_S, _WRITTEN_S = 1.0, 4.0
+# How often a report on /diagnostics that shows no change is recorded (s).
+_UNCHANGED_S = 10.0
+_DIAGNOSTICS = "/diagnostics"
 
 
 def parameters(site: Site | None = None) -> list[Parameter]:
@@ -41,6 +50,36 @@ def parameters(site: Site | None = None) -> list[Parameter]:
             "removed, at least twice file_limit",
         ),
     ]
+
+
+class ReportFilter:
+    """Chooses the reports on /diagnostics that are recorded."""
+
+    def __init__(self) -> None:
+        """Begin with no report."""
+        # What each sender's last recorded report showed, and when that came (steady clock, s).
+        self._recorded: dict[str, tuple[list[tuple[object, ...]], float]] = {}
+
+    def passes(self, message: bytes, now: float) -> bool:
+        """Return whether a report shows a change, or is the sender's first in ten seconds.
+
+        Args:
+            message: a serialised ``diagnostic_msgs/msg/DiagnosticArray``.
+            now: steady clock (s).
+        """
+        statuses = deserialize_message(message, DiagnosticArray).status
+        shown: list[tuple[object, ...]] = []
+        for status in statuses:
+            values = {entry.key: entry.value for entry in status.values}
+            # A node's own message is its state; any other is a sentence, which may have numbers.
+            state = status.message if "role" in values else ""
+            shown.append((status.name, status.level, values.get("code", ""), state))
+        sender = statuses[0].name if statuses else ""
+        before, recorded_at = self._recorded.get(sender, (None, 0.0))
+        if shown == before and now - recorded_at < _UNCHANGED_S:
+            return False
+        self._recorded[sender] = shown, now
+        return True
 
 
 class LiveRecorderNode(LiveNode):
@@ -68,6 +107,7 @@ class LiveRecorderNode(LiveNode):
             file_bytes=int(file * _MB),
             total_bytes=int(total * _MB),
         )
+        self._reports = ReportFilter()
         self._unwritten = 0  # messages that found no room in memory
         self._updated_at = time.monotonic()
         for name, topic in topics.items():
@@ -75,7 +115,10 @@ class LiveRecorderNode(LiveNode):
 
     def _queue(self, name: str, message: bytes) -> None:
         """Queue a message for writing, with its time of arrival."""
-        write = partial(self._bag.write, name, time.time_ns(), message, time.monotonic())
+        now = time.monotonic()
+        if name == _DIAGNOSTICS and not self._reports.passes(message, now):
+            return
+        write = partial(self._bag.write, name, time.time_ns(), message, now)
         if not DISK.do(write, len(message)):
             self._unwritten += 1
 

@@ -42,7 +42,7 @@ from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other_nodes
 from greenroof_ros.graph.states import PUMP, PumpState
-from greenroof_ros.live.live_site import LiveSite
+from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed
 from greenroof_ros.model.site import edited
 
@@ -71,8 +71,10 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
             the directory cannot be created.
     """
     state: Path = arguments.state or Path("live")
-    nodes = list(site.nodes(state, state / "configuration"))
-    modules = {name: node.module for node in nodes for name in node.nodes}
+    modules = {
+        name: node.module for node in site.nodes(state, state / "configuration")
+        for name in node.nodes
+    }
     with importing_ros():
         user_files = node_parameter_files(arguments, modules, site.controller)
     with (
@@ -80,6 +82,8 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         _state_directory(state) as state,
         scratch_directory(_IN_MEMORY) as memory,
     ):
+        _fit_bag(site, state / "bag")
+        nodes = list(site.nodes(state, state / "configuration"))
         record, start = _SiteRecord(site, state), _StartReport(arguments.namespace)
         start.update({}, "the nodes are starting")
         names = modules.keys() | {"plant", *controller_names()}
@@ -385,6 +389,22 @@ def _state_directory(path: Path) -> Iterator[Path]:
         ) from None
     with lock:
         yield path.resolve()
+
+
+def _fit_bag(site: LiveSite, bag: Path) -> None:
+    """Reduce the bag's limit to nine tenths of what fits on its disk, and print that."""
+    if site.bag_limit is None:
+        return
+    fits = shutil.disk_usage(bag.parent).free + sum(
+        file.stat().st_size for file in bag.glob("*.mcap")
+    )
+    reduced = max(MIN_BAG_MB, 0.9 * fits / 1e6)
+    if site.bag_limit > reduced:
+        print_line(
+            f"warning: {bag}: its disk has room for {fits / 1e6:.0f} MB of it, less than "
+            f"--bag-limit {site.bag_limit:g}; its oldest files are removed beyond {reduced:.0f} MB"
+        )
+        site.bag_limit = reduced
 
 
 def _configuration(

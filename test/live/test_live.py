@@ -113,7 +113,9 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
         site.during(4)
         # Nor does a pump that has been silent for longer than flow_limit: it may be stopped.
         del site.values["/pump/flow"]
+        reported = len(arrays)
         site.during(9)
+        assert 3 < len(arrays) - reported < 12  # what does not change is reported once a second
         # A command 0 for another reason, e.g. this process was paused, is only temporary.
         assert not [text for text in site.messages if "frozen" in text]
         site.until(lambda: newest(commands) == 0.5, LATE, "a command")

@@ -498,6 +498,7 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
             while True:
                 stream.write(bytes(4096))
         with live(domain, tmp_path, *EXTERNAL) as process:
+            process.until_printed("has room for 0 MB of it, less than --bag-limit 10000", 60)
             alarm = "incident 1: recorder: nothing is recorded: "
             process.until_printed(alarm, 60)
             process.until_printed("/roof/level has not come", 50)
