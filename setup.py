@@ -15,22 +15,15 @@ NODES = {
     **{f"live_{name}": f"live.{name}" for name in ("weather", "controller", "recorder")},
     **{name: f"live.{name}" for name in ("sensors", "pump", "loop_pump")},
 }
-# ... the node of one of this package's controllers, without ``--controller`` ...
+# ... and the node of one of this package's controllers, without ``--controller``. The commands are
+# those of ``greenroof``, everywhere.
 CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
-# ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
-COMMANDS = (
-    "simulate", "bound", "recover", "topics", "check_controller", "check_pump", "drive_simulator",
-    "site_simulator", "forecast_simulator", "fetch_forecast", "hold", "release", "reset", "dose",
-    "status", "calibrate", "weather_file", "verify", "bridge", "study", "report", "watch",
-)
 # Colcon calls one of these, and setup.cfg sets where executables go. Pip calls neither, and would
-# put names such as `report` and `watch` on everybody's PATH.
+# put names such as `plant` and `weather` on everybody's PATH.
 IN_WORKSPACE = not {"install", "develop"}.isdisjoint(sys.argv)
 EXECUTABLES = [
     *(f"{name} = {NAME}.{module}:main" for name, module in NODES.items()),
     *(f"{name} = {NAME}.nodes.controller:{name}" for name in CONTROLLERS),
-    f"bringup = {NAME}.bringup.__main__:main",
-    *(f"{name} = {NAME}.commands.{name}:main" for name in COMMANDS),
 ]
 
 
@@ -135,11 +128,6 @@ setup(
         ],
         # The graph for Foxglove and Lichtblick: their protocol, from its makers.
         "foxglove": ["foxglove-sdk>=0.30,<0.31"],  # its minor releases change the interface
-        # The forecast of the internet; the same library as the page's.
-        "fetch": ["aiohttp>=3.9.1,<4"],
-        # Completes greenroof's commands and options in bash and zsh; 3.1 is in ROS 2 Jazzy's
-        # Ubuntu.
-        "completion": ["argcomplete>=3.1,<4"],
         "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
         # The environment GreenRoof-v0, for reinforcement learning; 0.29 has the present interface.
         "gym": ["gymnasium>=0.29,<2"],

@@ -491,8 +491,7 @@ def incident() -> str:
 def parser_of(name: str, arguments: Sequence[str] = ()) -> argparse.ArgumentParser:
     """Return the parser of a command's options, as it is with some arguments."""
     with mock.patch.object(sys, "argv", [name, *arguments]):
-        module = COMMANDS[name].load()
-        parser: argparse.ArgumentParser = module.make_parser()
+        parser: argparse.ArgumentParser = COMMANDS[name].load().make_parser()
         return parser
 
 
@@ -512,31 +511,21 @@ def _section(name: str) -> str:
 
 
 def commands() -> str:
-    """Return every option of every command once; later commands refer to the first that has it.
-
-    Two commands of one module are described together.
-    """
-    modules: dict[str, list[str]] = {}
-    for name, command in COMMANDS.items():
-        modules.setdefault(command.module, []).append(name)
+    """Return every option of every command once; later commands refer to the first that has it."""
     described: dict[tuple[str, str, str], str] = {}
-    return "\n".join(
-        _command(names, parser_of(names[0]), described) for names in modules.values()
-    )
+    return "\n".join(_command(name, parser_of(name), described) for name in COMMANDS)
 
 
 def _command(
-    names: Sequence[str], parser: argparse.ArgumentParser,
-    described: dict[tuple[str, str, str], str],
+    name: str, parser: argparse.ArgumentParser, described: dict[tuple[str, str, str], str]
 ) -> str:
-    parts = [f"## {', '.join(names)}\n", _prose(parser.description or "")]
+    parts = [f"## {name}\n", _prose(parser.description or "")]
     positionals = " ".join(
         str(action.metavar or action.dest) + (" ..." if action.nargs == "+" else "")
         for action in parser._get_positional_actions()
     )
     if positionals:
-        lines = (f"greenroof {name} {positionals}" for name in names)
-        parts.append("\n".join(["```text", *lines, "```\n"]))
+        parts.append(f"```text\ngreenroof {name} {positionals}\n```\n")
     arguments, options, *others = parser._action_groups
     groups = [(None, [*arguments._group_actions, *options._group_actions])]
     groups += [(group, group._group_actions) for group in others]
@@ -556,8 +545,8 @@ def _command(
                 option or f"`{action.metavar or action.dest}`", _value(action) if option else "",
                 parser._get_formatter()._expand_help(action),
             )
-            command = described.setdefault(row, names[0])
-            if command == names[0]:
+            command = described.setdefault(row, name)
+            if command == name:
                 rows.append(row)
             else:
                 elsewhere.setdefault(command, []).append(option)
@@ -567,7 +556,7 @@ def _command(
             f"As for {_section(command)}: {', '.join(same)}.\n"
             for command, same in elsewhere.items()
         ]
-    kind, _, simulated = names[0].partition(" ")
+    kind, _, simulated = name.partition(" ")
     if kind == "simulators":
         page = f"simulators.md#faults-of-the-{simulated}"
         parts.append(f"The list of faults: [Simulators]({page}).\n")

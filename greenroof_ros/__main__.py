@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 from dataclasses import dataclass
-from types import ModuleType
+from typing import Any
 
 from greenroof_ros import __version__
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command
@@ -15,31 +14,34 @@ from greenroof_ros.common.errors import did_you_mean
 
 @dataclass(frozen=True)
 class Command:
-    """A command: a module of its own, imported when the command is chosen.
+    """A command; its module is imported when the command is chosen.
 
     Attributes:
         module: in ``greenroof_ros.commands``, or with its folder; has ``main`` and ``make_parser``.
         about: the command in one line, for the help.
+        part: what in the module has these two instead, if it has several commands.
     """
 
     module: str
     about: str
+    part: str = ""
 
-    def load(self) -> ModuleType:
-        """Import the command's module."""
+    def load(self) -> Any:
+        """Import what has the command's ``main`` and ``make_parser``."""
         folder = "" if "." in self.module else "commands."
-        return importlib.import_module(f"greenroof_ros.{folder}{self.module}")
+        module = importlib.import_module(f"greenroof_ros.{folder}{self.module}")
+        return getattr(module, self.part) if self.part else module
 
 
 # Grouped by what a user wants to do; then by name.
 GROUPS = {
     "run the roof": {
-        "run": Command("bringup.__main__", "run the node graph, simulated or with a drive"),
+        "run": Command("bringup.simulated", "run the node graph, simulated or with a drive"),
         "live": Command("bringup.live", "keep a site with sensors and a pump running"),
         "fetch-forecast": Command("fetch_forecast", "fetch a forecast from the internet"),
-        "hold": Command("hold", "keep the pump off, until a release or a time"),
-        "release": Command("release", "end the hold of the pump"),
-        "reset": Command("reset", "clear a latched fault of the pump"),
+        "hold": Command("pump_requests", "keep the pump off, until a release or a time", "HOLD"),
+        "release": Command("pump_requests", "end the hold of the pump", "RELEASE"),
+        "reset": Command("pump_requests", "clear a latched fault of the pump", "RESET"),
         "dose": Command("dose", "pump a given volume now"),
     },
     "see what it does, or did": {
@@ -65,7 +67,7 @@ GROUPS = {
         "simulators drive": Command("drive_simulator", "simulate a drive on Modbus, or a relay"),
         "simulators site": Command("site_simulator", "simulate cistern and roof with sensors"),
         "simulators forecast": Command("forecast_simulator", "simulate a forecast service"),
-        "topics": Command("topics", "list the topics of the graph, and what each carries"),
+        "topics": Command("common.interface", "list the topics of the graph, and their content"),
     },
 }
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
@@ -94,8 +96,6 @@ def make_parser() -> Parser:
 
 def main() -> None:
     """Run the command named on the command line."""
-    if "_ARGCOMPLETE" in os.environ:
-        _complete()
     words = sys.argv[1:]
     name = _name(words)
     if name not in COMMANDS:
@@ -121,25 +121,6 @@ def _explain() -> int:
         parser.error(f"there is no command {name}; {did_you_mean(name, COMMANDS)}")
     parser.print_help()
     return EXIT_DONE
-
-
-def _complete() -> None:
-    """Print completions for the shell, and exit; argcomplete has set the environment."""
-    import argcomplete
-
-    words = os.environ["COMP_LINE"].split()[1:]
-    sys.argv[1:] = words  # a controller named there adds options
-    parser = make_parser()
-    branches = {"": parser.add_subparsers()}
-    for name, entry in COMMANDS.items():
-        above, _, last = name.rpartition(" ")
-        if above not in branches:
-            branches[above] = branches[""].add_parser(above).add_subparsers()
-        parents = []
-        if name == _name(words):
-            parents = [entry.load().make_parser()]
-        branches[above].add_parser(last, parents=parents, add_help=not parents)
-    argcomplete.autocomplete(parser)
 
 
 if __name__ == "__main__":

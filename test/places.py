@@ -28,7 +28,9 @@ def guarding(make: str, directory: Path) -> str:
     return str(copy)
 
 
-_COMMANDS = {entry.module: name.split() for name, entry in COMMANDS.items()}
+_COMMANDS = {
+    word: name.split() for name, entry in COMMANDS.items() for word in (entry.module, name)
+}
 
 
 def words_of(module: str) -> list[str]:

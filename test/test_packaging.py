@@ -24,17 +24,14 @@ from graphs import wait_for
 from places import CHECKOUT
 
 import greenroof_ros
-from greenroof_ros.__main__ import COMMANDS as GREENROOF_COMMANDS
 
 NODES = (
     "plant", "weather", "controller", "mpc", "onoff", "anticipating_onoff", "lookahead",
     "recorder", "live_weather", "live_controller", "live_recorder", "sensors", "pump", "loop_pump",
 )
-# Each command of `greenroof` by its module.
-COMMANDS = {command.module.partition(".")[0] for command in GREENROOF_COMMANDS.values()}
 GREENROOF = "greenroof"
 # What `ros2 run` finds in a workspace; pip installs only the first.
-SCRIPTS = sorted((GREENROOF, *NODES, *COMMANDS))
+SCRIPTS = sorted((GREENROOF, *NODES))
 
 # The rosdep keys of requirements that differ from the distribution's name.
 ROSDEP_KEYS = {
@@ -228,7 +225,7 @@ def test_pip_install_brings_no_ros(pip_installed, pip_environment, tmp_path):
 
 
 def test_pip_install_lays_everything(pip_installed, pip_environment, tmp_path):
-    """No node or command gets a generic name on the PATH, such as watch, which Linux has."""
+    """No node gets a generic name on the PATH, such as weather."""
     printed = run(
         pip_installed / "bin" / "python", "-c", PRINT_SHARED_DIRECTORY,
         cwd=tmp_path, env=pip_environment,
@@ -487,8 +484,7 @@ def test_colcon_build_puts_the_executables_where_ros2_run_looks(workspace, tmp_p
     executables = workspace / "install" / "greenroof_ros" / "lib" / "greenroof_ros"
     names = [path.name for path in executables.iterdir() if os.access(path, os.X_OK)]
     assert sorted(names) == SCRIPTS
-    for command in ("simulate", "greenroof simulate"):
-        assert sourced(workspace, tmp_path, f"{executables}/{command} --hours 0.01").strip()
+    assert sourced(workspace, tmp_path, f"{executables}/greenroof simulate --hours 0.01").strip()
 
 
 # -------------------------------------------------------------------------------- the files agree

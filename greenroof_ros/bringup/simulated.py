@@ -58,8 +58,7 @@ def make_parser() -> Parser:
         "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.\n\n"
         "With --drive and --drive-at there is hardware in the loop: a drive instead of the "
         "simulated pump, in real time, or with the drive simulator at another --speed.\n\n"
-        "A site with sensors, at which nothing is simulated, is 'greenroof live', or "
-        "'python -m greenroof_ros.bringup --plant external'.",
+        "A site with sensors, at which nothing is simulated, is 'greenroof live'.",
         epilog="examples:\n"
         "  greenroof run --controller lookahead --initial high-low --horizon 12\n"
         "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24\n"

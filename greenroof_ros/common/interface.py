@@ -6,11 +6,12 @@ import functools
 import math
 import sys
 from array import array
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.command_line import Parser, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.ranges import Range
@@ -224,22 +225,30 @@ def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> 
     return namespaces[0] if namespaces else ""
 
 
-def markdown_table(topics: Iterable[Topic]) -> str:
-    """Return the interface as a Markdown table."""
-    rows = [
-        "| topic | unit | meaning | published by | subscribed to by | type |", "|" + "---|" * 6
-    ]
-    for topic in topics:
-        rows.append(
+def roles(simulated: Collection[str], live: Collection[str]) -> str:
+    """Return who publishes or subscribes, first in a simulation, then in a live graph."""
+    words = [", ".join(simulated)] if simulated else []
+    return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)
+
+
+def make_parser() -> Parser:
+    """Return the parser of the command ``topics``."""
+    return Parser(
+        prog="greenroof topics",
+        description="Print the topics of the node graph (msg_defs/topics.yaml) as a table.",
+    )
+
+
+@command
+def main() -> None:
+    """Print the interface as a Markdown table."""
+    make_parser().parse_args()
+    print("| topic | unit | meaning | published by | subscribed to by | type |")
+    print("|" + "---|" * 6)
+    for topic in read_topics().values():
+        print(
             f"| `{topic.name}` | {topic.unit} | {topic.meaning} "
             f"| {roles(topic.publishers, topic.live_publishers)} "
             f"| {roles(topic.subscribers, topic.live_subscribers)} "
             f"| {topic.type.replace('/msg/', '/')} |"
         )
-    return "\n".join(rows)
-
-
-def roles(simulated: Collection[str], live: Collection[str]) -> str:
-    """Return who publishes or subscribes, first in a simulation, then in a live graph."""
-    words = [", ".join(simulated)] if simulated else []
-    return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)

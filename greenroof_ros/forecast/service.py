@@ -20,11 +20,15 @@ import time
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from email.utils import parsedate_to_datetime
+from http.client import HTTPException
 from pathlib import Path
+from urllib.error import HTTPError
+from urllib.parse import urlencode
+from urllib.request import Request, urlopen
 
 import numpy as np
 
-from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import replace_text
 from greenroof_ros.common.processes import scratch_directory
 from greenroof_ros.common.times import to_people
@@ -56,9 +60,9 @@ ATTRIBUTION = "forecasts by Open-Meteo.com, CC BY 4.0"
 
 _FORECAST_URL = "https://api.open-meteo.com/v1/forecast"
 _ENSEMBLE_URL = "https://ensemble-api.open-meteo.com/v1/ensemble"
-# Time limits of connecting and of the whole answer (s), and the largest answer (bytes): 64 members
-# of 36 days are 3 MB.
-_PAUSE_S, _ANSWER_S, _MOST_BYTES = 10.0, 60.0, 50_000_000
+# Longest silence and longest answer (s), and the largest answer (bytes): 64 members of 36 days are
+# 3 MB.
+_SILENCE_S, _ANSWER_S, _MOST_BYTES = 30.0, 60.0, 50_000_000
 # Most by which the service's clock and ours may differ (s).
 _CLOCKS_S = 600.0
 # Wait after a failure (s): the first, the longest if the service asks for none, and the longest
@@ -100,10 +104,8 @@ class Service:
 
         Raises:
             ConfigurationError: the site file lacks the place, its elevation or its offset from UTC,
-                or aiohttp is not installed.
+                or the URL is not of the web.
         """
-        with in_extra("fetch"):
-            import aiohttp  # noqa: F401 - so that its absence shows at once
         for name in ("latitude", "longitude", "elevation", "utc_offset"):
             if getattr(site, name) is None:
                 raise ConfigurationError(
@@ -112,6 +114,8 @@ class Service:
                 )
         self._site = site
         self._url = url or (_ENSEMBLE_URL if ensemble else _FORECAST_URL)
+        if not self._url.startswith(("http://", "https://")):
+            raise ConfigurationError("must begin with http:// or https://", key="url", value=url)
         self._parameters: dict[str, str | float] = {
             "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
             "hourly": ",".join(VARIABLES.values()), "forecast_days": days, "timezone": "GMT",
@@ -128,57 +132,53 @@ class Service:
         Raises:
             ServiceError: there is no usable forecast.
         """
-        import asyncio  # not needed for a forecast from a file
-
-        from aiohttp import ClientError
-
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
         try:
             began = time.monotonic()
-            tag, answer = asyncio.run(self._request(now))
+            tag, answer = self._request(now)
             arrived = now + timedelta(seconds=time.monotonic() - began)
             issue = replace(_issue(answer, self._site, hour), available=arrived)
             self._tag, self._answer = tag, answer
             return issue
-        except asyncio.TimeoutError as error:
-            raise ServiceError(
-                f"{self._url}: gave no complete answer within {_ANSWER_S:g} s"
-            ) from error
-        except (ClientError, OSError) as error:
+        except (HTTPException, OSError) as error:
             why = " ".join(str(error).split()) or type(error).__name__
             raise ServiceError(f"{self._url}: {why}") from error
         except ConfigurationError as error:
             raise ServiceError(f"{self._url}: its answer {error.wrong}") from error
 
-    async def _request(self, now: datetime) -> tuple[str, bytes]:
+    def _request(self, now: datetime) -> tuple[str, bytes]:
         """Return an answer and its tag; the last answer if that still holds (status 304).
 
         Raises:
             ServiceError: the service refuses or sends too much, or a clock is wrong.
-            OSError, aiohttp.ClientError, TimeoutError: it cannot be reached, or breaks off.
+            OSError, HTTPException: it cannot be reached, or breaks off.
         """
-        import aiohttp
-
-        time_limit = aiohttp.ClientTimeout(total=_ANSWER_S, sock_connect=_PAUSE_S)
-        headers = {"If-None-Match": self._tag} if self._tag else {}
-        async with (
-            aiohttp.ClientSession(timeout=time_limit, trust_env=True) as session,
-            session.get(self._url, params=self._parameters, headers=headers) as response,
-        ):
-            answer = b""
-            async for part in response.content.iter_any():
+        request = Request(  # noqa: S310 - of the web, as was checked
+            f"{self._url}?{urlencode(self._parameters)}",
+            headers={"If-None-Match": self._tag} if self._tag else {},
+        )
+        until = time.monotonic() + _ANSWER_S
+        try:
+            response = urlopen(request, timeout=_SILENCE_S)  # noqa: S310
+        except HTTPError as error:  # also 304
+            response = error
+        answer = b""
+        with response:
+            while part := response.read1(1 << 16):
                 answer += part
                 if len(answer) > _MOST_BYTES:
                     raise ServiceError(f"{self._url}: sent more than {_MOST_BYTES} bytes")
-            _check_clock(response.headers.get("Date", ""), now)
-            if response.status == 304 and self._answer:
-                return self._tag, self._answer
-            if response.status != 200:
-                raise ServiceError(
-                    f"{self._url}: {response.status} {response.reason}: {_reason(answer)}",
-                    _wait(response.headers.get("Retry-After", ""), now),
-                )
-            return response.headers.get("ETag", ""), answer
+                if time.monotonic() > until:
+                    raise TimeoutError(f"gave no complete answer within {_ANSWER_S:g} s")
+        _check_clock(response.headers.get("Date", ""), now)
+        if response.status == 304 and self._answer:
+            return self._tag, self._answer
+        if response.status != 200:
+            raise ServiceError(
+                f"{self._url}: {response.status} {response.reason}: {_reason(answer)}",
+                _wait(response.headers.get("Retry-After", ""), now),
+            )
+        return response.headers.get("ETag", ""), answer
 
 
 def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:

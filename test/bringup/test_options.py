@@ -65,16 +65,6 @@ def test_a_controller_keeps_what_it_learned_in_its_own_file(
     assert path == str(tmp_path / "lookahead.json")
 
 
-def test_plant_external_is_live(tmp_path: Path) -> None:
-    """Bringup starts all three ways to run: this option leads to live's own command line."""
-    done = bringup(tmp_path, "--plant", "external", "--pump", "external")
-    assert done.returncode == 2 and done.stderr.startswith("error: --sensors FILE: is missing:")
-    done = bringup(tmp_path, "--help", "--plant=external")
-    assert done.returncode == 0 and done.stdout.startswith("usage: greenroof live ")
-    done = bringup(tmp_path, "--plant", "elsewhere")
-    assert done.returncode == 2 and "argument --plant: 'elsewhere' must be one of in" in done.stderr
-
-
 def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: Path) -> None:
     """A real motor would run on simulated levels, with sixty times the starts per hour."""
     drive = acs880()
@@ -216,16 +206,12 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
     assert str(error.value).startswith(f"{file}, {NO_EFFECT[text]}")
 
 
-@pytest.mark.parametrize(
-    "way", [(), ("--plant", "external", "--sensors", "external", "--weather", "external")]
-)
-def test_a_wrong_parameter_file_is_refused_before_anything_is_made(
-    tmp_path: Path, way: tuple[str, ...]
-) -> None:
+def test_a_wrong_parameter_file_is_refused_before_anything_is_made(tmp_path: Path) -> None:
     (tmp_path / "nodes.yaml").write_text("pump:\n  least_off: 1.0\n")
-    done = bringup(
-        tmp_path, *way, "--drive", "abb_acs880", "--drive-at", "gateway://127.0.0.1:1",
-        "--node-parameters", "nodes.yaml",
+    done = run_command(
+        "bringup.live", "--sensors", "external", "--weather", "external", "--drive", "abb_acs880",
+        "--drive-at", "gateway://127.0.0.1:1", "--node-parameters", "nodes.yaml",
+        cwd=tmp_path, env=environment(0),
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: nodes.yaml, line 2: pump: least_off = 1.0: has no effect")

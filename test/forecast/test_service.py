@@ -78,9 +78,9 @@ def test_each_hour_has_the_rain_and_temperature_that_are_forecast_for_it(server)
 
 
 @pytest.mark.parametrize(("fault", "reason"), [
-    ("refused", "Server disconnected"),
+    ("refused", "Remote end closed connection"),
     ("slow", "gave no complete answer within 0.5 s"),
-    ("truncated", "payload is not completed"),
+    ("truncated", "answer is not valid JSON"),
     ("broken", "is not a forecast in JSON: <html>"),
     ("limit", "429 Too Many Requests: .*Minutely API request limit"),
     ("error", "503 Service Unavailable: upstream is down"),

@@ -1,0 +1,198 @@
+"""Requests to the pump node: ``greenroof hold``, ``release`` and ``reset``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    Parser,
+    add_namespace,
+    command,
+    within,
+)
+from greenroof_ros.common.times import parse_time, to_people
+from greenroof_ros.graph.domain import importing_ros
+from greenroof_ros.watch import wire
+from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
+
+# Longest wait for the pump node (s): to discover it takes seconds.
+_PATIENCE_S = 20.0
+# Longest wait for its report before the question of a reset (s).
+_REPORT_S = 5.0
+_POLL_S = 0.1
+# Longest hold with an end (h): ten years.
+_LONGEST_HOLD_H = 87_600
+_QUESTION = (
+    "The pump may start as soon as the fault is cleared. Is its cause remedied, and is no one "
+    "working on the pump? [y/N] "
+)
+
+
+class _Report:
+    """The last report of the pump node; None before the first."""
+
+    def __init__(self, pump: str) -> None:
+        self.pump = pump
+        self.values: dict[str, Any] | None = None
+
+    def receive(self, name: str, message: bytes, *_: Any) -> None:
+        if name == DIAGNOSTICS and (statuses := wire.statuses(message)) is not None:
+            for status in statuses[1]:
+                if status.name == self.pump:
+                    self.values = {key: json.loads(text) for key, text in status.values.items()}
+
+
+@dataclass(frozen=True)
+class PumpRequest:
+    """A command that makes one request to the pump node, and prints its answer.
+
+    Attributes:
+        name: of the command.
+        done: what the pump is when the request was granted, for the list of exit codes.
+        description: for the help.
+        request: makes the request, with the command line and the pump node's reports, and returns
+            the answer.
+        add_options: adds the command's own options.
+        examples: for the help.
+    """
+
+    name: str
+    done: str
+    description: str
+    request: Callable[[GraphClient, argparse.Namespace, _Report], str]
+    add_options: Callable[[Parser], object] = lambda parser: None
+    examples: str = ""
+
+    def make_parser(self) -> Parser:
+        """Return the command's parser."""
+        parser = Parser(
+            prog=f"greenroof {self.name}", description=self.description,
+            epilog=f"{self.examples}exit codes: 0 {self.done}, 1 the pump node did not confirm it, "
+            "2 bad usage",
+        )
+        self.add_options(parser)
+        add_namespace(parser)
+        return parser
+
+    def main(self) -> NoReturn:
+        """Make the request, print the answer, and exit."""
+        command(self._run)()
+
+    def _run(self) -> int:
+        arguments = self.make_parser().parse_args()
+        report = _Report(f"{arguments.namespace}/pump")
+        try:
+            with (
+                importing_ros(), closing(GraphClient(arguments.namespace, report.receive)) as client
+            ):
+                client.connect_pump(report.pump)
+                print(self.request(client, arguments, report))
+        except PumpRequestError as failure:
+            print(f"error: {failure}", file=sys.stderr)
+            return EXIT_FAILED
+        return EXIT_DONE
+
+
+def _add_hold_options(parser: Parser) -> None:
+    end = parser.add_mutually_exclusive_group()
+    end.add_argument(
+        "--until", type=_future, metavar="TIME",
+        help="its end, a future time (ISO 8601), by this machine's clock unless it has an offset "
+        "from UTC: 2026-12-24T08:00-05:00 (default: no end)",
+    )
+    end.add_argument(
+        "--for", dest="hours", type=within(0.001, _LONGEST_HOLD_H), metavar="HOURS",
+        help="its length (h; default: no end)",
+    )
+    parser.add_argument(
+        "--reason", default="", metavar="TEXT",
+        help="why; shown with the hold (default: none)",
+    )
+
+
+def _future(text: str) -> float:
+    """Return a future time (s since 1970)."""
+    try:
+        end = parse_time(text).astimezone()
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"must be a time such as 2026-12-24T08:00, not {text}"
+        ) from None
+    if end.timestamp() <= time.time():
+        now = to_people(end.now().astimezone().replace(microsecond=0))
+        raise argparse.ArgumentTypeError(f"must be in the future, not {text}; it is now {now}")
+    return end.timestamp()
+
+
+_future.__name__ = "TIME"  # argparse and the documentation show this
+
+
+def _hold(client: GraphClient, arguments: argparse.Namespace, _: _Report) -> str:
+    until = arguments.until
+    if arguments.hours is not None:
+        until = time.time() + arguments.hours * 3600
+    return client.hold_pump("the command line", arguments.reason, until, _PATIENCE_S)
+
+
+def _release(client: GraphClient, _: argparse.Namespace, __: _Report) -> str:
+    return client.release_pump(_PATIENCE_S)
+
+
+def _add_reset_options(parser: Parser) -> None:
+    parser.add_argument("--yes", action="store_true", help="do not ask, for scripts")
+
+
+def _reset(client: GraphClient, arguments: argparse.Namespace, report: _Report) -> str:
+    if not arguments.yes:
+        until = time.monotonic() + _REPORT_S
+        while report.values is None and time.monotonic() < until:
+            client.receive(_POLL_S)
+        values = report.values or {}
+        if fault := values.get("fault") or values.get("unknown"):
+            print(f"The fault: {fault}", file=sys.stderr)
+        if not _confirmed():
+            raise PumpRequestError("not cleared: it was not confirmed")
+    return client.reset_fault(_PATIENCE_S)
+
+
+def _confirmed() -> bool:
+    """Ask on the terminal; no answer is a no."""
+    try:
+        return input(_QUESTION).strip().lower() in ("y", "yes")
+    except EOFError:
+        print(file=sys.stderr)
+        return False
+
+
+HOLD = PumpRequest(
+    "hold", "held",
+    "Keep the pump off, regardless of the command, even after a restart: until 'greenroof "
+    "release', or until a time. There is one hold at a time: this one replaces the owner and the "
+    "reason of an earlier one, and never ends sooner than that.",
+    _hold, _add_hold_options,
+    "examples:\n  greenroof hold --reason 'the roof is being repaired'\n"
+    "  greenroof hold --until 2026-12-24T08:00\n  greenroof hold --for 48\n\n",
+)
+RELEASE = PumpRequest(
+    "release", "released",
+    "End the hold of the pump, whoever made it. The pump then starts automatically when the "
+    "controller asks for it and nothing else keeps it off. A fault remains.",
+    _release,
+)
+RESET = PumpRequest(
+    "reset", "cleared",
+    "Clear a latched fault of the pump, in the pump node and in its drive, once its cause is "
+    "remedied. For the person at the pump: it asks first. A hold remains, until 'greenroof "
+    "release'. Afterwards the pump starts when the controller asks for it and nothing else keeps "
+    "it off.",
+    _reset, _add_reset_options,
+)
