@@ -114,21 +114,22 @@ _BAD_DISK = r"""
 #include <string.h>
 #include <unistd.h>
 
-ssize_t pread64(int file, void *buffer, size_t size, off64_t at) {
-    ssize_t (*real)(int, void *, size_t, off64_t) = dlsym(RTLD_NEXT, "pread64");
+ssize_t read(int file, void *buffer, size_t size) {
+    ssize_t (*real)(int, void *, size_t) = dlsym(RTLD_NEXT, "read");
+    off64_t at = lseek64(file, 0, SEEK_CUR);
     char link[64], name[4096] = "", *bad = getenv("BAD_SECTOR"), *cut = getenv("CUT_TO");
     snprintf(link, sizeof link, "/proc/self/fd/%d", file);
     if (readlink(link, name, sizeof name - 1) < 0 || !strstr(name, "bag_0.mcap"))
-        return real(file, buffer, size, at);
+        return real(file, buffer, size);
     if (cut && truncate(name, atol(cut)))
         return -1;
     if (bad && at < atol(bad) + 4096 && at + (off64_t) size > atol(bad)) {
         if (at < atol(bad))
-            return real(file, buffer, atol(bad) - at, at);
+            return real(file, buffer, atol(bad) - at);
         errno = EIO;
         return -1;
     }
-    return real(file, buffer, size, at);
+    return real(file, buffer, size);
 }
 """
 

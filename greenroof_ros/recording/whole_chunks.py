@@ -1,0 +1,99 @@
+"""Reads the whole chunks of an mcap file that was cut, is damaged, or is on a failing disk.
+
+A closed file's index states where its chunks are. Without an index, each record's length gives
+where the next one begins.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from io import BytesIO
+from typing import BinaryIO
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import FOOTER_SIZE
+from mcap.records import Channel, Chunk, ChunkIndex, Footer, McapRecord, Schema
+from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
+
+from greenroof_ros.recording.bag_writer import DAMAGED
+
+_HEAD = struct.Struct("<BQ")  # a record's opcode and length
+_DATA_END_SIZE = _HEAD.size + 4
+_OPCODES = frozenset(map(int, Opcode))
+
+
+def read_whole_chunks(stream: BinaryIO) -> Iterator[list[McapRecord] | int]:
+    """Yield the records of each whole chunk, in the file's order, and what is lost between them.
+
+    A closed file's topics and types come first, in case the chunk that defines them is lost.
+
+    Yields:
+        Records, or a number of lost bytes.
+    """
+    size = os.fstat(stream.fileno()).st_size
+    summary = _read_summary(stream, size)
+    yield [record for record in summary if isinstance(record, Schema | Channel)]
+    chunks = [record for record in summary if isinstance(record, ChunkIndex)]
+    for chunk in chunks:
+        records = _read_chunk(stream, chunk.chunk_start_offset)
+        yield chunk.chunk_length if records is None else records
+    if not chunks:
+        yield from _read_in_order(stream, size)
+
+
+def _read_in_order(stream: BinaryIO, size: int) -> Iterator[list[McapRecord] | int]:
+    """Yield the same from record to record, up to a length that cannot be right."""
+    at = accounted = MAGIC_SIZE  # what lies before the second is whole, or known as lost
+    while at < size:
+        opcode, end = _read_head(stream, at)
+        records = _read_chunk(stream, at) if opcode == Opcode.CHUNK else None
+        if records is not None:
+            at = accounted = stream.tell()  # by the length of its own data, which is right
+            yield records
+            continue
+        if (opcode, end - at) == (Opcode.DATA_END, _DATA_END_SIZE):
+            return
+        if opcode not in _OPCODES or end > size:
+            yield size - accounted
+            return
+        if opcode == Opcode.CHUNK:
+            yield end - at
+            accounted = end
+        at = end
+
+
+def _read_summary(stream: BinaryIO, size: int) -> list[McapRecord]:
+    """Return the records of a file's summary; none if it was not closed, or they are damaged."""
+    with suppress(OSError, *DAMAGED):
+        stream.seek(size - FOOTER_SIZE - MAGIC_SIZE)
+        footer = next(StreamReader(stream, skip_magic=True).records)
+        if isinstance(footer, Footer) and footer.summary_start:
+            stream.seek(footer.summary_start)
+            summary = stream.read()
+            if footer.summary_crc in (0, zlib.crc32(summary[: -MAGIC_SIZE - 4])):
+                return list(StreamReader(BytesIO(summary), skip_magic=True).records)
+    return []
+
+
+def _read_head(stream: BinaryIO, at: int) -> tuple[int, int]:
+    """Return a record's opcode and end; 0 for the opcode if they cannot be read."""
+    with suppress(OSError, struct.error):
+        stream.seek(at)
+        opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
+        return opcode, at + _HEAD.size + length
+    return 0, at
+
+
+def _read_chunk(stream: BinaryIO, at: int) -> list[McapRecord] | None:
+    """Return a chunk's records; None if its checksum is wrong, or it cannot be read."""
+    try:
+        stream.seek(at + _HEAD.size)
+        records = breakup_chunk(Chunk.read(ReadDataStream(stream)), validate_crc=True)
+        return records or None  # a head of zeros is one of an empty chunk without a checksum
+    except (OSError, *DAMAGED):
+        return None
