@@ -14,7 +14,13 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_people
-from greenroof_ros.forecast.service import ATTRIBUTION, MOST_DAYS, Fetcher, Service
+from greenroof_ros.forecast.service import (
+    ATTRIBUTION,
+    MOST_DAYS,
+    Fetcher,
+    ForecastFiles,
+    Service,
+)
 from greenroof_ros.model.site import read_site
 
 
@@ -81,7 +87,8 @@ def main() -> int:
         site, ensemble=arguments.ensemble, model=arguments.model, days=arguments.days,
         url=arguments.url,
     )
-    fetcher = Fetcher(service, arguments.output, arguments.keep, 60 * (arguments.every or 60))
+    files = ForecastFiles(arguments.output, arguments.keep)
+    fetcher = Fetcher(service, files.write, 60 * (arguments.every or 60))
     while True:
         wait = fetcher.fetch()
         if fetcher.problem:

@@ -156,6 +156,8 @@ def _open(path: Path) -> FileIO:
     return FileIO(os.open(path, _FLAGS | os.O_CREAT, 0o600), "r+")
 
 
+IN_MEMORY = "/dev/shm"
+"""a place for files in memory (Linux)"""
 # Directories of temporary files; nothing else may have such a name.
 _SCRATCH = "greenroof_ros_scratch-"
 

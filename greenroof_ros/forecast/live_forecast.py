@@ -1,4 +1,4 @@
-"""The forecasts of a live site: a file that is replaced repeatedly."""
+"""The forecasts of a live site: from a file that is replaced repeatedly, or fetched."""
 
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ class ForecastFile:
         issues: of the newest file that could be read, from the newest at that time on; empty before
             the first.
         problem: what is wrong with the present file; empty if nothing is.
-        count: how many files were read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -43,7 +42,6 @@ class ForecastFile:
         """
         self.issues: list[Issue] = []
         self.problem = ""
-        self.count = 0
         self._path = path
         self._file_status: tuple[int, ...] | None = None
 
@@ -70,30 +68,26 @@ class ForecastFile:
             self.problem = str(error)
             return False
         self.issues, self.problem = issues, ""
-        self.count += 1
         return True
 
 
 class LiveForecast:
-    """Forecasts of the look-ahead at any time, from the newest issue of a file.
+    """Forecasts of the look-ahead at any time, from the newest issue.
 
     Attributes:
-        file: where the forecasts come from.
+        issues: what is known, in the order of their issue, all with evapotranspiration.
     """
 
-    def __init__(
-        self, file: ForecastFile, site: Site, horizon: float, limit: float, all_members: bool
-    ) -> None:
-        """Prepare.
+    def __init__(self, site: Site, horizon: float, limit: float, all_members: bool) -> None:
+        """Prepare, without an issue.
 
         Args:
-            file: of forecasts.
             site: tick, look-ahead, and the bed's area, to convert depths to volumes.
             horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
             limit: largest age of the newest issue (s).
             all_members: whether to return rain of all members of an ensemble, or of the first.
         """
-        self.file = file
+        self.issues: list[Issue] = []
         self._area = site.a2
         self._ends = look_ahead_ends(site, horizon)
         self._limit = timedelta(seconds=limit)
@@ -120,7 +114,7 @@ class LiveForecast:
         there = issue.rain[:, present : present + len(ahead)]
         rain[:, : there.shape[1]] = there
         evapotranspiration = issue.evapotranspiration_at(ahead)
-        assert evapotranspiration is not None  # a file without it is refused
+        assert evapotranspiration is not None  # an issue without it is refused
         forecast = HourForecast(
             issue.issued, rain, evapotranspiration, self._area, self._ends, observed_rain,
             math.nan if issue.temperature is None else float(issue.temperature[present]),
@@ -154,7 +148,7 @@ class LiveForecast:
         Raises:
             NoForecastError: the newest issue is too old or has ended, or there is none.
         """
-        issues = self.file.issues
+        issues = self.issues
         if not issues:
             raise NoForecastError("there is no forecast")
         number = bisect.bisect_right([issue.issued for issue in issues], now)

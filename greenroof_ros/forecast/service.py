@@ -1,4 +1,4 @@
-"""Forecasts of Open-Meteo over the internet: each is requested, checked and kept as a file.
+"""Forecasts of Open-Meteo over the internet: each is requested, checked and handed over.
 
 The service has two interfaces for the same variables: *forecast*, with one series of each, and
 *ensemble*, with one of each member (``precipitation``, ``precipitation_member01``, ...). Their
@@ -17,6 +17,7 @@ from __future__ import annotations
 import re
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from email.utils import parsedate_to_datetime
@@ -30,7 +31,7 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import replace_text
-from greenroof_ros.common.processes import scratch_directory
+from greenroof_ros.common.processes import IN_MEMORY, scratch_directory
 from greenroof_ros.common.times import to_people
 from greenroof_ros.formats.open_meteo import VARIABLES, read_records, read_run
 from greenroof_ros.formats.own_csv import write_forecasts
@@ -193,7 +194,7 @@ def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
     """
     if not answer.lstrip().startswith(b"{"):
         raise ConfigurationError(f"is not a forecast in JSON: {_reason(answer)}")
-    with scratch_directory() as directory:
+    with scratch_directory(IN_MEMORY) as directory:  # a full disk costs no forecast
         file = directory / "answer.json"
         file.write_bytes(answer)
         issue = read_run(file, site, hour)
@@ -252,51 +253,70 @@ def _wait(text: str, now: datetime) -> float | None:
         return None
 
 
+class ForecastFiles:
+    """Keeps forecasts as files."""
+
+    def __init__(self, newest: Path, archive: Path | None) -> None:
+        """Prepare; nothing is written yet.
+
+        Args:
+            newest: the newest forecast; replaced each time, and readable by any live site.
+            archive: directory that keeps each forecast that brings new values, the newest 2 GB of
+                them; None to keep none.
+        """
+        self._newest, self._archive = newest, archive
+        self._stored: Issue | None = None
+
+    def write(self, issue: Issue) -> None:
+        """Write a forecast.
+
+        Raises:
+            OSError: it cannot be written, for instance on a full disk.
+        """
+        about = "".join(f"# {line}\n" for line in (ATTRIBUTION, *issue.notes))
+        text = f"{about}{write_forecasts([issue])}"
+        replace_text(self._newest, text, parents=True)
+        if self._archive is not None and not _repeats(self._stored, issue):
+            kept = self._archive / f"{issue.order[1]:%Y%m%d%H%M%S}.csv"
+            replace_text(kept, text, parents=True)
+            self._stored = issue
+            _remove_oldest(self._archive)
+
+
 class Fetcher:
-    """Keeps a file of the newest forecast.
+    """Fetches forecasts, one after the other.
 
     Attributes:
         problem: why the last attempt failed; empty if it succeeded.
         newest: the last forecast that arrived; None before the first.
     """
 
-    def __init__(self, service: Service, file: Path, archive: Path | None, every: float) -> None:
+    def __init__(self, service: Service, write: Callable[[Issue], None], every: float) -> None:
         """Prepare; nothing is fetched yet.
 
         Args:
             service: the service to ask.
-            file: of the newest forecast; replaced each time, and readable by any live site.
-            archive: directory that keeps each forecast that brings new values, the newest 2 GB of
-                them; None to keep none.
+            write: called with each forecast, to keep it; an error is one of the attempt.
             every: time between two forecasts (s).
         """
         self.problem = ""
         self.newest: Issue | None = None
-        self._service, self._file, self._archive = service, file, archive
-        self._every = every
+        self._service, self._write, self._every = service, write, every
         self._wait = _FIRST_WAIT_S
-        self._stored: Issue | None = None
         self._ended = threading.Event()
 
     def fetch(self) -> float:
         """Fetch and write a forecast; return the time until the next attempt (s)."""
         try:
-            issue = self._service.fetch(datetime.now(timezone.utc))
-            about = "".join(f"# {line}\n" for line in (ATTRIBUTION, *issue.notes))
-            text = f"{about}{write_forecasts([issue])}"
-            replace_text(self._file, text, parents=True)
-            if self._archive is not None and not _repeats(self._stored, issue):
-                kept = self._archive / f"{issue.order[1]:%Y%m%d%H%M%S}.csv"
-                replace_text(kept, text, parents=True)
-                self._stored = issue
-                _remove_oldest(self._archive)
+            self.newest = self._service.fetch(datetime.now(timezone.utc))
+            self._write(self.newest)
         except Exception as error:  # for any error, the next forecast is requested
             self.problem = str(error) or type(error).__name__
             requested_wait = error.wait if isinstance(error, ServiceError) else None
             wait = max(self._wait, min(requested_wait or 0.0, _LONGEST_WAIT_S))
             self._wait = min(2 * self._wait, self._every, _LAST_WAIT_S)
             return wait
-        self.problem, self.newest, self._wait = "", issue, _FIRST_WAIT_S
+        self.problem, self._wait = "", _FIRST_WAIT_S
         return self._every
 
     def wait(self, seconds: float) -> bool:

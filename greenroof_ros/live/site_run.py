@@ -19,6 +19,7 @@ from greenroof_ros.common.conditions import Diagnosis, read_conditions
 from greenroof_ros.common.disk import DISK, LatestWriter
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.processes import (
+    IN_MEMORY,
     InterruptedRun,
     LockedError,
     Signals,
@@ -56,8 +57,6 @@ _LISTED_S, _LATE_S = 1.0, 60.0
 _WRITTEN_S = 5.0
 # Decimal places of each level (m).
 _PLACES = {"cistern": 3, "roof": 4}
-# A directory in memory (Linux).
-_IN_MEMORY = "/dev/shm"
 
 
 def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) -> int:
@@ -80,7 +79,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     with (
         only_bringup(arguments.namespace),
         _state_directory(state) as state,
-        scratch_directory(_IN_MEMORY) as memory,
+        scratch_directory(IN_MEMORY) as memory,
     ):
         _fit_bag(site, state / "bag")
         nodes = list(site.nodes(state, state / "configuration"))

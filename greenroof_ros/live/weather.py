@@ -1,6 +1,7 @@
 """The weather node of a live site: publishes the weather and the forecast in each tick.
 
-They come from the site's gauges and a file of forecasts, if there is one.
+They come from the site's gauges, and from forecasts in a file or of a service, if there are any. A
+fetched forecast needs no disk: its file is an archive, read once at the start.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.common.disk import DiskThread
+from greenroof_ros.common.disk import DiskThread, LatestWriter
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import from_epoch_ns, to_people
@@ -29,8 +30,10 @@ from greenroof_ros.forecast.service import (
     INTERFACES,
     MOST_DAYS,
     Fetcher,
+    ForecastFiles,
     Service,
 )
+from greenroof_ros.formats.records import Issue
 from greenroof_ros.graph.messages import WithFront
 from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.live.engine import live_parameters
@@ -60,9 +63,8 @@ def parameters(site: Site) -> list[Parameter]:
             "none",
         ),
         Parameter(
-            "fetch", "", meaning="fetch the FILE.csv of forecast from this interface of "
-            "Open-Meteo, and also keep each new one next to it; empty: someone else writes the "
-            "file",
+            "fetch", "", meaning="fetch forecasts from this interface of Open-Meteo, and keep them "
+            "in the FILE.csv of forecast and next to it; empty: someone else writes the file",
             among=("", *INTERFACES),
         ),
         Parameter(
@@ -98,21 +100,21 @@ class LiveWeatherNode(LiveNode):
         values = declare(self, parameters(site))
         self._unknown_frost = 0.0 if values["unknown_frost_may_pump"] else math.nan
         # A file of many members, or on a slow disk, takes seconds to read.
-        self._reader, self._files_read = DiskThread(), 0
+        self._reader = DiskThread()
         self._forecast: LiveForecast | None = None
         self._fetcher: Fetcher | None = None
+        self._unkept = ""  # why the last forecast that was fetched is not kept
         if values["forecast"]:
-            file = Path(values["forecast"])
+            self._file = ForecastFile(file := Path(values["forecast"]))
             if file.suffix.lower() != ".csv":
                 raise ConfigurationError(
                     "must be a FILE.csv, or empty for none", key="parameter forecast of weather",
                     value=values["forecast"],
                 )
             self._forecast = LiveForecast(
-                ForecastFile(file), site, values["horizon"], values["issue_limit"],
-                values["all_members"],
+                site, values["horizon"], values["issue_limit"], values["all_members"]
             )
-            self._reader.do(self._forecast.file.update)
+            self._reader.do(self._file.update)
             self._reader.wait(_FIRST_READ_S)
             self._fetcher = self._fetch(values, file) if values["fetch"] else None
         self._gauges: set[str] = set()  # that have been good
@@ -132,6 +134,9 @@ class LiveWeatherNode(LiveNode):
         if self._fetcher is not None:
             unfetched = Diagnosis.if_any("forecast_not_fetched", self._fetcher.problem)
             self.reports.diagnose("forecast service", unfetched, ATTRIBUTION, WARN)
+            before, self._unkept = self._unkept, self._kept.problem
+            if self._unkept not in ("", before):
+                self.get_logger().warning(f"the forecast is used, but not kept: {self._unkept}")
         forecast = self._forecast
         outlook = None if forecast is None else self._outlook(forecast, now, rain)
         temperature = math.nan if outlook is None else outlook.temperature
@@ -172,7 +177,8 @@ class LiveWeatherNode(LiveNode):
             self._site, ensemble=values["fetch"] == ENSEMBLE, model=values["fetch_model"],
             days=min(days, MOST_DAYS), url=values["fetch_url"],
         )
-        fetcher = Fetcher(service, file, file.with_suffix(""), 60 * values["fetch_every"])
+        self._kept = LatestWriter[Issue](ForecastFiles(file, file.with_suffix("")).write, str)
+        fetcher = Fetcher(service, self._kept.write, 60 * values["fetch_every"])
         fetcher.start()
         return fetcher
 
@@ -195,15 +201,16 @@ class LiveWeatherNode(LiveNode):
         """Return the outlook, None without a forecast, and report its issue or problem.
 
         Args:
-            forecast: reads the file of forecasts.
+            forecast: of the look-ahead.
             now: the time.
             rain: from the gauge (m/s); None if unknown.
         """
-        self._reader.do(forecast.file.update)
-        if forecast.file.count != self._files_read:
-            self._files_read = forecast.file.count
-            self.get_logger().info("the file of forecasts was read")
-        problem = forecast.file.problem
+        problem, forecast.issues = "", self._file.issues
+        if self._fetcher is None:
+            self._reader.do(self._file.update)
+            problem = self._file.problem
+        elif self._fetcher.newest is not None:
+            forecast.issues = [self._fetcher.newest]
         unreadable = "forecast_unreadable" if problem else ""
         try:
             outlook, short = forecast.at(now, rain), forecast.shortage(now)
@@ -214,7 +221,7 @@ class LiveWeatherNode(LiveNode):
             code = "forecast_missing" if self._fetcher is None else "forecast_service_silent"
             self.reports.diagnose("forecast", Diagnosis.of(code, why=why), cause=unreadable)
             return None
-        assert outlook.issued is not None  # a file's forecasts have issues
+        assert outlook.issued is not None
         self._front[0] = outlook.issued.timestamp()
         age = (now - outlook.issued).total_seconds()
         self.reports.numbers["forecast"] = {"issued_ago_s": age}

@@ -39,8 +39,9 @@ def file(tmp_path: Path) -> Path:
 
 def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecast:
     """Return the forecasts of a file that has been read."""
-    forecasts = LiveForecast(ForecastFile(path), PAPER_SITE, horizon, limit, all_members=False)
-    forecasts.file.update()
+    forecasts, file = LiveForecast(PAPER_SITE, horizon, limit, False), ForecastFile(path)
+    file.update()
+    forecasts.issues = file.issues
     return forecasts
 
 
@@ -138,8 +139,8 @@ def test_all_members_of_a_short_ensemble_are_dry_after_its_end(file: Path) -> No
     """1 and 3 mm in each of two hours."""
     issue = Issue(SIX, file, None, np.array([[1.0] * 2, [3.0] * 2]), np.ones(2), np.ones(2))
     file.write_text(write_forecasts([issue]))
-    forecasts = LiveForecast(ForecastFile(file), PAPER_SITE, 24.0, 7200.0, all_members=True)
-    forecasts.file.update()
+    forecasts = LiveForecast(PAPER_SITE, 24.0, 7200.0, all_members=True)
+    forecasts.issues = [issue]
     rain = np.asarray(forecasts.at(SIX).rain)
     depths = 1000 * (rain * np.diff(look_ahead_ends(PAPER_SITE, 24.0))).sum(axis=1)
     assert depths == pytest.approx([2.0, 6.0])
@@ -237,7 +238,7 @@ def test_columns_that_may_be_left_out(file: Path) -> None:
     assert not forecasts.update()
     assert "cannot be read" in forecasts.problem and forecasts.issues == []
     with pytest.raises(NoForecastError, match="there is no forecast"):
-        LiveForecast(forecasts, PAPER_SITE, 0.0, 7200.0, all_members=False).at(SIX)
+        live(file).at(SIX)
     write(file, SIX, [0.0] * 4, evapotranspiration=None)
     assert not forecasts.update()
     assert "must have a column 'evapotranspiration [mm/day]'" in forecasts.problem

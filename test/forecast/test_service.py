@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,6 +18,7 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 from commands import run_command
+from disks import fill, small_disk
 from graphs import environment
 from places import CONFIG
 from refusals import refusal
@@ -26,6 +28,7 @@ from greenroof_ros.forecast.models import FileModel
 from greenroof_ros.forecast.service import (
     ATTRIBUTION,
     Fetcher,
+    ForecastFiles,
     Service,
     ServiceError,
 )
@@ -55,6 +58,10 @@ def _service(server, **wanted):
     server.fault = "none"
     kind = "ensemble" if wanted.get("ensemble") else "forecast"
     return Service(SITE, url=f"{server.address}/v1/{kind}", **wanted)
+
+
+def _fetcher(service, directory, archive=None):
+    return Fetcher(service, ForecastFiles(directory / "forecast.csv", archive).write, 1800)
 
 
 def _now():
@@ -90,7 +97,7 @@ def test_each_hour_has_the_rain_and_temperature_that_are_forecast_for_it(server)
 ])
 def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypatch, fault, reason):
     file = tmp_path / "forecast.csv"
-    fetcher = Fetcher(_service(server), file, tmp_path / "kept", 1800)
+    fetcher = _fetcher(_service(server), tmp_path, tmp_path / "kept")
     assert fetcher.fetch() == 1800
     assert fetcher.problem == ""
     before = file.read_text()
@@ -142,7 +149,7 @@ def test_an_answer_that_is_no_forecast_is_asked_for_again(server, tmp_path):
         return 200, {"ETag": '"v1"'}, next(bodies)
 
     with _answering(answer) as service:
-        fetcher = Fetcher(service, tmp_path / "forecast.csv", None, 1800)
+        fetcher = _fetcher(service, tmp_path)
         assert (fetcher.fetch(), bool(fetcher.problem)) == (60, True)
         for _ in range(2):
             assert (fetcher.fetch(), fetcher.problem) == (1800, "")
@@ -151,7 +158,7 @@ def test_an_answer_that_is_no_forecast_is_asked_for_again(server, tmp_path):
 @pytest.mark.parametrize("asks", ["99999999999", "Fri, 31 Dec 9999 23:59:59 GMT", "100000"])
 def test_a_service_is_left_alone_for_a_day_at_most(tmp_path, asks):
     with _answering(lambda _: (429, {"Retry-After": asks}, b"")) as service:
-        fetcher = Fetcher(service, tmp_path / "forecast.csv", None, 1800)
+        fetcher = _fetcher(service, tmp_path)
         assert fetcher.fetch() == 86_400
 
 
@@ -175,7 +182,7 @@ def test_what_is_new_in_any_hour_and_quantity_is_kept():
 
 def test_what_is_kept_is_an_archive_without_repetitions(server, tmp_path):
     kept, unchanged = tmp_path / "kept", server.unchanged
-    fetcher = Fetcher(_service(server, ensemble=True), tmp_path / "forecast.csv", kept, 1800)
+    fetcher = _fetcher(_service(server, ensemble=True), tmp_path, kept)
     for _ in range(2):
         fetcher.fetch()
     assert server.unchanged == unchanged + 1  # an answer that still holds is not sent again
@@ -205,10 +212,21 @@ def test_the_oldest_kept_forecasts_go_beyond_the_limit(server, tmp_path, sizes, 
     for file, size in zip([*files, archive / "notes.csv"], [*sizes, 5.0], strict=True):
         file.touch()
         os.truncate(file, int(size * 1e9))
-    fetcher = Fetcher(_service(server), tmp_path / "forecast.csv", archive, 1800)
+    fetcher = _fetcher(_service(server), tmp_path, archive)
     assert (fetcher.fetch(), fetcher.problem) == (1800, "")
     assert [file.exists() for file in files] == kept
     assert len(list(archive.iterdir())) == sum(kept) + 2
+
+
+def test_a_full_directory_for_temporary_files_costs_no_forecast(server, tmp_path, monkeypatch):
+    """Nor does a file that cannot be kept: the forecast is there, and the attempt has failed."""
+    with small_disk(tmp_path / "full", "64k"):
+        fill(tmp_path / "full" / "file")
+        monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "full"))
+        fetcher = _fetcher(_service(server), tmp_path / "full")
+        assert fetcher.fetch() == 60
+        assert "No space left on device" in fetcher.problem
+        assert np.array_equal(fetcher.newest.rain, _service(server).fetch(_now()).rain)
 
 
 def test_a_place_that_is_unknown():
@@ -338,7 +356,7 @@ def test_an_arrival_before_the_issue_is_refused(tmp_path):
 
 def test_the_fetched_forecast_reports_when_it_arrived(server, tmp_path):
     before = _now()
-    Fetcher(_service(server), tmp_path / "f.csv", tmp_path / "kept", 1800).fetch()
+    _fetcher(_service(server), tmp_path, tmp_path / "kept").fetch()
     (file,) = (tmp_path / "kept").iterdir()
     (issue,) = read_forecasts(file)
     assert before <= issue.available <= _now()

@@ -12,13 +12,16 @@ import re
 import signal
 import time
 from array import array
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
 from itertools import cycle, pairwise
+from pathlib import Path
 from statistics import median
 from typing import Any
 
 import pytest
+from disks import disk_that_hangs, fill, small_disk
 from modbus_wire import Wire
 from places import CONFIG
 from rcl_interfaces.srv import SetParameters
@@ -593,7 +596,7 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
     }
     with site.live("weather", **options, unknown_frost_may_pump="true"):
         site.until(site.shows(part, WARN, "503 Service Unavailable"), LATE, "why there is none")
-        site.until(site.shows("/weather: forecast", ERROR, f"{file}: cannot be read"), LATE, "none")
+        site.until(site.shows("/weather: forecast", ERROR, "there is no forecast"), LATE, "none")
         site.until(lambda: newest(frost) == 0.0, LATE, "no frost")
         site.until(site.shows("/weather: frost", WARN, "may run anyway"), LATE, "a warning")
         # It is ready after it has reported what it lacks, not before it has looked.
@@ -609,3 +612,37 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
         assert len(newest(forecast)) == 11 * (len(growing_steps(24.0)) - 1)
     service.close()
     assert [path.parent.name for path in file.parent.rglob("*.csv")].count("forecast") == 1
+
+
+@contextmanager
+def disk_that_takes_nothing(place: Path, how: str) -> Iterator[None]:
+    """Mount a disk that is full, or that hangs."""
+    if how == "full":
+        with small_disk(place, "64k"):
+            fill(place / "file")
+            yield
+    else:
+        with disk_that_hangs(place) as hang:
+            hang(True)
+            yield
+            hang(False)
+
+
+@pytest.mark.parametrize("how", ["full", "hangs"])
+def test_a_fetched_forecast_needs_no_disk(site: Site, how: str) -> None:
+    """The file is an archive: the controller gets the forecast by memory."""
+    paper = read_site(CONFIG / "site.yaml")
+    records = read_weather([default_weather()], paper, gaps=FILL)
+    service = ForecastService(paper, records, records.first, 0)
+    service.start()
+    frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
+    disk = site.cwd / "disk"
+    options = {
+        "forecast": disk / "forecast.csv", "fetch": "forecast",
+        "fetch_url": f"{service.address}/v1/forecast",
+    }
+    with site.live("weather", **options), disk_that_takes_nothing(disk, how):
+        site.until(lambda: len(forecast) > 3 and newest(frost) == 0.0, LATE, "the forecast")
+        assert site.shows("/weather: forecast", OK)()
+        assert not (disk / "forecast.csv").exists()
+    service.close()

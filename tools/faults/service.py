@@ -18,8 +18,8 @@ from pump_rig import settings_for
 
 from greenroof_ros.controllers.decide import decide
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
-from greenroof_ros.forecast.service import Fetcher, Service
+from greenroof_ros.forecast.live_forecast import LiveForecast, NoForecastError
+from greenroof_ros.forecast.service import Fetcher, ForecastFiles, Service
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.pump_control import PumpControl
 from greenroof_ros.live.pumping.pump_inputs import Observation
@@ -49,7 +49,7 @@ def run_case(case: Case, directory: Path, outcome: Outcome) -> None:
     try:
         file = directory / "forecast.csv"
         service = Service(site, url=f"{server.address}/v1/forecast")
-        fetcher = Fetcher(service, file, None, _EVERY_S)
+        fetcher = Fetcher(service, ForecastFiles(file, None).write, _EVERY_S)
         fetcher.fetch()
         if fetcher.problem:
             outcome.fail(f"the service without a fault: {fetcher.problem}")
@@ -64,8 +64,8 @@ def run_case(case: Case, directory: Path, outcome: Outcome) -> None:
         # If a connection breaks, the HTTP library repeats the request once automatically.
         if len(waits) > _MOST_REQUESTS or server.requests - 1 > 2 * len(waits):
             outcome.fail(f"the service was asked {server.requests - 1} times in {_HOURS} h")
-        forecast = LiveForecast(ForecastFile(file), site, 120.0, _ISSUE_LIMIT_S, False)
-        forecast.file.update()
+        forecast = LiveForecast(site, 120.0, _ISSUE_LIMIT_S, False)
+        forecast.issues = [fetcher.newest] if fetcher.newest else []
         known = _at_rest_from(site, forecast, began, thermometer=False)
         if not 3600 <= known <= _ISSUE_LIMIT_S:
             outcome.fail(f"without a thermometer the pump stood from {known:g} s on")
