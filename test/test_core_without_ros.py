@@ -49,7 +49,7 @@ else:
     raise AssertionError("ROS was not hidden")
 import greenroof_ros
 import greenroof_ros.live.devices, greenroof_ros.live.pumping, greenroof_ros.live.simulators
-live = (getattr(greenroof_ros.live, part) for part in ("drives", "pumping", "simulators"))
+live = (getattr(greenroof_ros.live, part) for part in ("devices", "pumping", "simulators"))
 print(*(name for package in (greenroof_ros, *live) for name in modules(package)), sep="\\n")
 assert not asked, f"the core asks for {asked}"
 """

@@ -73,7 +73,8 @@ def make_parser() -> Parser:
         "running, 130 interrupted",
     )
     add_run_arguments(parser)
-    add_output_arguments(parser, None, "max; with --drive 1")
+    output = add_output_arguments(parser, None, "max; with --drive 1")
+    output.add_argument("--no-record", action="store_true", help="no bag")
     add_graph_arguments(parser, "internal")
     return parser
 
@@ -99,7 +100,6 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         ConfigurationError: an option is wrong, a graph runs already, ROS 2 is missing, or the
             directory cannot be created.
         OSError: the summary cannot be written.
-        OutputError: the summary cannot be printed.
     """
     with importing_ros():
         from greenroof_ros.bringup.composition import Composition

@@ -1,9 +1,8 @@
-"""What every command has in common: exit codes, error reports, and output streams."""
+"""What every command has in common: exit codes, error reports, and the parser of its options."""
 
 from __future__ import annotations
 
 import argparse
-import errno
 import functools
 import io
 import itertools
@@ -15,7 +14,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn
 
 from greenroof_ros import INTERRUPTED, end_interrupted
 from greenroof_ros.common.errors import (
@@ -39,86 +38,20 @@ def exit_code(error: Exception) -> int:
     return EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
 
 
-class OutputError(Exception):
-    """The output of a command could not be printed.
-
-    Attributes:
-        quiet: whether no one reads the output any more, as after ``| head``.
-    """
-
-    def __init__(self, error: OSError, elsewhere: str) -> None:
-        why = "it is closed" if error.errno == errno.EBADF else error.strerror
-        super().__init__(f"standard output cannot be written: {why}{elsewhere}")
-        self.quiet = isinstance(error, BrokenPipeError)
-
-
-class _Stream(io.FileIO):
-    """Standard output or standard error, which keeps its first error instead of raising it.
-
-    A run must not end because its progress bar has lost the terminal, and a summary that cannot be
-    printed is in its file, too.
-    """
-
-    error: OSError | None = None
-
-    def write(self, data: Any, /) -> int:
-        """Write; if that fails, keep the error."""
-        try:
-            return super().write(data)
-        except OSError as error:
-            self.error = self.error or error
-            return len(data)
-
-
-def _stream(number: int, replaced: TextIO | None) -> TextIO:
-    """Return a stream to a file descriptor, with the encoding of the stream that it replaces."""
-    return io.TextIOWrapper(
-        io.BufferedWriter(_Stream(number, "w", closefd=False)),
-        encoding=getattr(replaced, "encoding", None),
-        errors=getattr(replaced, "errors", None),
-        line_buffering=True,
-    )
-
-
-def _set_up_streams() -> None:
-    """Make standard output and standard error keep their errors, even if they are closed.
-
-    The number of a closed stream would go to the next file or pipe that is opened, and printed text
-    with it. Standard output is instead opened for reading only: writes fail, "Bad file descriptor".
-    """
-    for number, mode in enumerate((os.O_RDONLY, os.O_RDONLY, os.O_RDWR)):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, mode)  # takes the lowest free number: this one
-    # Streams that a Python caller has put there to capture the output stay.
-    if sys.stdout is sys.__stdout__:
-        sys.stdout = _stream(1, sys.stdout)
-    if sys.stderr is sys.__stderr__:
-        sys.stderr = _stream(2, sys.stderr)
-
-
-def flush_output(elsewhere: str = "") -> None:
-    """Flush standard output.
-
-    Args:
-        elsewhere: where else the output can be found, for the message.
-
-    Raises:
-        OutputError: some of the output could not be written.
-    """
-    sys.stdout.flush()
-    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
-    if isinstance(raw, _Stream) and raw.error is not None:
-        raise OutputError(raw.error, elsewhere)
-
-
 class _Interrupted(KeyboardInterrupt):
     """Ctrl-C; after a KeyboardInterrupt itself Python may end by the signal, with any exit code."""
 
 
 def _interrupt(*_: Any) -> NoReturn:
     raise _Interrupted
+
+
+def _discard_what_cannot_be_printed() -> None:
+    """Keep the end of the interpreter from trying to print it again, which would be an error."""
+    try:
+        print(end="", flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 def command(
@@ -140,7 +73,8 @@ def command(
     @functools.wraps(main)
     def wrapper() -> NoReturn:
         end_with_parent()
-        _set_up_streams()
+        if isinstance(sys.stdout, io.TextIOWrapper):  # not one that a Python caller put there
+            sys.stdout.reconfigure(line_buffering=True)
         importing = signal.getsignal(signal.SIGINT) is end_interrupted
         try:
             try:
@@ -149,19 +83,17 @@ def command(
                 code: str | int | None = main()
             except SystemExit as end:  # by argparse: after --help, or on wrong usage
                 code = end.code and (failed or end.code)
-            flush_output()
-        except OutputError as error:
-            if not error.quiet:
-                print(f"error: {error}", file=sys.stderr)
-            code = failed or EXIT_FAILED
+            print(end="", flush=True)
         except (ConfigurationError, argparse.ArgumentError) as error:
             print(f"error: {error}", file=sys.stderr)
             code = failed or exit_code(error)
         except OSError as error:
-            # Of a copy, it is the second file that has no room.
-            parts = (error.filename2 or error.filename, error.strerror or str(error))
-            print("error:", ": ".join(filter(None, parts)), file=sys.stderr)
+            if not isinstance(error, BrokenPipeError):
+                # Of a copy, it is the second file that has no room.
+                parts = (error.filename2 or error.filename, error.strerror or str(error))
+                print("error:", ": ".join(filter(None, parts)), file=sys.stderr)
             code = failed or EXIT_FAILED
+            _discard_what_cannot_be_printed()
         except (KeyboardInterrupt, ImportError) as error:
             # While a compiled module is imported, Ctrl-C becomes an ImportError.
             if not isinstance(error.__cause__ or error, KeyboardInterrupt):

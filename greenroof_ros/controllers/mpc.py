@@ -108,8 +108,8 @@ class Mpc:
         self._columns, self._rows = np.tril_indices(size)
         pattern = scipy.sparse.csc_matrix(np.triu(np.ones((size, size))))
         self._statuses = osqp.SolverStatus
-        solver = osqp.OSQP()
-        solver.setup(
+        self._solver = osqp.OSQP()
+        self._solver.setup(
             P=pattern,
             q=np.zeros(size),
             A=scipy.sparse.identity(size, format="csc"),
@@ -117,9 +117,6 @@ class Mpc:
             u=np.full(size, max_command),
             **_SOLVER_SETTINGS,
         )
-        # The compiled solver itself, a private part of osqp: its Python code copies all of each
-        # result, and keeps it for derivatives, which takes a quarter of a decision's time.
-        self._solver = solver._solver
 
     def command(
         self,
@@ -218,17 +215,15 @@ class Mpc:
             self.status = int(self._statuses.OSQP_UNSOLVED)
             _log.warning("the prediction is not finite; falling back to no pumping for one tick")
             return None
-        solver = self._solver
-        solver.update_data_vec(q=q, l=None, u=None)
-        solver.update_data_mat(P_x=hessian, P_i=None, A_x=None, A_i=None)
-        solver.solve()
-        info, first = solver.info, float(solver.solution.x[0])
+        self._solver.update(q=q, Px=hessian)
+        result = self._solver.solve(raise_error=False)
+        info, first = result.info, float(result.x[0])
         self.status = int(info.status_val)
         if self.status != self._statuses.OSQP_SOLVED or not math.isfinite(first):
             _log.warning(
                 "OSQP reports '%s'; falling back to no pumping for one tick", info.status
             )
             zeros = np.zeros_like(q)
-            solver.warm_start(zeros, zeros)
+            self._solver.warm_start(zeros, zeros)
             return None
         return first, float(info.obj_val)

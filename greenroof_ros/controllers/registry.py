@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean, must_be_one_of
-from greenroof_ros.common.files import YamlMapping, read_ros_parameters, shared_directory
+from greenroof_ros.common.files import YamlMapping, read_ros_parameters
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_forecast_ends
 from greenroof_ros.model.look_ahead import look_ahead_ends
@@ -164,13 +164,7 @@ class ControllerChoice:
         ]
 
     def defaults(self, site: Site) -> dict[str, float]:
-        """Return the value of each parameter on a site, unless a user gives another.
-
-        Built-in controllers read it from ``config/NAME.yaml``, which a user can edit, if it exists.
-        """
-        file = shared_directory() / "config" / f"{self.name}.yaml"
-        if self.reference in BUILT_IN and file.is_file():
-            return self.read_parameters(file, site)
+        """Return the value of each parameter on a site, unless a user gives another."""
         return {parameter.name: parameter.default for parameter in self.parameters_on(site)}
 
     def read_parameters(self, path: Path, site: Site) -> dict[str, float]:
@@ -191,12 +185,11 @@ class ControllerChoice:
             raise ConfigurationError(
                 f"must hold '/**/{self.name}:' and in it 'ros__parameters:'", file=path
             )
-        values = {parameter.name: parameter.default for parameter in self.parameters_on(site)}
         for key, line in entries.lines.items():
             if keys[0] == "/**" and key.partition(".")[0] in OF_EVERY_NODE:
                 continue
             self.check_name(key, path, line)
-        return values | read_numbers(path, entries, self.parameters)
+        return self.defaults(site) | read_numbers(path, entries, self.parameters)
 
     def check_name(self, key: str, path: Path, line: int) -> None:
         """Refuse a name that is not one of its parameters.

@@ -110,7 +110,7 @@ def add_controller_arguments(
     )
     of_controller.add_argument(
         "--parameters", type=Path, metavar="FILE",
-        help="ROS 2 parameter file of the controller (default: config/NAME.yaml)",
+        help="ROS 2 parameter file of the controller; what it leaves out has its default",
     )
     _add_parameters(of_controller, controller.kind.parameters, _PARAMETER)
 
@@ -233,9 +233,6 @@ def add_output_arguments(
     group.add_argument(
         "--output", type=Path, metavar="DIR",
         help="directory of the run, new or empty (default: a dated one under runs/)",
-    )
-    group.add_argument(
-        "--no-record", action="store_true", help="no bag (simulate never writes one)"
     )
     group.add_argument(
         "--speed", type=within(1e-9, 1e9, word="max"), default=speed, metavar="{max|FACTOR}",

@@ -12,10 +12,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from greenroof_ros.common.command_line import flush_output
 from greenroof_ros.common.times import hours_minutes, to_minutes
 from greenroof_ros.experiment.incidents import Incident, with_incidents
-from greenroof_ros.experiment.summary import SUMMARY
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.place import place_text
@@ -176,11 +174,7 @@ def _incident_row(incident: Mapping[str, Any], tau: float) -> tuple[str, str, st
 
 
 def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
-    """Print a summary: as a table with the run's directory, or as JSON alone.
-
-    Raises:
-        OutputError: it could not be printed; the message names its file.
-    """
+    """Print a summary: as a table with the run's directory, or as JSON alone."""
     if as_json:
         print(json.dumps(summary, indent=2, allow_nan=False))
     else:
@@ -189,4 +183,3 @@ def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
         console.print(grid("Result", rows(summary)))
         done = with_incidents(summary["status"], summary["incident_count"])
         console.print(f"{done}; written to {directory}", soft_wrap=True, highlight=False)
-    flush_output(f"; the summary is in {directory / SUMMARY}")

@@ -7,7 +7,6 @@ them, and fails then.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from types import SimpleNamespace
 from typing import Any
 
 _CLOCK = "/clock"  # rclpy's name
@@ -48,19 +47,6 @@ def waiting_messages(subscription: Any) -> Iterator[tuple[bytes, Any]]:
     with subscription.handle:
         while (sample := subscription.handle.take_message(subscription.msg_type, True)) is not None:
             yield sample
-
-
-def speed_up(subscription: Any) -> None:
-    """Make the fast executor find the kind of a callback sooner: a tenth of a message's time.
-
-    For each message it reads two members of an enumeration, which calls Python code. The slow
-    executor compares the members themselves; it must not get such a subscription.
-    """
-    kinds, kind = subscription.CallbackType, subscription._callback_type
-    subscription._callback_type = SimpleNamespace(value=kind.value)
-    subscription.CallbackType = SimpleNamespace(
-        MessageOnly=SimpleNamespace(value=kinds.MessageOnly.value)
-    )
 
 
 def lifecycle_state(node: Any) -> int:

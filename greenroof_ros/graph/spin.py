@@ -12,7 +12,7 @@ from typing import Any
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
@@ -20,7 +20,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.graph.domain import SHUTDOWN_S, choose_transport
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.rclpy_internals import speed_up, waiting_messages
+from greenroof_ros.graph.rclpy_internals import waiting_messages
 
 # How often the wall clock, the signals and the ends of the nodes are checked (s).
 _CHECK_S = 0.05
@@ -119,8 +119,6 @@ def start_receiving(executor: Any, node: Any) -> None:
     executor.spin_once(timeout_sec=0.0)  # it begins to listen here, not in add_node
     for subscription in node.subscriptions:
         if subscription.raw:
-            if not isinstance(executor, Executor):
-                speed_up(subscription)
             for message, _ in waiting_messages(subscription):
                 subscription.callback(message)
 

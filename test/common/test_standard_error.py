@@ -13,7 +13,6 @@ from disks import full_pipe
 from graphs import wait_for
 from places import CHECKOUT
 
-from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.standard_error import Lines, ProgressLines
 from greenroof_ros.experiment.progress import RunProgress
 
@@ -39,18 +38,6 @@ def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
     ]
 
 
-def test_no_one_is_there_to_read() -> None:
-    """Output that cannot be written is lost, without an error for the writer."""
-    reading, writing = os.pipe()
-    os.close(reading)
-    lines = Lines(writing)
-    lines.print_line("into the void")
-    assert lines.wait(TOO_LONG_S)
-    os.close(writing)
-    lines.print_line("and into nothing")
-    assert lines.wait(TOO_LONG_S)
-
-
 @pytest.mark.parametrize("full", [False, True])
 def test_the_end_of_a_process(full: bool) -> None:
     """It writes what waits, and gives up after two seconds."""
@@ -66,15 +53,6 @@ def test_the_end_of_a_process(full: bool) -> None:
         assert done.returncode == 0
         printed = _empty(reading).lstrip(b"\0")
     assert printed == (b"" if full else b"line 0\nline 1\nline 2\n")
-
-
-def test_the_disk_goes_on_where_standard_error_takes_nothing() -> None:
-    with full_pipe() as (reading, writing):
-        lines = Lines(writing)
-        DISK.do(lambda: lines.print_line("warning: the disk is full"))
-        assert DISK.wait(TOO_LONG_S)
-        _empty(reading)
-        assert lines.wait(TOO_LONG_S)
 
 
 def test_a_line_every_ten_seconds(

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
 from paper import PAPER_SITE
 from places import CHECKOUT, CONFIG
 
@@ -14,23 +13,6 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers import registry
 from greenroof_ros.controllers.registry import BUILT_IN, controller_names, find_controller
 from greenroof_ros.model.site import read_site
-
-
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_the_file_a_user_edits_has_the_defaults(name: str) -> None:
-    """Names, values, types and order, under a key that holds in any namespace.
-
-    Parameters that depend on the roof are left out.
-    """
-    content = yaml.safe_load((CONFIG / f"{name}.yaml").read_text())
-    assert list(content) == [f"/**/{name}"]
-    values = content[f"/**/{name}"]["ros__parameters"]
-    defaults = {
-        parameter.name: parameter.default for parameter in find_controller(name).kind.parameters
-        if parameter.measured is None
-    }
-    assert list(values.items()) == list(defaults.items())
-    assert list(map(type, values.values())) == list(map(type, defaults.values()))
 
 
 def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from enum import Enum
 
 import pytest
 from graphs import wait_for
@@ -118,15 +117,13 @@ def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
 
 
 def test_the_short_ways_of_a_message(small: Small) -> None:
-    """What is published without rclpy's checks arrives through the fast executor, sped up."""
+    """What is published without rclpy's checks arrives through the fast executor."""
     profile = qos_profile(read_topics()["/roof/level"].qos)
     received: list[bytes] = []
     small.create_subscription(Float64, "level", received.append, profile, raw=True)
-    (subscription,) = (entry for entry in small.subscriptions if entry.raw)
     publish = raw_publish(small.create_publisher(Float64, "level", profile))
     executor = EventsExecutor(context=small.context)
     start_receiving(executor, small)
-    assert not isinstance(subscription.CallbackType.MessageOnly, Enum)
     message = serialize_message(Float64(data=0.05))
     publish(message)
     until = time.monotonic() + 60
