@@ -133,7 +133,8 @@ class LiveSite:
 
         Args:
             state: the directory of the site.
-            directory: with the copies of :meth:`files`, each in a subdirectory of its name.
+            directory: has the copies of :meth:`files` when the nodes start, each in a subdirectory
+                of its name.
         """
         copies = {name: directory / name / file.name for name, file in self.files().items()}
         common = {"site_file": str(copies["site"])}

@@ -18,6 +18,7 @@ from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.common.conditions import Diagnosis, read_conditions
 from greenroof_ros.common.disk import DISK, LatestWriter
 from greenroof_ros.common.errors import OccupiedError
+from greenroof_ros.common.files import naming
 from greenroof_ros.common.processes import (
     IN_MEMORY,
     InterruptedRun,
@@ -44,7 +45,7 @@ from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other_nodes
 from greenroof_ros.graph.states import PUMP, PumpState
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
-from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed
+from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.model.site import edited
 
 # How often systemd is notified (s), and how far each notice extends the start timeout (us).
@@ -68,28 +69,29 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     Raises:
         ConfigurationError: a graph runs already, ROS 2 is missing, a parameter file is wrong, or
             the directory cannot be created.
+        OSError: the configuration cannot be written.
     """
     state: Path = arguments.state or Path("live")
     modules = {
-        name: node.module for node in site.nodes(state, state / "configuration")
-        for name in node.nodes
+        name: node.module for node in site.nodes(state, state) for name in node.nodes
     }
     with importing_ros():
         user_files = node_parameter_files(arguments, modules, site.controller)
     with (
         only_bringup(arguments.namespace),
         _state_directory(state) as state,
-        scratch_directory(IN_MEMORY) as memory,
+        scratch_directory(IN_MEMORY) as configuration,
     ):
         _fit_bag(site, state / "bag")
-        nodes = list(site.nodes(state, state / "configuration"))
+        nodes = list(site.nodes(state, configuration))
+        parameters = _write_configuration(site, user_files, nodes, configuration)
         record, start = _SiteRecord(site, state), _StartReport(arguments.namespace)
         start.update({}, "the nodes are starting")
         names = modules.keys() | {"plant", *controller_names()}
         refuse_other_nodes(arguments.namespace, names, signals.check)
+        DISK.do(partial(_keep_configuration, configuration, state / "configuration"))
         supervisor = LiveSupervisor(
-            state / "log", _configuration(site, user_files, state, memory),
-            arguments.namespace,
+            state / "log", parameters, arguments.namespace,
             site.drive.stopper() if site.drive is not None else None,
             record.log.fail, silence_s=arguments.peer_limit, restarts=arguments.restarts,
         )
@@ -406,66 +408,55 @@ def _fit_bag(site: LiveSite, bag: Path) -> None:
         site.bag_limit = reduced
 
 
-def _configuration(
-    site: LiveSite, user_files: Sequence[Path], state: Path, memory: Path
+def _write_configuration(
+    site: LiveSite, user_files: Sequence[Path], nodes: Sequence[NodeStart], directory: Path
 ) -> list[Path]:
-    """Save the configuration of this start; on a full disk, in memory and with a warning.
+    """Copy the files that the site is started with, and write the parameters of its nodes.
 
-    After a power cut no one is there to make room, and the plants need water.
+    Nodes read nothing else, also after a restart: neither originals, which may have been edited,
+    nor the copies of an earlier start. Only the forecast is read from its own path, since it is
+    replaced there.
 
     Args:
         site: the site as the command line describes it.
         user_files: the user's parameter files.
-        state: the directory of the site.
-        memory: a directory in memory that exists while the site runs.
+        nodes: the nodes, which read from this directory.
+        directory: in memory, since after a power cut no one is there to make room on a full disk.
 
     Returns:
         The ROS 2 parameter files that all nodes read, bringup's and the user's.
 
     Raises:
-        OSError: it cannot be written to memory, either.
-    """
-    place, part = state / "configuration", state / "configuration.part"
-    shutil.rmtree(part, ignore_errors=True)
-    try:
-        files = _write_configuration(site, user_files, state, part, place)
-        shutil.rmtree(place, ignore_errors=True)
-        part.rename(place)
-    except OSError as error:
-        shutil.rmtree(part, ignore_errors=True)
-        print_line(f"warning: {place}: {error.strerror}; the new configuration is in memory only")
-        return _write_configuration(site, user_files, state, memory, memory)
-    return files
-
-
-def _write_configuration(
-    site: LiveSite, user_files: Sequence[Path], state: Path, directory: Path, place: Path
-) -> list[Path]:
-    """Copy the files that the site is started with, and write the parameters of its nodes.
-
-    A node that is restarted reads these copies, even if the originals have been edited. Only the
-    forecast is read from its own path, since it is replaced there.
-
-    Args:
-        site: the site as the command line describes it.
-        user_files: the user's parameter files.
-        state: the directory of the site.
-        directory: where to write; created if missing.
-        place: the path that ``directory`` will have when the nodes read it.
-
-    Returns:
-        The ROS 2 parameter files that all nodes read, bringup's and the user's, under ``place``.
-
-    Raises:
         OSError: it cannot be written.
     """
-    directory.mkdir(exist_ok=True)
-    for name, file in [*site.files().items(), *(("nodes", file) for file in user_files)]:
-        (directory / name).mkdir()
-        if name == "site":
-            (directory / name / file.name).write_text(edited(file, {}), encoding="utf-8")
-        else:
-            shutil.copyfile(file, directory / name / file.name)
-    nodes = [node for node in site.nodes(state, place) if node.parameters]
-    write_parameters(directory, {node.name: node.parameters for node in nodes})
-    return [place / "parameters.yaml", *(place / "nodes" / file.name for file in user_files)]
+    directory.chmod(0o755)  # the page may run as another user
+    with naming(directory):
+        for name, file in [*site.files().items(), *(("nodes", file) for file in user_files)]:
+            copy = directory / name / file.name
+            copy.parent.mkdir()
+            if name == "site":
+                copy.write_text(edited(file, {}), encoding="utf-8")
+            else:
+                shutil.copyfile(file, copy)
+        parameters = {node.name: node.parameters for node in nodes if node.parameters}
+        return [
+            write_parameters(directory, parameters),
+            *(directory / "nodes" / file.name for file in user_files),
+        ]
+
+
+def _keep_configuration(configuration: Path, kept: Path) -> None:
+    """Keep a copy for people, in place of the one of the last start; warn if that fails."""
+    part = kept.with_suffix(".part")
+    shutil.rmtree(part, ignore_errors=True)
+    try:
+        for file in filter(Path.is_file, configuration.rglob("*")):
+            copy = part / file.relative_to(configuration)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, copy)
+        shutil.rmtree(kept, ignore_errors=True)
+        part.rename(kept)
+    except OSError as error:
+        shutil.rmtree(part, ignore_errors=True)
+        why = f"{error.strerror}; the configuration of this start is not kept"
+        print_line(f"warning: {kept}: {why}")

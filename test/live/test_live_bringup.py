@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -20,7 +23,7 @@ from typing import Any
 import pytest
 from brokers import mosquitto, needs_mosquitto
 from commands import run_command
-from disks import disk_that_hangs, full_pipe, small_disk
+from disks import disk_that_hangs, fill, full_pipe, small_disk
 from graphs import Process, alive, environment, free_ports, summary_of, wait_for
 from page_server import Stream
 from places import CONFIG, guarding
@@ -30,6 +33,7 @@ from ros_rig import FORECASTS, OK, USUAL_EVAPOTRANSPIRATION, Site, newest, write
 from rosbags.highlevel import AnyReader
 from simulators import Simulator, serial_line
 
+from greenroof_ros.common.files import read_yaml
 from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.live.pumping.ledger import Ledger
 
@@ -483,29 +487,81 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
     assert not any(part == "process" for _, part in incidents)
 
 
-def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) -> None:
-    """After a power cut no one is there to make room; existing files are not removed.
+def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
+    domain: int, tmp_path: Path, site: Site
+) -> None:
+    """Neither copies of an earlier start nor what is edited later, also after a restart.
 
-    A missing recording is an alarm, and does not end the recorder.
+    After a power cut no one is there to make room. A missing recording is an alarm, and does not
+    end the recorder. In each file the site of before had another value: twice the evaporation, and
+    other ports of the sensors.
     """
-    disk = tmp_path / "run"
-    old = disk / "configuration" / "site" / "old.yaml"
+    disk, sensors, site_file = (tmp_path / name for name in ("run", "sensors.yaml", "site.yaml"))
+    evapotranspiration = site.listen("/weather/evapotranspiration")
+    here, before = free_ports(2), free_ports(2)
+
+    def write(sensors: Path, site_file: Path, ports: list[int], factor: float) -> None:
+        text = (CONFIG / "sensors.yaml").read_text()
+        sensors.write_text(text.replace("5030", str(ports[0])).replace("5031", str(ports[1])))
+        values = read_yaml(CONFIG / "site.yaml")["monthly_evapotranspiration"]
+        site_file.write_text(
+            f"extends: {CONFIG / 'site.yaml'}\n"
+            f"monthly_evapotranspiration: {[factor * value for value in values]}\n"
+        )
+
+    def device() -> str:
+        status = site.diagnoses.get("/roof_sensor: sensor")
+        return "" if status is None else status.hardware_id
+
     with small_disk(disk, "64k"):
         (disk / "log").mkdir()
-        old.parent.mkdir(parents=True)
-        old.write_text("of before")
-        with (disk / "other").open("wb", buffering=0) as stream, suppress(OSError):
-            while True:
-                stream.write(bytes(4096))
-        with live(domain, tmp_path, *EXTERNAL) as process:
+        old = disk / "configuration"
+        for name in ("sensors", "site"):
+            (old / name).mkdir(parents=True)
+        write(old / "sensors" / "sensors.yaml", old / "site" / "site.yaml", before, 2.0)
+        fill(disk / "other")
+        write(sensors, site_file, here, 1.0)
+        options = (
+            "--controller", "onoff", "--sensors", "sensors.yaml", "--pump", "external", "--site",
+            "site.yaml", "--thermometer", "external",
+        )
+        with live(domain, tmp_path, *options) as process:
             process.until_printed("has room for 0 MB of it, less than --bag-limit 10000", 60)
-            alarm = "incident 1: recorder: nothing is recorded: "
-            process.until_printed(alarm, 60)
-            process.until_printed("/roof/level has not come", 50)
-            assert process.nodes().keys() == {"controller", "recorder"}
-        assert old.read_text() == "of before"
-        printed = process.stderr()
-        assert "No space left on device; the new configuration is in memory only" in printed
+            process.until_printed("the configuration of this start is not kept", 60)
+            process.until_printed("recorder: nothing is recorded: ", 60)
+            for restart in (True, False):
+                site.until(lambda: f":{here[1]}" in device(), 60, "the sensor of this start")
+                site.until(lambda: evapotranspiration, 60, "the evapotranspiration")
+                assert {value for _, value in evapotranspiration} <= USUAL_EVAPOTRANSPIRATION
+                if not restart:
+                    break
+                write(sensors, site_file, before, 2.0)
+                for name in ("sensors", "weather"):
+                    os.kill(process.nodes()[name], signal.SIGKILL)
+                site.until(lambda: {"sensors", "weather"} <= process.nodes().keys(), 60, "restarts")
+                site.diagnoses.clear()
+                evapotranspiration.clear()
+        assert str(before[1]) in (old / "sensors" / "sensors.yaml").read_text()
+
+
+def test_a_site_whose_configuration_cannot_be_written_does_not_start(
+    domain: int, tmp_path: Path
+) -> None:
+    """Memory for files that is full, in a mount namespace of its own."""
+    command = (
+        "mount -t tmpfs -o size=4k full /dev/shm && exec "
+        + shlex.join([sys.executable, "-m", "greenroof_ros", "live", *EXTERNAL])
+    )
+    ended = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", command], cwd=tmp_path, env=environment(domain),
+        capture_output=True, text=True, timeout=120, check=False,
+    )
+    if "unshare" in ended.stderr or "mount:" in ended.stderr:
+        pytest.skip("only root can mount memory that is full")
+    assert ended.returncode == 1
+    assert re.fullmatch(
+        r"error: /dev/shm/\S+: No space left on device", ended.stderr.splitlines()[-1]
+    ), ended.stderr
 
 
 @pytest.mark.parametrize("hardware", ["20"], indirect=True)
