@@ -45,8 +45,6 @@ from greenroof_ros.forecast.skill import Climate, Errors
 from greenroof_ros.formats.records import NEARLY, QUANTITIES
 from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
-from greenroof_ros.live.simulators.faults import DRIVE_FAULTS, RELAY_FAULTS, SITE_FAULTS, Fault
-from greenroof_ros.live.simulators.forecast_service import FAULTS as FORECAST_FAULTS
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import read_site, site_parameters
 
@@ -322,36 +320,6 @@ def _keys(parts: Mapping[str, Any]) -> str:
     )
 
 
-def drive_faults() -> str:
-    """Return the faults of a simulated drive."""
-    return _faults(DRIVE_FAULTS)
-
-
-def relay_faults() -> str:
-    """Return the faults of a simulated relay."""
-    return _faults(RELAY_FAULTS)
-
-
-def site_faults() -> str:
-    """Return the faults of a simulated site."""
-    return _faults(SITE_FAULTS)
-
-
-def forecast_faults() -> str:
-    """Return the faults of a simulated forecast service."""
-    return entries((f"`{name}`", "", meaning) for name, meaning in FORECAST_FAULTS.items())
-
-
-def _faults(known: Mapping[str, Fault]) -> str:
-    return entries(
-        (
-            f"`{name}`", f"no. {entry.number}", entry.meaning,
-            f"Parameter: {entry.parameter}; default {entry.default}" if entry.parameter else "",
-        )
-        for name, entry in known.items()
-    )
-
-
 def _files_of_drives(*, relays: bool) -> list[Path]:
     paths = sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
     return [path for path in paths if ("protocol" in read_yaml(path)) is relays]
@@ -556,10 +524,6 @@ def _command(
             f"As for {_section(command)}: {', '.join(same)}.\n"
             for command, same in elsewhere.items()
         ]
-    kind, _, simulated = name.partition(" ")
-    if kind == "simulators":
-        page = f"simulators.md#faults-of-the-{simulated}"
-        parts.append(f"The list of faults: [Simulators]({page}).\n")
     return "\n".join(parts)
 
 
@@ -658,10 +622,6 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "skill file": skill_file,
     "relay file": relay_files,
     "relays": relays,
-    "drive faults": drive_faults,
-    "relay faults": relay_faults,
-    "site faults": site_faults,
-    "forecast faults": forecast_faults,
 }
 
 

@@ -64,9 +64,7 @@ GROUPS = {
     "connect your own parts": {
         "check-controller": Command("check_controller", "check a controller: a class or a node"),
         "check-pump": Command("check_pump", "check whether a pump driver keeps to the interface"),
-        "simulators drive": Command("drive_simulator", "simulate a drive on Modbus, or a relay"),
-        "simulators site": Command("site_simulator", "simulate cistern and roof with sensors"),
-        "simulators forecast": Command("forecast_simulator", "simulate a forecast service"),
+        "simulators site": Command("simulators", "simulate a site's sensors, and drive or relay"),
         "topics": Command("common.interface", "list the topics of the graph, and their content"),
     },
 }

@@ -45,12 +45,14 @@ def reserved_domain() -> Iterator[int]:
 
 def environment(domain: int) -> dict[str, str]:
     """Return an environment for a separate graph on loopback."""
-    checkout = str(Path(__file__).resolve().parent.parent)
+    tests = Path(__file__).resolve().parent
     return {
         **os.environ,
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONPATH": os.pathsep.join(filter(None, [checkout, os.environ.get("PYTHONPATH", "")])),
+        "PYTHONPATH": os.pathsep.join(
+            filter(None, [str(tests.parent), str(tests), os.environ.get("PYTHONPATH", "")])
+        ),
     }
 
 

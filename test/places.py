@@ -31,10 +31,13 @@ def guarding(make: str, directory: Path) -> str:
 _COMMANDS = {
     word: name.split() for name, entry in COMMANDS.items() for word in (entry.module, name)
 }
+_RIGS = ("drive_simulator", "site_simulator", "forecast_simulator")
 
 
 def words_of(module: str) -> list[str]:
-    """Return what starts a module with ``python -m``: a command, or a node such as nodes.plant."""
+    """Return what starts a module with ``python -m``: a command, a rig, or a node: nodes.plant."""
+    if module in _RIGS:
+        return ["rig_simulators", module]
     command = _COMMANDS.get(module)
     return [f"greenroof_ros.{module}"] if command is None else ["greenroof_ros.__main__", *command]
 

@@ -9,30 +9,20 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import ModuleType
 from typing import TypeVar
 
-import pytest
+import rig_simulators
+from graphs import environment
 from places import CHECKOUT, words_of
+from rig_simulators import DEFAULT, PseudoLine
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import child_environment
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
-from greenroof_ros.live.simulators import faults
-from greenroof_ros.live.simulators.faults import (
-    DEFAULT,
-    DRIVE_FAULTS,
-    RELAY_FAULTS,
-    SITE_FAULTS,
-    Fault,
-)
 
 # How long to wait for a workbench (s): as long as a loaded machine needs.
 PATIENCE_S = 30.0
-# For drives and relays; faults with the same name have the same number.
-FAULTS = {**DRIVE_FAULTS, **RELAY_FAULTS}
 T = TypeVar("T")
 
 _PLACE = re.compile(r"(?:tcp|gateway)://127\.0\.0\.1:(\d+), device")
@@ -41,8 +31,6 @@ _PLACE = re.compile(r"(?:tcp|gateway)://127\.0\.0\.1:(\d+), device")
 @contextmanager
 def serial_line() -> Iterator[tuple[str, ...]]:
     """Lay a serial line, and return the devices at its two ends."""
-    from greenroof_ros.live.simulators.server import PseudoLine
-
     line, loop = PseudoLine(), asyncio.new_event_loop()
     loop.call_soon(line.join)
     thread = threading.Thread(target=loop.run_forever)
@@ -61,11 +49,9 @@ class Workbench:
     Each method connects if necessary, and raises `DriveError` if there is no answer.
     """
 
-    def __init__(
-        self, address: Address, known: Mapping[str, Fault] = FAULTS, timeout_s: float = 1.0
-    ) -> None:
-        self._known = known
-        self._line = ModbusLine(address, port=0, device_id=faults.DEVICE_ID, timeout_s=timeout_s)
+    def __init__(self, address: Address, timeout_s: float = 1.0) -> None:
+        device_id = rig_simulators.DEVICE_ID
+        self._line = ModbusLine(address, port=0, device_id=device_id, timeout_s=timeout_s)
         self.close = self._line.close
 
     def _request(self, request: Callable[[], T]) -> T:
@@ -82,20 +68,21 @@ class Workbench:
 
     def speed(self) -> float:
         """Return the true speed of the motor (share of rated)."""
-        return faults.SPEED_UNIT * self._request(lambda: self._line.read(faults.SPEED, 1))[0]
+        speed = self._request(lambda: self._line.read(rig_simulators.SPEED, 1))[0]
+        return rig_simulators.SPEED_UNIT * speed
 
     def inject(self, fault: str, parameter: int = DEFAULT) -> None:
         """Inject a fault; there is one at a time, and ``none`` ends it."""
-        self._write(faults.PARAMETER, parameter)
-        self._write(faults.FAULT, self._known[fault].number)
+        self._write(rig_simulators.PARAMETER, parameter)
+        self._write(rig_simulators.FAULT, rig_simulators.NUMBERS[fault])
 
     def power_cycle(self) -> None:
         """Power-cycle the drive."""
-        self._write(faults.POWER_CYCLE, 1)
+        self._write(rig_simulators.POWER_CYCLE, 1)
 
     def take_over(self, local: bool) -> None:
         """Take over the drive at its panel, or hand it back to the bus."""
-        self._write(faults.LOCAL, int(local))
+        self._write(rig_simulators.LOCAL, int(local))
 
 
 class Simulator(Workbench):
@@ -110,7 +97,7 @@ class Simulator(Workbench):
         self.process = subprocess.Popen(
             [sys.executable, "-m", *words_of(module), *options],
             cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            stdin=subprocess.DEVNULL, env=child_environment(),
+            stdin=subprocess.DEVNULL, env={**child_environment(), **environment(0)},
         )
         assert self.process.stdout is not None
         ready = self.process.stdout.readline()
@@ -121,8 +108,7 @@ class Simulator(Workbench):
         self.ports = [int(port) for port in _PLACE.findall(ready)]
         self.workbench = f"tcp://127.0.0.1:{self.ports[-1]}"
         self.output, self.errors = "", ""
-        known = SITE_FAULTS if module == "site_simulator" else FAULTS
-        super().__init__(parse_address(self.workbench), known, PATIENCE_S)
+        super().__init__(parse_address(self.workbench), PATIENCE_S)
 
     def end(self) -> int:
         """End it by Ctrl-C and return its exit code."""
@@ -138,14 +124,6 @@ class Simulator(Workbench):
         code = self.end()
         if kind is None:
             assert (code, self.errors) == (0, "")
-
-
-def refusal(monkeypatch: pytest.MonkeyPatch, module: ModuleType, *options: str) -> str:
-    """Return a simulator's error message for wrong options."""
-    monkeypatch.setattr(sys, "argv", [module.__name__, *options])
-    with pytest.raises(ConfigurationError) as caught:
-        module.main.__wrapped__()
-    return str(caught.value)
 
 
 def until(condition: Callable[[], object], seconds: float = 60.0) -> float:

@@ -69,7 +69,7 @@ def test_each_command_has_its_help_and_imports_little_for_it(tmp_path: Path) -> 
 
 @pytest.mark.parametrize(("words", "suggestion"), [
     (["check_pump"], "check_pump; did you mean check-pump?"),
-    (["simulators", "drvie"], "simulators drvie; did you mean simulators drive?"),
+    (["simulators", "siet"], "simulators siet; did you mean simulators site?"),
     (["launch", "--help"], f"launch; choose from {', '.join(COMMANDS)}"),
 ])
 def test_what_is_no_command_is_refused(tmp_path: Path, words: list[str], suggestion: str) -> None:

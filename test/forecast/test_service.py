@@ -2,9 +2,6 @@
 
 import json
 import os
-import signal
-import subprocess
-import sys
 import tempfile
 import threading
 from contextlib import contextmanager
@@ -19,6 +16,7 @@ import numpy as np
 import pytest
 from commands import run_command
 from disks import fill, small_disk
+from forecast_service import ForecastService
 from graphs import environment
 from places import CONFIG
 from refusals import refusal
@@ -36,7 +34,6 @@ from greenroof_ros.formats.open_meteo import VARIABLES
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.formats.records import HOUR, PRECIPITATION, TEMPERATURE, Issue
-from greenroof_ros.live.simulators.forecast_service import ForecastService
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import FILL
@@ -234,24 +231,13 @@ def test_a_place_that_is_unknown():
     refusal(Service, nowhere, match="longitude: must be in the site file")
 
 
-def test_the_command_and_the_simulator_of_a_service(tmp_path):
-    with subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros", "simulators", "forecast", "--port", "0"],
-        stdout=subprocess.PIPE, text=True,
-        # As a shell starts it in a script's background.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
-    ) as simulator:
-        try:
-            url = simulator.stdout.readline().split()[-1]
-            asked = ("fetch_forecast", "--url", url, "--ensemble")
-            ended = run_command(*asked, cwd=tmp_path, env=environment(0))
-            assert ended.returncode == 0, ended.stderr
-            assert "11 members; forecasts by Open-Meteo.com, CC BY 4.0" in ended.stdout
-            assert len(read_forecasts(tmp_path / "forecast.csv")[0].rain) == 11
-            simulator.send_signal(signal.SIGINT)
-            assert simulator.wait(300) == 0
-        finally:
-            simulator.kill()
+def test_the_command(server, tmp_path):
+    asked = ("fetch_forecast", "--url", f"{server.address}/v1/ensemble", "--ensemble")
+    ended = run_command(*asked, cwd=tmp_path, env=environment(0))
+    assert ended.returncode == 0, ended.stderr
+    assert "11 members; forecasts by Open-Meteo.com, CC BY 4.0" in ended.stdout
+    assert len(read_forecasts(tmp_path / "forecast.csv")[0].rain) == 11
+    server.fault = "error"
     ended = run_command(*asked, cwd=tmp_path, env=environment(0))
     assert ended.returncode == 1
     assert ended.stdout.startswith("no forecast: ")

@@ -22,6 +22,7 @@ from typing import Any
 
 import pytest
 from disks import disk_that_hangs, fill, small_disk
+from forecast_service import ForecastService
 from modbus_wire import Wire
 from places import CONFIG
 from rcl_interfaces.srv import SetParameters
@@ -46,7 +47,6 @@ from ros_rig import (
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from greenroof_ros.live.devices.sensor_file import QUANTITIES
-from greenroof_ros.live.simulators.forecast_service import ForecastService
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch.alarms import advise

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from greenroof_ros.live.simulators.faults import DEFAULT
-from greenroof_ros.live.simulators.forecast_service import FAULTS, NONE
+from forecast_service import FAULTS, NONE
+from rig_simulators import DEFAULT
 
 SIMULATED, LOOP, LIVE = "simulated", "hardware in the loop", "live"
 WAYS = (SIMULATED, LOOP, LIVE)

@@ -7,10 +7,12 @@ import contextlib
 import socket
 import threading
 import time
+from functools import partial
+
+from rig_simulators import FAULTS, ActiveFault, FaultyConnection
 
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine
-from greenroof_ros.live.simulators import faults
-from greenroof_ros.live.simulators.server import ActiveFault, Device, Server
+from greenroof_ros.live.simulators.server import Device, Server
 
 
 class Line:
@@ -26,14 +28,17 @@ class Line:
         self._fault = ActiveFault()
         self._level: dict[int, int] = {}
         device = Device(lambda: self._level, on_request=self._request)
-        self._server = Server(Address("127.0.0.1", port), {1: device}, fault=self._fault)
+        self._server = Server(
+            Address("127.0.0.1", port), {1: device},
+            connection=partial(FaultyConnection, fault=self._fault),
+        )
         self._ended = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
         self._thread.start()
 
     def inject(self, fault: str) -> None:
         """Start a fault with its default parameter; it also affects existing connections."""
-        self._fault.parameter = faults.DRIVE_FAULTS[fault].default
+        self._fault.parameter = FAULTS[fault]
         self._fault.name = fault
 
     def close(self) -> None:
@@ -42,7 +47,10 @@ class Line:
 
     async def _serve(self) -> None:
         while not self._ended.is_set():
-            await self._server.set_open(self._fault.name != "refused")
+            if self._fault.name == "refused":
+                self._server.close()
+            else:
+                await self._server.open()
             await asyncio.sleep(0.02)
         self._server.close()
         self._behind.close()

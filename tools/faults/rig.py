@@ -33,11 +33,12 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.live.devices.modbus_line import Address, parse_address
-from greenroof_ros.live.simulators.control_profiles import AbbDrives
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
 
 START_S = 60.0
+# Time after its power-up for which an ABB's own timeout is not effective (s).
+_UNGUARDED_S = 30.0
 # Time from the simulated drive's power-up until it answers (s).
 BOOT_S = 2.0
 # Parameters that differ from their defaults, so that a stopped pump runs again soon. No bound
@@ -224,7 +225,7 @@ class Rig:
         """
         if self.as_shipped or self.drive_name != "abb_acs880":
             return
-        until = self.drive.powered_at + BOOT_S + AbbDrives.UNGUARDED_S
+        until = self.drive.powered_at + BOOT_S + _UNGUARDED_S
         time.sleep(max(0.0, until - time.monotonic()))
 
     def until_running(self, seconds: float = START_S, steady_s: float = 0.0) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from faults.cases import Case
 from faults.live import Outcome
+from forecast_service import NONE, ForecastService
 from places import CONFIG
 from pump_rig import settings_for
 
@@ -23,7 +24,6 @@ from greenroof_ros.forecast.service import Fetcher, ForecastFiles, Service
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.pump_control import PumpControl
 from greenroof_ros.live.pumping.pump_inputs import Observation
-from greenroof_ros.live.simulators.forecast_service import NONE, ForecastService
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import FILL

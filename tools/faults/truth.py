@@ -9,10 +9,10 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 
-from simulators import FAULTS, Workbench
+from rig_simulators import DEFAULT, FAULTS
+from simulators import Workbench
 
 from greenroof_ros.live.devices.modbus_line import Address, DriveError
-from greenroof_ros.live.simulators.faults import DEFAULT, SITE_FAULTS
 
 _PERIOD_S = 0.05
 # Six minutes of samples, longer than the longest case.
@@ -33,7 +33,7 @@ class Truth:
         self.maximum = 0.0
         self.samples: deque[tuple[float, float]] = deque(maxlen=_CAPACITY)  # time (s), speed
         self._drive = Workbench(drive)
-        self._site = None if site is None else Workbench(site, SITE_FAULTS)
+        self._site = None if site is None else Workbench(site)
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._sample, daemon=True)

@@ -37,7 +37,6 @@ class AbbDrives(SimulatedDrive):
     DELIVERED = (30, 0)  # 58.16 3.0 s, 58.14 No action
     TRIPS = (1, 4)  # with others it warns at most, and the motor runs on
     LOSS: ClassVar = {"serial": 0x6681}
-    UNGUARDED_S = 30.0
     RESET = 0x0080
     INITIAL = _Abb.INHIBITED
     EXTRA: ClassVar = {"refresh": 5805}  # 58.06 Communication control

@@ -1,19 +1,17 @@
-"""A simulated drive: what all makes have in common, registers, ramp, faults and timeout.
+"""A simulated drive: what all makes have in common, registers, ramp and timeout.
 
 A subclass in `control_profiles` adds what a make does with its control word. A `SimulatedDrive`
-does not wait or speak Modbus, and gets the time from a clock. A `DriveBench` runs one in real time,
-on its own port or line, with a workbench next to it.
+does not wait or speak Modbus, and gets the time from a clock; `drive_server` puts it on the wire.
 """
 
 from __future__ import annotations
 
-import asyncio
 import enum
 import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from pymodbus.constants import ExcCodes
@@ -21,19 +19,12 @@ from pymodbus.constants import ExcCodes
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.devices.drive_file import DriveFile, Register
 from greenroof_ros.live.devices.modbus_line import SIMULATOR, Address, decode, encode
-from greenroof_ros.live.simulators import faults
-from greenroof_ros.live.simulators.server import Bench, Device, PseudoLine, Server
-from greenroof_ros.model.initial_state import default_state
-from greenroof_ros.model.pump_speed import flow_at
-from greenroof_ros.model.site import Site
+from greenroof_ros.live.simulators.server import Device, Server
 
 _RATED_RPM = 1500
 _RATED_FREQUENCY = 500
 """0.1 Hz"""
 _AT_SPEED = 0.01
-_STUCK_AT = 0.5
-# Interval at which a bench moves its drive (s); the name of the line that is a pseudo-terminal.
-_STEP_S, _PTY = 0.01, "pty"
 
 
 class Motion(enum.Enum):
@@ -52,17 +43,13 @@ class DriveSettings:
     Attributes:
         ramp_s: from rest to rated speed, and back (s).
         coast_s: from rated speed to rest without torque (s).
-        boot_s: from power-up until it answers (s).
         timeout_s: its communication timeout (s), which then stops it, rounded to the steps of
             its register; None for the factory setting.
-        speed: ramps and coasting are faster by this factor; no other time is.
     """
 
     ramp_s: float = 5.0
     coast_s: float = 2.0
-    boot_s: float = 3.0
     timeout_s: float | None = 5.0
-    speed: float = 1.0
 
 
 class SimulatedDrive(ABC):
@@ -90,8 +77,6 @@ class SimulatedDrive(ABC):
     """actions of the timeout that trip the drive; the first is the one that is set"""
     LOSS: ClassVar[Mapping[str, int]] = {}
     """code, or bits, of the fault after the timeout of each interface"""
-    UNGUARDED_S: ClassVar[float] = 0.0
-    """the timeout is not effective for this long after power-up (s)"""
     RESET: ClassVar[int]
     """bit of the control word whose rising edge resets a fault"""
     INITIAL: ClassVar[Any] = None
@@ -128,10 +113,8 @@ class SimulatedDrive(ABC):
         self.word = 0
         self.loss = self.LOSS.get(interface, 0)
         self.fault = self.last_fault = 0
-        self._active_fault, self._parameter = faults.NONE, 0
         self._file, self._clock = file, clock
-        self._at = self._answers_from = clock()
-        self._guarded_from = -math.inf
+        self._at = clock()
         self._last_request: float | None = None
         self._registers = {
             name: Register(address, address, "uint16", name, "none")
@@ -206,7 +189,7 @@ class SimulatedDrive(ABC):
     def control(self, word: int) -> None:
         """Obey a control word."""
         rising, self.word = word & ~self.word, word
-        if rising & self.RESET and self.fault and self._active_fault != "drive_fault":
+        if rising & self.RESET and self.fault:
             self.trip(0)
         elif not self.fault and not self.local:
             self.state = self.next_state()
@@ -263,8 +246,6 @@ class SimulatedDrive(ABC):
         if loss <= now:
             self._move(loss)
             self.lost = True
-            if self._active_fault == "runs_on":
-                self._active_fault = faults.NONE
             self.communication_lost()
             self.log(
                 f"communication timeout: nothing for {loss - (self._last_request or 0):.3g} s; "
@@ -272,46 +253,34 @@ class SimulatedDrive(ABC):
             )
         self._move(now)
 
-    @property
-    def answers(self) -> bool:
-        """Whether it has power and has booted."""
-        return self._clock() >= self._answers_from
-
     def _loss_at(self) -> float:
         """Return when the timeout passes if nothing more arrives; infinity if it does not."""
         raw, _ = self.guard
         if self._last_request is None or self.lost or raw == 0 or raw in self.timeout.off_values:
             return math.inf
         seconds = raw * self._registers[self.timeout.register].scale
-        return max(self._last_request + seconds, self._guarded_from)
+        return self._last_request + seconds
 
     def _move(self, now: float) -> None:
         """Turn the motor until this time."""
         step = max(0.0, now - self._at)
         self._at = max(now, self._at)
-        motion = self.motion if self._at >= self._answers_from else Motion.COAST
-        if self._ignores_stop:
-            self.standstill()  # only its state machine believes so
-            return
-        stays = self._active_fault in ("speed_stays", "stuck_running") or motion is Motion.HOLD
-        if not stays:
-            setpoint = self.setpoint if motion is Motion.FOLLOW else 0.0
-            full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
-            reach = self.settings.speed * step / full if full else math.inf
-            self.speed += min(max(setpoint - self.speed, -reach), reach)
+        self.turn(step, self.motion)
         if not self.speed:
             self.standstill()
 
-    @property
-    def _ignores_stop(self) -> bool:
-        """Whether it is ordered to stop and reports that it is off, but runs on."""
-        off = self.motion is not Motion.FOLLOW or not self.setpoint
-        return self._active_fault == "runs_on" and off and self._at >= self._answers_from
+    def turn(self, step: float, motion: Motion) -> None:
+        """Change the speed for a time (s)."""
+        if motion is not Motion.HOLD:
+            setpoint = self.setpoint if motion is Motion.FOLLOW else 0.0
+            full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
+            reach = step / full if full else math.inf
+            self.speed += min(max(setpoint - self.speed, -reach), reach)
 
     @property
     def moving(self) -> bool:
         """Whether the motor turns, as the drive reports it."""
-        return self.speed > 0 and not self._ignores_stop
+        return self.speed > 0
 
     @property
     def at_speed(self) -> bool:
@@ -347,8 +316,6 @@ class SimulatedDrive(ABC):
         self.write_raw("status", self.status())
         self.write_raw(self._file.faults.register, self.fault_register)
         self.write_raw("speed", self.speed / self._unit(self._registers["speed"]))
-        if self._active_fault == "absurd_value":
-            self._words |= dict.fromkeys(self._addresses("speed"), self._parameter)
         if "flow" in self._registers:
             self.write_raw("flow", self.flow(self.speed) / self._registers["flow"].scale)
         return self._words
@@ -389,147 +356,19 @@ class SimulatedDrive(ABC):
         self.lost = False
         self._last_request = self._at
 
-    # --- the workbench ----------------------------------------------------------------------------
 
-    def inject(self, name: str, parameter: int) -> None:
-        """Replace the present fault of the drive; a trip remains until it is reset.
+def drive_server(drive: SimulatedDrive, file: DriveFile, address: Address) -> Server:
+    """Return the server of a drive: its TCP port, or its serial line.
 
-        Args:
-            name: of one of `faults.DRIVE_FAULTS`; faults of the wire change nothing here.
-            parameter: of it.
-        """
-        self.advance()
-        self._active_fault, self._parameter = name, parameter
-        match name:
-            case "drive_fault":
-                codes = self._file.faults
-                first = next(iter(codes.texts), 1)
-                code = parameter or (1 << first if codes.kind == "bits" else first)
-                self.trip(code)
-                self.log(f"trips: {codes.text(code)}")
-            case "stuck_running":  # as with a welded contactor
-                self.speed = parameter * faults.SPEED_UNIT or self.speed or _STUCK_AT
-            case "power_cycle":
-                self.power_cycle()
-            case "timeout_off":  # as someone could at the panel
-                if self.timeout.action is not None:
-                    self.write_raw(self.timeout.action.register, min(self.timeout.action.runs_on))
-                else:
-                    self.write_raw(self.timeout.register, min(self.timeout.off_values, default=0))
-                self.apply_settings()
-
-    def power_cycle(self) -> None:
-        """Lose power for a moment: the motor coasts, and nothing answers until it has booted."""
-        self.advance()
-        self._answers_from = self._at + self.settings.boot_s
-        self._guarded_from = self._answers_from + self.UNGUARDED_S
-        self._last_request = None
-        self.lost = False
-        if self._active_fault != "drive_fault":
-            self.trip(0)
-        for name in self._commands:
-            self.write_raw(name, 0)
-        self.power_up()
-        self.log(f"power cycle: answers again in {self.settings.boot_s:g} s")
-
-    def set_local(self, local: bool) -> None:
-        """Set local control at the panel, or return control to the bus."""
-        self.advance()
-        self.local = local
-
-
-class DriveBench(Bench):
-    """Runs a simulated drive.
-
-    Attributes:
+    Args:
         drive: the drive.
+        file: its drive file.
+        address: as the pump node is given it; port 0 takes a free one.
     """
 
-    def __init__(
-        self, make: type[SimulatedDrive], file: DriveFile, settings: DriveSettings,
-        address: Address, workbench: Address, site: Site,
-    ) -> None:
-        """Prepare the bench without opening anything.
-
-        Args:
-            make: class of the drive, from `control_profiles.profile_of`.
-            file: drive file of that make.
-            settings: of the drive.
-            address: TCP port or serial line of the drive; port 0 takes a free one, and the line
-                ``pty`` is a pseudo-terminal. If the file has no timeout for an Ethernet port, the
-                TCP port is a gateway's.
-            workbench: TCP port of the workbench; port 0 takes a free one.
-            site: for the flow of drives that report it. Until the workbench gets another level, the
-                cistern has the level with which runs start by default.
-
-        Raises:
-            ConfigurationError: the drive file has no timeout for the interface that is reached.
-        """
-        super().__init__(faults.DRIVE_FAULTS, workbench)
-        self._line = PseudoLine() if address.line == _PTY else None
-        reached = address if self._line is None else Address(line=self._line.ends[0])
-        self._reached = replace(reached, gateway=not reached.line and file.timeout.tcp is None)
-        self._device_id = file.device_id_at(self._reached)
-        self.drive = make(file, settings, interface=self._reached.interface)
-        self.drive.log = self.log
-        self.drive.flow = lambda speed: flow_at(
-            site, speed, self.registers[faults.CISTERN_LEVEL] * faults.LEVEL_UNIT
-        )
-        level = site.cistern_level(default_state(site)[1][0])
-        self.registers |= {
-            faults.POWER_CYCLE: 0, faults.LOCAL: 0,
-            faults.CISTERN_LEVEL: round(level / faults.LEVEL_UNIT),
-        }
-        device = Device(self.drive.registers, self.drive.write, self._on_request)
-        self.servers.append(
-            Server(reached, {self._device_id: device}, file.serial, self.fault, SIMULATOR)
-        )
-
-    @property
-    def addresses(self) -> str:
-        """The address of the drive, behind a gateway if it has no Ethernet port of its own."""
-        address = replace(self.servers[0].address, gateway=self._reached.gateway)
-        end = self._line.ends[1] if self._line is not None else address
-        return f"drive {end}, device {self._device_id}"
-
-    def inject(self, name: str, parameter: int) -> bool:
-        """Replace the present fault, of the wire or of the drive."""
-        codes = [faults.DEFAULT, *ExcCodes]
-        if name in ("exception", "refused_writes") and parameter not in codes:
-            return False
-        super().inject(name, parameter)
-        self.drive.inject(name, self.fault.parameter)
+    def on_request(register: int) -> bool:
+        drive.on_request()
         return True
 
-    async def run(self, ended: asyncio.Event) -> None:
-        """Run the drive until the end."""
-        if self._line is not None:
-            self._line.join()
-        while not ended.is_set():
-            self.drive.advance()
-            # The drive's port is open while it has power and does not refuse.
-            await self.servers[0].set_open(self._answers)
-            await asyncio.sleep(_STEP_S)
-
-    @property
-    def _answers(self) -> bool:
-        return self.drive.answers and self.fault.name != "refused"
-
-    def _on_request(self, register: int) -> bool:
-        if self._answers:
-            self.drive.on_request()
-        return self._answers
-
-    def read_registers(self) -> Mapping[int, int]:
-        """Return the registers of the workbench, with the true speed."""
-        self.drive.advance()
-        return self.registers | {faults.SPEED: round(self.drive.speed / faults.SPEED_UNIT)}
-
-    def write_register(self, register: int, value: int) -> None:
-        """Write a register: interrupt the power, or set local control."""
-        if register == faults.POWER_CYCLE and value:
-            self.drive.power_cycle()
-        elif register == faults.LOCAL:
-            self.drive.set_local(bool(value))
-        if register != faults.POWER_CYCLE:
-            self.registers[register] = value
+    device = Device(drive.registers, drive.write, on_request)
+    return Server(address, {file.device_id_at(address): device}, file.serial, SIMULATOR)

@@ -17,9 +17,7 @@ from typing import Any, ClassVar
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import Broker, make_client
-from greenroof_ros.live.devices.modbus_line import SIMULATOR, Address
-from greenroof_ros.live.simulators import faults
-from greenroof_ros.live.simulators.server import Bench
+from greenroof_ros.live.devices.modbus_line import SIMULATOR
 
 _STEP_S = 0.01
 # A topic, and the payload that is published there.
@@ -34,8 +32,6 @@ class SimulatedRelay(ABC):
         timer_s: its timer as set (s); None for off.
         on_after_power_up: whether it is set to be on after power-up.
         auto_on: whether it is set to switch itself on again.
-        deaf: whether it ignores orders, so only its timer switches it.
-        welded: whether its contact no longer opens, once it was closed.
         log: reports what happens, for people.
     """
 
@@ -54,32 +50,27 @@ class SimulatedRelay(ABC):
             as_delivered: whether its other settings are the maker's defaults.
             clock: returns the time (s).
         """
-        self.on = self.deaf = self.welded = False
+        self.on = False
         self.timer_s, self.on_after_power_up = timer_s, as_delivered
         self.auto_on = False
         self.log: Callable[[str], None] = lambda text: None
         self._device, self._clock = device, clock
         self._off_at = math.inf
-        self._stuck = False
 
     @property
-    def closed(self) -> bool:
-        """Whether the contact is closed."""
-        self.advance()
-        return self.on or self._stuck
+    def speed(self) -> float:
+        """Speed of the pump behind its contact (share of rated)."""
+        return float(self.on)
 
     def advance(self) -> None:
         """Simulate up to now."""
         if self._clock() >= self._off_at:
             self._set(False)
             self.log("its timer has expired: off")
-        self._stuck = self.welded and (self._stuck or self.on)
 
     def switch(self, on: bool, seconds: float | None) -> None:
-        """Switch it on or off, unless it is deaf; on for a time (s), or None for no limit."""
+        """Switch it on or off; on for a time (s), or None for no limit."""
         self.advance()
-        if self.deaf:
-            return
         if on != self.on:
             self.log("on" if on else "off")
         self._set(on)
@@ -88,11 +79,6 @@ class SimulatedRelay(ABC):
 
     def _set(self, on: bool) -> None:
         self.on, self._off_at = on, math.inf
-
-    def power_up(self) -> None:
-        """Start in the state that is set for power-up."""
-        self._set(self.on_after_power_up)
-        self._off_at = self._clock() + self.timer_s if self.on and self.timer_s else math.inf
 
     @abstractmethod
     def receive(self, topic: str, payload: str) -> Iterator[Published]:
@@ -209,111 +195,56 @@ def relay_of(make: str) -> type[SimulatedRelay]:
     return _MAKES[make]
 
 
-class RelayBench(Bench):
-    """Runs a simulated relay.
+class RelayOnBroker:
+    """A simulated relay at a broker; it reconnects.
 
     Attributes:
         relay: the relay.
+        client: of the broker.
     """
 
-    def __init__(
-        self, relay: SimulatedRelay, broker: Broker, device: str, boot_s: float, workbench: Address
-    ) -> None:
-        """Prepare the bench without opening anything.
+    def __init__(self, relay: SimulatedRelay, broker: Broker, device: str) -> None:
+        """Prepare the client without connecting.
 
         Args:
-            relay: the relay to run.
-            broker: to which it connects, and reconnects.
+            relay: the relay.
+            broker: to which it connects.
             device: its own topic there.
-            boot_s: from power-up until it answers (s).
-            workbench: TCP port of the workbench; port 0 takes a free one.
 
         Raises:
             ConfigurationError: there is no MQTT library, or a file for the login is wrong.
         """
-        super().__init__(faults.RELAY_FAULTS, workbench)
-        self.relay, self._boot_s = relay, boot_s
-        relay.log = self.log
-        # The simulated site writes the level to every drive; a relay has no use for it.
-        self.registers |= {faults.POWER_CYCLE: 0, faults.LOCAL: 0, faults.CISTERN_LEVEL: 0}
-        self._broker, self._device = broker, device
+        self.relay, self._broker, self._device = relay, broker, device
         self._topics = [topic.format(device) for topic in relay.TOPICS]
-        self._client = make_client(
+        self.client = make_client(
             broker, f"greenroof_ros-simulated-{secrets.token_hex(6)}", self._subscribe,
             self._on_message,
         )
-        self._answers_from = -math.inf
 
-    @property
-    def addresses(self) -> str:
-        """The address of the relay."""
-        return f"drive {self._broker}/{self._device}, relay"
+    def __str__(self) -> str:
+        """Return the address of the relay."""
+        return f"{self._broker}/{self._device}"
 
     async def run(self, ended: asyncio.Event) -> None:
         """Run the relay until the end."""
         self._loop = asyncio.get_running_loop()
-        self._client.loop_start()
+        self.client.loop_start()
         try:
             while not ended.is_set():
                 self.relay.advance()
                 await asyncio.sleep(_STEP_S)
         finally:
-            self._client.disconnect()
-            self._client.loop_stop()
-
-    def read_registers(self) -> Mapping[int, int]:
-        """Return the registers of the workbench, with the true speed."""
-        speed = round(self.relay.closed / faults.SPEED_UNIT)
-        return self.registers | {faults.SPEED: speed}
-
-    def write_register(self, register: int, value: int) -> None:
-        """Write a register: interrupt the power, or switch the relay by its button."""
-        if register == faults.POWER_CYCLE and value:
-            self._power_cycle()
-        elif register == faults.LOCAL:
-            self.relay.switch(bool(value), self.relay.timer_s)
-        else:
-            super().write_register(register, value)
-
-    def inject(self, name: str, parameter: int) -> bool:
-        """Replace the present fault, of the connection or of the relay."""
-        super().inject(name, parameter)
-        relay = self.relay
-        relay.advance()
-        relay.deaf, relay.welded = name == "deaf", name == "welded"
-        match name:
-            case "power_cycle":
-                self._power_cycle()
-            case "timer_off":
-                relay.timer_s = None
-            case "timer_long":
-                relay.timer_s = float(self.fault.parameter)
-            case "auto_on":
-                relay.auto_on = True
-            case "power_up_on":
-                relay.on_after_power_up = True
-        return True
-
-    def _power_cycle(self) -> None:
-        self._answers_from = time.monotonic() + self._boot_s
-        self.relay.power_up()
-        self.log(f"power cycle: answers again in {self._boot_s:g} s")
-
-    # --- messages ---------------------------------------------------------------------------------
+            self.client.disconnect()
+            self.client.loop_stop()
 
     def _subscribe(self) -> None:
-        self._client.subscribe([(topic, 0) for topic in self._topics])
+        self.client.subscribe([(topic, 0) for topic in self._topics])
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         """Pass a message from the client's thread to the event loop."""
-        self._loop.call_soon_threadsafe(self._receive, topic, payload)
+        self._loop.call_soon_threadsafe(self.receive, topic, payload)
 
-    def _receive(self, topic: str, payload: bytes) -> None:
-        if time.monotonic() < self._answers_from:
-            return
-        late_s = self.fault.parameter / 1000 if self.fault.name == "late" else 0.0
-        for answer_topic, answer in self.relay.receive(topic, payload.decode(errors="replace")):
-            if self.fault.name == "garbage":
-                answer = secrets.token_bytes(self.fault.parameter).decode("latin-1")
-            if self.fault.name != "silence":
-                self._loop.call_later(late_s, self._client.publish, answer_topic, answer)
+    def receive(self, topic: str, payload: bytes) -> None:
+        """Answer a message."""
+        for answer in self.relay.receive(topic, payload.decode(errors="replace")):
+            self.client.publish(*answer)

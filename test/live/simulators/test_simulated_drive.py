@@ -6,7 +6,6 @@ The driver shows how each make obeys; test_wire.py checks the driver's words aga
 from __future__ import annotations
 
 import re
-import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, nullcontext, suppress
@@ -17,9 +16,9 @@ import pytest
 from graphs import free_ports
 from paper import PAPER_SITE
 from places import guarding
-from simulators import DEFAULT, Simulator, refusal, until
+from rig_simulators import DEFAULT, DriveBench, FaultyDrive, faulty_drive
+from simulators import Simulator, until
 
-from greenroof_ros.commands import drive_simulator
 from greenroof_ros.live.devices.drive import Drive, DriveEndpoint
 from greenroof_ros.live.devices.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.live.devices.exchange import DriveExchange
@@ -29,29 +28,18 @@ from greenroof_ros.live.devices.modbus_line import (
     parse_address,
     parse_drive_address,
 )
-from greenroof_ros.live.simulators.control_profiles import profile_of
-from greenroof_ros.live.simulators.simulated_drive import DriveBench, DriveSettings, SimulatedDrive
+from greenroof_ros.live.simulators.simulated_drive import DriveSettings
 
 FREE = ("--port", "0", "--workbench", "0")
 
 
-def make_of(name: str, clock: Callable[[], float], **settings: float | None) -> SimulatedDrive:
+def make_of(name: str, clock: Callable[[], float], **settings: float | None) -> FaultyDrive:
     """Return a drive that is not on any wire."""
     file = read_drive_file(find_drive_file(name))
-    return profile_of(file.make)(file, DriveSettings(**settings), clock)  # type: ignore[arg-type]
+    return faulty_drive(file, DriveSettings(**settings), clock=clock)  # type: ignore[arg-type]
 
 
 # --- settings -------------------------------------------------------------------------------------
-
-
-def test_a_factor_makes_the_motor_faster() -> None:
-    """Coasting takes 40 s from rated speed: at 100 times, 0.25 of it takes 0.1 s."""
-    now = [0.0]
-    drive = make_of("danfoss_fc202", lambda: now[0], coast_s=40.0, speed=100.0)
-    drive.speed = 0.5
-    now[0] = 0.1
-    drive.advance()
-    assert drive.speed == pytest.approx(0.25)
 
 
 def test_a_drive_that_reports_its_flow_follows_the_sites_curve() -> None:
@@ -61,7 +49,7 @@ def test_a_drive_that_reports_its_flow_follows_the_sites_curve() -> None:
     """
     file, free = read_drive_file(find_drive_file("grundfos_cim500")), Address("127.0.0.1", 0)
     settings = DriveSettings(ramp_s=1e6)
-    bench = DriveBench(profile_of(file.make), file, settings, free, free, PAPER_SITE)
+    bench = DriveBench(file, settings, free, free, PAPER_SITE)
     bench.drive.speed = 0.5
     assert bench.drive.registers()[301] == 15
     bench.write_register(5, 30_000)
@@ -95,7 +83,8 @@ def test_as_delivered_the_timeout_is_the_makers_and_off_is_read_back(
 def test_abb_guards_nothing_for_30_s_after_power_up() -> None:
     """Power-up at 10 s, boot until 12 s, so guarded from 42 s on; fault 0x6681 in 04.01."""
     now = [10.0]
-    drive = make_of("abb_acs880", lambda: now[0], boot_s=2.0, timeout_s=3.0, ramp_s=1.0)
+    drive = make_of("abb_acs880", lambda: now[0], timeout_s=3.0, ramp_s=1.0)
+    drive.boot_s = 2.0
     drive.power_cycle()
     for now[0], answers in ((11.99, False), (12.0, True), (13.0, True)):
         assert drive.answers is answers
@@ -112,10 +101,10 @@ def test_abb_guards_nothing_for_30_s_after_power_up() -> None:
 
 @pytest.fixture(scope="module")
 def shared() -> Iterator[Simulator]:
-    """A drive with its workbench at the default port."""
+    """A drive on TCP."""
     port = free_ports(1)[0]
     with Simulator("drive_simulator", "--drive", "abb_acs880", "--port", str(port)) as drive:
-        assert drive.ports == [port, port + 1]
+        assert drive.ports[0] == port
         yield drive
 
 
@@ -220,23 +209,6 @@ def test_rtu_over_a_pseudo_terminal() -> None:
                 driver.read()
             time.sleep(0.5)
             assert driver.read().at_rest
-
-
-def test_wrong_options_are_refused_with_what_would_be_right(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    refused = partial(refusal, monkeypatch, drive_simulator, "--drive", "abb_acs880")
-    assert "must be one of none, refused" in refused("--fault", "smoke")
-    assert "--fault = 'slw=3': is unknown; did you mean slow?" in refused("--fault", "slw=3")
-    assert "silence has no parameter" in refused("--fault", "silence=3")
-    assert "whole number from 0 to 65534" in refused("--fault", "late=soon")
-    assert "is not an exception code" in refused(*FREE, "--fault", "exception=99")
-    copy = tmp_path / "own.yaml"
-    copy.write_text(find_drive_file("abb_acs880").read_text().replace("make: ABB", "make: Hoover"))
-    assert "make = 'Hoover': cannot be simulated" in refused("--drive", str(copy))
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port = str(listener.getsockname()[1])
-        assert "another program uses the port" in refused("--port", port, "--workbench", "0")
 
 
 # --- with the driver, by the drive files ----------------------------------------------------------

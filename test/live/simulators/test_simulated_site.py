@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import csv
+import signal
 import time
 from contextlib import ExitStack, closing
 from dataclasses import replace
@@ -11,18 +12,19 @@ from pathlib import Path
 
 import pytest
 from brokers import mosquitto, needs_mosquitto
-from graphs import free_ports
+from graphs import Process, free_ports
 from paper import PAPER_SITE
 from places import CONFIG
-from simulators import Simulator, refusal, until
+from rig_simulators import DEFAULT, SiteBench
+from simulators import Simulator, until
 
-from greenroof_ros.commands import site_simulator
+from greenroof_ros.live.devices.drive_file import find_drive_file
+from greenroof_ros.live.devices.endpoint import read_endpoint
+from greenroof_ros.live.devices.exchange import DriveExchange
 from greenroof_ros.live.devices.modbus_line import Address
 from greenroof_ros.live.devices.modbus_sensor import ModbusReader, SensorLine
 from greenroof_ros.live.devices.mqtt_sensor import MqttReader
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensors, read_sensors
-from greenroof_ros.live.simulators.faults import DEFAULT
-from greenroof_ros.live.simulators.simulated_site import SiteBench
 
 SENSORS = read_sensors(CONFIG / "sensors.yaml")
 
@@ -30,8 +32,7 @@ SENSORS = read_sensors(CONFIG / "sensors.yaml")
 def site_of(rain: float, sensors: Sensors = SENSORS) -> SiteBench:
     """Return a site with 2 m in the cistern and 5 cm on the roof, a thousand times as fast."""
     return SiteBench(
-        PAPER_SITE, [rain], [0.0], (50.0, 3.44), sensors, Address("127.0.0.1", 0), None, 1000.0,
-        None,
+        PAPER_SITE, [rain], [0.0], (50.0, 3.44), sensors, Address("127.0.0.1", 0), factor=1000.0
     )
 
 
@@ -41,7 +42,7 @@ def run_to(bench: SiteBench, tick: int) -> None:
     async def passing() -> None:
         ended = asyncio.Event()
         running = asyncio.create_task(bench.run(ended))
-        while bench.tick < tick:
+        while bench.site.tick < tick:
             await asyncio.sleep(0.001)
         ended.set()
         await running
@@ -136,14 +137,13 @@ def read_once(sensor: ModbusSensor) -> float:
         return reader.snapshot.value
 
 
-def test_a_leak(capsys: pytest.CaptureFixture[str]) -> None:
-    """2000 ml/s from 25 m2 are 0.08 mm/s. Without a drive it reports that the pump never runs."""
+def test_a_leak() -> None:
+    """2000 ml/s from 25 m2 are 0.08 mm/s."""
     bench = site_of(0.0)
     bench.inject("leak", 2000)
     run_to(bench, 200)
-    assert bench.plant.levels()[0] == pytest.approx(2 - bench.tick * 8e-5, rel=1e-9)
-    assert bench.pumped == 0
-    assert "no drive is connected: the pump never runs" in capsys.readouterr().out
+    assert bench.site.plant.levels()[0] == pytest.approx(2 - bench.site.tick * 8e-5, rel=1e-9)
+    assert bench.site.pumped == 0
 
 
 def test_sensor_faults_change_what_one_sensor_reports_and_no_level() -> None:
@@ -153,24 +153,24 @@ def test_sensor_faults_change_what_one_sensor_reports_and_no_level() -> None:
 
     def error() -> float:
         """Return the error of the roof's sensor (counts)."""
-        return roof.read()[0] - bench.plant.levels()[1] * 1e4
+        return roof.read()[0] - bench.site.plant.levels()[1] * 1e4
 
     run_to(bench, 20)
     assert error() == pytest.approx(0, abs=1)
     bench.inject("roof_frozen", DEFAULT)
-    frozen, began = roof.read()[0], bench.tick
+    frozen, began = roof.read()[0], bench.site.tick
     run_to(bench, began + 40)
     assert roof.read()[0] == frozen
-    assert error() == pytest.approx((began - bench.tick) / 2, abs=1)
+    assert error() == pytest.approx((began - bench.site.tick) / 2, abs=1)
     bench.inject("roof_absurd", 1234)
     assert roof.read()[0] == 1234
     bench.inject("roof_noisy", 200)
     errors = [error() for _ in range(40)]
     assert 60 < max(errors) < 1200 and -1200 < min(errors) < -60
     bench.inject("roof_drifting", 600)  # 10 counts a second of the site's time
-    began = bench.tick
+    began = bench.site.tick
     run_to(bench, began + 60)
-    assert error() == pytest.approx(10 * (bench.tick - began), abs=1)
+    assert error() == pytest.approx(10 * (bench.site.tick - began), abs=1)
     bench.inject("roof_silent", DEFAULT)
     assert (cistern.on_request(0), roof.on_request(0)) == (True, False)
     assert cistern.read()[0] == pytest.approx(20000, abs=5)
@@ -228,14 +228,23 @@ def test_sensors_on_mqtt_next_to_one_on_modbus(tmp_path: Path) -> None:
         until(lambda: readers["roof"].snapshot.value, 20)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--drive-at", "somewhere"), "--drive-at = 'somewhere': must be tcp://"),
-        (("--fault", "flood"), "--fault = 'flood': must be one of none, cistern_frozen"),
-    ],
-)
-def test_wrong_options_are_refused(
-    monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], message: str
-) -> None:
-    assert message in refusal(monkeypatch, site_simulator, *options)
+def test_one_command_is_a_site_with_its_drive(tmp_path: Path) -> None:
+    """The pump node's exchange runs the pump, and the cistern's sensor shows it; then Ctrl-C."""
+    cistern, roof, port = free_ports(3)
+    file = tmp_path / "sensors.yaml"
+    text = (CONFIG / "sensors.yaml").read_text()
+    file.write_text(text.replace(":5030", f":{cistern}").replace(":5031", f":{roof}"))
+    at = f"gateway://127.0.0.1:{port}"
+    site = Process(
+        0, "simulators", "--sensors", str(file), "--at", at, "--initial", "high-low", cwd=tmp_path
+    )
+    until(lambda: "ready: " in site.stdout())
+    sensor = read_sensors(file).cistern
+    assert isinstance(sensor, ModbusSensor)
+    before = read_once(sensor)
+    endpoint = read_endpoint(find_drive_file("danfoss_fc202"), at, "at")
+    with closing(DriveExchange(endpoint, 0.1)) as exchange:
+        exchange.start()
+        until(lambda: exchange.request_speed(1.0) or read_once(sensor) < before - 0.002, 30)
+    site.process.send_signal(signal.SIGINT)
+    assert site.process.wait(30) == 0, site.stderr()

@@ -1,0 +1,757 @@
+"""The package's simulators with faults, as programs: ``-m rig_simulators drive_simulator ...``.
+
+Faults are requested at a workbench, a Modbus device, number 247, on a TCP port of its own. So it
+can be reached while the drive refuses its clients, has no power or is on a serial line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import math
+import os
+import pty
+import random
+import secrets
+import signal
+import sys
+import threading
+import time
+import tty
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import forecast_service
+from pymodbus.constants import ExcCodes
+
+from greenroof_ros.common.command_line import add_site, command
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.mqtt import parse_topic
+from greenroof_ros.common.times import DEFAULT_START, read_start
+from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
+from greenroof_ros.live.devices.drive_file import DriveFile, find_drive_file, read_drive_file
+from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
+from greenroof_ros.live.devices.relay_file import read_relay_file
+from greenroof_ros.live.devices.sensor_file import default_sensors, read_sensors
+from greenroof_ros.live.simulators.control_profiles import profile_of
+from greenroof_ros.live.simulators.server import WRITES, Connection, Device, Server
+from greenroof_ros.live.simulators.simulated_drive import (
+    DriveSettings,
+    Motion,
+    SimulatedDrive,
+    drive_server,
+)
+from greenroof_ros.live.simulators.simulated_relay import RelayOnBroker, SimulatedRelay, relay_of
+from greenroof_ros.live.simulators.simulated_site import SimulatedSite
+from greenroof_ros.model.initial_state import default_state
+from greenroof_ros.model.pump_speed import flow_at
+from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.weather.reading import default_weather, find_files, read_weather
+from greenroof_ros.weather.series import FILL
+
+DEVICE_ID = 247
+# Registers of the workbench. The parameter of a fault is written before the fault.
+SPEED, FAULT, PARAMETER, POWER_CYCLE, LOCAL, CISTERN_LEVEL = range(6)
+SPEED_UNIT = LEVEL_UNIT = 1e-4
+DEFAULT = 0xFFFF  # as a parameter: the fault's default
+NONE = "none"
+# Each fault, with the default of its parameter; its number is its place.
+FAULTS: Mapping[str, int] = {
+    NONE: 0,
+    # Of the wire.
+    "refused": 0,  # connections are refused, and existing ones are closed
+    "dropped": 0,  # every request closes its connection
+    "half_open": 0,  # connections are accepted, but no request gets through
+    "silence": 0,  # requests are obeyed, but never answered
+    "slow": 200,  # answers come late, but in time (ms)
+    "late": 1500,  # answers come after the client has given up (ms)
+    "split": 5,  # answers come byte by byte (ms between two)
+    "garbage": 16,  # this many random bytes come instead of answers
+    "wrong_unit": 0,  # answers come from the next device id
+    "wrong_function": 0,  # answers are to the next function code
+    "wrong_length": 0,  # answers lack their last byte
+    "exception": 4,  # every request is refused with this code
+    "refused_writes": 6,  # every write is refused with this code
+    "echo": 0,  # no request gets through, and the line returns what is sent
+    # Of the drive.
+    "absurd_value": 0x7FFF,  # the speed register reads this
+    "drive_fault": 0,  # it trips (code or bits; 0: the first of its file), and cannot be reset
+    "speed_stays": 0,  # the speed stays as it is
+    "stuck_running": 0,  # the motor runs on, whatever it is ordered (0.01 %; 0: as it is)
+    "power_cycle": 0,  # it loses power for a moment, once
+    "timeout_off": 0,  # its communication timeout, or the relay's timer, is turned off, for good
+    "runs_on": 0,  # ordered to stop it reports off, but runs until its timeout; connections last s
+    # Of the relay.
+    "timer_long": 120,  # its timer is set to this (s), for good
+    "timer_off": 0,  # its timer is turned off, for good
+    "power_up_on": 0,  # it is set to be on after power-up, for good
+    "deaf": 0,  # it answers, but only its timer switches it
+    "auto_on": 0,  # a Shelly is set to switch itself on again after off, for good
+    "welded": 0,  # the contact no longer opens; the relay reports what was ordered
+    # Of cistern and roof: parameters in counts of 0.1 mm, raw values, or per minute.
+    **{f"{tank}_{fault}": default for tank, noise, drift in (("cistern", 500, 100),
+                                                             ("roof", 100, 50))
+       for fault, default in (("frozen", 0), ("silent", 0), ("absurd", 0xFFFE), ("noisy", noise),
+                              ("drifting", drift))},
+    "burst_pipe": 0,  # pumped water does not arrive on the roof
+    "leak": 500,  # the cistern loses water (ml/s)
+    "closed_valve": 0,  # the pump moves no water, however it runs
+}
+NUMBERS = {name: number for number, name in enumerate(FAULTS)}
+
+
+@dataclass
+class ActiveFault:
+    """The present fault and its parameter; changed at run time."""
+
+    name: str = NONE
+    parameter: int = 0
+
+
+class FaultyConnection(Connection):
+    """One connection of a client, with the faults of the wire."""
+
+    _random = random.Random(0)
+
+    def __init__(self, server, devices, *, fault: ActiveFault) -> None:
+        super().__init__(server, devices)
+        self._fault = fault
+        self._started_at = time.monotonic()
+
+    async def handle_request(self) -> None:
+        request, fault = self.last_pdu, self._fault
+        if request is None or fault.name == "half_open":
+            return
+        if fault.name == "echo":
+            self.pdu_send(request)
+            return
+        writes = request.function_code in WRITES
+        lasts_s = fault.parameter if fault.name == "runs_on" else 0
+        lasted = 0 < lasts_s < time.monotonic() - self._started_at
+        device = self._devices.get(request.dev_id)
+        # 'runs_on' never ends a connection at an order: *stop* must be known to have arrived.
+        if fault.name == "dropped" or (lasted and not writes):
+            if not self._serial:
+                self.transport.abort()
+        elif device and (fault.name == "exception" or (fault.name == "refused_writes" and writes)):
+            if device.on_request(request.address):
+                self.refuse(request, fault.parameter)
+        else:
+            await super().handle_request()
+
+    def pdu_send(self, pdu, addr=None) -> None:
+        """Send an answer, altered by the present fault."""
+        fault, device_id = self._fault, pdu.dev_id
+        content = bytes([pdu.function_code]) + pdu.encode()
+        match fault.name:
+            case "wrong_unit":
+                device_id = device_id % 247 + 1
+            case "wrong_function":
+                content = bytes([content[0] + 1]) + content[1:]
+            case "wrong_length":
+                content = content[:-1]
+        frame = self.framer.encode(content, device_id, pdu.transaction_id)
+        match fault.name:
+            case "silence":
+                return
+            case "garbage":
+                self._write_data(self._random.randbytes(fault.parameter))
+            case "slow" | "late":
+                self.loop.call_later(fault.parameter / 1000, self._write_data, frame)
+            case "split":
+                for number in range(len(frame)):
+                    delay = number * fault.parameter / 1000
+                    self.loop.call_later(delay, self._write_data, frame[number:number + 1])
+            case _:
+                self._write_data(frame)
+
+    def _write_data(self, data: bytes) -> None:
+        if self.transport is not None:
+            self.transport.write(data)
+
+
+class PseudoLine:
+    """A simulated serial line: two pseudo-terminals, joined.
+
+    Attributes:
+        ends: the paths of its two ends, each a device that can be opened as a serial line.
+    """
+
+    def __init__(self) -> None:
+        pairs = [pty.openpty() for _ in range(2)]
+        for _, device in pairs:
+            tty.setraw(device)
+        # The devices stay open here, so an end can be closed and opened again.
+        self._masters, self._devices = zip(*pairs, strict=True)
+        self.ends = tuple(os.ttyname(device) for device in self._devices)
+        for master in self._masters:
+            os.set_blocking(master, False)
+
+    def join(self) -> None:
+        """Forward, in the running event loop, what is sent at either end."""
+        loop = asyncio.get_running_loop()
+        for source, target in (self._masters, self._masters[::-1]):
+            loop.add_reader(source, self._forward, source, target)
+
+    @staticmethod
+    def _forward(source: int, target: int) -> None:
+        data = os.read(source, 4096)
+        with contextlib.suppress(BlockingIOError):  # no one reads: lost, as on a real line
+            os.write(target, data)
+
+
+class Bench:
+    """A simulator and its workbench, which run until someone ends them."""
+
+    addresses = ""
+
+    def __init__(self, workbench: Address) -> None:
+        self.fault = ActiveFault()
+        self.registers = dict.fromkeys(range(6), 0) | {PARAMETER: DEFAULT}
+        self.servers: list[Server] = []
+        device = Device(self.read_registers, self._write)
+        self._workbench = Server(workbench, {DEVICE_ID: device})
+        self._started_at = time.monotonic()
+
+    async def run(self, ended: asyncio.Event) -> None:
+        raise NotImplementedError
+
+    def read_registers(self) -> Mapping[int, int]:
+        return self.registers
+
+    def write_register(self, register: int, value: int) -> None:
+        self.registers[register] = value
+
+    def inject(self, name: str, parameter: int) -> bool:
+        """Replace the present fault; return whether it can have that parameter."""
+        codes = [DEFAULT, *ExcCodes]
+        if name in ("exception", "refused_writes") and parameter not in codes:
+            return False
+        self.fault.name = name
+        self.fault.parameter = FAULTS[name] if parameter == DEFAULT else parameter
+        self.registers |= {FAULT: NUMBERS[name], PARAMETER: parameter}
+        self.log(f"fault {name}")
+        return True
+
+    def log(self, text: str) -> None:
+        print(f"{time.monotonic() - self._started_at:9.2f} s  {text}", flush=True)
+
+    async def serve(self, name: str, parameter: int) -> None:
+        ended = asyncio.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, ended.set)
+        for server in (self._workbench, *self.servers):
+            await server.open()
+        print(f"ready: {self.addresses}; workbench {self._workbench.address}, device {DEVICE_ID}",
+              flush=True)
+        if name != NONE:
+            assert self.inject(name, parameter)
+        await self.run(ended)
+        for server in (*self.servers, self._workbench):
+            server.close()
+
+    def _write(self, address: int, values: list[int]) -> ExcCodes | None:
+        for register, value in enumerate(values, address):
+            if register == SPEED or register not in self.registers:
+                return ExcCodes.ILLEGAL_ADDRESS
+            if register != FAULT:
+                self.write_register(register, value)
+            elif value >= len(FAULTS) or not self.inject([*FAULTS][value],
+                                                         self.registers[PARAMETER]):
+                return ExcCodes.ILLEGAL_VALUE
+        return None
+
+
+# --- drive ----------------------------------------------------------------------------------------
+
+
+class FaultyDrive(SimulatedDrive):
+    """What is added to a make of drive: faults, and losing power.
+
+    Attributes:
+        boot_s: from power-up until it answers (s).
+    """
+
+    boot_s = 3.0
+    # After power-up the timeout of an ABB is not effective for this long (s).
+    unguarded_s = 0.0
+    _active, _parameter = NONE, 0
+    _answers_from = _guarded_from = -math.inf
+
+    @property
+    def answers(self) -> bool:
+        """Whether it has power and has booted."""
+        return self._clock() >= self._answers_from
+
+    def turn(self, step: float, motion: Motion) -> None:
+        off = self._at < self._answers_from
+        if not off and self._ignores_stop:
+            self.standstill()  # only its state machine believes so
+        elif self._active not in ("speed_stays", "stuck_running"):
+            super().turn(step, Motion.COAST if off else motion)
+
+    @property
+    def _ignores_stop(self) -> bool:
+        """Whether it is ordered to stop and reports that it is off, but runs on."""
+        off = self.motion is not Motion.FOLLOW or not self.setpoint
+        return self._active == "runs_on" and off and self._at >= self._answers_from
+
+    @property
+    def moving(self) -> bool:
+        return super().moving and not self._ignores_stop
+
+    def trip(self, fault: int) -> None:
+        if fault or self._active != "drive_fault":
+            super().trip(fault)
+
+    def communication_lost(self) -> None:
+        if self._active == "runs_on":
+            self._active = NONE
+        super().communication_lost()
+
+    def _loss_at(self) -> float:
+        return max(super()._loss_at(), self._guarded_from)
+
+    def registers(self) -> Mapping[int, int]:
+        words = super().registers()
+        if self._active == "absurd_value":
+            self._words |= dict.fromkeys(self._addresses("speed"), self._parameter)
+        return words
+
+    def inject(self, name: str, parameter: int) -> None:
+        """Replace the present fault; a trip remains until it is reset."""
+        self.advance()
+        self._active, self._parameter = name, parameter
+        match name:
+            case "drive_fault":
+                codes = self._file.faults
+                first = next(iter(codes.texts), 1)
+                self.trip(parameter or (1 << first if codes.kind == "bits" else first))
+            case "stuck_running":  # as with a welded contactor
+                self.speed = parameter * SPEED_UNIT or self.speed or 0.5
+            case "power_cycle":
+                self.power_cycle()
+            case "timeout_off":  # as someone could at the panel
+                if self.timeout.action is not None:
+                    self.write_raw(self.timeout.action.register, min(self.timeout.action.runs_on))
+                else:
+                    self.write_raw(self.timeout.register, min(self.timeout.off_values, default=0))
+                self.apply_settings()
+
+    def power_cycle(self) -> None:
+        """Lose power for a moment: the motor coasts, and nothing answers until it has booted."""
+        self.advance()
+        self._answers_from = self._at + self.boot_s
+        self._guarded_from = self._answers_from + self.unguarded_s
+        self._last_request = None
+        self.lost = False
+        self.trip(0)
+        for name in self._commands:
+            self.write_raw(name, 0)
+        self.power_up()
+        self.log(f"power cycle: answers again in {self.boot_s:g} s")
+
+
+def faulty_drive(file: DriveFile, settings: DriveSettings, **options) -> FaultyDrive:
+    """Return the drive of a file's make, with faults."""
+    profile = profile_of(file.make)
+    drive = type(profile.__name__, (FaultyDrive, profile), {})(file, settings, **options)
+    if "ABB" in file.make:
+        drive.unguarded_s = 30.0
+    return drive
+
+
+class DriveBench(Bench):
+    """Runs a drive on its own port or line."""
+
+    def __init__(
+        self, file: DriveFile, settings: DriveSettings, address: Address, workbench: Address,
+        site: Site,
+    ) -> None:
+        super().__init__(workbench)
+        self._line = PseudoLine() if address.line == "pty" else None
+        reached = address if self._line is None else Address(line=self._line.ends[0])
+        self._reached = replace(reached, gateway=not reached.line and file.timeout.tcp is None)
+        self.drive = faulty_drive(file, settings, interface=self._reached.interface)
+        self.drive.log = self.log
+        self.drive.flow = lambda speed: flow_at(
+            site, speed, self.registers[CISTERN_LEVEL] * LEVEL_UNIT
+        )
+        level = site.cistern_level(default_state(site)[1][0])
+        self.registers[CISTERN_LEVEL] = round(level / LEVEL_UNIT)
+        (self._server,) = self.servers = [drive_server(self.drive, file, self._reached)]
+        self._server.connection = partial(FaultyConnection, fault=self.fault)
+        (self._device_id,) = self._server.devices
+        on_request = self._server.devices[self._device_id].on_request
+        self._server.devices = {self._device_id: replace(
+            self._server.devices[self._device_id],
+            on_request=lambda register: self._answers and on_request(register),
+        )}
+
+    @property
+    def addresses(self) -> str:
+        address = replace(self._server.address, gateway=self._reached.gateway)
+        end = self._line.ends[1] if self._line is not None else address
+        return f"drive {end}, device {self._device_id}"
+
+    def inject(self, name: str, parameter: int) -> bool:
+        done = super().inject(name, parameter)
+        if done:
+            self.drive.inject(name, self.fault.parameter)
+        return done
+
+    async def run(self, ended: asyncio.Event) -> None:
+        if self._line is not None:
+            self._line.join()
+        while not ended.is_set():
+            self.drive.advance()
+            if self._answers:
+                await self._server.open()
+            elif self._line is None:
+                self._server.close()
+            await asyncio.sleep(0.01)
+
+    @property
+    def _answers(self) -> bool:
+        return self.drive.answers and self.fault.name != "refused"
+
+    def read_registers(self) -> Mapping[int, int]:
+        self.drive.advance()
+        return self.registers | {SPEED: round(self.drive.speed / SPEED_UNIT)}
+
+    def write_register(self, register: int, value: int) -> None:
+        if register == POWER_CYCLE and value:
+            self.drive.power_cycle()
+            return
+        if register == LOCAL:
+            self.drive.advance()
+            self.drive.local = bool(value)
+        super().write_register(register, value)
+
+
+# --- relay ----------------------------------------------------------------------------------------
+
+
+class FaultyRelay(SimulatedRelay):
+    """What is added to a make of relay."""
+
+    deaf = welded = _stuck = False
+
+    @property
+    def speed(self) -> float:
+        return float(self.on or self._stuck)
+
+    def advance(self) -> None:
+        super().advance()
+        self._stuck = self.welded and (self._stuck or self.on)
+
+    def switch(self, on: bool, seconds: float | None) -> None:
+        self.advance()
+        if not self.deaf:
+            super().switch(on, seconds)
+
+    def power_up(self) -> None:
+        self._set(self.on_after_power_up)
+        self._off_at = self._clock() + self.timer_s if self.on and self.timer_s else math.inf
+
+
+class RelayBench(Bench, RelayOnBroker):
+    """Runs a relay at a broker."""
+
+    def __init__(self, relay: FaultyRelay, broker, device: str, boot_s: float, workbench) -> None:
+        Bench.__init__(self, workbench)
+        RelayOnBroker.__init__(self, relay, broker, device)
+        self._boot_s, self._answers_from = boot_s, -math.inf
+        relay.log = self.log
+        self.addresses = f"drive {self}, relay"
+
+    run = RelayOnBroker.run
+
+    def read_registers(self) -> Mapping[int, int]:
+        self.relay.advance()
+        return self.registers | {SPEED: round(self.relay.speed / SPEED_UNIT)}
+
+    def write_register(self, register: int, value: int) -> None:
+        if register == POWER_CYCLE and value:
+            self._power_cycle()
+        elif register == LOCAL:
+            self.relay.switch(bool(value), self.relay.timer_s)
+        else:
+            super().write_register(register, value)
+
+    def inject(self, name: str, parameter: int) -> bool:
+        super().inject(name, parameter)
+        relay = self.relay
+        relay.advance()
+        relay.deaf, relay.welded = name == "deaf", name == "welded"
+        match name:
+            case "power_cycle":
+                self._power_cycle()
+            case "timer_off":
+                relay.timer_s = None
+            case "timer_long":
+                relay.timer_s = float(self.fault.parameter)
+            case "auto_on":
+                relay.auto_on = True
+            case "power_up_on":
+                relay.on_after_power_up = True
+        return True
+
+    def _power_cycle(self) -> None:
+        self._answers_from = time.monotonic() + self._boot_s
+        self.relay.power_up()
+
+    def receive(self, topic: str, payload: bytes) -> None:
+        if time.monotonic() < self._answers_from:
+            return
+        late_s = self.fault.parameter / 1000 if self.fault.name == "late" else 0.0
+        for answer_topic, answer in self.relay.receive(topic, payload.decode(errors="replace")):
+            if self.fault.name == "garbage":
+                answer = secrets.token_bytes(self.fault.parameter).decode("latin-1")
+            if self.fault.name != "silence":
+                self._loop.call_later(late_s, self.client.publish, answer_topic, answer)
+
+
+# --- site -----------------------------------------------------------------------------------------
+
+
+class DistantPump:
+    """The speed of a pump at another rig's workbench, which gets the cistern's level."""
+
+    def __init__(self, address: Address, level, log) -> None:
+        self.speed, self._lost = 0.0, False
+        self._line = ModbusLine(address, port=0, device_id=DEVICE_ID, timeout_s=1.0)
+        self._level, self._log = level, log
+        threading.Thread(target=self._poll, daemon=True).start()
+
+    def _poll(self) -> None:
+        while True:
+            try:
+                if not self._line.connected:
+                    self._line.connect()
+                self.speed = self._line.read(SPEED, 1)[0] * SPEED_UNIT
+                depth = round(self._level() / LEVEL_UNIT)
+                self._line.write(CISTERN_LEVEL, min(max(depth, 0), 0xFFFF))
+                self._lost = False
+            except DriveError as error:
+                self.speed = 0.0
+                self._line.close()
+                if not self._lost:
+                    self._log(f"{error}: the pump is assumed to be stopped")
+                self._lost = True
+            time.sleep(0.02)
+
+
+class FaultySite(SimulatedSite):
+    """Cistern and roof with faults, which can write a line for each tick.
+
+    Attributes:
+        fault: the present fault.
+        output: where the lines go; None for nowhere.
+    """
+
+    fault = ActiveFault()
+    output = None
+
+    def began(self) -> None:
+        """Note that a fault begins."""
+        self._fault_since, self._frozen = self.tick, {}
+
+    def _has_fault(self, section: str, name: str) -> bool:
+        return self.fault.name == f"{section}_{name}"
+
+    def device(self, sensors) -> Device:
+        def on_request(register: int) -> bool:
+            return not any(
+                self._has_fault(section, "silent")
+                and sensor.register <= register < sensor.register + sensor.registers
+                for section, sensor in sensors.items()
+            )
+
+        return replace(super().device(sensors), on_request=on_request)
+
+    def words(self, section: str, sensor) -> list[int]:
+        if self._has_fault(section, "absurd"):
+            return [self.fault.parameter] * sensor.registers
+        return super().words(section, sensor)
+
+    def published(self, section: str) -> float | None:
+        if self._has_fault(section, "silent"):
+            return None
+        return self.fault.parameter if self._has_fault(section, "absurd") else self.raw(section)
+
+    def raw(self, section: str) -> float:
+        if self._has_fault(section, "frozen") and section in self._frozen:
+            return self._frozen[section]
+        raw = super().raw(section)
+        if self._has_fault(section, "frozen"):
+            self._frozen[section] = raw
+        return raw
+
+    def true(self, section: str) -> float:
+        value, parameter = super().true(section), self.fault.parameter
+        if self._has_fault(section, "noisy"):
+            value += random.gauss(0.0, parameter * LEVEL_UNIT)
+        elif self._has_fault(section, "drifting"):
+            minutes = (self.tick - self._fault_since) * self._site.tau / 60
+            value += minutes * parameter * LEVEL_UNIT
+        return value
+
+    def flow(self, speed: float) -> float:
+        return 0.0 if self.fault.name == "closed_valve" else super().flow(speed)
+
+    def step(self, speed: float, flow: float) -> None:
+        super().step(speed, flow)
+        plant, tau = self.plant, self._site.tau
+        if self.fault.name == "burst_pipe":
+            plant.x2 = max(0.0, plant.x2 - tau * self._flowing)
+        elif self.fault.name == "leak":
+            plant.x1 = max(0.0, plant.x1 - tau * self.fault.parameter * 1e-6)
+        if self.output is not None:
+            cistern, roof = plant.levels()
+            print(f"{self.tick * tau:.10g},{cistern:.9g},{roof:.9g},{speed:.4f},"
+                  f"{self._flowing:.9g},{self.pumped:.9g}", file=self.output, flush=True)
+
+
+COLUMNS = "time_s,cistern_level_m,roof_level_m,speed,pump_flow_m3_per_s,pumped_m3"
+
+
+class SiteBench(Bench):
+    """Runs cistern and roof behind their sensors."""
+
+    def __init__(
+        self, site: Site, rain, evapotranspiration, volumes, sensors, workbench: Address,
+        drive: Address | None = None, factor: float = 1.0, output=None,
+    ) -> None:
+        super().__init__(workbench)
+        pump = drive and DistantPump(drive, lambda: self.site.plant.levels()[0], self.log)
+        self.site = FaultySite(
+            site, rain, evapotranspiration, volumes, sensors,
+            lambda: pump.speed if pump else 0.0, factor,
+        )
+        self.site.fault, self.site.output = self.fault, output
+        self.site.began()
+        self.servers += self.site.servers
+        if output is not None:
+            print(COLUMNS, file=output, flush=True)
+
+    @property
+    def addresses(self) -> str:
+        return self.site.addresses
+
+    def inject(self, name: str, parameter: int) -> bool:
+        self.site.began()
+        return super().inject(name, parameter)
+
+    async def run(self, ended: asyncio.Event) -> None:
+        await self.site.run(ended)
+
+
+# --- programs -------------------------------------------------------------------------------------
+
+
+def fault_of(text: str) -> tuple[str, int]:
+    """Return name and parameter of a fault such as ``slow=300``."""
+    name, _, parameter = text.partition("=")
+    return name, int(parameter or DEFAULT)
+
+
+def local(port: int) -> Address:
+    return Address(host="127.0.0.1", port=port)
+
+
+def drive_simulator(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--drive", required=True)
+    parser.add_argument("--port", type=int, default=5020)
+    parser.add_argument("--serial")
+    parser.add_argument("--at")
+    parser.add_argument("--workbench", type=int, default=0)
+    parser.add_argument("--ramp", type=float, default=5.0)
+    parser.add_argument("--boot", type=float, default=3.0)
+    parser.add_argument("--timeout", type=float, default=5.0)
+    parser.add_argument("--speed", type=float, default=1.0)
+    parser.add_argument("--as-delivered", action="store_true")
+    parser.add_argument("--fault", type=fault_of, default=(NONE, DEFAULT))
+    add_site(parser)
+    given = parser.parse_args()
+    path, workbench = find_drive_file(given.drive), local(given.workbench)
+    timeout_s = None if given.as_delivered else given.timeout
+    if given.at:
+        broker, device = parse_topic(given.at, "--at")
+        make = relay_of(read_relay_file(path).make)
+        relay = type(make.__name__, (FaultyRelay, make), {})(device, timeout_s, given.as_delivered)
+        bench: Bench = RelayBench(relay, broker, device, given.boot, workbench)
+    else:
+        settings = DriveSettings(given.ramp / given.speed, 2.0 / given.speed, timeout_s)
+        address = Address(line=given.serial) if given.serial else local(given.port)
+        drive_bench = DriveBench(
+            read_drive_file(path), settings, address, workbench, read_site(given.site)
+        )
+        drive_bench.drive.boot_s = given.boot
+        bench = drive_bench
+    asyncio.run(bench.serve(*given.fault))
+
+
+def site_simulator(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--sensors", type=Path)
+    parser.add_argument("--drive-at", type=parse_address)
+    parser.add_argument("--workbench", type=int, default=0)
+    parser.add_argument("--rain", type=float, help="mm/h")
+    parser.add_argument("--constant-evapotranspiration", type=float, help="mm/day")
+    parser.add_argument("--factor", type=float, default=1.0)
+    parser.add_argument("--output", type=Path)
+    parser.add_argument("--fault", type=fault_of, default=(NONE, DEFAULT))
+    add_site_arguments(parser.add_argument_group("site"))
+    given = parser.parse_args()
+    run = run_from_arguments(given)
+    rain, loss = run.series.precipitation, run.series.evapotranspiration
+    if given.rain is not None:
+        rain = [given.rain * 1e-3 / 3600]
+    if given.constant_evapotranspiration is not None:
+        loss = [given.constant_evapotranspiration * 1e-3 / 86400 * run.site.a2]
+    sensors = read_sensors(given.sensors or default_sensors())
+    with given.output.open("w") if given.output else contextlib.nullcontext() as output:
+        bench = SiteBench(
+            run.site, rain, loss, (run.x1, run.x2), sensors,
+            local(given.workbench), given.drive_at, given.factor, output,
+        )
+        asyncio.run(bench.serve(*given.fault))
+
+
+def forecast_simulator(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--weather", action="append")
+    parser.add_argument("--start", default=DEFAULT_START)
+    parser.add_argument("--port", type=int, default=0)
+    parser.add_argument("--fault", default=NONE)
+    add_site(parser)
+    given = parser.parse_args()
+    site = read_site(given.site)
+    files = find_files(given.weather or [str(default_weather())], "--weather")
+    records = read_weather(files, site, gaps=FILL)
+    start = read_start(given.start, records.first.tzinfo)
+    service = forecast_service.ForecastService(site, records, start, given.port)
+    service.fault = given.fault
+    service.start()
+    print(f"ready: {service.address}/v1/forecast and {service.address}/v1/ensemble", flush=True)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt):
+        signal.pause()
+    service.close()
+
+
+@command
+def main() -> None:
+    """Run the program that the first argument names."""
+    programs = (drive_simulator, site_simulator, forecast_simulator)
+    wanted = {program.__name__: program for program in programs}[sys.argv.pop(1)]
+    try:
+        wanted(argparse.ArgumentParser())
+    except OSError as error:
+        raise ConfigurationError(str(error)) from error
+
+
+if __name__ == "__main__":
+    main()
