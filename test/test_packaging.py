@@ -316,7 +316,7 @@ def test_pip_install_with_ros_runs_a_graph_and_shows_it(with_ros, tmp_path, doma
     log = tmp_path / "watch.log"
     with log.open("w") as output:
         page = subprocess.Popen(
-            [greenroof, "watch", "--bag", "run/bag"], cwd=tmp_path, env=environment,
+            [greenroof, "watch"], cwd=tmp_path, env=environment,
             stdout=output, stderr=subprocess.STDOUT,
         )
     try:

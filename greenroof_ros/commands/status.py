@@ -19,7 +19,7 @@ WARNING, ALARM, NOTHING = 1, 2, 3
 _STATES = {EXIT_DONE: "well", WARNING: "warning", ALARM: "alarm", NOTHING: "nothing running"}
 
 # How long it subscribes at least, once it has found a node, and how long in all (s). Each node
-# reports four times a second, but the middleware may take seconds to find it.
+# reports at least once a second, but the middleware may take seconds to find it.
 _SETTLED_S, _LONGEST_S = 2.0, 5.0
 _POLL_S = 0.1
 _MOST_LINES = 15
@@ -36,7 +36,6 @@ _DESCRIPTION = """\
 Print the present state of the run or the site in this ROS domain: levels, pump, rain and forecast,
 controller and alarms, in at most 15 lines, in the words of the page of 'greenroof watch'. It only
 subscribes: for 2 s once it has found a node, and for 5 s if values are missing or nothing runs.
-Each node reports four times a second, but discovery may take seconds.
 """
 _EPILOG = """\
 examples:
@@ -67,7 +66,7 @@ def main() -> int:
     """Print the status, and return how serious it is."""
     arguments = make_parser().parse_args()
     store = GraphStore(arguments.namespace)
-    with Feed(store, recording=False):
+    with Feed(store):
         shown = _read_status(store)
         code = _judge(shown)
         values = _values(store, shown, code)
@@ -109,13 +108,12 @@ def _judge(shown: Mapping[str, Any]) -> int:
     unknown = _unknown(shown) - {"rain"}
     if mode in ("none", "ended"):
         return NOTHING
-    blind = bool(unknown) or not shown["alarms_known"]
     if (
         tiles["summary"]["level"] == "error" or tiles["pump"]["state"] == "fault"
-        or (blind and mode in ("live", "loop"))
+        or (unknown and mode in ("live", "loop"))
     ):
         return ALARM
-    return WARNING if blind or _present(shown) else EXIT_DONE
+    return WARNING if unknown or _present(shown) else EXIT_DONE
 
 
 def _lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from greenroof_ros.common.command_line import Parser, add_foxglove, add_namespace, command, within
 from greenroof_ros.common.errors import ConfigurationError, with_extra
+from greenroof_ros.common.files import state_directory
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.foxglove_server import FoxgloveServer
@@ -21,10 +22,14 @@ _NICENESS = 10
 
 _DESCRIPTION = """\
 Show what the roof does, on a page in a browser: levels, pump, rain, what the controller intends,
-alarms and what to do, the water account. It shows any graph that runs in this ROS domain,
-simulated, with a drive in the loop or live, or a run that has ended. Any number of watchers may
-start and stop at any time: no run waits for them. The pump can be stopped on the page, and released
-if that was allowed. With --foxglove there is no page: Foxglove or Lichtblick shows the graph.
+alarms and what to do. It shows any graph that runs in this ROS domain, simulated at up to 60 times
+real time, with a drive in the loop or live. Any number of watchers may start and stop at any time:
+no run waits for them. The pump can be stopped on the page, and released if that was allowed. With
+--foxglove there is no page: Foxglove or Lichtblick shows the graph.
+
+It shows what it has received itself, for a week. The past of a live site is saved every 10 minutes
+and at the end, in $XDG_STATE_HOME/greenroof_ros or ~/.local/state/greenroof_ros, for the next
+start. The bags of a run or a site are shown by greenroof report.
 
 The address is printed. Only this machine can reach it; from another machine, use an ssh tunnel:
   ssh -L 8080:localhost:8080 NAME_OF_THIS_MACHINE
@@ -33,12 +38,11 @@ and open http://localhost:8080 there.
 _EPILOG = """\
 examples:
   greenroof watch                       the graph that runs here
-  greenroof watch --bag runs/a/bag      a run that has ended
   greenroof watch --namespace site1 --port 8081
   greenroof watch --host 0.0.0.0        for other machines: with a token
   greenroof watch --allow-release --port 8080 --token-file token
                                         with an address that can be a bookmark
-  greenroof run --watch                 a run, and its page alongside it
+  greenroof run --speed 60 --watch      a run, and its page alongside it
   greenroof watch --foxglove            for Foxglove, at ws://127.0.0.1:8765
 
 When a run ends, it waits for the next one and shows it. Ctrl-C ends it.
@@ -59,11 +63,6 @@ def make_parser() -> Parser:
     add_foxglove(
         parser, "instead of the page, serve the graph to Foxglove or Lichtblick on this machine, "
         "at the address that is printed.",
-    )
-    parser.add_argument(
-        "--bag", type=Path, metavar="DIR",
-        help="bag to read, of a run that has ended or is being recorded (default: the bag that "
-        "the graph's recorder writes, if it is on this machine)",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -103,16 +102,17 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
     Raises:
         ConfigurationError: an option is wrong.
     """
-    for option in ("bag", "site", "allow_release", "host", "port", "token_file"):
+    for option in ("site", "allow_release", "host", "port", "token_file"):
         if arguments.foxglove is not None and getattr(arguments, option):
             raise ConfigurationError(
                 "is for the page; omit it, or --foxglove", key=f"--{option.replace('_', '-')}"
             )
-    bag: Path | None = arguments.bag
-    if bag is not None and not (bag.is_dir() and any(bag.glob("*.mcap"))):
-        raise ConfigurationError(
-            "must be the directory of a bag, such as runs/a/bag", key="--bag", value=str(bag)
-        )
+
+
+def _past_file(namespace: str) -> Path:
+    """Return the file that keeps the past of this domain and namespace."""
+    place = [os.environ.get("ROS_DOMAIN_ID") or "0", *filter(None, namespace.split("/"))]
+    return state_directory() / f"watch_{'_'.join(place)}.npz"
 
 
 def _print_address(url: str, host: str, port: int | None, *, release: bool) -> None:
@@ -159,7 +159,9 @@ def main() -> None:
     signals = Signals()
     with (
         suppress(InterruptedRun),
-        Feed(store, bag=arguments.bag, site_file=arguments.site) as feed,
+        Feed(
+            store, site_file=arguments.site, past_file=_past_file(arguments.namespace)
+        ) as feed,
     ):
         serve(
             store, feed, host=host, port=port, token=token, signals=signals,

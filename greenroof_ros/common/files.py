@@ -56,6 +56,12 @@ def default_site_file() -> Path:
     return shared_directory() / "config" / "site.yaml"
 
 
+def state_directory() -> Path:
+    """Return the default directory for state files: the user's, by the XDG rules."""
+    directory = os.environ.get("XDG_STATE_HOME")
+    return (Path(directory) if directory else Path.home() / ".local" / "state") / "greenroof_ros"
+
+
 def unique_name(file: Path, existing: Container[str]) -> str:
     """Return a name that no existing file has: the file's own, or one with -2, -3, ..."""
     name, number = file.name, 1

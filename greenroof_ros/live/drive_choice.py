@@ -12,11 +12,11 @@ from typing import Any
 
 from greenroof_ros.common.command_line import refuse
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import state_directory
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.experiment.run_directory import writable
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
-from greenroof_ros.live.pumping.ledger import state_directory
 from greenroof_ros.live.supervisor import StopDrive
 
 _MAY_RUN = (

@@ -31,6 +31,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.conditions import Diagnosis, joined, read_interlocks
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import state_directory
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.graph.graph_node import GraphNode
@@ -53,7 +54,7 @@ from greenroof_ros.live.lifecycle import (
 from greenroof_ros.live.live_diagnostics import ERROR, OK, STALE, WARN, LiveDiagnostics
 from greenroof_ros.live.live_input import bad_inputs
 from greenroof_ros.live.pumping.dose import DONE
-from greenroof_ros.live.pumping.ledger import MOST, Ledger, state_directory
+from greenroof_ros.live.pumping.ledger import MOST, Ledger
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import (
     Decision,

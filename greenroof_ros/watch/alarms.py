@@ -8,24 +8,17 @@ and the advice come from the table of conditions, by its code; sentences are not
 
 from __future__ import annotations
 
-import json
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.conditions import read_conditions, read_interlocks
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.experiment.incidents import INCIDENTS, PROCESS, Incident, read_incidents
-from greenroof_ros.experiment.summary import SUMMARY
 from greenroof_ros.graph.states import PUMP
 from greenroof_ros.watch.registry import ERROR, STALE, WARN, Registry, Trouble
 from greenroof_ros.watch.wire import WireStatus
-from greenroof_ros.watch.words import plain, sentence
+from greenroof_ros.watch.words import plain
 
 # An alarm that comes back within this time (s) is the same one to an operator.
 _AGAIN_S = 10.0
@@ -70,7 +63,7 @@ def advise(code: str, role: str, node: str) -> tuple[str, bool]:
 
 @dataclass
 class Alarm:
-    """A trouble with its history; an incident of a recording is an alarm, too.
+    """A trouble with its history.
 
     Attributes:
         trouble: what is wrong, as last reported.
@@ -101,9 +94,7 @@ class Alarm:
         before, now = self.acknowledged, self.trouble
         return before is not None and (before.level, before.names) == (now.level, now.names)
 
-    def row(
-        self, name: str, follows: str | None = None, *, recorded: bool = False
-    ) -> dict[str, Any]:
+    def row(self, name: str, follows: str | None = None) -> dict[str, Any]:
         """Return it as a row of the document, without its times in words.
 
         ``plain`` is whether ``do`` is written for this code: an operator then reads ``do``
@@ -112,15 +103,14 @@ class Alarm:
         Args:
             name: of its status.
             follows: the name of the alarm that causes it; None if there is none.
-            recorded: whether it is an incident of a recording.
         """
-        trouble, node = self.trouble, name.partition(": ")[0]
-        do, known = advise(trouble.code, trouble.role, f"/{node}" if recorded else node)
+        trouble = self.trouble
+        do, known = advise(trouble.code, trouble.role, name.partition(": ")[0])
         return {
             "id": name, "level": _LEVELS[trouble.level], "what": trouble.what,
             "code": trouble.code, "do": do, "plain": known, "since": self.since,
             "since_at_least": self.at_least, "acknowledged": self.is_acknowledged,
-            "over": self.ended_at, "follows": follows, "recorded": recorded,
+            "over": self.ended_at, "follows": follows,
         }
 
 
@@ -131,7 +121,6 @@ class Alarms:
 
     Attributes:
         registry: what each node reports.
-        shown: whether that is shown; otherwise it makes no alarms and no events.
         starting: whether the site starts.
         missing: what it then still waits for, each by the name of its status.
     """
@@ -143,7 +132,6 @@ class Alarms:
             namespace: of the graph; nodes in other namespaces are treated as other devices.
         """
         self.registry = Registry(namespace, self._on_event)
-        self.shown = True
         self._now = 0.0
         self.reset()
 
@@ -161,8 +149,8 @@ class Alarms:
 
     def update(self, wall: float, now: float) -> None:
         """Update the alarms: called with each message, and about twice a second."""
-        troubles = self.registry.troubles(wall) if self.shown else {}
-        self.starting = self.shown and self.registry.starting(wall)
+        troubles = self.registry.troubles(wall)
+        self.starting = self.registry.starting(wall)
         # While a site starts, what has not come yet is no alarm and no event: it is only listed.
         self.missing = {
             name: trouble for name, trouble in troubles.items()
@@ -229,8 +217,7 @@ class Alarms:
         return [{"at": at, "what": what} for at, what in reversed(self._events)]
 
     def _on_event(self, text: str) -> None:
-        if self.shown:
-            self.add_event(self._now, text)
+        self.add_event(self._now, text)
 
     def add_event(self, now: float, text: str) -> None:
         """Add an event."""
@@ -345,45 +332,3 @@ def _publishers(trouble: Trouble, troubles: Mapping[str, Trouble]) -> Iterator[s
                 and other.part not in ("inputs", "refused")
             ):
                 yield name
-
-
-def read_run_files(bag: Path) -> tuple[str, list[Alarm], str]:
-    """Return a recorded run's controller, its incidents in the order of begin, and what is wrong.
-
-    Incidents are in a file of their own, or in the summary if that file could not be written.
-    They are dated by ticks if the site is simulated, otherwise by wall time.
-    """
-    directory, controller = bag.parent, ""
-    try:
-        path = directory / SUMMARY
-        summary = json.loads(read_text(path)) if path.exists() else {}
-        controller = plain(str(summary.get("controller", "")))
-        incidents = read_incidents(directory)
-        incidents = incidents or [Incident(**entry) for entry in summary.get("incidents", ())]
-        start, tau = 0.0, 0.0
-        if any(incident.began_tick is not None for incident in incidents):
-            start = datetime.fromisoformat(summary["start"]).timestamp()
-            tau = float(summary["tau_s"])
-        alarms = [_alarm_of(incident, start, tau) for incident in incidents]
-        return controller, sorted(alarms, key=lambda alarm: alarm.since), ""
-    except (OSError, ConfigurationError, ValueError, KeyError, TypeError, AttributeError) as error:
-        why = getattr(error, "strerror", None) or error
-        return controller, [], f"{directory / INCIDENTS} cannot be shown ({why})."
-
-
-def _alarm_of(incident: Incident, start: float, tau: float) -> Alarm:
-    """Return an incident as an alarm, by the run's start (s since 1970) and its tick (s)."""
-    def at(tick: int | None, wall: str) -> float:
-        return datetime.fromisoformat(wall).timestamp() if tick is None else start + tick * tau
-
-    whole, ended = incident.part == PROCESS, incident.ended
-    # A node that stays away ends the run; an incident that has ended is a node started again.
-    code = "started_again" if whole and ended else incident.code
-    return Alarm(
-        Trouble(
-            ERROR, sentence(incident.cause), code, incident.node,
-            "" if whole else incident.part,
-        ),
-        at(incident.began_tick, incident.began),
-        ended_at=at(incident.ended_tick, ended) if ended else None,
-    )

@@ -1,18 +1,15 @@
-"""Feeds the store: from the graph that runs and from the bag that it writes.
+"""Feeds the store with the messages of the graph that runs, and makes requests of its pump.
 
 A watcher must not slow down the graph: see :mod:`greenroof_ros.watch.graph_client`. But each of its
 subscriptions costs the publisher time in every tick, so it receives the numbers of a run only up to
 a certain speed. Above that it receives only /diagnostics.
-
-Live messages are the present. The past comes from a bag that grows, if there is one: in order and
-with nothing missing. If there is none, live messages become the past.
 """
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
-from collections import defaultdict, deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
@@ -21,34 +18,26 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import numpy as np
-
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.experiment.summary import site_file_of
-from greenroof_ros.graph.states import RECORDER
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.alarms import read_run_files
-from greenroof_ros.watch.bag import BagProcess, Batch
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
-from greenroof_ros.watch.store import PLAN, GraphStore
+from greenroof_ros.watch.history import read_histories, write_histories
+from greenroof_ros.watch.store import GraphStore
 
 # The fastest run, in times real time, whose numbers are received: 60 and some jitter.
 FASTEST = 66.0
 # How often the watcher receives new messages, and how often it updates the state of the graph (s).
 _POLL_S, _REPORT_S = 0.05, 0.25
-# How long received values wait for a bag that does not grow (the recorder of a live site writes
-# every 10 s), and for the recorder to report where its bag is (s).
-_WAIT_S, _FOUND_S = 30.0, 3.0
-# The most messages that wait.
-_MOST_WAITING = 200_000
 # If this process pauses for longer than this (s), the silence of other nodes means nothing.
 _OWN_PAUSE_S = 0.5
 # How long an error of the watcher itself is shown, and how long it rests after one (s).
 _SHOWN_S, _REST_S = 60.0, 1.0
 _STOP_S = 3.0
+# How often the past of a live site is saved (s).
+_SAVE_S = 600.0
 # A message further than this from the clock (ticks) is of a publisher that was restarted: the plant
 # is at most 32 ticks ahead of the recorder, and messages received together are closer.
 _FAR = 64
@@ -95,65 +84,46 @@ class Feed:
     """Feeds a :class:`~greenroof_ros.watch.store.GraphStore` while its context is entered."""
 
     def __init__(
-        self, store: GraphStore, *, bag: Path | None = None, site_file: Path | None = None,
-        recording: bool = True,
+        self, store: GraphStore, *, site_file: Path | None = None, past_file: Path | None = None,
     ) -> None:
         """Start with nothing.
 
         Args:
             store: the store to feed.
-            bag: the bag to read; None for the bag that the graph writes.
             site_file: the site file by which levels are judged; None for the graph's own.
-            recording: whether to read the bag that the graph writes; without it, only the present
-                is known.
+            past_file: keeps the past of a live site across restarts; None: it is not kept.
 
         Raises:
             ConfigurationError: the site file is wrong.
         """
         self._store = store
-        self._graph = store.alarms.registry
-        self._bag = None if bag is None else bag.resolve()
-        self._site_file = site_file
-        self._follows = recording
+        self._graph = store.graph
+        self._site_file, self._past_file = site_file, past_file
         self._topics = read_topics()
         self._run = 0
-        self._lock = threading.Lock()  # of _recorded
-        self._recorded: BagProcess | None = None
-        self._clear_received()
-        self._subscribed_since = 0.0
+        self._ticks = Ticks()
+        self._subscribed = False
         self._live: bool | None = None  # whether the graph shown, now or last, is live
         self._site: tuple[Path, int] | None = None  # file, and when it was written (ns)
         self._awake = time.monotonic()
         self._reported_at = 0.0
+        self._saved_at = time.monotonic()
+        self._saving: threading.Thread | None = None
         self._problem, self._problem_until = "", 0.0
         self._requests: list[tuple[str, dict[str, Any], Future[str]]] = []
         self._request_lock = threading.Lock()  # of that list
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
         self._client: GraphClient | None = None
-        self._no_ros = ""
-        self._no_incidents = ""
-        self._set_site(site_file or self._site_of_graph())
-
-    def _clear_received(self) -> None:
-        """Clear received messages that are not part of the past yet."""
-        self._ticks = Ticks()
-        # Numbers and plans in the order of arrival, each with its time (ns since 1970) and topic.
-        self._received: deque[tuple[int, str, float | bytes]] = deque()
-        self._waits_since = time.monotonic()
+        self._set_site()
 
     def __enter__(self) -> Feed:
         """Join the graph.
 
         Raises:
-            ConfigurationError: ROS 2 is not installed, and no bag was given.
+            ConfigurationError: ROS 2 is not installed.
         """
-        try:
-            self._client = GraphClient(self._store.namespace, self._on_message)
-        except ConfigurationError as error:
-            if self._bag is None:
-                raise
-            self._no_ros = str(error)
+        self._client = GraphClient(self._store.namespace, self._on_message)
         self._thread.start()
         return self
 
@@ -166,6 +136,11 @@ class Feed:
         if self._client is not None:
             self._client.wake()
         self._thread.join(2.0)
+        if self._saving is not None:
+            self._saving.join()
+        self._save()
+        if self._saving is not None:
+            self._saving.join()
 
     def request_action(self, action: str, **request: Any) -> str:
         """Request a hold, a release, a cleared fault or a dose; callable from any thread.
@@ -210,14 +185,13 @@ class Feed:
     def _watch_graph(self) -> None:
         while not self._closing.is_set():
             self._run_cycle()
-        self._follow(None)
         if self._client is not None:
             self._client.close()
 
     def _run_cycle(self) -> None:
         """Receive new messages and show them; if a step fails, the others are done all the same."""
         failed = [act for act in (
-            self._receive, self._update_graph, self._answer, self._move_to_past, self._report,
+            self._receive, self._answer, self._update_graph, self._report,
         ) if self._fails(act)]
         # An error may come again at once; but a request such as a stop must not wait for that.
         until = time.monotonic() + (_REST_S if failed else 0.0)
@@ -237,94 +211,34 @@ class Feed:
         return False
 
     def _receive(self) -> None:
-        if self._client is None:
-            self._closing.wait(_REPORT_S)
-        else:
-            self._client.receive(_POLL_S)
+        assert self._client is not None
+        self._client.receive(_POLL_S)
         self._excuse_own_pause()
 
     def _update_graph(self) -> None:
-        """Update which graph is there, and subscribe to it and follow its bag as needed."""
-        now = time.monotonic()
+        """Update which graph is there, and subscribe to as much as it can bear."""
+        now, store = time.monotonic(), self._store
         mode = self._graph.mode(now)
-        if self._bag is not None and (mode == "none" or not self._shows_graph()):
-            mode = "ended"
         live = {"simulated": False, "loop": False, "live": True}.get(mode, self._live)
-        replaced = self._recorded is not None and self._recorded.read.replaced
-        if self._graph.runs != self._run or replaced or self._live not in (None, live):
-            self._run, self._site = self._graph.runs, None
-            self._forget()
-            self._store.add_event(time.time(), "Another run began.")
+        if self._graph.runs != self._run or self._live not in (None, live):
+            self._run, self._ticks = self._graph.runs, Ticks()
+            store.reset()
+            store.add_event("Another run began.")
+        if live and not self._live:
+            self._load()
         self._live = live
-        if mode != self._store.mode:
-            if mode == "ended" and self._store.mode != "none":
-                self._store.add_event(time.time(), "The run ended.")
-            if self._store.mode == "none":
-                self._waits_since = now
-            with self._store.lock:
-                self._store.mode = mode
-            if mode == "ended" and self._recorded is not None:
-                # The bag may have been followed before the controller's name was written.
-                self._read_run_files(self._recorded.bag)
-            self._report_now()  # before new values: an account has other rules on a live site
-        self._set_site(self._site_file or self._site_of_graph())
-        bag = self._bag or (self._graph.bag() if self._follows else None)
-        if bag is not None and (self._recorded is None or self._recorded.bag != bag):
-            self._follow(bag)
-        if self._client is not None:
-            self._choose_topics(now)
+        if mode != store.mode:
+            if mode == "ended" and store.mode != "none":
+                store.add_event("The run ended.")
+            with store.lock:
+                store.mode = mode
+            self._report_now()
+        self._set_site()
+        self._choose_topics()
 
-    def _shows_graph(self) -> bool:
-        """Return whether the present graph is shown: not if another graph's bag was asked for."""
-        if self._bag is None:
-            return True
-        return self._graph.node(RECORDER) is not None and self._graph.bag() in (None, self._bag)
-
-    def _forget(self) -> None:
-        """Forget everything that is shown; a recording is read again."""
-        self._clear_received()
-        self._follow(None)
-        self._store.reset()
-
-    def _follow(self, bag: Path | None) -> None:
-        """Follow another bag, or none."""
-        # Batches of the previous bag that are still on their way are not shown any more.
-        with self._lock:
-            before, self._recorded = self._recorded, None
-        if before is not None:
-            before.close()
-        if bag is not None:
-            self._read_run_files(bag)
-            namespace = self._store.namespace if self._bag is None else None
-            with self._lock:
-                self._recorded = BagProcess(bag, namespace, self._on_batch)
-
-    def _read_run_files(self, bag: Path) -> None:
-        """Read the controller's name and the incidents of a recorded run."""
-        store = self._store
-        controller, incidents, self._no_incidents = read_run_files(bag)
-        store.recorded_controller, store.recorded_incidents = controller, incidents
-
-    def _on_batch(self, recorded: BagProcess, batch: Batch) -> None:
-        """Receive a batch; numbers last, since they move *now* on, and plans must be there then."""
-        with self._lock:
-            if recorded is not self._recorded:
-                return
-            for (topic, _), (time_ns, message) in batch.messages.items():
-                self._store.receive(topic, time_ns, message, past=True)
-            for topic, times, values in batch.numbers:
-                self._store.add(topic, times, values)
-
-    def _site_of_graph(self) -> Path | None:
-        if self._shows_graph() and (site := self._graph.site()) is not None:
-            return site
-        if self._bag is not None:
-            site = site_file_of(self._bag.parent)
-            return site if site.is_file() else None
-        return None
-
-    def _set_site(self, path: Path | None) -> None:
+    def _set_site(self) -> None:
         """Set the site by which levels are judged from a file, or to the paper's."""
+        path = self._site_file or self._graph.site()
         file = path or default_site_file()
         try:
             as_is = file, file.stat().st_mtime_ns
@@ -341,35 +255,26 @@ class Feed:
                 raise
             note = f"The site file cannot be read, so levels are judged by the paper's: {error}"
             site = read_site(default_site_file())
-        another = site != self._store.site
         self._store.set_site(site, note)
-        if another and self._recorded is not None:
-            self._forget()  # the account was for another site
 
-    def _choose_topics(self, now: float) -> None:
+    def _choose_topics(self) -> None:
         """Subscribe to as much as the graph can bear."""
         assert self._client is not None
-        listens, live = self._subscribed_since > 0, self._store.mode == "live"
-        wanted = live
-        if self._running:
-            factor = self._factor
-            # The speed of a run that has not begun, or that stands still, is unknown.
-            wanted = listens if not factor else factor <= FASTEST
-        if wanted == listens:
+        live, factor = self._store.mode == "live", self._factor
+        # The speed of a run that has not begun, or that stands still, is unknown.
+        wanted = live or (self._running and (factor <= FASTEST if factor else self._subscribed))
+        if wanted == self._subscribed:
             return
         self._client.subscribe([
             name for name, topic in self._topics.items()
             if (topic.live and name != DIAGNOSTICS) or (topic.per_tick and not live)
         ] if wanted else ())
-        self._subscribed_since = now if wanted else 0.0
-        if not wanted:
-            self._move_to_past()
-            self._clear_received()
+        self._subscribed, self._ticks = wanted, Ticks()
 
     @property
     def _factor(self) -> float | None:
         """Simulated time per wall time; None if unknown."""
-        return self._graph.factor(self._store.site.tau)
+        return self._graph.factor(self._store.site.tau) if self._running else None
 
     @property
     def _running(self) -> bool:
@@ -378,9 +283,9 @@ class Feed:
 
     # --- incoming messages ----------------------------------------------------------------------
 
-    def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
+    def _on_message(self, name: str, message: bytes, number: int | None, _: int) -> None:
         """Receive a message; if that fails, the others are received all the same."""
-        self._fails(lambda: self._receive_message(name, message, number, arrived_ns))
+        self._fails(lambda: self._receive_message(name, message, number))
 
     def _excuse_own_pause(self) -> None:
         """Excuse the silence of the nodes while this process stood still."""
@@ -389,110 +294,75 @@ class Feed:
             with self._store.lock:
                 self._graph.excuse_silence(self._awake - before)
 
-    def _receive_message(
-        self, name: str, message: bytes, number: int | None, arrived_ns: int
-    ) -> None:
+    def _receive_message(self, name: str, message: bytes, number: int | None) -> None:
         self._excuse_own_pause()
         if name == DIAGNOSTICS:
             if (received := wire.statuses(message)) is not None:
                 stamp_ns, statuses = received
-                now = time.monotonic()
-                self._store.add_statuses(now, statuses, stamp_ns, arrived_ns / 1e9)
-            return
-        if name == _CLOCK:
+                self._store.add_statuses(time.monotonic(), statuses, stamp_ns)
+        elif name == _CLOCK:
             if (time_ns := wire.clock(message)) is not None:
                 self._ticks.clock(number, time_ns)
-            return
+        elif time_ns := self._time_of(name, number):
+            self._store.receive(name, time_ns, message)
+
+    def _time_of(self, name: str, number: int | None) -> int | None:
+        """Return the time of a message (ns since 1970); None if it cannot be known yet."""
+        if self._store.mode == "live":
+            return time.time_ns()
         topic = self._topics[name]
-        stamp: int | None = arrived_ns
-        if self._store.mode != "live":
-            stamp = self._ticks.newest_ns
-            if topic.per_tick:
-                # A pump driver from another package may have begun at any tick.
-                own = any(self._graph.node(role) for role in topic.publishers)
-                stamp = self._ticks.time(number if own else None)
-        if not stamp:
-            return
-        if not self._store.is_number(name):
-            self._store.receive(name, stamp, message, past=False)
-            if name == PLAN:
-                self._received.append((stamp, name, message))
-        elif (value := wire.number(message)) is not None:
-            self._store.add_present(name, stamp, value)
-            self._received.append((stamp, name, value))
-
-    def _move_to_past(self) -> None:
-        """Move received messages to the past, if no bag brings the past."""
-        now = time.monotonic()
-        if self._shows_samples(now) and self._graph.samples is not None:
-            time_ns, values = self._graph.samples
-            for topic, value in values.items():
-                self._store.add(topic, np.array([time_ns]), np.array([value]))
-        recorded = self._recorded
-        if len(self._received) > _MOST_WAITING or not self._past_is_read(now):
-            numbers: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
-            for time_ns, topic, received in self._received:
-                if isinstance(received, bytes):
-                    self._store.receive(topic, time_ns, received, past=True)
-                else:
-                    numbers[topic].append((time_ns, received))
-            self._received.clear()
-            for topic, pairs in numbers.items():
-                times, series = zip(*pairs, strict=True)
-                self._store.add(topic, np.array(times, np.int64), np.array(series))
-        elif recorded is not None:
-            while self._received and self._received[0][0] <= recorded.read.newest_ns:
-                self._received.popleft()
-
-    def _past_is_read(self, now: float) -> bool:
-        """Return whether a bag brings the past, or may soon."""
-        recorded = self._recorded
-        if recorded is None:
-            return now - max(self._subscribed_since, self._waits_since) < _FOUND_S
-        read = recorded.read
-        return not read.problem and (read.more or now - recorded.grew_at < _WAIT_S)
-
-    def _shows_samples(self, now: float) -> bool:
-        """Return whether the run is too fast to be received in full, and no recording is here.
-
-        If none is to be read, also while the run's speed is still unknown.
-        """
-        if not self._follows:
-            return self._running and not self._subscribed_since
-        recorded = self._recorded is not None and not self._recorded.read.problem
-        too_fast = not self._subscribed_since and (self._factor or 0.0) > FASTEST
-        waited = now - self._waits_since > _FOUND_S
-        return self._running and too_fast and waited and not recorded
+        if not topic.per_tick:
+            return self._ticks.newest_ns or None
+        # A pump driver from another package may have begun at any tick.
+        own = any(self._graph.node(role) for role in topic.publishers)
+        return self._ticks.time(number if own else None)
 
     # --- state of the graph ---------------------------------------------------------------------
 
     def _report(self) -> None:
-        if time.monotonic() - self._reported_at >= _REPORT_S:
+        now = time.monotonic()
+        if now - self._reported_at >= _REPORT_S:
             self._report_now()
+        if now - self._saved_at >= _SAVE_S:
+            self._save()
 
     def _report_now(self) -> None:
-        now, mode, recorded = time.monotonic(), self._store.mode, self._recorded
+        now, factor = time.monotonic(), self._factor
         self._reported_at = now
-        notes = [self._problem] if now < self._problem_until else []
-        if self._no_ros:
-            notes.append(f"Only the recording is shown: {self._no_ros}.")
-        if recorded is not None:
-            if mode in ("live", "ended"):
-                notes.append(self._no_incidents)
-            notes += [recorded.read.problem, recorded.read.progress]
-        shown = self._shows_graph()
-        if not shown and self._graph.mode(now) not in ("none", "ended"):
-            notes.append(f"Another graph runs here; {self._bag} is shown.")
-        if self._follows and self._shows_samples(now):
-            notes.append(
-                "Shows samples: the run is too fast to be received in full, and there is no "
-                "recording of it here."
+        note = self._problem if now < self._problem_until else ""
+        if (factor or 0.0) > FASTEST:
+            note = (
+                "This run is too fast to be shown: more than 60 times real time. See its report "
+                "afterwards."
             )
-        self._store.set_present(
-            mode=mode, factor=self._factor if self._running else None,
-            note=" ".join(filter(None, notes)), graph_shown=shown,
-        )
+        self._store.set_present(mode=self._store.mode, factor=factor, note=note)
         self._store.update(now, time.time())
+
+    # --- the past of a live site ----------------------------------------------------------------
+
+    def _load(self) -> None:
+        """Load the past of a live site; without it the charts start empty."""
+        if self._past_file is None:
+            return
+        store, file = self._store, self._past_file
+        try:
+            past = read_histories(file, store.past, time.time_ns())
+        except (OSError, ValueError) as error:
+            print(f"the charts start empty: {file} cannot be read ({error})", file=sys.stderr)
+            return
+        with store.lock:
+            store.past |= past
+
+    def _save(self) -> None:
+        """Save the past of a live site in a thread of its own: a stop must not wait for a disk."""
+        self._saved_at = time.monotonic()
+        busy = self._saving is not None and self._saving.is_alive()
+        if self._past_file is None or not self._live or busy:
+            return
+        with self._store.lock:
+            rows = {name: past.rows.copy() for name, past in self._store.past.items()}
+        self._saving = threading.Thread(target=_write, args=(self._past_file, rows), daemon=True)
+        self._saving.start()
 
     # --- stopping -------------------------------------------------------------------------------
 
@@ -527,3 +397,10 @@ class Feed:
                     future.set_exception(error)
         with suppress(PumpRequestError):
             self._connect_pump()
+
+
+def _write(file: Path, rows: Any) -> None:
+    try:
+        write_histories(file, rows)
+    except OSError as error:
+        print(f"the past is not saved: {file}: {error.strerror or error}", file=sys.stderr)

@@ -23,14 +23,14 @@ from greenroof_ros.common.conditions import (
     read_conditions,
     read_interlocks,
 )
-from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, RECORDER, STARTING, STATES
+from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, STARTING, STATES
 from greenroof_ros.watch.wire import WireStatus
 from greenroof_ros.watch.words import plain, sentence
 
 OK, WARN, ERROR, STALE = range(4)
-# After this silence (s) a node is treated as not responding, as in bringup; it reports four times a
-# second. Other devices report once a second, so they may miss four reports.
-SILENT_S, _FOREIGN_SILENT_S = 2.0, 5.0
+# After this silence (s) a node is treated as not responding: it reports at least once a second, so
+# it may miss two reports. Other devices, which may be slower, may miss four.
+SILENT_S, _FOREIGN_SILENT_S = 3.5, 5.0
 # A silent node may be replaced by another process; after this time (s) it is gone.
 _GONE_S = 10.0
 # A node that waits for others for longer than this (s) is an alarm: a start takes seconds.
@@ -41,17 +41,14 @@ _SPEED_S, _SPEED_MOST_S = 1.0, 3.0
 # each, statuses of other devices, and characters of a name. A graph has seven nodes.
 _NODES, _PARTS, _FOREIGN, _NAME = 32, 24, 200, 160
 _NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
-# The maximum tick of a run, and the first time (ns since 1970) that does not fit into 64 bits.
-_LAST_TICK, _LAST_NS = 2**40, 2**63
+# The maximum tick of a run, and the end of the times of a run (ns since 1970): the year 2116.
+_LAST_TICK, _LAST_NS = 2**40, 2**62
 # While all nodes have run for less than this (s), what is missing may still come: the site starts.
 _START_S = 60.0
 # A name that ROS allows for a node; the name becomes part of commands that are advised.
 _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _PLANT = "plant"
 _LAST_WORDS = (FINISHED, ENDED)
-_SAMPLES = {
-    "/cistern/level": "cistern_level", "/roof/level": "roof_level", "/pump/command": "command",
-}
 
 
 @dataclass(frozen=True)
@@ -85,11 +82,6 @@ class Trouble:
         """Whether it may still come, if the site is starting; what was good before is lost."""
         condition = read_conditions().get(self.code)
         return bool(self.role) and condition is not None and condition.late and not self.was_good
-
-    @property
-    def hides_pump(self) -> bool:
-        """Whether it is unknown what the pump does while this lasts."""
-        return self.part == "drive" or (self.role, self.part) == (PUMP, "")
 
 
 @dataclass
@@ -181,8 +173,7 @@ class Registry:
 
     Attributes:
         runs: how often another run began, because the plant was started again.
-        samples: the levels and the command that the plant last reported, with the time of their
-            tick (ns since 1970); None before the first.
+        time_ns: the time of the plant's newest tick (ns since 1970); 0 before the first.
     """
 
     def __init__(self, namespace: str = "", on_event: Callable[[str], None] | None = None) -> None:
@@ -193,7 +184,7 @@ class Registry:
             on_event: called with each event, in a sentence.
         """
         self.runs = 0
-        self.samples: tuple[int, dict[str, float]] | None = None
+        self.time_ns = 0
         self._namespace = "/" + namespace.strip("/")
         self._on_event = on_event or (lambda _: None)
         self._nodes: dict[tuple[str, str], Node] = {}  # by name and process
@@ -212,17 +203,13 @@ class Registry:
             and (name.rpartition("/")[0] or "/") == self._namespace
         )
 
-    def receive(
-        self, wall: float, statuses: Sequence[WireStatus], *, stamp_ns: int = 0,
-        arrived: float | None = None,
-    ) -> None:
+    def receive(self, wall: float, statuses: Sequence[WireStatus], *, stamp_ns: int = 0) -> None:
         """Receive the statuses of one or more messages; no content raises an exception.
 
         Args:
             wall: now (steady clock, s).
             statuses: the statuses.
             stamp_ns: time stamp of the message, in a simulation the tick's time (ns since 1970).
-            arrived: when the message arrived (s); None if unknown: ``wall`` is used.
         """
         if len(self._foreign) >= _FOREIGN:
             self._foreign = {
@@ -238,7 +225,7 @@ class Registry:
             elif (node := self._receive_node(wall, name, status.message, values)) is not None and (
                 self._by_role.get(_PLANT) is node
             ):
-                self._receive_plant(node, stamp_ns, wall if arrived is None else arrived)
+                self._receive_plant(wall, node, stamp_ns)
 
     def _receive_other(self, wall: float, name: str, status: WireStatus) -> None:
         """Receive a status of a part of a node, or of another device."""
@@ -325,7 +312,7 @@ class Registry:
         self._by_role[node.role] = node
         if node.role == _PLANT and before is not None:
             self.runs += 1
-            self.samples = None
+            self.time_ns = 0
             self._ticks.clear()
             # Reports of silent nodes are about the run before.
             for other in list(self._nodes.values()):
@@ -361,18 +348,15 @@ class Registry:
                 f"the pump is off until it is reset: {fault}" if fault else "the fault was reset"
             )
 
-    def _receive_plant(self, node: Node, stamp_ns: int, arrived: float) -> None:
+    def _receive_plant(self, wall: float, node: Node, stamp_ns: int) -> None:
         tick = node.values.get("tick")
         if type(tick) is not int or not 0 < tick <= _LAST_TICK:
             return  # before the first tick the stamp is not the run's
-        self._ticks.append((arrived, tick))
-        while arrived - self._ticks[0][0] > _SPEED_MOST_S:
+        self._ticks.append((wall, tick))
+        while wall - self._ticks[0][0] > _SPEED_MOST_S:
             self._ticks.popleft()
-        values = {
-            topic: float(value) for topic, key in _SAMPLES.items()
-            if isinstance(value := node.values.get(key), (int, float))
-        }
-        self.samples = (stamp_ns, values) if stamp_ns < _LAST_NS else None
+        if stamp_ns < _LAST_NS:
+            self.time_ns = stamp_ns
 
     def excuse_silence(self, seconds: float) -> None:
         """Excuse the silence of all in a time in which nothing could be received (s)."""
@@ -383,11 +367,6 @@ class Registry:
                 part.received_at += seconds
 
     # --- kind of graph --------------------------------------------------------------------------
-
-    @property
-    def has_received(self) -> bool:
-        """Whether anything was received from any node or device."""
-        return bool(self._nodes or self._foreign)
 
     def node(self, role: str) -> Node | None:
         """Return the node of a role; None if none was received."""
@@ -455,10 +434,6 @@ class Registry:
                 if older.received_at > newer.began:
                     return rival
         return None
-
-    def bag(self) -> Path | None:
-        """Return the bag that the recorder writes, if it is on this machine."""
-        return self._path(RECORDER, "bag")
 
     def site(self) -> Path | None:
         """Return the site file of the graph, if it is on this machine."""

@@ -376,7 +376,7 @@ class _PageApplication:
             )
         sentence = words.sentence(sentence)
         event = f"{action.capitalize()}, from {asker}: {sentence}"
-        await asyncio.to_thread(self._store.add_event, time.time(), event)
+        await asyncio.to_thread(self._store.add_event, event)
         return ok, sentence
 
 

@@ -1,7 +1,6 @@
 """What may be done to the pump from here: stop it, release it, clear a fault, give a dose.
 
-It needs nothing that tiles, alarms or account need: even if those cannot be shown, the pump can be
-stopped.
+It needs nothing that tiles or alarms need: even if those cannot be shown, the pump can be stopped.
 """
 
 from __future__ import annotations

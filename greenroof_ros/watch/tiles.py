@@ -145,12 +145,11 @@ def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """
     node, report = store.pump, store.pump_report
     values = {} if node is None else node.values
-    is_silent, lost = store.is_lost(node), store.lost_pump
-    may_turn = lost or (
-        node is not None and (node.may_turn or (is_silent and values.get("stands") is False))
+    is_silent, flow_known = store.is_lost(node), store.flow_known
+    may_turn = node is not None and (
+        node.may_turn or (is_silent and values.get("stands") is False)
     )
     speed_known = values.get("speed", 0.0) is not None  # also if its node never reports a speed
-    flow_known = not (lost or store.unknown_flow.is_unknown)
     pumped = store.newest.get(_FLOW) if flow_known and (speed_known or may_turn) else None
     command = store.newest.get(_COMMAND)
     state, why = _state(store, report)
@@ -292,8 +291,6 @@ def controller(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """
     node = store.graph.node("controller")
     name = None if node is None else node.name.rpartition("/")[2]
-    if store.ended:
-        name = name or store.recorded_controller or None
     alarm = next((
         row["what"] for row in wrong
         if node is not None and row["level"] in ("error", "stale")
@@ -317,8 +314,7 @@ def controller(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     if not alarm and not store.ended:
         sentence = "; ".join(filter(None, (_aim(store, plan, now), sentence, why_not_yet(store))))
     return {
-        "label": "Controller",
-        "value": name or ("not recorded" if store.ended else words.UNKNOWN), "number": None,
+        "label": "Controller", "value": name or words.UNKNOWN, "number": None,
         "state": "alarm" if alarm else "good" if known else "unknown", "sentence": sentence,
         "stale": command is not None and command.stale,
     }

@@ -1,7 +1,6 @@
-"""Messages as they are sent on the wire and stored in bags (CDR), read without ROS.
+"""Messages as they are sent on the wire (CDR), read without ROS.
 
-Heard and recorded messages go through the same functions, and therefore show the same. A bag can be
-read without a ROS installation. No length in a message is trusted: an incomplete message is None.
+No length in a message is trusted: an incomplete message is None.
 """
 
 from __future__ import annotations
@@ -98,12 +97,6 @@ def number(cursor: _Cursor) -> float:
 def clock(cursor: _Cursor) -> int:
     """Read the time of a ``rosgraph_msgs/msg/Clock`` (ns since 1970)."""
     return _stamp(cursor)
-
-
-@_whole_or_none
-def text(cursor: _Cursor) -> str:
-    """Read the text of a ``std_msgs/msg/String``."""
-    return cursor.text()
 
 
 @_whole_or_none

@@ -10,8 +10,6 @@ import numpy as np
 from paper import PAPER_SITE
 
 from greenroof_ros.model.site import Site
-from greenroof_ros.watch.alarms import Alarm
-from greenroof_ros.watch.registry import Trouble
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.wire import WireStatus
 
@@ -68,11 +66,6 @@ def silent_sensor() -> list[WireStatus]:
     ]
 
 
-def incident(role: str, part: str, cause: str, code: str, began: float, ended: float) -> Alarm:
-    """Return an incident of a recording, with its times (s since 1970)."""
-    return Alarm(Trouble(ERROR, cause, code, role, part), began, ended_at=ended)
-
-
 def store(mode: str = "simulated", site: Site = PAPER_SITE) -> GraphStore:
     """Return a store that knows only the site of its graph."""
     graph = GraphStore()
@@ -81,10 +74,17 @@ def store(mode: str = "simulated", site: Site = PAPER_SITE) -> GraphStore:
     return graph
 
 
+def add_series(graph: GraphStore, topic: str, times_ns: Any, values: Any) -> None:
+    """Add values of a topic, each with its time; one value may be for all times."""
+    times = np.asarray(times_ns, np.int64)
+    for time_ns, value in zip(times.tolist(), np.broadcast_to(values, times.shape).tolist(),
+                              strict=True):
+        graph.add(topic, time_ns, value)
+
+
 def add_values(
     graph: GraphStore, first: int, last: int, values: Mapping[str, float], every: int = 1
 ) -> None:
     """Add each topic's value from one second to another, the last one not included."""
-    times = START + SECOND * np.arange(first, last, every)
     for topic, value in values.items():
-        graph.add(topic, times, np.full(len(times), value))
+        add_series(graph, topic, START + SECOND * np.arange(first, last, every), value)

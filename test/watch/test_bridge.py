@@ -108,8 +108,8 @@ def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
     })
     # 12 h: 1 L/s for the hour that begins in 1000 s.
     graph.add_plan(START + 9 * SECOND, np.array([
-        [1000.0, 0.0, 0.04], [4600.0, 1e-3, 0.045], [43_200.0, 0.0, 0.04],
-    ]), past=False)
+        [1000.0, 0.0, 0.04, 0.0], [4600.0, 1e-3, 0.045, 0.0], [43_200.0, 0.0, 0.04, 0.0],
+    ]))
     graph.update(0.0, START / SECOND + 10)
     said = state(graph)
     assert {key: said[key] for key in (
@@ -159,7 +159,7 @@ def test_it_reports_what_a_simulated_run_does_and_nothing_can_be_stopped(
             domain, "bringup", "--controller", "lookahead", "--hours", "0.4", "--speed", "30",
             "--cistern", "57", "--roof", "0", "--output", "run", cwd=tmp_path,
         )
-        wait_for(lambda: state_on(heard).get("planned_volume") is not None, 60, "a plan")
+        wait_for(lambda: state_on(heard).get("roof_level") is not None, 60, "a level")
         assert state_on(heard)["mode"] == "simulated" and not state_on(heard)["can_stop"]
         assert "pump" in state_on(heard)["plan"]
         with Talker(broker) as late:
@@ -285,7 +285,6 @@ def test_wrong_input_is_one_message(unused_domain: int, tmp_path: Path) -> None:
 @needs_mosquitto
 @pytest.mark.parametrize("broken", [
     "bridge.state_of", "bridge.alarms_of", "bridge.document", "tiles.rain",
-    "account.Account.totals",
 ])
 def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
     broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

@@ -24,21 +24,18 @@ from page_inputs import (
     START,
     WARN,
     add_values,
-    incident,
     node,
     pump_report,
     store,
 )
 from paper import PAPER_SITE
 
-from greenroof_ros.graph.states import PumpState
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
-from greenroof_ros.watch.document import LINES
 from greenroof_ros.watch.document import document as read_document
 from greenroof_ros.watch.document import series as read_series
-from greenroof_ros.watch.store import GraphStore
+from greenroof_ros.watch.store import LINES, GraphStore
 from greenroof_ros.watch.wire import WireStatus
 
 SITE = replace(PAPER_SITE, utc_offset=-5.0)  # START is 00:00 there
@@ -47,7 +44,6 @@ MINUTE = START + 60 * SECOND
 QUIET = {
     "/roof/level": 0.0457, "/cistern/level": 2.5, "/pump/command": 0.0, "/pump/flow": 0.0,
     "/weather/precipitation": 0.0, "/weather/evapotranspiration": 0.0, "/weather/frost": 0.0,
-    "/cistern/outflow": 0.0, "/roof/drainage": 0.0,
 }
 LEVELS = "roof", "cistern"  # lines with a point at the end of a stretch, not where a step is
 ENSEMBLE = np.outer(np.arange(1.0, 12.0), np.full(32, 1e-7))  # 11 members, (member, step)
@@ -61,10 +57,10 @@ def watched(mode: str = "simulated", **values: float) -> GraphStore:
     return graph
 
 
-def add_at(graph: GraphStore, topic: str, *pairs: tuple[float, float]) -> None:
+def add_at(graph: GraphStore, topic: str, *pairs: tuple[int, float]) -> None:
     """Add values of a topic, each with its second."""
-    seconds, values = zip(*pairs, strict=True)
-    graph.add(topic, START + SECOND * np.array(seconds, np.int64), np.array(values))
+    for second, value in pairs:
+        graph.add(topic, START + second * SECOND, value)
 
 
 def forecast(
@@ -72,6 +68,11 @@ def forecast(
 ) -> None:
     """Add a forecast with growing steps, up to this many hours ahead."""
     graph.add_forecast(time_ns, rain, np.array([issued, *growing_steps(hours)[1:]]))
+
+
+def plan_of(*steps: tuple[float, float, float]) -> np.ndarray[Any, Any]:
+    """Return a plan: of each step its end (s), flow (m3/s) and level (m); none fills the roof."""
+    return np.array([(*step, 0.0) for step in steps])
 
 
 def plan_lasts(graph: GraphStore, first: int, last: int) -> None:
@@ -110,10 +111,6 @@ def shown(graph: GraphStore, wall: float = 100.0) -> dict[str, Any]:
 def tile_of(graph: GraphStore, name: str, wall: float = 100.0) -> dict[str, Any]:
     tile: dict[str, Any] = shown(graph, wall)["tiles"][name]
     return tile
-
-
-def account_of(graph: GraphStore, wall: float = 100.0) -> dict[str, dict[str, Any]]:
-    return {row["key"]: row for row in shown(graph, wall)["account"]["rows"]}
 
 
 def pump_says(graph: GraphStore, wall: float, text: str, stamp_ns: int = 0, **said: Any) -> None:
@@ -202,19 +199,6 @@ def test_the_simulated_pump_stands_in_quiet_hours() -> None:
         assert ("waiting for rain" in said) == (begins == "05:02"), said
 
 
-def test_the_pump_node_reports_how_it_is() -> None:
-    """In a bag; for its messages on /diagnostics see below."""
-    graph = watched()
-    for later, said, state, why in (
-        (5, '{"state": "starting", "why": "by: its own words"}', "starting", "by: its own words"),
-        (4, '{"state": "off", "why": "older"}', "starting", "by: its own words"),
-        (6, "<b>dancing</b>:\n\x00", "unknown", "<b>dancing</b>: \N{REPLACEMENT CHARACTER}"),
-    ):
-        graph.add_pump_state(START + later, said)
-        tile = tile_of(graph, "pump")
-        assert (tile["state"], tile["why"]) == (state, why)
-
-
 def test_rain_and_what_is_to_come() -> None:
     """Members of 1..11 times 1e-7 m/s for 12 h: 4.32 mm times 1 to 11, mean 6, deciles 2 and 10."""
     graph = watched(weather_precipitation=1 / 3.6e6)
@@ -257,14 +241,14 @@ def test_the_plan_in_words() -> None:
     """1e-3 m3/s from 01:20 to 02:00 are 2.4 m3; an empty plan means that it is unchanged."""
     graph = watched()
     graph.add_statuses(100.0, node("/lookahead", "controller"))
-    plan = np.array([[4740.0, 0, 0.045], [7140.0, 1e-3, 0.047], [43200.0, 0, 0.046]])
+    plan = plan_of((4740.0, 0, 0.045), (7140.0, 1e-3, 0.047), (43200.0, 0, 0.046))
     will = (
         "will pump 2.40 m³ in the next 12 h, from 01:20 on, up to 47.0 mm"  # without a forecast
     )
     for later, (rows, sentence) in enumerate((
-        (plan, will), (np.empty((0, 3)), will),
-        (plan * [1, 0, 1], "will not pump in the next 12 h"),
-        (np.full((1, 3), np.nan), "commands no pumping now"),
+        (plan, will), (np.empty((0, 4)), will),
+        (plan * [1, 0, 1, 1], "will not pump in the next 12 h"),
+        (np.full((1, 4), np.nan), "commands no pumping now"),
     )):
         graph.add_plan(MINUTE + later * SECOND, rows)
         tile = tile_of(graph, "controller")
@@ -276,7 +260,7 @@ def test_the_plan_in_words() -> None:
 def test_what_the_controller_fills_to() -> None:
     """A level for now and one for later; no present level while the roof is left alone."""
     graph = watched()
-    graph.add_plan(MINUTE, np.array([[3600.0, 1e-3, 0.045]]))
+    graph.add_plan(MINUTE, plan_of((3600.0, 1e-3, 0.045)))
     add_values(graph, 60, 61, {"/controller/fill_to": 0.041})
     said = tile_of(graph, "controller")["sentence"].partition("; ")[0]
     assert said == "fills to 41.0 mm now"
@@ -290,15 +274,12 @@ def test_what_the_controller_fills_to() -> None:
     add_values(graph, 61, 62, {"/roof/level": 0.0435, "/controller/fill_to": math.nan})
     said = tile_of(graph, "controller")["sentence"].partition("; ")[0]
     assert said == "fills to 44.0 mm after 02:01 if no rain comes"
-    graph.add_plan(MINUTE + 2 * SECOND, np.array(later)[:, :3])  # from an older bag
-    assert "fill" not in tile_of(graph, "controller")["sentence"]
 
 
 @pytest.mark.parametrize("value", [math.nan, 1e300, -1.0])
 def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
     """And the next good value ends it."""
     graph = watched()
-    before = [row["number"] for row in account_of(graph).values()]
     for topic in QUIET:
         add_at(graph, topic, (61, value))
     document = shown(graph)
@@ -309,11 +290,11 @@ def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
     assert "not a plausible value" in document["tiles"]["pump"]["sentence"]
     series = read_series(graph, 3)
     json.dumps(series, allow_nan=False)
-    for name in LINES:  # 0-19, 20-39, 40-59 and 60 s
-        times = [row[0] - START / 1e9 for row in series["lines"][name]]
-        assert times == ([0, 19, 39, 59, 60] if name in LEVELS else [0, 20, 40, 60]), name
-    after = [row["number"] for row in account_of(graph).values()]
-    assert after == pytest.approx(before, abs=1e-9)
+    for name in LINES:  # 0-19, 20-39 and 40-59 s; then it is unknown
+        *known, last = series["lines"][name]
+        times = [row[0] - START / 1e9 for row in known]
+        assert times == ([19, 39, 59] if name in LEVELS else [0, 20, 40]), name
+        assert last == [START / 1e9 + 61, None, None, None]
     assert document["tiles"]["summary"]["level"] == "warn"
     add_at(graph, "/roof/level", (62, value), (63, 0.0457))
     assert tile_of(graph, "roof")["state"] == "good"
@@ -332,16 +313,15 @@ def test_hostile_forecasts_and_plans() -> None:
         assert tile_of(graph, "rain")["sentence"] == "no forecast is known"
         assert read_series(graph, 3)["forecast"] == []
     for later, rows in enumerate((
-        np.ones(3), np.ones((2, 2)), np.ones((2, 3, 1)), np.full((2, 3), 1e300), np.ones((2, 3)),
-        np.array([[-1.0, 0, 0]]), np.array([[0.0, 0, 0]]), np.full((10_000, 3), 1.0),
+        np.ones(4), np.ones((2, 3)), np.ones((2, 4, 1)), np.full((2, 4), 1e300), np.ones((2, 4)),
+        plan_of((-1.0, 0, 0)), plan_of((0.0, 0, 0)), np.full((10_000, 4), 1.0),
     )):
         graph.add_plan(MINUTE + later * SECOND, rows)
         assert read_series(graph, 3)["plan"] == []
-    graph.add_plan(2**63, np.array([[1.0, 0, 0]]))
-    times = np.array([-5, 0, 2**62, 2**63 - 1, MINUTE + 5 * SECOND])
-    graph.add("/roof/level", times, np.array([0.1, 0.1, 0.1, 0.1, 0.02]))
-    for topic in ("/no/such/topic", "/pump/state"):
-        graph.add(topic, np.array([MINUTE]), np.array([1.0]))
+    graph.add_plan(2**63, plan_of((1.0, 0, 0)))
+    for time_ns in (-5, 0, 2**62, 2**63 - 1):
+        graph.add("/roof/level", time_ns, 0.1)
+    graph.add("/roof/level", MINUTE + 5 * SECOND, 0.02)
     document = shown(graph)
     assert document["tiles"]["roof"]["number"] == 0.02
     assert document["time"]["text"] == "2021-07-20 00:01:05 UTC-05:00"
@@ -358,7 +338,7 @@ def test_what_is_not_newer_is_left_out() -> None:
     add_at(graph, "/roof/level", (70, 0.03), (65, 0.5), (80, 0.02))
     rows = read_series(graph, 3)["lines"]["roof"]
     assert [row[1:] for row in rows] == [
-        *[[0.04, 0.04, 0.04]] * 4, [0.03, 0.04, 0.03], [0.02, 0.02, 0.02],
+        *[[0.04, 0.04, 0.04]] * 3, [0.03, 0.04, 0.03], [0.02, 0.02, 0.02],
     ]
 
 
@@ -384,17 +364,17 @@ def test_a_value_that_does_not_come_any_more_is_stale() -> None:
 
 
 def test_what_comes_seldom_may_be_silent_for_longer() -> None:
-    """The bag of a live site grows every 10 s: three times that is allowed."""
+    """Three times the usual interval, here of 10 s, is allowed."""
     graph = watched()
     for block in range(4):
-        add_values(graph, 61 + 10 * block, 71 + 10 * block, {"/roof/level": 0.0457})
+        add_at(graph, "/roof/level", (70 + 10 * block, 0.0457))
         shown(graph, 100.0 + 10 * block)
     assert not tile_of(graph, "roof", 159.0)["stale"]
     assert tile_of(graph, "roof", 161.0)["stale"]
 
 
 def test_the_time_of_a_live_site_goes_on_without_values_and_may_be_set_back() -> None:
-    """Set back by an hour: new values count, and the recording's later ones do not."""
+    """Set back by an hour: the charts start again with new values."""
     graph = watched("live")
     graph.update(100.0, START / 1e9 + 60)
     assert shown(graph, 101.0)["notes"] == []
@@ -405,20 +385,19 @@ def test_the_time_of_a_live_site_goes_on_without_values_and_may_be_set_back() ->
     assert read_series(graph, 1.0)["now"] == START / 1e9 + 72
     pump_says(graph, 112.0, "off: nothing is commanded")
     graph.update(112.5, START / 1e9 - 3539)
-    add_values(graph, 55, 62, {"/roof/level": 0.01})
+    assert not any(read_series(graph, 168)["lines"].values())
     add_values(graph, -3539, -3530, QUIET)
     document = shown(graph, 113.0)
     assert document["tiles"]["roof"]["number"] == QUIET["/roof/level"]
     assert document["tiles"]["pump"]["value"] == "off"
-    assert document["account"]["since_text"] == "since 2021-07-19 23:01:01"
     assert document["events"][0]["what"] == (
-        "The system's clock was set back by 60 min: charts and account start again"
+        "The system's clock was set back by 60 min: the charts start again"
     )
 
 
 def test_nothing_of_an_ended_run_is_stale_and_it_has_no_future() -> None:
     graph = watched()
-    graph.add_plan(MINUTE, np.array([[43_200.0, 1e-4, 0.045]]))
+    graph.add_plan(MINUTE, plan_of((43_200.0, 1e-4, 0.045)))
     forecast(graph, MINUTE, np.full(32, 1e-7))
     shown(graph, 100.0)
     graph.set_present(mode="ended", factor=None, note="")
@@ -455,7 +434,6 @@ def test_a_watcher_that_knows_nothing() -> None:
     }
     assert document["tiles"].pop("summary")["sentence"] == "no run or site is found."
     assert {tile["state"] for tile in document["tiles"].values()} == {"unknown"}
-    assert {row["value"] for row in document["account"]["rows"]} == {"unknown"}
     assert not any(read_series(GraphStore(), 12)["lines"].values())
 
 
@@ -466,47 +444,9 @@ def test_another_run_begins() -> None:
     assert tile_of(graph, "roof")["state"] == "unknown"
     add_values(graph, -86_400, -86_300, QUIET)
     assert tile_of(graph, "roof")["state"] == "good"
-    assert shown(graph)["account"]["since_text"] == "since 2021-07-19 00:00:00"
 
 
-# --- account, notes, stop, events -------------------------------------------------------------
-
-
-def test_the_account_in_words() -> None:
-    """Of a minute in which 1 L/s was pumped; see test_account.py for its rules."""
-    graph = watched(pump_flow=1e-3)
-    rows = {key: row["value"] for key, row in account_of(graph).items()}
-    assert rows.pop("evapotranspiration_ratio") == "unknown"  # nothing to evaporate
-    assert rows.pop("energy").endswith(" kWh")
-    assert rows == {
-        "stress": "0.0 h", "deviation": "0.0 mm", "rain": "0.000 m³", "pumped": "0.060 m³",
-        "drained": "0.000 m³", "evapotranspired": "0.000 m³", "stored": "0.000 m³",
-        "unexplained": "-0.060 m³", "inflow": "0.000 m³", "overflow": "0.000 m³",
-        "saved": "0.060 m³",
-    }  # the level stood still; without rain no share of it was kept
-    assert shown(graph)["account"]["sentence"] == ""
-    add_values(graph, 361, 400, QUIET)
-    assert shown(graph)["account"]["sentence"] == "with gaps of 5 min"
-
-
-def test_water_of_the_mains_in_the_account() -> None:
-    """Below its level the valve gives its flow, here all that is pumped, so none is saved."""
-    graph = store(site=replace(SITE, mains_level=1.0, mains_flow=1e-3))
-    add_values(graph, 0, 61, {**QUIET, "/cistern/level": 0.9, "/pump/flow": 1e-3})
-    numbers = [account_of(graph)[key]["number"] for key in ("pumped", "mains", "saved")]
-    assert numbers == pytest.approx([0.06, 0.06, 0.0], abs=1e-12)
-
-
-def test_an_ended_live_bag_has_its_account_to_the_end() -> None:
-    """Read in one batch, topic by topic: only waiting shows that a topic never comes."""
-    graph = store("ended", SITE)
-    of_plant = ("/cistern/outflow", "/roof/drainage")
-    live = {topic: value for topic, value in QUIET.items() if topic not in of_plant}
-    add_values(graph, 0, 1000, {**live, "/pump/flow": 1e-3})
-    shown(graph, 100.0)
-    rows = account_of(graph, 103.0)
-    assert rows["pumped"]["number"] == pytest.approx(0.999)
-    assert rows["drained"]["label"] == "Drained off the roof, computed from the level"
+# --- notes, stop, events -------------------------------------------------------------
 
 
 def test_notes() -> None:
@@ -610,7 +550,7 @@ def test_where_a_dose_may_be_given(
 def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
     graph = watched()
     pump_says(graph, 100.0, f"held: {HELD}", stands=True, hold=HOLD)
-    document = shown(graph, 103.0)
+    document = shown(graph, 104.0)
     pump, stop = document["tiles"]["pump"], document["stop"]
     assert stop["hold"] is None
     assert not stop["stopped"] and stop["sentence"].startswith("It was held off at last contact.")
@@ -658,7 +598,7 @@ def test_what_is_known_of_the_pump(said: dict[str, Any], value: str, alarm: bool
     assert (tile["value"], tile["alarm"]) == (value, alarm)
     assert ("60.0 L/min" in tile["sentence"]) == (said["flow"] is not None)
     assert ("flow is unknown" in tile["sentence"]) == (said["flow"] is None)
-    tile = tile_of(graph, "pump", 103.0)  # its node is gone: it ran
+    tile = tile_of(graph, "pump", 104.0)  # its node is gone: it ran
     assert (tile["value"], tile["alarm"]) == ("unknown", True)
 
 
@@ -673,7 +613,7 @@ def test_a_drive_that_is_not_responding_has_no_flow_although_it_stands() -> None
 
 
 def test_a_flow_that_is_unknown_is_a_gap() -> None:
-    """In the chart and the account, from when it was last known until it is known again."""
+    """Its topic then goes on with 0."""
     graph = watched("live", pump_flow=1e-3)
     graph.update(99.0, START / 1e9 + 60)
     known = {"stands": False, "speed": 1.0, "flow": 1e-3}
@@ -684,15 +624,14 @@ def test_a_flow_that_is_unknown_is_a_gap() -> None:
 
     print_line(60, known)
     print_line(70, {"stands": False, "speed": None, "flow": None})
+    assert tile_of(graph, "pump", 170.0)["number"] is None
     add_values(graph, 61, 161, {**QUIET, "/pump/flow": 0.0})
     print_line(160, known)
     add_values(graph, 161, 181, {**QUIET, "/pump/flow": 1e-3})
     graph.update(301.0, START / 1e9 + 180)
     flow = read_series(graph, 1)["lines"]["flow"]
-    assert [row[1] for row in flow] == [*[1e-3] * 4, None, *[1e-3] * 2]
-    assert flow[4][0] == START / 1e9 + 60
-    assert account_of(graph, 301.0)["pumped"]["number"] == pytest.approx(0.08, abs=0.003)
-    assert "with gaps of" in shown(graph, 301.0)["account"]["sentence"]
+    assert [row[1] for row in flow] == [*[1e-3] * 3, *[None] * 5, *[1e-3] * 2]
+    assert flow[3][0] == START / 1e9 + 61
 
 
 def with_outlook(mean: float, *, command: float = 0.0, plan: Any = None) -> dict[str, Any]:
@@ -704,7 +643,7 @@ def with_outlook(mean: float, *, command: float = 0.0, plan: Any = None) -> dict
     share = np.linspace(0.5, 1.5, 11)[:, None] * mean / ((ends - begins) @ steps[0])
     forecast(graph, MINUTE, steps * share)
     if plan is not None:
-        graph.add_plan(MINUTE, np.array(plan))
+        graph.add_plan(MINUTE, plan_of(*plan))
     document = shown(graph)
     return {**document["tiles"], "advice": document["advice"]}
 
@@ -751,7 +690,8 @@ def test_a_roof_that_will_be_too_wet_is_reported_in_words() -> None:
 def test_what_began_before_the_clock_of_a_run_is_of_its_clock() -> None:
     """Nodes stamp with the system's time until the first tick."""
     graph = store(site=SITE)
-    graph.add_event(time.time(), "It came.")
+    graph.update(0.0, time.time())
+    graph.add_event("It came.")
     for wall, level, stamp_ns in (
         (1.0, WARN, time.time_ns()), (2.0, WARN, time.time_ns()), (3.0, OK, START + SECOND),
     ):
@@ -759,74 +699,8 @@ def test_what_began_before_the_clock_of_a_run_is_of_its_clock() -> None:
     add_values(graph, 0, 9, QUIET)
     document = shown(graph, 3.5)
     (alarm,) = document["alarms"]
-    assert (alarm["since_text"], alarm["since_at_least"]) == ("00:00:01", True)
-    assert alarm["over_text"] == "00:00:01"
-    assert [event["at_text"] for event in document["events"]] == ["00:00:01"]
-
-
-# --- recordings -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("second", "level", "word", "value"), [
-    (5, "stale", "Alarms are unknown.", "off"),
-    (20, "error", "1 alarm, 1 incident, over.", "unknown"),
-    (60, "warn", "2 incidents, all over.", "off"),
-])
-def test_an_incident_of_a_recording_stands_while_it_did(
-    second: int, level: str, word: str, value: str
-) -> None:
-    """Meanwhile no reason is guessed for the pump's state."""
-    graph, at = store("ended", SITE), START / 1e9
-    graph.recorded_incidents = [
-        incident("pump", "drive", "no connection to the drive", "drive_lost", at + 10, at + 30),
-        incident("mpc", "", "ended", "node_failed", at + 10, at + 12),
-    ]
-    add_values(graph, 0, second + 1, QUIET)
-    document = shown(graph)
-    tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
-    assert (summary["level"], summary["word"], tile["value"]) == (level, word, value)
-    assert not document["alarms_known"]
-    if second == 5:
-        assert document["alarms"] == []
-        return
-    row, other = document["alarms"]
-    assert (row["id"], row["what"]) == ("pump: drive", "no connection to the drive")
-    assert row["since_text"] == "00:00:10" and "The drive is not responding" in row["do"]
-    assert row["over_text"] == ("00:00:30" if second == 60 else "")
-    assert (other["id"], other["over_text"]) == ("mpc", "00:00:12")
-    assert ("0.0 L/min" in tile["sentence"]) == bool(tile["why"]) == (value == "off")
-    flow = read_series(graph, 1)["lines"]["flow"]
-    assert not any(10 < row[0] - START / 1e9 < 30 for row in flow if row[1] is not None)
-
-
-def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
-    """It is shown; present incidents, and those since, are reported by the nodes themselves."""
-    graph, before = store("live", SITE), time.time()
-    over = incident("pump", "drive", "no connection", "drive_lost", before - 60, before - 30)
-    graph.recorded_incidents = [
-        over, replace(over, ended_at=None), replace(over, ended_at=before + 60)
-    ]
-    assert shown(graph)["alarms"] == []
-    graph.add_statuses(time.monotonic(), [])
-    assert [row["over"] for row in shown(graph)["alarms"]] == [before - 30]
-
-
-@pytest.mark.parametrize(("said", "state", "level"), [
-    (f"held: {HELD}", "held", "warn"), ("off: nothing is commanded", "off", "stale"),
-])
-def test_a_recording_has_no_stop_and_is_never_said_to_be_fine(
-    said: str, state: str, level: str
-) -> None:
-    """No recording shows which alarms there were."""
-    graph = watched("ended")
-    graph.add_pump_state(START, PumpState(*said.split(": ", 1)).message())
-    document = shown(graph)
-    tiles, summary = document["tiles"], document["tiles"]["summary"]
-    assert (tiles["pump"]["state"], tiles["controller"]["value"]) == (state, "not recorded")
-    assert not document["stop"]["possible"] and not document["alarms_known"]
-    assert (summary["word"], summary["level"]) == ("Alarms are unknown.", level)
-    assert document["notes"] == ["A recording does not tell which alarms there were."]
-    assert document["advice"] == "The run is over: this is not the present."
+    assert (alarm["since_text"], alarm["over_text"]) == ("the start", "the start")
+    assert [event["at_text"] for event in document["events"]] == ["the start"]
 
 
 def test_the_pump_nodes_word_is_of_now_though_the_flow_is_old() -> None:
@@ -840,7 +714,7 @@ def test_the_pump_nodes_word_is_of_now_though_the_flow_is_old() -> None:
 
 def test_a_plan_goes_with_its_controller() -> None:
     graph = watched()
-    plan = np.array([[7200.0, 1e-3, 0.045]])
+    plan = plan_of((7200.0, 1e-3, 0.045))
     graph.add_statuses(100.0, node("/mpc", "controller"))
     graph.add_plan(MINUTE, plan)
     graph.add_statuses(100.2, node("/mpc", "controller"))
@@ -939,11 +813,9 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
     """
     graph = watched()
     at = START / 1e9
-    graph.add_plan(START, np.array([[3600.0, 0, 0.040], [7200.0, 0, 0.050]]))
+    graph.add_plan(START, plan_of((3600.0, 0, 0.040), (7200.0, 0, 0.050)))
     plan_lasts(graph, 60, 720)
-    graph.add_plan(START + 720 * SECOND, np.array([[3600.0, 0, 0.030], [7200.0, 0, 0.030]]))
-    # What is received is read from the bag as well, some seconds later.
-    graph.add_plan(START, np.array([[3600.0, 0, 0.040], [7200.0, 0, 0.050]]))
+    graph.add_plan(START + 720 * SECOND, plan_of((3600.0, 0, 0.030), (7200.0, 0, 0.030)))
     plan_lasts(graph, 780, 9000)
     assert read_series(graph, 3)["lines"]["roof_expected"] == []  # it is still to come
     assert read_series(graph, 3)["plan"] == [
@@ -960,69 +832,17 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
     assert np.diff([row[0] for row in rows]).max() <= 300
 
 
-def test_a_glance_is_ahead_of_the_charts() -> None:
-    """The newest value is shown while its past is still on its way, in the charts as their end."""
-    graph = watched()
-    graph.add_present("/roof/level", START + 100 * SECOND, 0.05)
-    assert tile_of(graph, "roof", 0.0)["number"] == 0.05
-    assert shown(graph, 0.0)["time"]["now"] == START / 1e9 + 100
-    rows = read_series(graph, 3)["lines"]["roof"]
-    assert [row[0] - START / 1e9 for row in rows] == [0, 19, 39, 59, 60, 100]
-    assert rows[-1][1:] == [0.05, 0.05, 0.05]
-    graph.add("/roof/level", START + np.arange(61, 91) * SECOND, np.linspace(0.04, 0.041, 30))
-    assert tile_of(graph, "roof", 0.0)["number"] == 0.05
-    ends = [row[::3] for row in read_series(graph, 3)["lines"]["roof"][-2:]]
-    assert ends == [[START / 1e9 + 90, 0.041], [START / 1e9 + 100, 0.05]]
-    # Values older than that are not shown as present, implausible ones are reported.
-    graph.add_present("/roof/level", START + 99 * SECOND, 0.03)
-    assert tile_of(graph, "roof", 0.0)["number"] == 0.05
-    graph.add_present("/roof/level", START + 101 * SECOND, math.nan)
-    assert tile_of(graph, "roof", 0.0)["value"] == words.NOT_PLAUSIBLE
-    graph.add_present("/no/topic", START + 102 * SECOND, 1.0)
-    assert shown(graph, 0.0)["time"]["now"] == START / 1e9 + 101
-    assert read_series(graph, 3)["lines"]["roof"][-1][0] == START / 1e9 + 100
-
-
-def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
-    """A forecast that was read from 13 h ago is over by now, and is not shown as the newest."""
-    graph, hours = watched(), 13 * 3600
-    now_ns, early_ns = START + hours * SECOND, START + 3600 * SECOND
-    plan = np.array([[step * 3600.0, 0.0, 0.04] for step in range(1, 13)])
-    forecast(graph, START, ENSEMBLE)
-    graph.add_plan(START, plan)
-    graph.add_present("/roof/level", now_ns, 0.044)
-    assert tile_of(graph, "rain", 0.0)["sentence"] == "no forecast is known"
-    assert "plan" not in tile_of(graph, "controller", 0.0)["sentence"]
-    assert read_series(graph, 24)["forecast"] == read_series(graph, 24)["plan"] == []
-    # The newest are shown as soon as they are received, even while reading.
-    forecast(graph, now_ns, ENSEMBLE)
-    graph.add_plan(now_ns, plan + np.array([0, 1e-4, 0]), past=False)
-    forecast(graph, early_ns, 2 * ENSEMBLE)
-    graph.add_plan(early_ns, plan)
-    tiles = shown(graph, 0.0)["tiles"]
-    assert tiles["rain"]["sentence"] == "26 mm expected in the next 12 h (8.6 to 43)"
-    assert tiles["controller"]["sentence"].startswith("will pump 4.32 m³")
-    assert [row[2] for row in read_series(graph, 24)["plan"]] == [1e-4] * 12
-    # A plan that was only shown is not kept as expected.
-    plan_lasts(graph, 3600, hours)
-    add_at(graph, "/roof/level", (hours + 3600, 0.044))
-    assert {row[3] for row in read_series(graph, 24)["lines"]["roof_expected"]} == {0.04}
-    graph.add_plan(now_ns + 2 * SECOND, np.full((1, 3), np.nan), past=False)
-    assert read_series(graph, 24)["plan"] == []
-
-
 @pytest.mark.parametrize(("seconds", "hours", "gap"), [
-    (10, 12, 600.0),  # as in the account
+    (10, 12, 600.0),  # no value holds for longer
     (10, 168, 3040.0),  # two stretches: 168 h in 400 are 1512 s each, in whole ones of 20 s 1520 s
-    (3000, 12, 9000.0),  # three samples
+    (3000, 12, 9000.0),  # three ticks
 ])
 def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None:
-    graph = GraphStore()
+    graph = store(site=replace(SITE, tau=float(seconds)))
     add_values(graph, 0, round(hours * 3600), {"/roof/level": 0.04}, every=seconds)
     series = read_series(graph, hours)
-    assert series["gaps"]["roof"] == gap
+    assert series["gap"] == gap
     assert np.diff([row[0] for row in series["lines"]["roof"]]).max() <= gap
-    assert series["gaps"].keys() == series["lines"].keys()
 
 
 def test_a_run_that_has_just_begun_has_many_rows() -> None:
@@ -1033,7 +853,7 @@ def test_a_run_that_has_just_begun_has_many_rows() -> None:
     assert series["stretch"] == 20.0
     for name in ("roof", "rain"):
         times = [row[0] - START / 1e9 for row in series["lines"][name]]
-        ends, begins = [0, *range(19, 600, 20)], [*range(0, 600, 20), 599]
+        ends, begins = [*range(19, 600, 20)], [*range(0, 600, 20), 599]
         assert times == (ends if name in LEVELS else begins), name
 
 
@@ -1103,9 +923,8 @@ def _fail(*_: Any, **__: Any) -> Any:
 
 @pytest.mark.parametrize("place", [
     "tiles.rain", "tiles.roof", "tiles.cistern", "tiles.pump", "tiles.controller", "tiles.waiting",
-    "tiles.too_wet", "words.date_and_time", "words.length_of_time", "account.Account.totals",
+    "tiles.too_wet", "words.date_and_time",
     "alarms.Alarms.rows", "alarms.Alarms.counts", "alarms.Alarms.events", "alarms.Alarms.update",
-    "store.GraphStore.incidents",
 ])
 def test_if_a_part_cannot_be_shown_the_pump_can_be_stopped(
     place: str, monkeypatch: pytest.MonkeyPatch

@@ -16,7 +16,17 @@ import numpy as np
 import pytest
 from browsers import started_browser
 from graphs import wait_for
-from page_inputs import ERROR, HELD, HOLD, SECOND, START, incident, node, pump_report, store
+from page_inputs import (
+    ERROR,
+    HELD,
+    HOLD,
+    SECOND,
+    START,
+    add_series,
+    node,
+    pump_report,
+    store,
+)
 from page_server import page_files, served
 from places import CONFIG
 
@@ -91,11 +101,11 @@ def site_watched(mode: str = "ended") -> GraphStore:
         "/weather/precipitation": np.where(phase % 3 < 1, 1e-6, 0.0),
         "/weather/evapotranspiration": np.full(len(seconds), 2e-6),
     }.items():
-        watched.add(topic, seconds * SECOND, values)
+        add_series(watched, topic, seconds * SECOND, values)
     now_ns = int(seconds[-1]) * SECOND
     ends = np.arange(1, 13) * 3600.0
     watched.add_plan(now_ns, np.stack(
-        (ends, np.where(ends < 7200, 0.0, 1e-4), np.full(12, 0.046)), axis=1
+        (ends, np.where(ends < 7200, 0.0, 1e-4), np.full(12, 0.046), np.zeros(12)), axis=1
     ))
     front = np.array([seconds[-1], *growing_steps(1)[1:]])
     rain = np.outer(np.arange(3), np.full(len(front) - 1, 1e-6))
@@ -105,7 +115,7 @@ def site_watched(mode: str = "ended") -> GraphStore:
 
 def later(watched: GraphStore, level: float) -> None:
     """Add a level an hour later."""
-    watched.add("/roof/level", np.array([(BEGIN + 5 * 3600) * SECOND]), np.array([level]))
+    watched.add("/roof/level", (BEGIN + 5 * 3600) * SECOND, level)
 
 
 @contextmanager
@@ -186,7 +196,6 @@ def document_of(watched: GraphStore) -> dict[str, Any]:
 def test_it_shows_the_words_of_the_document(ended_run: tuple[GraphStore, Any]) -> None:
     """Word for word; the console stays empty, and no other server is contacted."""
     watched, page = ended_run
-    until_shown(page, "#account td", "m³")  # an ended run's account is closed
     document = document_of(watched)
     for key in ("roof", "cistern", "pump", "rain", "controller"):
         tile, shown = document["tiles"][key], page.locator(f".tile[data-key={key}]")
@@ -202,10 +211,6 @@ def test_it_shows_the_words_of_the_document(ended_run: tuple[GraphStore, Any]) -
     assert page.locator("#heading").inner_text() == document["heading"]
     assert page.locator("#time").inner_text() == document["time"]["text"]
     assert page.locator("#notes li").all_inner_texts() == document["notes"]
-    rows = [[row["label"], row["value"]] for row in document["account"]["rows"]]
-    assert page.locator("#account tr").evaluate_all(
-        "(rows) => rows.map((row) => [...row.cells].map((cell) => cell.textContent))"
-    ) == rows
     assert not page.locator("#stop").is_visible()  # no pump node is there
 
 
@@ -231,6 +236,7 @@ def test_it_reports_how_it_is_by_word_shape_and_colour(open_page: Open) -> None:
     tile = until_shown(page, ".tile[data-key=pump][data-tone=error]", "unknown")
     until_shown(page, "#summary[data-level=error]", "it is unknown whether the pump was stopped")
     assert "L/min" not in tile.inner_text() and "\noff" not in tile.inner_text()
+    watched.add("/pump/flow", (BEGIN + 4 * 3600) * SECOND, 0.0)
     wait_for(lambda: page.evaluate("charts.rows.flow.at(-1).v") is None, 60, "a gap")
     watched.set_present(mode="simulated", factor=30.0, note="")
     until_shown(page, ".tile.stale[data-key=roof] .value", "unknown")
@@ -244,7 +250,7 @@ def test_it_reports_how_it_is_by_word_shape_and_colour(open_page: Open) -> None:
 def test_hostile_texts_are_texts(open_page: Open) -> None:
     """Markup, control characters and megabytes: shown as text, no wider than a phone."""
     watched = site_watched("simulated")
-    watched.add_event(time.time(), HOSTILE)
+    watched.add_event(HOSTILE)
     watched.set_present(mode="simulated", factor=30.0, note=HOSTILE)
     page = open_page(watched, [
         *mpc(what=HOSTILE), *pump(f"fault: {HOSTILE}"),
@@ -264,12 +270,12 @@ def test_hostile_texts_are_texts(open_page: Open) -> None:
 def test_it_fits_every_width(open_page: Open) -> None:
     """No list is cut at its end, no texts overlap, not even three references, or leave their tile.
 
-    The target of 450 mm in 500 mm of soil is in the middle of its tile. Events scroll automatically
-    only next to the account, not on a phone, which shows no scrollbar.
+    The target of 450 mm in 500 mm of soil is in the middle of its tile. Events scroll
+    automatically, but not on a phone, which shows no scrollbar.
     """
     watched = site_watched("simulated")
     for number in range(60):
-        watched.add_event(BEGIN, f"event {number}")
+        watched.add_event(f"event {number}")
     long = "the drive at its gateway does not answer " * 12
     parts = [(f"part {i}", ERROR, long) for i in range(12)]
     page = open_page(watched, [*pump(), *node("/mpc", "controller", *parts)])
@@ -327,21 +333,6 @@ def test_it_fits_every_width(open_page: Open) -> None:
                 )
 
 
-def test_a_recording_has_no_tick_and_shows_its_incidents(open_page: Open) -> None:
-    watched = site_watched()
-    watched.recorded_controller = "onoff"
-    page = open_page(watched)
-    until_shown(page, "#summary", "Alarms are unknown")
-    assert page.locator(".tile[data-key=controller] .state").inner_text().strip() == "worked"
-    assert "ok" not in page.locator("#summary-shape").get_attribute("href")
-    over = incident("pump", "drive", "no connection", "drive_lost", BEGIN + 60.0, BEGIN + 90.0)
-    watched.recorded_incidents = [over]
-    row = until_shown(page, ".alarm.over", "pump: drive")
-    assert not row.locator("button").is_visible()
-    watched.recorded_incidents = [replace(over, ended_at=None)]
-    until_shown(page, ".alarm:not(.over)", "pump: drive")
-
-
 # --------------------------------------------------------------------------------------- charts
 
 
@@ -386,22 +377,21 @@ def test_lines_and_blocks_are_where_values_were(open_page: Open) -> None:
     """Two hours without values, in which a value holds for 10 min; a line ends at its last value.
 
     A block is drawn where values went beyond their line: a roof that only fills has none; a single
-    gust has one, of its stretch only. The pump ran at first, where its line begins, and just before
-    the gap.
+    gust has one, of its stretch only. The pump ran just before the gap.
     """
     watched = store("ended", SITE)
     before = np.arange(0, 4 * 3600, 10)
     newest = BEGIN + int(before[-1])
     level = np.where(before == 3600, 0.06, 0.03 + 1e-5 * np.minimum(before, 1800))
-    flow = np.where((before == 0) | (before == before[-1] - 10), 8e-3, 2e-4)
+    flow = np.where(before == before[-1] - 10, 8e-3, 2e-4)
     after = newest + np.arange(2 * 3600, 3 * 3600, 10)
     for topic, values, last in (
         ("/roof/level", level, 0.048), ("/pump/flow", flow, 2e-4),
         ("/weather/precipitation", np.full(len(before), 1e-6), None),
     ):
-        watched.add(topic, (BEGIN + before) * SECOND, values)
+        add_series(watched, topic, (BEGIN + before) * SECOND, values)
         if last is not None:
-            watched.add(topic, after * SECOND, np.full(len(after), last))
+            add_series(watched, topic, after * SECOND, last)
     page = open_page(watched)
     until_drawn(page)
     for key in ("roof", "pump"):
@@ -413,7 +403,7 @@ def test_lines_and_blocks_are_where_values_were(open_page: Open) -> None:
     assert page.evaluate(READ, ["pump", "flow", newest + 590]) != ""
     assert page.evaluate(READ, ["pump", "flow", newest + 610]) == ""
     assert page.evaluate("charts.rows.rain.at(-1).t - charts.ms(0)") / 1000 == newest
-    assert page.evaluate(READ, ["pump", "flow", BEGIN + 5]) == "480.0 L/min"
+    assert page.evaluate(READ, ["pump", "flow", BEGIN + 5]) == "12.0 L/min"
     blocks = """(name) => charts.blocks[name].map(({ from, to, low, high }) => (
         [...[from, to].map((t) => (t - charts.ms(0)) / 1000), low, high]))"""
     ((begin, end, *gust),) = page.evaluate(blocks, "roof")
@@ -429,23 +419,6 @@ def test_lines_and_blocks_are_where_values_were(open_page: Open) -> None:
         ["Roof level", "measured", "its range", "good"], ["Cistern level"],
         ["Pump", "flow", "its range"], ["Rain and evapotranspiration", "rain"],
     ]
-
-
-def test_the_pumps_line_ends_with_its_tile_and_stops_when_it_stopped(open_page: Open) -> None:
-    """Its past comes some seconds later than what it does now."""
-    watched = store("ended", SITE)
-    seconds = np.arange(0, 4 * 3600)
-    flow = np.where(seconds < 3 * 3600 + 7, 8e-3, 0.0)
-    watched.add("/pump/flow", (BEGIN + seconds) * SECOND, flow)
-    watched.add_present("/pump/flow", (BEGIN + 4 * 3600 + 9) * SECOND, 4e-3)
-    page = open_page(watched)
-    until_drawn(page)
-    until_shown(page, ".tile[data-key=pump] .sentence", re.compile("^240.0.L/min"))
-    assert page.evaluate("charts.rows.flow.at(-1).v") == pytest.approx(240)
-    assert page.evaluate("charts.rows.flow.at(-1).t === charts.time")
-    stopped = BEGIN + 3 * 3600 + 7
-    reads = [page.evaluate(READ, ["pump", "flow", stopped + later]) for later in (-1, 0, 3600)]
-    assert reads == ["480.0 L/min", "0.0 L/min", "0.0 L/min"]
 
 
 # Of a rectangle of a chart's canvas (values on its axes): the maximum opacity of this colour.
@@ -471,7 +444,7 @@ def test_a_short_run_of_the_pump_is_seen_at_any_width(open_page: Open, width: in
     watched = store("ended", SITE)
     seconds, runs = np.arange(0, 12 * 3600, 10), np.arange(3600, 12 * 3600, 5010)
     flow = np.where(np.isin(seconds, runs), 8e-3, 0.0)
-    watched.add("/pump/flow", (BEGIN + seconds) * SECOND, flow)
+    add_series(watched, "/pump/flow", (BEGIN + seconds) * SECOND, flow)
     page = open_page(watched)
     page.set_viewport_size({"width": width, "height": 900})
     until_drawn(page)
@@ -493,7 +466,7 @@ def test_no_line_crosses_the_words_of_a_reference(open_page: Open, width: int) -
         ("/cistern/level", np.full(len(seconds), 2.905)),
         ("/roof/level", np.interp(seconds, [3600, 10_000, 43_200], [0.040, 0.0475, 0.0457])),
     ):
-        watched.add(topic, (BEGIN + seconds) * SECOND, level)
+        add_series(watched, topic, (BEGIN + seconds) * SECOND, level)
     page = open_page(watched)
     page.set_viewport_size({"width": width, "height": 900})
     until_drawn(page)
@@ -522,7 +495,7 @@ def test_words_of_a_reference_are_where_the_roof_is_not(open_page: Open, width: 
     seconds = np.arange(0, 12 * 3600, 60)
     calm = (seconds > 9000) & (seconds < 36_000)
     level = 0.0457 + np.where(calm, 0.0, 0.003 * np.sin(seconds / 400))
-    watched.add("/roof/level", (BEGIN + seconds) * SECOND, level)
+    add_series(watched, "/roof/level", (BEGIN + seconds) * SECOND, level)
     page = open_page(watched)
     page.set_viewport_size({"width": width, "height": 900})
     until_drawn(page)
@@ -588,7 +561,7 @@ def test_every_time_is_by_the_sites_clock(open_page: Open, zone: str) -> None:
     watched = store("ended")
     seconds = np.arange(change - 7200, change + 7200, 10)
     for topic in ("/roof/level", "/cistern/level", "/weather/precipitation"):
-        watched.add(topic, seconds * SECOND, np.full(len(seconds), 1e-6))
+        add_series(watched, topic, seconds * SECOND, 1e-6)
     page = open_page(watched, pump())
     watched.set_site(site)
     until_shown(page, "#time", {
@@ -712,8 +685,8 @@ def test_alarms_are_acknowledged_and_events_listed(open_page: Open) -> None:
     events = page.locator("#events li")
     count = events.count()
     for number in range(1, 3):
-        watched.add_event(BEGIN, "/mpc: weight was changed from 1 to 2")
-        watched.add_event(BEGIN, "/mpc: weight was changed from 2 to 1")
+        watched.add_event("/mpc: weight was changed from 1 to 2")
+        watched.add_event("/mpc: weight was changed from 2 to 1")
         wait_for(lambda n=number: events.count() >= count + 2 * n, 60, "the events")
         assert events.count() == count + 2 * number
     # The alarm disappears just as someone presses its button.

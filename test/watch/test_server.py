@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from graphs import wait_for
-from page_inputs import ERROR, SECOND
+from page_inputs import ERROR, SECOND, add_series
 from page_server import Answer, Stream, page_files, request, send, served
 
 from greenroof_ros.watch import feed, server
@@ -67,7 +67,7 @@ def shown(watched: GraphStore) -> dict[str, Any]:
 
 
 def set_level(watched: GraphStore, metres: float, seconds: int) -> None:
-    watched.add("/roof/level", np.array([seconds * SECOND]), np.array([metres]))
+    watched.add("/roof/level", seconds * SECOND, metres)
 
 
 def level_in(content: dict[str, Any]) -> float | None:
@@ -408,7 +408,7 @@ def test_who_does_not_read_is_skipped_and_costs_no_one_anything(
     times = np.arange(7 * 24 * 360, dtype=np.int64) * 10 * SECOND
     noise = np.random.default_rng(0).random(len(times))
     for topic, scale in (("/roof/level", 0.05), ("/cistern/level", 2.0), ("/pump/flow", 1e-3)):
-        watched.add(topic, times, noise * scale)
+        add_series(watched, topic, times, noise * scale)
     assert len(json.dumps(read_series(watched, 168.0))) > 60_000
     deaf = [look("168", receiving=4096) for _ in range(3)]
     events = look("168").events()

@@ -53,12 +53,14 @@ def test_a_pump_node_that_is_started_again_is_one() -> None:
         assert pump is not None and pump.process == "host 2"
 
 
-def test_a_level_that_is_no_number_is_no_sample() -> None:
+def test_the_time_of_a_run_is_its_plants_after_the_first_tick() -> None:
+    """Before, a node stamps with the system's time; no other node has a say."""
     graph = Registry()
-    for level in (10**19, float("inf"), "1"):
-        say(graph, 1.0, "plant", tick=5, roof_level=level, cistern_level=2.5)
-        assert graph.samples is not None
-        assert graph.samples[1] == {"/cistern/level": 2.5}, level
+    for tick, role, stamp_ns, known in (
+        (0, "plant", 5, 0), (1, "controller", 5, 0), (1, "plant", 7, 7), (2, "plant", 2**62, 7),
+    ):
+        graph.receive(0.0, node(f"/{role}", role, tick=tick, run_length=100), stamp_ns=stamp_ns)
+        assert graph.time_ns == known
 
 
 def test_what_ros_lets_no_node_be_called_is_none() -> None:
@@ -68,14 +70,13 @@ def test_what_ros_lets_no_node_be_called_is_none() -> None:
         assert graph.pump(0.0) is None, name
 
 
-def test_a_bag_is_what_the_recorder_reports_if_it_is_here(tmp_path: Path) -> None:
-    """And only if it is on this machine."""
+def test_a_site_file_is_what_a_node_of_this_machine_reports(tmp_path: Path) -> None:
     here = f"{socket.gethostname()} 1"
-    for process, place, bag in (
+    for process, place, site in (
         (here, f"{tmp_path}", tmp_path), ("another 1", f"{tmp_path}", None),
         (here, f"{tmp_path}/none", None), (here, "/etc/passwd\0", None), (here, ".", None),
         (here, 7, None), (here, "/" + "p" * 5000, None),
     ):
         graph = Registry()
-        say(graph, 0.0, "recorder", process=process, bag=place)
-        assert graph.bag() == bag, place
+        say(graph, 0.0, "controller", process=process, site=place)
+        assert graph.site() == site, place

@@ -1,10 +1,9 @@
 """Pictures of the page in each state: ``python tools/watch/pictures.py DIRECTORY``.
 
-Each state is a real graph: a simulation at full speed, the storm of the tutorial "First run", the
-live site of the tutorials whose drive has a fault, a live site with a silent roof sensor, one whose
-pump was stopped on the page and one where it was released there, a run that ended while the page
-was open, and the recording of a run. The page is captured in Chromium, at three widths, light and
-dark.
+Each state is a real graph: the storm of the tutorial "First run", the live site of the tutorials
+whose drive has a fault, a live site with a silent roof sensor, one whose pump was stopped on the
+page and one where it was released there, and a run that ended while the page was open. The page is
+captured in Chromium, at three widths, light and dark.
 
 ``python tools/watch/pictures.py --doc`` makes the pictures of ``doc/_static/``: each in the width
 of a column of text, and in the width of a phone.
@@ -28,7 +27,7 @@ from brokers import mosquitto
 from browsers import started_browser
 from doc_commands.blocks import fences
 from faults.rig import Simulator, SiteRig
-from graphs import Process, bring_up, free_ports, reserved_domain, wait_for
+from graphs import Process, free_ports, reserved_domain, wait_for
 from places import CHECKOUT, DATA
 from simulators import Workbench
 
@@ -83,28 +82,14 @@ _NO_CLICKS = Watched()
 
 
 @contextmanager
-def full_speed(domain: int, place: Path) -> Iterator[Watched]:
-    """A simulation at full speed, an hour or more after its start."""
-    run = Process(
-        domain, "bringup", "--controller", "mpc", "--weather",
-        str(DATA / "en_climate_hourly_07-2021.csv"), "--evapotranspiration", "fao56",
-        "--start", "2021-07-01", "--hours", "700", "--output", "run", cwd=place,
-    )
-    run.wait_for_ticks(1_000_000)
-    yield Watched()
-    run.process.terminate()
-    run.wait(300)
-
-
-@contextmanager
 def storm(domain: int, place: Path) -> Iterator[Watched]:
-    """The storm of the tutorial "First run" at 10:00, after three minutes."""
+    """The storm of the tutorial "First run" at 09:00, after six minutes."""
     run = Process(
         domain, "bringup", "--controller", "lookahead", "--start", "2021-07-08T03:00",
-        "--cistern", "57.7", "--roof", "1", "--speed", "150", "--output", "run", cwd=place,
+        "--cistern", "57.7", "--roof", "1", "--speed", "60", "--output", "run", cwd=place,
     )
     run.wait_for_ticks()
-    yield Watched(event=lambda: time.sleep(134))
+    yield Watched(event=lambda: time.sleep(360))
     run.process.terminate()
     run.wait(300)
 
@@ -202,24 +187,16 @@ def released(domain: int, place: Path) -> Any:
 def ended(domain: int, place: Path) -> Iterator[Watched]:
     """A run that ends while the page is open."""
     run = Process(
-        domain, "bringup", "--controller", "lookahead", "--horizon", "12", "--hours", "12",
-        "--speed", "600", "--output", "run", cwd=place,
+        domain, "bringup", "--controller", "lookahead", "--horizon", "12", "--hours", "2",
+        "--speed", "60", "--output", "run", cwd=place,
     )
     run.wait_for_ticks()
     yield Watched(event=lambda: run.wait(300))
 
 
-@contextmanager
-def recording(domain: int, place: Path) -> Iterator[Watched]:
-    """The recording of a run."""
-    bring_up(domain, place, "--controller", "lookahead", "--horizon", "12", "--hours", "24",
-             "--start", "2021-07-08")
-    yield Watched(("--bag", "run/bag"))
-
-
 STATES: dict[str, Callable[[int, Path], Any]] = {
     state.__name__: state
-    for state in (full_speed, storm, fault, stale, stopped, released, ended, recording)
+    for state in (storm, fault, stale, stopped, released, ended)
 }
 
 

@@ -107,12 +107,6 @@ class PumpRecord:
         return self.elapsed % DAY_S
 
 
-def state_directory() -> Path:
-    """Return the default directory for state files: the user's, by the XDG rules."""
-    directory = os.environ.get("XDG_STATE_HOME")
-    return (Path(directory) if directory else Path.home() / ".local" / "state") / "greenroof_ros"
-
-
 class Ledger:
     """Keeps the record, in a file if one is given.
 

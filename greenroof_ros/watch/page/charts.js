@@ -337,7 +337,7 @@ export class Charts {
         const points = (series.lines[line.name] ?? []).map(([t, low, high, last]) => (
           { t: this.ms(t), v: last === null ? null : last * f, low: low * f, high: high * f }
         ));
-        rows[line.name] = broken(points, series.gaps[line.name] * 1000, line.steps);
+        rows[line.name] = broken(points, series.gap * 1000, line.steps);
         if (line.range) blocks[line.name] = beyond(points, series.stretch * 1000, this.ms(0), 0.5 * 10 ** -decimals);
       }
     }
@@ -351,7 +351,7 @@ export class Charts {
       .map(([from, to, , low, high]) => ({ from, to, low: low * rain, high: high * rain }));
     if (plan.length) {
       const newest = rows.roof.at(-1);
-      if (newest && now - newest.t <= series.gaps.roof * 1000) rows.roof_planned.push({ t: newest.t, v: newest.v });
+      if (newest && now - newest.t <= series.gap * 1000) rows.roof_planned.push({ t: newest.t, v: newest.v });
       rows.roof_planned.push(...plan.map(([, t, , expected]) => ({ t, v: expected * level })));
     }
   }
@@ -534,8 +534,8 @@ const broken = (points, gap, holds) => points.flatMap(({ t, v }, i) => {
 // Where values went beyond their line by more than 'minimum': blocks below and above it for each stretch (ms,
 // counted from 'zero'), from the first value on. A value that only rises or falls has none.
 const beyond = (points, stretch, zero, minimum) => points.flatMap(({ t, v, low, high }, i) => {
-  if (v === null) return [];
-  const line = [points[i - 1]?.v ?? v, v];
+  if (v === null || i === 0) return []; // no line leads to the first value
+  const line = [points[i - 1].v ?? v, v];
   const begin = t - ((t - zero) % stretch);
   const [from, to] = [Math.max(begin, points[0].t), Math.min(begin + stretch, points.at(-1).t)];
   return [[low, Math.min(...line)], [Math.max(...line), high]].filter(([under, over]) => over - under > minimum)

@@ -184,23 +184,9 @@ const fillAlarm = (row, alarm) => {
   const seen = alarm.acknowledged ? "; acknowledged" : "";
   setText(row.querySelector(".when").lastChild, `${alarm.id}, ${when}${follows}${seen}`);
   const button = row.querySelector("button");
-  button.hidden = alarm.acknowledged || alarm.recorded || alarm.over !== null;
+  button.hidden = alarm.acknowledged || alarm.over !== null;
   button.setAttribute("aria-label", `Acknowledge: ${alarm.what}`);
   button.onclick = () => acknowledge(alarm.id);
-};
-
-const fillAccount = (row, entry) => {
-  setText(row.cells[0], entry.label);
-  setText(row.cells[1], entry.value);
-  row.classList.toggle("first", ["rain", "inflow", "saved"].includes(entry.key));
-};
-
-const makeAccount = () => {
-  const row = element("tr");
-  const label = element("th");
-  label.scope = "row";
-  row.append(label, element("td"));
-  return row;
 };
 
 // The document
@@ -233,12 +219,6 @@ const showEvents = (events) => {
   byId("no-events").hidden = events.length > 0;
 };
 
-const showAccount = (account) => {
-  setText(byId("account-since"), account.since_text);
-  setText(byId("account-sentence"), account.sentence);
-  keep(byId("account"), account.rows, (entry) => entry.key, makeAccount, fillAccount);
-};
-
 const showHead = (document_) => {
   setText(byId("namespace"), document_.namespace ? ` ${document_.namespace}` : "");
   setText(byId("heading"), document_.heading);
@@ -246,8 +226,8 @@ const showHead = (document_) => {
 };
 
 const showAlarms = (document_) => {
-  // What a recording tells stays in sight; alarms of this watch that are over are one line.
-  const past = document_.alarms.filter((alarm) => alarm.over !== null && !alarm.recorded);
+  // Alarms that are over are one line.
+  const past = document_.alarms.filter((alarm) => alarm.over !== null);
   const listed = document_.alarms.filter((alarm) => !past.includes(alarm));
   const keyOf = (alarm) => JSON.stringify([alarm.id, alarm.since]);
   keep(byId("alarms"), listed, keyOf, makeAlarm, fillAlarm);
@@ -255,7 +235,6 @@ const showAlarms = (document_) => {
   byId("past").hidden = past.length === 0;
   setText(byId("past-word"), past.length === 1 ? "1 alarm is over" : `${past.length} alarms are over`);
   byId("no-alarms").hidden = listed.length > 0;
-  setText(byId("no-alarms"), document_.alarms_known ? "None." : "Not recorded.");
 };
 
 // The stop first; a part that cannot be shown hides no other part.
@@ -271,7 +250,6 @@ const show = (document_) => {
     ...TILES.map((key) => [`the tile of the ${key}`, () => showTile(key, document_.tiles[key])]),
     ["the alarms", () => showAlarms(document_)],
     ["the events", () => showEvents(document_.events)],
-    ["the account", () => showAccount(document_.account)],
   ]) {
     try {
       part();

@@ -23,8 +23,9 @@ from graphs import wait_for
 from paper import PAPER_SITE
 from pump_rig import Rig, settings_for
 
+from greenroof_ros.common.files import state_directory
 from greenroof_ros.common.times import to_people
-from greenroof_ros.live.pumping.ledger import Ledger, PumpRecord, state_directory
+from greenroof_ros.live.pumping.ledger import Ledger, PumpRecord
 from greenroof_ros.live.pumping.pump_control import PumpControl
 
 
