@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
@@ -18,8 +17,10 @@ from greenroof_ros.common.command_line import (
     within,
 )
 from greenroof_ros.graph.domain import importing_ros
+from greenroof_ros.graph.states import PUMP
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
+from greenroof_ros.watch.registry import Registry
 
 _PATIENCE_S = 20.0
 # If the pump node is silent for longer than this (s), the fate of the dose is unknown.
@@ -56,23 +57,25 @@ class _Progress:
         lost: whether the node no longer knows the dose, because it was restarted.
     """
 
-    def __init__(self, pump: str, requested_at: float) -> None:
+    def __init__(self, namespace: str, requested_at: float) -> None:
         self.dose: dict[str, Any] | None = None
         self.last_message, self.accepted, self.lost = time.monotonic(), math.inf, False
-        self._pump, self._requested_at = pump, requested_at
+        self._reports, self._requested_at = Registry(namespace), requested_at
 
     def receive(self, name: str, message: bytes, *_: Any) -> None:
         """Handle a message of the graph."""
-        if name != DIAGNOSTICS or (statuses := wire.statuses(message)) is None:
+        if name != DIAGNOSTICS or (received := wire.statuses(message)) is None:
             return
-        for status in statuses[1]:
-            if status.name == self._pump:
-                dose = json.loads(status.values.get("dose", "null"))
-                self.last_message = time.monotonic()
-                if dose is not None and dose["id"] == self._requested_at:
-                    self.dose = dose
-                elif self.dose is not None or self.last_message > self.accepted + _SILENT_S:
-                    self.lost = True
+        now = time.monotonic()
+        self._reports.receive(now, received[1])
+        pump = self._reports.node(PUMP)
+        if pump is None or pump.received_at != now:
+            return
+        self.last_message, dose = now, pump.values.get("dose")
+        if isinstance(dose, dict) and dose.get("id") == self._requested_at:
+            self.dose = dose
+        elif self.dose is not None or now > self.accepted + _SILENT_S:
+            self.lost = True
 
 
 @command
@@ -82,9 +85,9 @@ def main() -> int:
     pump = f"{arguments.namespace}/pump"
     with importing_ros():
         requested_at, shown = time.time(), ""
-        progress = _Progress(pump, requested_at)
+        progress = _Progress(arguments.namespace, requested_at)
         with closing(GraphClient(arguments.namespace, progress.receive)) as client:
-            client.connect_pump(pump)
+            client.find_pumps([pump])
             try:
                 client.request_dose(arguments.volume, requested_at, _PATIENCE_S)
             except PumpRequestError as failure:
@@ -92,7 +95,7 @@ def main() -> int:
                 return EXIT_FAILED
             progress.last_message = progress.accepted = time.monotonic()
             print(f"dose {requested_at:.6f} of {arguments.volume:g} m3 is accepted", flush=True)
-            while progress.dose is None or not progress.dose["over"]:
+            while progress.dose is None or not progress.dose.get("over"):
                 client.receive(_POLL_S)
                 if progress.lost:
                     print(f"{pump} was restarted, which ended the dose", flush=True)
@@ -100,7 +103,8 @@ def main() -> int:
                 if time.monotonic() - progress.last_message > _SILENT_S:
                     print(f"{pump} no longer responds: it is unknown whether the dose continues")
                     return EXIT_FAILED
-                if progress.dose is not None and progress.dose["said"] != shown:
-                    shown = progress.dose["said"]
+                said = "" if progress.dose is None else str(progress.dose.get("said", ""))
+                if said != shown:
+                    shown = said
                     print(shown, flush=True)
-    return EXIT_DONE if progress.dose["over"] == "done" else EXIT_FAILED
+    return EXIT_DONE if progress.dose.get("over") == "done" else EXIT_FAILED

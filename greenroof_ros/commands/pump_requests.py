@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable
@@ -21,8 +20,10 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.times import parse_time, to_people
 from greenroof_ros.graph.domain import importing_ros
+from greenroof_ros.graph.states import PUMP
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
+from greenroof_ros.watch.registry import Registry
 
 # Longest wait for the pump node (s): to discover it takes seconds.
 _PATIENCE_S = 20.0
@@ -37,20 +38,6 @@ _QUESTION = (
 )
 
 
-class _Report:
-    """The last report of the pump node; None before the first."""
-
-    def __init__(self, pump: str) -> None:
-        self.pump = pump
-        self.values: dict[str, Any] | None = None
-
-    def receive(self, name: str, message: bytes, *_: Any) -> None:
-        if name == DIAGNOSTICS and (statuses := wire.statuses(message)) is not None:
-            for status in statuses[1]:
-                if status.name == self.pump:
-                    self.values = {key: json.loads(text) for key, text in status.values.items()}
-
-
 @dataclass(frozen=True)
 class PumpRequest:
     """A command that makes one request to the pump node, and prints its answer.
@@ -59,8 +46,8 @@ class PumpRequest:
         name: of the command.
         done: what the pump is when the request was granted, for the list of exit codes.
         description: for the help.
-        request: makes the request, with the command line and the pump node's reports, and returns
-            the answer.
+        request: makes the request, with the command line and the nodes' reports, and returns the
+            answer.
         add_options: adds the command's own options.
         examples: for the help.
     """
@@ -68,7 +55,7 @@ class PumpRequest:
     name: str
     done: str
     description: str
-    request: Callable[[GraphClient, argparse.Namespace, _Report], str]
+    request: Callable[[GraphClient, argparse.Namespace, Registry], str]
     add_options: Callable[[Parser], object] = lambda parser: None
     examples: str = ""
 
@@ -89,13 +76,16 @@ class PumpRequest:
 
     def _run(self) -> int:
         arguments = self.make_parser().parse_args()
-        report = _Report(f"{arguments.namespace}/pump")
+        reports = Registry(arguments.namespace)
+
+        def receive(name: str, message: bytes, *_: Any) -> None:
+            if name == DIAGNOSTICS and (received := wire.statuses(message)) is not None:
+                reports.receive(time.monotonic(), received[1])
+
         try:
-            with (
-                importing_ros(), closing(GraphClient(arguments.namespace, report.receive)) as client
-            ):
-                client.connect_pump(report.pump)
-                print(self.request(client, arguments, report))
+            with importing_ros(), closing(GraphClient(arguments.namespace, receive)) as client:
+                client.find_pumps([f"{arguments.namespace}/pump"])
+                print(self.request(client, arguments, reports))
         except PumpRequestError as failure:
             print(f"error: {failure}", file=sys.stderr)
             return EXIT_FAILED
@@ -136,14 +126,14 @@ def _future(text: str) -> float:
 _future.__name__ = "TIME"  # argparse and the documentation show this
 
 
-def _hold(client: GraphClient, arguments: argparse.Namespace, _: _Report) -> str:
+def _hold(client: GraphClient, arguments: argparse.Namespace, _: Registry) -> str:
     until = arguments.until
     if arguments.hours is not None:
         until = time.time() + arguments.hours * 3600
     return client.hold_pump("the command line", arguments.reason, until, _PATIENCE_S)
 
 
-def _release(client: GraphClient, _: argparse.Namespace, __: _Report) -> str:
+def _release(client: GraphClient, _: argparse.Namespace, __: Registry) -> str:
     return client.release_pump(_PATIENCE_S)
 
 
@@ -151,13 +141,12 @@ def _add_reset_options(parser: Parser) -> None:
     parser.add_argument("--yes", action="store_true", help="do not ask, for scripts")
 
 
-def _reset(client: GraphClient, arguments: argparse.Namespace, report: _Report) -> str:
+def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Registry) -> str:
     if not arguments.yes:
         until = time.monotonic() + _REPORT_S
-        while report.values is None and time.monotonic() < until:
+        while (pump := reports.node(PUMP)) is None and time.monotonic() < until:
             client.receive(_POLL_S)
-        values = report.values or {}
-        if fault := values.get("fault") or values.get("unknown"):
+        if pump is not None and (fault := pump.text("fault") or pump.text("unknown")):
             print(f"The fault: {fault}", file=sys.stderr)
         if not _confirmed():
             raise PumpRequestError("not cleared: it was not confirmed")

@@ -134,7 +134,8 @@ def _lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str
             _STANDS[stands] if is_off else "",
         )))
         lines.append(f"{tile['label']:14} {tile['value']:14} {sentence}".rstrip())
-    lines += [*map(_alarm, _present(shown)), *shown["notes"]]
+    warning = filter(None, [shown["stop"]["warning"]])
+    lines += [*warning, *map(_alarm, _present(shown)), *shown["notes"]]
     if (hidden := len(lines) - _MOST_LINES + 1) > 1:
         lines[-hidden:] = [f"and {hidden} more: see 'greenroof watch', or --json"]
     return lines
@@ -184,5 +185,5 @@ def _values(store: GraphStore, shown: Mapping[str, Any], code: int) -> dict[str,
             {key: row[key] for key in ("code", "level", "id", "what", "do", "follows")}
             for row in _present(shown)
         ],
-        "notes": shown["notes"],
+        "notes": [*filter(None, [shown["stop"]["warning"]]), *shown["notes"]],
     }

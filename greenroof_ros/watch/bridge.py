@@ -238,5 +238,5 @@ def alarms_of(shown: Mapping[str, Any]) -> dict[str, Any]:
             {key: row[key] for key in ("code", "level", "id", "what", "do", "follows", "since")}
             for row in shown["alarms"] if row["over"] is None
         ][:_MOST_ALARMS],
-        "notes": shown["notes"],
+        "notes": [*filter(None, [shown["stop"]["warning"]]), *shown["notes"]],
     }

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -191,7 +190,7 @@ class Feed:
     def _run_cycle(self) -> None:
         """Receive new messages and show them; if a step fails, the others are done all the same."""
         failed = [act for act in (
-            self._receive, self._answer, self._update_graph, self._report,
+            self._receive, self._answer, self._find_pumps, self._update_graph, self._report,
         ) if self._fails(act)]
         # An error may come again at once; but a request such as a stop must not wait for that.
         until = time.monotonic() + (_REST_S if failed else 0.0)
@@ -366,22 +365,14 @@ class Feed:
 
     # --- stopping -------------------------------------------------------------------------------
 
-    def _connect_pump(self) -> None:
-        """Look for the services of the pump node, so that a call finds them at once.
-
-        Raises:
-            PumpRequestError: two nodes claim to be the pump node.
-        """
+    def _find_pumps(self) -> None:
         assert self._client is not None
-        now, graph = time.monotonic(), self._store.graph
-        node, two = graph.pump(now), graph.two_pumps(now)
-        self._client.connect_pump(None if two or node is None else node.name)
-        if two:
-            raise PumpRequestError(two)
+        pumps = self._client.find_pumps(self._graph.pumps(time.monotonic()))
+        self._store.can_stop = bool(pumps)
 
     def _answer(self) -> None:
-        if (client := self._client) is None:
-            return
+        client = self._client
+        assert client is not None
         acts: dict[str, Callable[..., str]] = {
             "stop": client.hold_pump, "release": client.release_pump, "clear": client.clear_fault,
             "dose": client.request_dose,
@@ -391,12 +382,12 @@ class Feed:
                 action, request, future = self._requests.pop(0)
             if future.set_running_or_notify_cancel():
                 try:
-                    self._connect_pump()
+                    # A stop goes to every node that may control the pump.
+                    if action != "stop" and (two := self._graph.two_pumps(time.monotonic())):
+                        raise PumpRequestError(two)
                     future.set_result(acts[action](**request, timeout_s=_STOP_S))
                 except Exception as error:  # it is raised in the thread that asked
                     future.set_exception(error)
-        with suppress(PumpRequestError):
-            self._connect_pump()
 
 
 def _write(file: Path, rows: Any) -> None:

@@ -11,6 +11,7 @@ publisher's sequence number, which rclpy's fast executor does not provide.
 from __future__ import annotations
 
 import os
+import re
 import signal
 import threading
 import time
@@ -24,6 +25,9 @@ from greenroof_ros.graph.rclpy_internals import waiting_messages
 
 # How many messages of a topic can wait for the next poll: 1 s at 60 times real time.
 _DEPTH = 64
+# How long after it has joined a client still finds nodes that were there before (s), and how often
+# it looks for an answer (s).
+_DISCOVERY_S, _SPIN_S = 2.0, 0.02
 
 DIAGNOSTICS = "/diagnostics"
 
@@ -77,8 +81,8 @@ class GraphClient:
             "stop": SetBool, "clear": Trigger, "reset": Trigger, "hold": SetParametersAtomically,
             "dose": SetParametersAtomically,
         }
-        self._pump: str | None = None
-        self._services: dict[str, Any] = {}
+        self._namespace, self._joined_at = namespace, time.monotonic()
+        self._pumps: dict[str, dict[str, Any]] = {}  # by node, a client of each of its services
         self._on_message = on_message
         self._interface = read_topics()
         self._subscriptions: dict[str, Any] = {}
@@ -106,12 +110,14 @@ class GraphClient:
             )
 
     def receive(self, wait_s: float) -> None:
-        """Wait, unless woken, and pass on all messages that have arrived; /diagnostics first."""
+        """Wait, unless woken, and pass on the messages that have arrived; /diagnostics first."""
         self._wake.wait(wait_s)
         self._wake.clear()
         for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
             subscription = self._subscriptions[name]
             for message, info in islice(waiting_messages(subscription), _DEPTH):
+                if self._wake.is_set():
+                    return  # what waits is less urgent
                 number = info["publication_sequence_number"]
                 self._on_message(name, message, number, info["received_timestamp"])
 
@@ -119,26 +125,41 @@ class GraphClient:
         """End the present wait, from another thread."""
         self._wake.set()
 
-    def connect_pump(self, pump_node: str | None) -> None:
-        """Open clients for the services of a pump node, so that a call finds them at once.
+    def find_pumps(self, reported: Collection[str] = ()) -> Collection[str]:
+        """Find the nodes that may control the pump, and open clients, so that calls find them.
+
+        A node may control it if it offers the service for a hold, whatever is reported, or if it is
+        reported to.
 
         Args:
-            pump_node: its fully qualified name; None if there is none.
+            reported: fully qualified names.
+
+        Returns:
+            Their names.
         """
-        if self._pump == pump_node:
-            return
-        for client in self._services.values():
-            self._caller.destroy_client(client)
-        self._pump = pump_node
-        self._services = {} if pump_node is None else {
-            name: self._caller.create_client(kind, f"{pump_node}/{name}")
-            for name, kind in self._types.items()
+        hold = "rcl_interfaces/srv/SetParametersAtomically"
+        pattern = re.compile(re.escape(self._namespace) + "(/[^/]+)/hold")
+        found = {*reported} | {
+            self._namespace + offered[1]
+            for service, types in self._node.get_service_names_and_types()
+            if hold in types and (offered := pattern.fullmatch(service))
         }
+        for name in self._pumps.keys() - found:
+            for client in self._pumps.pop(name).values():
+                self._caller.destroy_client(client)
+        for name in found - self._pumps.keys():
+            self._pumps[name] = {
+                service: self._caller.create_client(kind, f"{name}/{service}")
+                for service, kind in self._types.items()
+            }
+        return self._pumps.keys()
 
     def hold_pump(
         self, owner: str, reason: str = "", until: float | None = None, timeout_s: float = 3.0
     ) -> str:
         """Hold the pump until someone releases it, or until a time.
+
+        The request goes to each node that may control the pump.
 
         Args:
             owner: who requests it.
@@ -153,7 +174,9 @@ class GraphClient:
             PumpRequestError: the pump node did not confirm it.
         """
         end = {} if until is None else {"until": until}
-        return self._set_parameters("hold", timeout_s, owner=owner, reason=reason, **end)
+        return self._request(
+            "hold", timeout_s, to_all=True, **_parameters(owner=owner, reason=reason, **end)
+        )
 
     def release_pump(self, timeout_s: float = 3.0) -> str:
         """End the hold, whoever made it; returns and raises likewise."""
@@ -181,45 +204,50 @@ class GraphClient:
         Raises:
             PumpRequestError: it was refused, or there was no answer.
         """
-        return self._set_parameters("dose", timeout_s, volume=volume, asked_at=requested_at)
+        return self._request(
+            "dose", timeout_s, **_parameters(volume=volume, asked_at=requested_at)
+        )
 
-    def _set_parameters(self, service: str, timeout_s: float, **values: float | str) -> str:
-        from rclpy.parameter import Parameter
-
-        parameters = [
-            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-        ]
-        return self._request(service, timeout_s, parameters=parameters)
-
-    def _request(self, service: str, timeout_s: float, **request: Any) -> str:
-        if self._pump is None:
-            raise PumpRequestError("There is no pump node that could be stopped from here.")
-        name, client = self._pump, self._services[service]
-        until = time.monotonic() + timeout_s
-        while not client.service_is_ready():
-            if time.monotonic() > until:
+    def _request(
+        self, service: str, timeout_s: float, *, to_all: bool = False, **request: Any
+    ) -> str:
+        """Send a request to the pump node; if there are several, to all or to none."""
+        until, reported = time.monotonic() + timeout_s, tuple(self._pumps)
+        settled = min(until, self._joined_at + _DISCOVERY_S)
+        sent: dict[str, Any] = {}
+        waiting = True
+        while waiting:
+            self.find_pumps(reported)
+            if len(self._pumps) > 1 and not to_all:
+                names = " and ".join(sorted(self._pumps))
                 raise PumpRequestError(
-                    f"{name} does not answer: nothing provides its service {service}. Start its "
-                    "graph first, in the same ROS_DOMAIN_ID and with the same "
-                    "ROS_AUTOMATIC_DISCOVERY_RANGE and --namespace."
+                    f"Nothing was done: it is not clear which node controls the pump, {names}. "
+                    "End those that should not run."
                 )
-            time.sleep(0.02)
-        answer = client.call_async(self._types[service].Request(**request))
-        self._executor.spin_until_future_complete(answer, max(0.0, until - time.monotonic()))
-        if not answer.done():
-            client.remove_pending_request(answer)
-            raise PumpRequestError(
-                f"{name} did not answer within {timeout_s:g} s: it may or may not have done that."
-            )
-        result = answer.result()
-        if isinstance(result, self._types["dose"].Response):
-            ok, message = result.result.successful, result.result.reason
-        else:
-            ok, message = result.success, result.message
-        if not ok:
+            for name, clients in self._pumps.items():
+                if name not in sent and clients[service].service_is_ready():
+                    message = self._types[service].Request(**request)
+                    sent[name] = clients[service].call_async(message)
+            self._executor.spin_once(timeout_sec=_SPIN_S)
+            now = time.monotonic()
+            waiting = now < until and (now < settled or not (
+                self._pumps.keys() <= sent.keys() and all(map(_is_done, sent.values()))
+            ))
+        if not self._pumps:
+            raise PumpRequestError("There is no pump node that could be stopped from here.")
+        answers = {
+            name: _answer(name, service, sent.get(name), timeout_s) for name in sorted(self._pumps)
+        }
+        for name, future in sent.items():
+            if not future.done() and name in self._pumps:
+                self._pumps[name][service].remove_pending_request(future)
+        said = [text for _, text in answers.values()]
+        if len(answers) > 1:
+            said = [f"{name}: {text}" for name, text in zip(answers, said, strict=True)]
+        if not all(ok for ok, _ in answers.values()):
             # A hold with this answer may be in force, but would not survive a restart.
-            raise PumpRequestError(str(message), answered=True)
-        return str(message)
+            raise PumpRequestError("; ".join(said), answered=any(map(_is_done, sent.values())))
+        return "; ".join(said)
 
     def close(self) -> None:
         """Leave the domain."""
@@ -229,3 +257,41 @@ class GraphClient:
         self._caller.destroy_node()
         self._context.try_shutdown()
         signal.alarm(before)
+
+
+def _parameters(**values: float | str) -> dict[str, Any]:
+    """Return the fields of a request with these parameters."""
+    from rclpy.parameter import Parameter
+
+    return {"parameters": [
+        Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+    ]}
+
+
+def _is_done(future: Any) -> bool:
+    return bool(future.done())
+
+
+def _answer(name: str, service: str, future: Any, timeout_s: float) -> tuple[bool, str]:
+    """Return whether a node did what it was asked, and its answer.
+
+    Args:
+        name: of the node.
+        service: its service.
+        future: of the answer; None if the service was not there.
+        timeout_s: how long it was waited for.
+    """
+    if future is None:
+        return False, (
+            f"{name} does not answer: nothing provides its service {service}. Start its graph "
+            "first, in the same ROS_DOMAIN_ID and with the same ROS_AUTOMATIC_DISCOVERY_RANGE and "
+            "--namespace."
+        )
+    if not future.done():
+        return False, (
+            f"{name} did not answer within {timeout_s:g} s: it may or may not have done that."
+        )
+    result = future.result()
+    if hasattr(result, "result"):  # of parameters that are set
+        return bool(result.result.successful), str(result.result.reason)
+    return bool(result.success), str(result.message)

@@ -409,6 +409,13 @@ class Registry:
         node = self._by_role.get(PUMP)
         return node if node is not None and node.is_present(wall) else None
 
+    def pumps(self, wall: float) -> list[str]:
+        """Return the names of all nodes that claim to be the pump node, and are there."""
+        return [
+            node.name for node in self._latest.values()
+            if node.role == PUMP and node.is_present(wall)
+        ]
+
     def two_pumps(self, wall: float) -> str:
         """Return a warning if two present nodes claim to be the pump node; otherwise empty."""
         node = self._by_role.get(PUMP)
@@ -418,7 +425,7 @@ class Registry:
         two = " and ".join(f"{pump.name} ({pump.process})" for pump in (node, rival))
         return plain(
             f"Two nodes claim to be the pump node, {two}; which one controls the pump is unknown. "
-            "Stop the pump at its drive's panel, and end the node that should not run."
+            "A stop goes to both; nothing else is done from here. End the node that should not run."
         )
 
     def _rival(self, node: Node, wall: float, same: str) -> Node | None:

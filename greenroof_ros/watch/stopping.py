@@ -26,15 +26,17 @@ _THEN = (
 def stop_of(store: GraphStore) -> dict[str, Any]:
     """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
 
-    It is stopped if someone holds it and it stands; the hold alone only means that it should stand.
-    ``call`` and ``release`` are the commands to hold and release it; empty if that would do
-    nothing. Entries in ``_here`` state whether an action is allowed here, entries in ``_then`` what
-    happens then. A request for a dose sends ``asked_at`` back: a delayed request is too old.
+    It can be stopped if any node may control the pump, whatever nodes report. It is stopped if
+    someone holds it and it stands; the hold alone only means that it should stand. ``release`` is
+    the command to release it; empty if that would do nothing. Entries in ``_here`` state whether an
+    action is allowed here, entries in ``_then`` what happens then. A request for a dose sends
+    ``asked_at`` back: a delayed request is too old.
     """
     two = store.graph.two_pumps(store.wall)
     node = None if two else store.graph.pump(store.wall)
     values = {} if node is None else node.values
     hold, is_silent = "" if node is None else node.hold, store.is_lost(node)
+    possible = store.can_stop or bool(store.graph.pumps(store.wall))
     at_rest = not is_silent and values.get("stands") is True
     stopped, warning = bool(hold) and at_rest, two
     if hold and not at_rest and not is_silent:
@@ -45,15 +47,14 @@ def stop_of(store: GraphStore) -> dict[str, Any]:
     report = store.pump_report
     off = report is not None and report.state in ("off", "held", "fault") and at_rest
     return {
-        "possible": node is not None, "stopped": stopped, "node": node and node.name,
-        "label": "The pump is held off" if stopped
+        "possible": possible, "stopped": stopped,
+        "label": "The pump is held off: stop again" if stopped
         else "Keep the pump off" if off else "Stop the pump",
-        "sentence": two or "There is no pump node that could be stopped from here."
-        if node is None else ("It was held off at last contact. " if hold and is_silent else "")
+        "sentence": "There is no pump node that could be stopped from here."
+        if not possible else ("It was held off at last contact. " if hold and is_silent else "")
         + ("The pump is held" if stopped else "Holds the pump")
         + " off until someone releases it. " + LOCK_OUT,
         "warning": warning,
-        "call": "" if node is None or stopped else command_for(node.name, "hold"),
         "release": "" if node is None or not hold else command_for(node.name, "release"),
         "hold": None if node is None or is_silent else hold and f"{hold[0].upper()}{hold[1:]}.",
         "clear_call": command_for(node.name, "reset")
@@ -114,8 +115,8 @@ def _then(*others: str) -> str:
 def bare_stop() -> dict[str, Any]:
     """Return a stop that needs nothing to be known: the pump node is asked, if there is one."""
     return {
-        "possible": True, "stopped": False, "node": None, "label": "Stop the pump",
+        "possible": True, "stopped": False, "label": "Stop the pump",
         "sentence": "Holds the pump off until someone releases it. " + LOCK_OUT,
-        "warning": "", "call": "", "release": "", "hold": None, "clear_call": "",
+        "warning": "", "release": "", "hold": None, "clear_call": "",
         **_allowed(None, at_rest=False),
     }

@@ -112,6 +112,7 @@ class GraphStore:
             the drive of a real pump, ``live``, or ``ended`` for a run that is over.
         factor: simulated time per wall time; None if there is none.
         allow_release: whether the pump may be released from here.
+        can_stop: whether a node offers to hold the pump, whatever is reported.
         alarms: alarms of the nodes, and the registry of their reports.
         newest: the newest value of each topic.
         past: the past of each line of the charts.
@@ -127,7 +128,7 @@ class GraphStore:
         """
         self.lock = threading.RLock()
         self.namespace = namespace
-        self.allow_release = False
+        self.allow_release = self.can_stop = False
         self.site = read_site(default_site_file())
         self.notes = ["", ""]
         self.mode = "none"

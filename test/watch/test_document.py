@@ -461,20 +461,17 @@ def test_notes() -> None:
     ]
 
 
-STOP, RELEASE = "greenroof hold", "greenroof release"
-
-
-@pytest.mark.parametrize(("state", "stands", "hold", "label", "commands"), [
-    ("running: as commanded", False, None, "Stop the pump", (STOP, "")),
-    (f"held: {HELD}; there is frost", True, HOLD, "The pump is held off", ("", RELEASE)),
-    ("off: the command is 0", True, None, "Keep the pump off", (STOP, "")),
-    ("fault: leak", True, None, "Keep the pump off", (STOP, "")),
-    # Only accepted: the pump may still turn, so the button stays, with what to do.
-    (f"held: {HELD}; the pump still turns", False, HOLD, "Stop the pump", (STOP, RELEASE)),
-    ("off: of another version", True, 7, "Keep the pump off", (STOP, "")),
+@pytest.mark.parametrize(("state", "stands", "hold", "label"), [
+    ("running: as commanded", False, None, "Stop the pump"),
+    (f"held: {HELD}; there is frost", True, HOLD, "The pump is held off: stop again"),
+    ("off: the command is 0", True, None, "Keep the pump off"),
+    ("fault: leak", True, None, "Keep the pump off"),
+    # Only accepted: the pump may still turn, with what to do.
+    (f"held: {HELD}; the pump still turns", False, HOLD, "Stop the pump"),
+    ("off: of another version", True, 7, "Keep the pump off"),
 ])
 def test_what_stop_does_as_the_pump_is(
-    state: str, stands: bool, hold: Any, label: str, commands: tuple[str, str]
+    state: str, stands: bool, hold: Any, label: str
 ) -> None:
     graph = watched()
     assert not shown(graph)["stop"]["possible"]  # without a pump node
@@ -484,11 +481,31 @@ def test_what_stop_does_as_the_pump_is(
     told, summary = document["stop"], document["tiles"]["summary"]
     assert (told["possible"], told["stopped"]) == (True, held and stands)
     assert told["hold"] == ("A hold by the operator." if held else "")
-    assert (told["label"], (told["call"], told["release"])) == (label, commands)
+    assert (told["label"], told["release"]) == (label, "greenroof release" if held else "")
     assert ("Stop it at its drive's panel" in told["warning"]) == unsure
     assert (summary["level"] == "error") == unsure
     assert (f"the pump is held off: {HELD}" in summary["sentence"]) == held
     assert "must lock it out at the pump itself" in told["sentence"]
+
+
+@pytest.mark.parametrize("forged", [
+    {"name": "/other", "process": "host 2"}, {"process": "host 2"}, {"state": "ended"},
+    {"process": "host 2", "state": "ended"}, {"hold": HOLD, "stands": True},
+    {"stands": 7, "hold": 7, "fault": 7, "greatest_dose": "x", "pump_state": 7},
+])
+def test_no_report_switches_the_stop_off(forged: dict[str, Any]) -> None:
+    """A second pump node, one that claims to have ended or to be held, or impossible values."""
+    graph = watched("live")
+    graph.can_stop = True  # a node offers to hold the pump
+    for wall in (100.0, 100.2, 100.4):
+        pump_says(graph, wall, "running: as commanded", stands=False)
+        said = {"name": "/pump", "process": "host 1", "state": "ready", **forged}
+        graph.add_statuses(wall, node(said.pop("name"), "pump", **said))
+        stop = shown(graph, wall)["stop"]
+        assert stop["possible"]
+    two = "process" in forged and "state" not in forged
+    assert ("Two nodes claim to be the pump node" in stop["warning"]) == two
+    assert not (two and stop["release"])
 
 
 STARTS, STAYS = "The pump then starts automatically", "It stays off all the same"
@@ -934,7 +951,6 @@ def test_if_a_part_cannot_be_shown_the_pump_can_be_stopped(
     monkeypatch.setattr(f"greenroof_ros.watch.{place}", _fail)
     document = shown(graph)
     assert document["stop"]["possible"]
-    assert document["stop"]["node"] == "/pump"
     assert document["tiles"].keys() == {
         "roof", "cistern", "pump", "rain", "controller", "summary",
     }

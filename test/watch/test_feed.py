@@ -147,17 +147,17 @@ def test_of_a_run_that_is_too_fast_only_the_reports_are_shown(
     assert shown["time"]["text"].startswith("2021-07-")  # by the plant's last report
 
 
-def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
-    """No such node, and two nodes that claim the pump, are refused in words, and soon."""
+def test_what_is_reported_of_pumps_never_stops_a_stop(domain: int) -> None:
+    """Without any pump node it is refused, in words, and soon; a reported node is asked."""
     pump, other = (
         node("pump", name=name, process=process) for name, process in
         (("/pump", "a 1"), ("/other", "b 1"))
     )
 
-    def refusal(feed: Feed) -> str:
+    def refusal(action: str = "stop", **request: Any) -> str:
         began = time.monotonic()
         with pytest.raises(PumpRequestError) as refused:
-            feed.request_action("stop", owner="the page")
+            feed.request_action(action, **request)
         assert time.monotonic() - began < 15
         return str(refused.value)
 
@@ -167,12 +167,14 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
             say(*pumps)
             return _shown(watched)["stop"]
 
-        assert "no pump node" in refusal(feed)
-        wait_for(lambda: stop_of(pump)["node"] == "/pump", 60, "the pump node")
-        assert refusal(feed).startswith("/pump does not answer: ")
+        assert "no pump node" in refusal(owner="the page")
+        wait_for(lambda: stop_of(pump)["possible"], 60, "the pump node")
+        assert refusal(owner="the page").startswith("/pump does not answer: ")
         wait_for(lambda: stop_of(pump, other)["warning"], 60, "a warning")
-        assert not stop_of(pump, other)["possible"]
-        assert "/pump (a 1) and /other (b 1)" in refusal(feed)
+        assert stop_of(pump, other)["possible"]
+        assert "/pump (a 1) and /other (b 1)" in refusal("release")
+        said = refusal(owner="the page")
+        assert "/pump does not answer" in said and "/other does not answer" in said
 
 
 def test_a_live_site_after_a_run_has_nothing_of_it(domain: int) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import pytest
+from graphs import wait_for
 from peers import Peer, in_domain
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
@@ -28,8 +30,8 @@ def place(domain: int) -> Iterator[int]:
 class Pump(Peer):
     """A pump node's service for a hold, with the answer that a test sets."""
 
-    def __init__(self, domain: int) -> None:
-        super().__init__(domain, "pump")
+    def __init__(self, domain: int, name: str = "pump") -> None:
+        super().__init__(domain, name)
         self.requests: list[dict[str, Any]] = []
         self.success, self.answer = True, "held: a hold by the page"
         self.answers = threading.Event()
@@ -63,7 +65,7 @@ class Pump(Peer):
 def test_hold(place: int) -> None:
     """The pump node's message is returned; if it does not state that it holds, that is an error."""
     client = GraphClient("", lambda *_: None)
-    client.connect_pump("/pump")
+    assert client.find_pumps(["/pump"]) == {"/pump"}
     pump = Pump(place)
     assert client.hold_pump("the page", timeout_s=20) == "held: a hold by the page"
     assert client.hold_pump("MQTT", "frost", 4e9, timeout_s=20)
@@ -79,3 +81,29 @@ def test_hold(place: int) -> None:
     pump.answers.set()
     client.close()
     pump.close()
+
+
+def test_a_stop_goes_to_every_node_that_may_control_the_pump(place: int) -> None:
+    """Also to one that no one has reported; what is not a stop goes to none of several."""
+    pumps = [Pump(place), Pump(place, "other")]
+    client = GraphClient("", lambda *_: None)
+    wait_for(lambda: client.find_pumps() == {"/pump", "/other"}, 60, "both nodes")
+    held = "held: a hold by the page"
+    assert client.hold_pump("the page", timeout_s=20) == f"/other: {held}; /pump: {held}"
+    assert [pump.requests for pump in pumps] == [[{"owner": "the page", "reason": ""}]] * 2
+    # A node that does not answer, and one that is only reported, keep the stop from none.
+    client.find_pumps(["/reported"])
+    pumps[1].answers.clear()
+    with pytest.raises(PumpRequestError) as refused:
+        client.hold_pump("the page", timeout_s=1.0)
+    assert len(pumps[0].requests) == 2 and refused.value.answered
+    for part in (f"/pump: {held}", "/other did not answer", "/reported does not answer"):
+        assert part in str(refused.value)
+    pumps[1].answers.set()
+    for request in (client.release_pump, client.clear_fault, client.reset_fault,
+                    partial(client.request_dose, 0.1, 1.0)):
+        with pytest.raises(PumpRequestError, match="Nothing was done: it is not clear which node"):
+            request(timeout_s=20)
+    client.close()
+    for pump in pumps:
+        pump.close()

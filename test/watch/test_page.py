@@ -753,7 +753,7 @@ def test_stop_asks_once_and_reports_what_came_of_it(open_page: Open) -> None:
     until_shown(page, "#stop-warning", "Stop it at its drive's panel")
     until_shown(page, "#stop-button:enabled", "Stop the pump")
     said[:] = pump(f"held: {HELD}", hold=HOLD)
-    until_shown(page, "#stop-button:disabled", "The pump is held off")
+    until_shown(page, "#stop-button:enabled", "The pump is held off")
     page.wait_for_selector("#stop-warning", state="hidden")
     page.wait_for_selector("#answer", state="hidden")
     shown = until_shown(page, "#release-call").inner_text()

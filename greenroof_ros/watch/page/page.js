@@ -275,7 +275,6 @@ let stopBefore = { held: false, warning: "" };
 
 const showStop = (stop) => {
   byId("stop").hidden = !stop.possible;
-  byId("stop-button").disabled = stop.stopped;
   setText(byId("stop-button"), stop.label);
   setText(byId("release-call"), stop.release);
   byId("release").hidden = !stop.release;
@@ -368,7 +367,7 @@ const act = async (name, body) => {
     const how = name === "stop" ? " Try again, or stop it at the pump itself." : "";
     answer(`It is unknown whether ${ACTIONS[name].doubt}: ${error.message}.${how}`, true);
   } finally {
-    button.disabled = name === "stop" && Boolean(shown?.stop.stopped);
+    button.disabled = false;
     stream.open();
   }
 };
