@@ -69,13 +69,13 @@ study: $(FOR_STUDY)
 
 # Without ARGS every test, four processes more than there are cores, since graphs mostly wait.
 # Which tests may run side by side is in test/conftest.py. What failed runs once more, one at a
-# time: a live site's limits are of real time, which a busy machine exceeds. What fails again,
-# fails. Without pytest-xdist a test's name does not end in its group, and none may be left out.
+# time, and with pytest's explanations: a live site's limits are of real time, which a busy machine
+# exceeds. What fails again, fails. Without pytest-xdist a test's name does not end in its group, and none may be left out.
 FAILED := .pytest_cache/v/cache/lastfailed
 test: $(FOR_TEST)
 ifeq ($(ARGS),)
 	@rm -f $(FAILED); $(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 4)) --dist loadgroup \
-	    --no-loadscope-reorder; code=$$?; [ $$code -eq 1 ] || exit $$code; \
+	    --no-loadscope-reorder --assert=plain; code=$$?; [ $$code -eq 1 ] || exit $$code; \
 	    echo "Once more, one at a time, what failed:"; \
 	    sed -i 's/@[^]@"]*": true/": true/' $(FAILED); \
 	    $(BIN)/python -m pytest --last-failed --last-failed-no-failures none --exitfirst && \

@@ -28,18 +28,14 @@ SITE: Sample = {f"site:danfoss_fc202/{fault}/0": outcome for fault, outcome in {
     "kill/pump": (["pump", "node_failed"], "ran again"),
     "kill/onoff": (["onoff", "node_failed"], "ran again"),
     "stop long/bringup": ("", "ran again"),
-    "kill/bringup": ("", "ended"),
     # Only the drive's own timeout can stop the pump.
     "kill both/pump and bringup": ("", "ended"),
     "drive/refused": (["pump: pump", "drive_lost"], "ran again"),
-    "drive/local": (["pump: drive", "drive_local"], "ran again"),
-    "drive/timeout_off": (["pump: pump", "drive_timeout"], "ran again"),
     "state file/moved away": (["pump: pump", "record_unknown"], "ran again after ~/reset"),
     "sensor/roof_silent": (["pump: pump", "roof_level_unknown"], "ran again"),
     "intruder/pump.flow": (["pump: flow", "two_pumps"], "ran again"),
 }.items()}
 OTHERS: Sample = {
-    "simulated/kill/bringup/0": ("", "ended"),
     "simulated/term/bringup/0": ("", "ended"),
     "simulated/stop long/bringup/0": (
         "", "ran to its end, every byte as undisturbed"
@@ -55,8 +51,6 @@ OTHERS: Sample = {
 MQTT: Sample = {
     "mqtt:danfoss_fc202/broker/killed/0": (["cistern_sensor: sensor", "broker_lost"], "ran again"),
     "relay:tasmota/broker/killed/0": (["pump: pump", "drive_lost"], "ran again"),
-    "relay:tasmota/drive/deaf/0": (["pump: pump", "second_master"], "ran again"),
-    "relay:tasmota/drive/power_cycle/0": (["pump: pump", "drive_lost"], "ran again"),
 }
 
 

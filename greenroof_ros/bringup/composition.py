@@ -130,7 +130,6 @@ class Composition:
         return now - self._finished_at >= (_EXTRA_S if self._external else 0.0)
 
     def _show(self) -> None:
-        """Show the progress, and new warnings of the nodes."""
         self._checks += 1
         if self._checks % _SHOWN_EVERY:
             return

@@ -40,7 +40,6 @@ def _note_if_slow(note: str) -> Iterator[None]:
 def _result(
     run: Run, max_command: float, bound: Bound, recursion: PlanResult
 ) -> dict[str, Any]:
-    """Return the object that ``--json`` prints."""
     attained = min(bound.plan_m3, recursion.total_m3)
     return {
         "bound_m3": bound.bound_m3,
@@ -59,7 +58,6 @@ def _result(
 
 
 def _table(result: dict[str, Any]) -> Table:
-    """Return the table for the terminal."""
     initial, gap = result["initial"], result["gap"]
     rows = (
         *setting_rows(result),

@@ -293,7 +293,6 @@ def _heading(
     measured: Path, spans: Mapping[str, str], rows: Collection[FitScores],
     findings: Sequence[Finding],
 ) -> list[str]:
-    """Return the heading of the site file."""
     lines = [
         f"Fitted to {measured.name} by greenroof calibrate.",
         f"Fit: {spans['fit']}; validation: {spans['validation']}.",
@@ -313,7 +312,6 @@ def _volume(row: FitScores) -> str:
 
 
 def _print_fit(fitted: Fit, rows: Sequence[FitScores]) -> None:
-    """Print parameters and scores."""
     table = Table(
         "parameter", "value", "95 % interval", "", title="Parameters", title_justify="left"
     )
@@ -339,7 +337,6 @@ def _print_fit(fitted: Fit, rows: Sequence[FitScores]) -> None:
 
 
 def _print(findings: Sequence[Finding]) -> None:
-    """Print the findings of the fit."""
     for finding in findings:
         style = "bold" if finding.severity is Severity.WARNING else None
         Console().print(finding.text, style=style, soft_wrap=True, highlight=False)

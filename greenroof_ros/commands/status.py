@@ -117,7 +117,6 @@ def _judge(shown: Mapping[str, Any]) -> int:
 
 
 def _lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str]:
-    """Return the status in words; a single line if nothing runs."""
     tiles = shown["tiles"]
     summary = tiles["summary"]
     summary_line = f"{summary['word']} {summary['sentence']}"
@@ -142,7 +141,6 @@ def _lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str
 
 
 def _present(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the present alarms."""
     return [row for row in shown["alarms"] if row["over"] is None]
 
 

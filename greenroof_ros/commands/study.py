@@ -244,13 +244,11 @@ def _facts(case: Case) -> dict[str, str]:
 
 
 def _forecast(case: Case) -> str:
-    """Name the forecasts of a case."""
     choice = case.forecast
     return _named(str(choice), choice.options())
 
 
 def _named(name: str, values: Mapping[str, float | str]) -> str:
-    """Return a name followed by values."""
     texts = (
         f"{key} {value if isinstance(value, str) else shortest(value)}"
         for key, value in values.items()

@@ -161,7 +161,6 @@ def main() -> None:
 
 
 def _sums(arguments: argparse.Namespace) -> list[Sum]:
-    """Return the sums and events of the command line."""
     if arguments.sums is None and arguments.events is None:
         return [Sum(*values) for values in _SUMS if arguments.lead % values[0] == 0]
     if arguments.sums is None or arguments.events is None:
@@ -181,7 +180,6 @@ def _sums(arguments: argparse.Namespace) -> list[Sum]:
 
 
 def _table(title: str, tallies: Mapping[Class, Tally]) -> Table:
-    """Return the scores as a table for the terminal."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in ("lead", "sum of", "event", *(heading for heading, _ in SHOWN.values())):
         table.add_column(name, justify="left" if name == "lead" else "right", no_wrap=True)

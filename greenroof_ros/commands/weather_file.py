@@ -182,7 +182,6 @@ def _evapotranspiration(weather: Weather, unknown: str) -> dict[str, Any]:
 
 
 def _rows(about: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield the lines of the table."""
     files = about["files"]
     yield (
         "file", about["format"],

@@ -126,7 +126,6 @@ def _topic(
     undecided: float | list[float] = math.nan, display: Mapping[str, Any] | None = None,
     **entry: Any,
 ) -> Topic:
-    """Return the topic that an entry of the interface describes."""
     low, high = range
     fields: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()

@@ -65,7 +65,6 @@ class _Trial:
             yield cistern, roof, self.forecast(rain), [evaporated] * self.steps
 
     def make(self, **changes: float) -> Controller:
-        """Make a controller with its default parameters, except for these changes."""
         return self.choice.make(self.site, {**self.choice.defaults(self.site), **changes})
 
     def request_commands(self, controller: Controller, stride: int = 1) -> list[float]:
@@ -125,7 +124,6 @@ def _where(error: Exception, kind: Any) -> str:
 
 
 def _checked_command(controller: Controller, *inputs: Any) -> float:
-    """Request a command and check it."""
     command = controller.command(*inputs)
     if isinstance(command, bool) or not isinstance(command, (int, float)):
         raise _ProblemError(f"command() returns {command!r}; it must return a float")

@@ -298,7 +298,6 @@ class Lookahead:
     def _plan_of(
         self, policy: Policy, inputs: tuple[float, float, Array, Array, Array]
     ) -> Array:
-        """Return the rows of :attr:`plan`, from a policy and the inputs that it was found for."""
         x1, x2, rain, evaporated, flow = inputs
         flows, roofs, _ = self._program.follow(policy, *inputs)
         driest = int((rain @ np.diff(policy.edges)).argmin())

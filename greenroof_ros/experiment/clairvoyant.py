@@ -98,7 +98,6 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
 
 
 def _sums(first: float, changes: Values) -> Values:
-    """Return the values with these changes, shape (N+1,) for N changes."""
     return np.concatenate([[first], first + np.cumsum(changes)])
 
 

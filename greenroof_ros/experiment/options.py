@@ -118,7 +118,6 @@ def add_controller_arguments(
 def _add_parameters(
     group: argparse._ArgumentGroup, parameters: Iterable[Parameter], prefix: str = ""
 ) -> None:
-    """Add an option for each parameter; the names of their arguments begin with the prefix."""
     for parameter in parameters:
         unit = "" if parameter.unit in ("", "1") else f"{parameter.unit}, "
         group.add_argument(
@@ -137,7 +136,6 @@ def _given_options(
 
 
 def _option(parameter: str) -> str:
-    """Return the option of a parameter."""
     return f"--{parameter.replace('_', '-')}"
 
 

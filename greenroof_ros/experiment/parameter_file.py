@@ -125,7 +125,6 @@ def _sections(
 
 
 def _names_of(module: str, controller: ControllerChoice) -> set[str]:
-    """Return the names of the parameters that a module's node declares at any site."""
     site = read_site(default_site_file())
     of = controller if module.endswith(".controller") else site
     return {parameter.name for parameter in import_module(module).parameters(of)}

@@ -78,7 +78,6 @@ class RunProgress(Progress):
         )
 
     def _update(self, **fields: Any) -> None:
-        """Show the bar with these values, or print them."""
         self.update(self._run, refresh=True, **fields)
         if self.disable:
             run = self.tasks[0]

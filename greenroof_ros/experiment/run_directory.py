@@ -141,7 +141,6 @@ def write_parameters(directory: Path, parameters: Mapping[str, Mapping[str, obje
 
 
 def _copy(source: Path, copy: Path) -> Path:
-    """Copy a file, or a directory of files, and return the path of the copy."""
     copy.parent.mkdir(exist_ok=True)
     if source.is_dir():
         shutil.copytree(source, copy)

@@ -147,7 +147,6 @@ def print_notes(console: Console, summary: Mapping[str, Any]) -> None:
 
 
 def _listed(values: Mapping[str, Any]) -> str:
-    """Return names and values in one line."""
     return ", ".join(
         f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
         for name, value in values.items()

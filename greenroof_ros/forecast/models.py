@@ -463,10 +463,7 @@ def _filters(skill: Skill, reach: int, blocks: int) -> _Filters:
 
 
 def _filters_of(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
-    """Return the filters of some leads."""
-
     def weights(response: Array) -> Array:
-        """Return the weights of filters with these responses."""
         circle = np.fft.irfft(response, hours, axis=1)
         return np.concatenate((circle[:, -reach:], circle[:, : reach + 1]), axis=1)
 

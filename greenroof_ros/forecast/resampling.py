@@ -216,7 +216,6 @@ class SteppedForecast:
         return self._at(tick).issued
 
     def _outlook(self, tick: int) -> Outlook:
-        """Return what is known at a tick."""
         time = self._offset + tick * self._site.tau
         hour = int(time // _HOUR_S)
         return self._hour_forecast(hour).at(time - hour * _HOUR_S, self._all_members)

@@ -140,7 +140,6 @@ def _place(table: Table, names: Mapping[str, str]) -> dict[Path, tuple[float, fl
 
 
 def _quantity(name: str) -> str | None:
-    """Return the quantity of a column; None if it is none of ours."""
     plain = _plain(name)
     return next((quantity for quantity, names in _COLUMNS.items() if plain in names), None)
 

@@ -126,7 +126,6 @@ def _alike(issues: Sequence[Issue]) -> tuple[list[Issue], list[str]]:
 
 
 def _format_of(file: Path, formats: Iterable[ModuleType]) -> ModuleType:
-    """Return the module of a file's format."""
     if file.exists() and not file.is_file():
         raise ConfigurationError("must be a regular file, or a directory of such files", file=file)
     try:

@@ -272,7 +272,6 @@ def join(parts: Sequence[Records]) -> Records:
 
 
 def _check_alike(first: Records, part: Records) -> None:
-    """Refuse to join records that cannot be one series."""
     for aspect, expected, present in (
         ("quantities", sorted(first.values), sorted(part.values)),
         ("method of evapotranspiration", [first.method], [part.method]),
@@ -945,7 +944,6 @@ def _cut_line(file: Path) -> str:
 
 
 def _cells(file: Path, line: int, text: str, separator: str) -> list[str]:
-    """Return the cells of a line."""
     if '"' not in text:
         cells = text.split(separator)
     else:

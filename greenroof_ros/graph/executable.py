@@ -63,7 +63,6 @@ def node_command(
 
     @command
     def main() -> int:
-        """Run the node, or print its help."""
         parser = _Parser(add_help=False, allow_abbrev=False)
         parser.add_argument("-h", "--help", action="store_true")
         if option and value is None:
@@ -133,7 +132,6 @@ def node_help(
 
 
 def _section(heading: str, entries: list[tuple[str, str, str]]) -> Iterator[str]:
-    """Yield the lines of a section; none if it has no entries."""
     if entries:
         yield f"\n{heading}:"
     for name, about, meaning in entries:

@@ -124,7 +124,6 @@ def _checked(parameter: Parameter, value: Any) -> Any:
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    """Return the descriptor of a parameter, which ROS tools show."""
     descriptor = ParameterDescriptor(
         description=parameter.description, read_only=not parameter.may_change,
         additional_constraints=f"must be {parameter.limits}" if parameter.among else "",

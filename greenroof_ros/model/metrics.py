@@ -106,7 +106,6 @@ def _last(before: float, values: Values) -> float:
 
 
 def _sums(before: Values | float, values: Values) -> Values:
-    """Add up each row."""
     first = np.broadcast_to(before, len(values))
     return np.asarray(np.cumsum(np.column_stack((first, values)), axis=1)[:, -1])
 
@@ -240,7 +239,6 @@ def _deviation(site: Site, samples: Samples) -> Values:
 
 
 def _volume(flow: str) -> Callable[[Site, Samples], Values]:
-    """Return a function that gives the volume of a flow (m3)."""
     return lambda site, samples: samples.duration * getattr(samples, flow)
 
 

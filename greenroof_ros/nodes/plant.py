@@ -134,7 +134,6 @@ class PlantNode(SimulationNode):
         return recorded and super().all_arrived()
 
     def _pause(self) -> float:
-        """Return the time until the present tick is due at the set speed (s)."""
         if not self._speed:
             return 0.0
         wait = self._began + self._tick * self._site.tau / self._speed - time.monotonic()
@@ -153,7 +152,6 @@ class PlantNode(SimulationNode):
         return self._start_ns + self._tick * self._tick_ns
 
     def _publish_tick(self) -> None:
-        """Publish the time and the levels of the present tick."""
         now = self._time_ns
         self.publish(CLOCK, now)
         self._published = self._tick, *self._levels()

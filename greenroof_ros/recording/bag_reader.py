@@ -220,8 +220,6 @@ def _by_clock(bag: Path, arrived: Mapping[str, Stamps], clock: Stamps) -> dict[s
 
 
 class _Reader(NamedTuple):
-    """An open bag."""
-
     types: Mapping[str, str]
     """type of each topic"""
     messages: Callable[[Sequence[str]], Iterator[tuple[str, int, Any]]]
@@ -359,7 +357,6 @@ def _without_outliers(
 
 
 def _gap_note(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str:
-    """Return a sentence that lists the gaps by their start, end and length."""
     hours = (samples[gaps + 1] - samples[gaps]) / 3.6e12
     named = [
         " to ".join(

@@ -477,7 +477,6 @@ def _metadata(files: Sequence[FileIndex]) -> str:
 
 
 def _qos_profile(qos: Qos) -> dict[str, Any]:
-    """Return a QoS profile in rosbag2's format."""
     lease = dict(_INFINITE)
     if qos.lease_s != float("inf"):
         lease = {"sec": int(qos.lease_s), "nsec": round(qos.lease_s % 1 * 1e9)}

@@ -92,11 +92,9 @@ class _Clock(NamedTuple):
     """the last hour"""
 
     def hour(self, tick: int) -> int:
-        """Return the hour of a tick."""
         return min((self.offset_ns + tick * self.tick_ns) // _HOUR_NS, self.last)
 
     def hours(self, ticks: range) -> NDArray[np.int64]:
-        """Return the hour of each tick, shape (ticks,)."""
         elapsed_ns = self.offset_ns + np.asarray(ticks, dtype=np.int64) * self.tick_ns
         return np.minimum(elapsed_ns // _HOUR_NS, self.last)
 

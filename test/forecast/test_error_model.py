@@ -180,8 +180,8 @@ def observed(rain: dict[int, Array]) -> Array:
 
 @pytest.fixture(scope="module")
 def ahead(rain: dict[int, Array]) -> dict[int, Array]:
-    """What two members of ``real`` forecast for these hours, by days ahead."""
-    return seasons_ahead(rain, REAL, 1, (1, 2, 3, 4, 5), 2)
+    """What ``real`` forecasts for these hours, by days ahead."""
+    return seasons_ahead(rain, REAL, 1, (1, 2, 3, 4, 5))
 
 
 def test_as_good_as_services(observed: Array, ahead: dict[int, Array]) -> None:

@@ -104,7 +104,6 @@ def file_of_site(site: PathText | Site | None) -> Path:
 
 
 def _weather_files(weather: Any) -> list[Path]:
-    """Return the files of weather: of paths and patterns, or one with a data frame."""
     if weather is None:
         return [default_weather()]
     if (hasattr(weather, "write_csv") or hasattr(weather, "to_csv")) and hasattr(
@@ -125,7 +124,6 @@ def _weather_files(weather: Any) -> list[Path]:
 
 
 def _csv(frame: Any) -> str:
-    """Return a data frame of polars or pandas as CSV, exactly; an index of times is ``time``."""
     text: str
     if hasattr(frame, "write_csv"):
         import polars

@@ -273,7 +273,6 @@ class _Grid:
         self._read: dict[tuple[object, ...], Weather] = {}
 
     def cases(self) -> Iterator[Case]:
-        """Yield every combination."""
         sites = list(self._sites())
         controllers = list(self._controllers([name for name, _ in sites]))
         for name, path in sites:
@@ -312,7 +311,6 @@ class _Grid:
     def _runs(
         self, site_file: Path, site: Site, window: YamlMapping, controllers: list[_Setting]
     ) -> Iterator[Case]:
-        """Yield the runs of one site in one window."""
         def of_year(text: str) -> str:
             return text.replace("{year}", str(window["year"])) if "year" in window else text
 
@@ -440,7 +438,6 @@ class _Grid:
                 yield SensorPumpErrors(**read_numbers(self._path, values, PARAMETERS))
 
     def _file(self, mapping: YamlMapping, key: str) -> Path:
-        """Return the path of the file that is named under a key."""
         name = self._text(mapping, key)
         return self._place(mapping, key, name) / name
 
@@ -626,7 +623,6 @@ class _Grid:
         return blocks
 
     def _combinations(self, block: YamlMapping, names: Iterable[str]) -> Iterator[YamlMapping]:
-        """Yield a block with every combination of the values under some names."""
         lists = {name: self._listed(block, name) for name in names if name in block}
         for values in itertools.product(*lists.values()):
             chosen = YamlMapping({**block, **dict(zip(lists, values, strict=True))})

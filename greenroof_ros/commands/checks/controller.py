@@ -132,7 +132,6 @@ class ControllerCheck(NodeCheck):
         raise ProblemError("the command is 0 at all levels and forecasts")
 
     def _trials(self) -> list[dict[str, float]]:
-        """Return levels and forecasts from a dry to a flooded site, by topic."""
         return [
             dict(zip((*_LEVELS, *_FORECASTS), trial, strict=True))
             for trial in trial_values(self._site)
