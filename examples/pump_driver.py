@@ -20,7 +20,7 @@ def on_command(message):
     """Follow a command, and publish the flow (m3/s), here simulated: command and ask your pump."""
     watchdog.reset()
     command = min(message.data, 1.0) if 0.0 <= message.data < math.inf else 0.0  # not a NaN
-    dry = not state["cistern/level"] > SUCTION  # an unknown level, NaN, is treated as dry
+    dry = not state["cistern/level"] > SUCTION  # an unknown level, NaN, counts as dry
     if node.commanders > 1 or dry or math.isnan(state["roof/level"]) or state["weather/frost"] != 0:
         command = 0.0
     flow.data += (command * MAX_FLOW - flow.data) * (1 - math.exp(-TICK / LAG))

@@ -82,7 +82,7 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--band", type=within(0, 1), default=Assumptions.band, metavar="SHARE",
-        help="a roof is treated as near its target within this share of it (default: %(default)s)",
+        help="a roof counts as near its target within this share of it (default: %(default)s)",
     )
     return parser
 

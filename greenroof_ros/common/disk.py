@@ -132,7 +132,7 @@ class LatestWriter(Generic[_T]):
         try:
             self._write(self._value)
             self.problem = ""
-        except Exception as error:  # for any error, the next value is tried
+        except Exception as error:  # whatever it is, the next value is tried
             self.problem = self._explain(error)
 
 

@@ -198,7 +198,7 @@ class OrderUpTo:
         self, edges: Array, x1: float, x2: float, rain: Array, evapotranspiration: Array,
         flow: Array, groups: Indices,
     ) -> Policy:
-        """Find the plan of the minimum cost.
+        """Find the plan of least cost.
 
         Args:
             edges: ends of the steps (s from now), the first 0, shape (n + 1,).
@@ -207,7 +207,7 @@ class OrderUpTo:
             rain: in each step (m/s), shape (members, n).
             evapotranspiration: off the whole bed (m3/s), shape (n,).
             flow: largest pump flow in each step (m3/s), can be 0, shape (n,).
-            groups: group of each member in each step, by the minimum member index in the group; its
+            groups: group of each member in each step, by the lowest member index in the group; its
                 members cannot be distinguished yet; groups only split; shape (members, n).
         """
         members, steps = rain.shape
@@ -447,7 +447,7 @@ def _lowest_from_here_up(values: Array) -> Indices:
 
 
 def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
-    """Return the group of each member in each step, by the minimum member index in the group.
+    """Return the group of each member in each step, by the lowest member index in the group.
 
     All members of a group get the same pumping, since nothing distinguishes them yet. At first all
     are one group. At each ``recourse`` each group is halved into the members with less and with

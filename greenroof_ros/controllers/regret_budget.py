@@ -12,7 +12,7 @@ from greenroof_ros.model.soil import roof_after_tick, soil_of
 
 _log = logging.getLogger(__name__)
 
-# Water lost to a low outlet cannot be pumped until it rains: it is treated as missing this long
+# Water lost to a low outlet cannot be pumped until it rains: it counts as missing this long
 # (s).
 _LOST_S = 604_800.0
 
@@ -38,14 +38,14 @@ class RegretBudget:
 
         L = sum of tau (|x2 - x2*| - |x2_onoff - x2*|),   D = sum of tau |x2_onoff - x2*|.
 
-    A gain from waiting is treated as negative: it pays for later losses. If L, plus the cost of
+    A gain from waiting counts as negative: it pays for later losses. If L, plus the cost of
     filling the roof as on/off has, is above
 
         waiting_budget x2* + waiting_share D,
 
     forecasts of rain do not count, and the controller fills the roof like on/off. They count again
     when the roof is filled and L is within the limit, which grows with D. So at any time,
-    regardless of the forecasts predict, if on/off has cost D, this controller has cost at most
+    whatever the forecasts predict, if on/off has cost D, this controller has cost at most
 
         (1 + waiting_share) D + waiting_budget x2*,
 

@@ -74,7 +74,7 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     In blocks of n ticks the program has one volume for each: the mean. The sum of \|x - x*\| over
     the block is at least n \|mean - x*\| (Jensen). With G_k the sum of the largest changes before
     tick k, G_k - x_{k,2} never falls, and so neither do its means from block to block: the mean
-    volume rises at most as the mean of G does. The same holds for the minimum changes, and the
+    volume rises at most as the mean of G does. The same holds for the smallest changes, and the
     limits of the volume hold for its mean. So the bound stays valid. On the paper's soil the bound
     never rises if blocks are enlarged to whole multiples. On a measured soil, which has other
     limits for each size of blocks, it can rise by up to 0.4 %.
@@ -234,7 +234,7 @@ def _composed(
 ) -> tuple[Values, Values, Values]:
     """Return slope, minimum and maximum of ``ticks`` ticks in a row, from each tick on.
 
-    Slopes are not negative, so that the minimum result comes from the minimum volume.
+    Slopes are not negative, so that the smallest result comes from the smallest volume.
     """
     factor, low, high = slope, minimum, maximum
     for done in range(1, ticks):

@@ -113,9 +113,9 @@ def _of_measured(
     """Follow the range of the volume in the substrate of a measured soil, as :func:`_of_paper`.
 
     The share of arriving water that stays falls with the volume; evaporation and the excess above
-    field capacity rise with it. So the change without pumping is largest at the minimum volume. The
-    volume after a tick rises with the volume before it, by about the slope of the chord over the
-    range. Minus this slope times the volume before, its limits are close together.
+    field capacity rise with it. So the change without pumping is largest at the smallest volume.
+    The volume after a tick rises with the volume before it, by about the slope of the chord over
+    the range. Minus this slope times the volume before, its limits are close together.
     """
     ends = [roof_after_tick(soil, site.tau, x2, rain, potential) for x2 in (low, high)]
     slope = 1.0

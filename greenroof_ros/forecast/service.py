@@ -310,7 +310,7 @@ class Fetcher:
         try:
             self.newest = self._service.fetch(datetime.now(timezone.utc))
             self._write(self.newest)
-        except Exception as error:  # for any error, the next forecast is requested
+        except Exception as error:  # whatever it is, the next forecast is requested
             self.problem = str(error) or type(error).__name__
             requested_wait = error.wait if isinstance(error, ServiceError) else None
             wait = max(self._wait, min(requested_wait or 0.0, _LONGEST_WAIT_S))

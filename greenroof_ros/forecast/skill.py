@@ -63,7 +63,7 @@ class Climate:
 
     @property
     def threshold(self) -> float:
-        """c: z of the minimum rain (1)."""
+        """c: z of the lightest rain (1)."""
         # Imported here because it is slow: every command reads skills, and few need this.
         from scipy.special import ndtri
 

@@ -497,7 +497,7 @@ class Archive:
 def newest_issue(first: datetime, hour: int) -> tuple[int, int]:
     """Return the time of the issue that is the newest in an hour of the records.
 
-    An issue is treated as known from its time of issue on; callers subtract a service's delay from
+    An issue counts as known from its time of issue on; callers subtract a service's delay from
     ``hour``. It is the newest until the next one. If records do not begin on a whole hour of UTC,
     an issue counts from the first hour of the records that begins after it. An issue made before
     the records keeps its own time; the first record then stands for the hours before it.

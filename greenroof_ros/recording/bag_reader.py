@@ -36,7 +36,7 @@ _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 # A live graph publishes NaN if it does not know the value, as defined in the interface.
 _MAY_BE_UNKNOWN = ("/weather/frost",)
 
-# A smaller share of wrong values in a topic is treated as a sensor's outliers; a larger is a
+# A smaller share of wrong values in a topic counts as a sensor's outliers; a larger is a
 # mistake.
 _MOST_OUTLIERS = 0.01
 

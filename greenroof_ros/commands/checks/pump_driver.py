@@ -21,7 +21,7 @@ from greenroof_ros.model.site import Site
 _COMMAND = "/pump/command"
 # A flow is steady if more than this many answers vary by at most this share of the largest.
 _STEADY_TICKS, _STEADY = 10, 0.01
-# A flow up to this share of the steady one is treated as 0: a pump running down, or meter noise.
+# A flow up to this share of the steady one counts as 0: a pump running down, or meter noise.
 _NONE = 0.01
 # A flow more than this share above the flow at command 1 exceeds the maximum: noise is less.
 _NOISE = 0.05
