@@ -71,8 +71,8 @@ setup(
     package_dir={"": "."},
     package_data={NAME: ["py.typed"],
                   f"{NAME}.analysis.report": ["*.html"], f"{NAME}.watch": ["page/*"],
-                  f"{NAME}.analysis.calibration": ["page.html", "findings.yaml"],
-                  f"{NAME}.analysis.verification": ["page.html", "findings.yaml"]},
+                  f"{NAME}.analysis.calibration": ["page.html"],
+                  f"{NAME}.analysis.verification": ["page.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE.as_posix(), ["package.xml"]),

@@ -34,7 +34,7 @@ from readme_pictures import draw as draw_readme_pictures
 from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
-from greenroof_ros.analysis.calibration.checks import FINDINGS
+from greenroof_ros.analysis.calibration.checks import CHECKS
 from greenroof_ros.common.conditions import Interlock, read_conditions, read_interlocks
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic, read_topics, roles
@@ -417,10 +417,9 @@ def conditions() -> str:
     return entries((", ".join(alike), *texts) for texts, alike in codes.items())
 
 
-def findings() -> str:
-    """Return the codes with which a calibration refuses a record."""
-    rows = ((f"`{code}`", when) for code, when in FINDINGS.refusals.items())
-    return markdown(("code", "refused if"), rows)
+def checks() -> str:
+    """Return the checks by which a calibration refuses a record."""
+    return markdown(("check", "refused if"), ((f"`{name}`", when) for name, when in CHECKS.items()))
 
 
 def plausible_values() -> str:
@@ -610,7 +609,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "pump settings": pump_settings,
     "interlocks": interlocks,
     "conditions": conditions,
-    "findings": findings,
+    "checks": checks,
     "plausible values": plausible_values,
     "incident": incident,
     "commands": commands,

@@ -8,24 +8,18 @@ import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from zoneinfo import ZoneInfo
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.analysis.calibration.bag_record import read_bag_record
-from greenroof_ros.analysis.calibration.checks import (
-    FINDINGS,
-    check_fit,
-    check_record,
-    level_sensor,
-    outages_found,
-)
+from greenroof_ros.analysis.calibration.checks import CHECKS, accept, check_fit, check_record
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.analysis.calibration.fit import Fit, fit, measured_roof, reachable_target
-from greenroof_ros.analysis.calibration.pumps import fit_pumps
+from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
 from greenroof_ros.analysis.calibration.record import (
+    DAY_S,
     RoofRecord,
     Steps,
     comparable,
@@ -45,7 +39,6 @@ from greenroof_ros.analysis.calibration.site_file import (
 from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
-from greenroof_ros.common.quality import Finding, Severity, accept
 from greenroof_ros.common.standard_error import progress_bar
 from greenroof_ros.formats.records import read_table
 from greenroof_ros.model.pump_curve import PumpCurve, fit_pump_curve
@@ -66,8 +59,8 @@ like these; empty cells and missing rows are gaps:
 
   time, rain [mm], runoff [mm], level [m], temperature [degC]
 
-  rain                         mm, mm/h, mm/5min
-  runoff, pumped               mm, l, m3, and with /s, /min, /5min, /h, /day
+  rain                         mm, mm/h
+  runoff, pumped               mm, mm/h, l, l/s, m3/h
   level, cistern level         m, cm, mm
   pump state                   1, %; needs the cistern level
   reference evapotranspiration mm, mm/h, mm/day; or instead of it
@@ -112,14 +105,8 @@ def make_parser() -> Parser:
         "year; the others are simulated only (default: all)",
     )
     parser.add_argument(
-        "--time-zone", metavar="ZONE",
-        help="zone of the clock with daylight saving time by which a CSV's times without an offset "
-        "were written, such as America/Toronto (default: standard time, utc_offset of the site)",
-    )
-    parser.add_argument(
-        "--accept", nargs="+", default=[], choices=FINDINGS.refusals, metavar="CODE",
-        help="fit data refused with these codes anyway, with a warning: "
-        + ", ".join(FINDINGS.refusals),
+        "--accept", nargs="+", default=[], choices=CHECKS, metavar="CHECK",
+        help="fit a record that fails these checks anyway, with a warning: " + ", ".join(CHECKS),
     )
     return parser
 
@@ -138,19 +125,16 @@ def main() -> None:
         month_numbers(arguments.months)
     site_file: Path = arguments.site
     site = read_site(site_file)
-    findings = []
     sheet = None
     if arguments.pump_data is not None:
         sheet = _read_sheet(arguments.pump_data, site)
-        findings.append(FINDINGS.make("data-sheet", "curve", "data sheet", **sheet._asdict()))
         site = replace(site, **sheet._asdict())
     if arguments.measured is None:
         assert sheet is not None
         heading = [f"Pumps fitted to {arguments.pump_data.name} by greenroof calibrate."]
         texts = {output: edited_site_file(site_file, sheet_entries(sheet), heading)}
-        _print(findings)
     else:
-        text, page = _calibrate(arguments, site_file, site, sheet, findings)
+        text, page = _calibrate(arguments, site_file, site, sheet)
         texts = {page_file: page, output: text}
     for file, text in texts.items():
         with naming(file):
@@ -189,55 +173,38 @@ def _read_sheet(file: Path, site: Site) -> PumpCurve:
     return sheet
 
 
-def _zone(name: str) -> ZoneInfo:
-    try:
-        return ZoneInfo(name)
-    except (OSError, ValueError, KeyError):
-        raise ConfigurationError(
-            "must be the IANA name of a time zone, such as America/Toronto", key="--time-zone",
-            value=name,
-        ) from None
-
-
 def _calibrate(
     arguments: argparse.Namespace, site_file: Path, site: Site, sheet: PumpCurve | None,
-    findings: Sequence[Finding],
 ) -> tuple[str, str]:
-    """Fit a record, print the findings, and return the texts of site file and page.
+    """Fit a record, print the result, and return the texts of site file and page.
 
     Args:
         arguments: of the command line.
         site_file: the file with which the fit starts.
         site: its site, with the pumps of the data sheet if there is one.
         sheet: the pump curve already fitted to the data sheet, if any.
-        findings: earlier findings.
     """
     with in_extra("study"):
         from greenroof_ros.analysis.calibration.page import render
     measured: Path = arguments.measured
     months: str | None = arguments.months
-    zone = None if arguments.time_zone is None else _zone(arguments.time_zone)
 
     def read(site: Site) -> RoofRecord:
         if measured.is_dir() or measured.suffix.lower() == ".mcap":
             return read_bag_record(measured, site)
-        return read_csv_record(measured, site, months, zone)
+        return read_csv_record(measured, site, months)
 
-    findings = [*findings]
-    if months is not None:
-        findings.append(FINDINGS.make("months", "counted", "months", months=months))
     site = measured_roof(site)
     record = read(site)
     for note in record.notes:
         print(f"note: {note}", file=sys.stderr)
-    findings += outages_found(record)
     counts = in_months(record, months)
     pumps = fit_pumps(site, record.only(counts))
     site = pumps.site
     if pumps.parameters:
         record = read(site)  # the fitted pumps turn their state into another flow
     counted = record.only(counts)
-    doubts = accept([*pumps.findings, *check_record(counted, site)], arguments.accept, measured)
+    warnings = accept([*pumps.failed, *check_record(counted, site)], arguments.accept, measured)
     halves = halve(record, comparable(record) & counts)
     _refuse_dry(record, **halves)
     with progress_bar() as update_progress:
@@ -252,22 +219,43 @@ def _calibrate(
         )
         for name, series in record.measured.items() for part, steps in halves.items()
     ]
-    doubts += accept(check_fit(rows), arguments.accept, measured)
-    if fitted.site.z_veg != site.z_veg:
-        findings.append(FINDINGS.make(
-            "target", "moved", "target", was=site.z_veg, now=fitted.site.z_veg,
-            holds=fitted.site.roof_level(fitted.site.z_cap),
-        ))
-    if record.level is not None:
-        findings.append(level_sensor(counted, fitted.simulated.level))
-    findings += doubts
+    warnings += accept(check_fit(rows), arguments.accept, measured)
+    notes = _notes(record, halves, site, fitted.site, pumps)
     spans = {part: _span(record, steps) for part, steps in halves.items()}
     entries = fit_entries(fitted, site.z_veg, sheet)
-    text = edited_site_file(site_file, entries, _heading(measured, spans, rows, findings))
-    page = render(counted, halves, fitted, rows, text, spans, findings)
+    text = edited_site_file(site_file, entries, _heading(measured, spans, rows, notes + warnings))
+    page = render(counted, halves, fitted, rows, text, spans, warnings, notes)
     _print_fit(fitted, rows)
-    _print(findings)
+    for style, texts in ((None, notes), ("bold", warnings)):
+        for each in texts:
+            Console().print(each, style=style, soft_wrap=True, highlight=False, markup=False)
     return text, page
+
+
+def _notes(
+    record: RoofRecord, halves: Mapping[str, Steps], before: Site, fitted: Site, pumps: PumpFit
+) -> list[str]:
+    """Return what the user should know about the fit, besides parameters and scores."""
+    days = record.step_s / DAY_S
+    compared = sum(int(np.count_nonzero(steps)) for steps in halves.values()) * days
+    notes = [
+        f"compared: {compared:.3g} of {record.steps * days:.3g} days; the others have gaps, are in "
+        "months that do not count, or follow a time in which a storm may have come unrecorded"
+    ]
+    if fitted.z_veg != before.z_veg:
+        notes.append(
+            f"target: z_veg was {before.z_veg:g} m, and the fitted roof holds "
+            f"{fitted.roof_level(fitted.z_cap):.3g} m; it is set to {fitted.z_veg:g} m, where half "
+            "of what plants can take is left (FAO-56, chapter 8): choose your own"
+        )
+    if pumps.runs:
+        notes.append(
+            f"pumps: {1000 * pumps.flow:.3g} l/s at full command, {1000 * pumps.half:.2g} l/s "
+            f"either way (95 %), with {pumps.level:.2f} m in the cistern; from {pumps.runs} runs"
+        )
+    elif record.command is not None and record.cistern is not None:
+        notes.append("pumps: fewer than ten runs in which nothing else moves the cistern's level")
+    return notes
 
 
 def _refuse_dry(record: RoofRecord, fit: Steps, validation: Steps) -> None:
@@ -277,10 +265,13 @@ def _refuse_dry(record: RoofRecord, fit: Steps, validation: Steps) -> None:
             "in the first half of its rain nothing that was measured changes, so there is nothing "
             "to fit; leave out rows before the first runoff, or record longer", file=record.source,
         )
-    if not validation.any():
+    if not validation.any() or all(
+        np.ptp(values[validation]) == 0 for values in record.measured.values()
+    ):
         raise ConfigurationError(
-            "after the first half of its rain nothing is left to judge the fit; a longer record, "
-            "with dry days in it and fewer gaps, is needed", file=record.source,
+            "in the second half of its rain nothing that was measured changes, so nothing can "
+            "judge the fit; leave out rows at the end, so that each half has runoff, or record "
+            "longer, with dry days and fewer gaps", file=record.source,
         )
 
 
@@ -291,7 +282,7 @@ def _span(record: RoofRecord, steps: Steps) -> str:
 
 def _heading(
     measured: Path, spans: Mapping[str, str], rows: Collection[FitScores],
-    findings: Sequence[Finding],
+    notes: Sequence[str],
 ) -> list[str]:
     lines = [
         f"Fitted to {measured.name} by greenroof calibrate.",
@@ -303,7 +294,7 @@ def _heading(
         )
         volume = f"; volume {_volume(row)}" if row.quantity == "runoff" else ""
         lines.append(f"{row.quantity}, {row.part}: NSE {nse}{volume}.")
-    lines += [INTERVAL_NOTE, *(finding.text for finding in findings)]
+    lines += [INTERVAL_NOTE, *notes]
     return [line for text in lines for line in textwrap.wrap(text, 98)]
 
 
@@ -334,9 +325,3 @@ def _print_fit(fitted: Fit, rows: Sequence[FitScores]) -> None:
     console.print(INTERVAL_NOTE, soft_wrap=True, highlight=False)
     console.print(f"crop_coefficient {CROP_NOTE}", soft_wrap=True, highlight=False)
     console.print(scores)
-
-
-def _print(findings: Sequence[Finding]) -> None:
-    for finding in findings:
-        style = "bold" if finding.severity is Severity.WARNING else None
-        Console().print(finding.text, style=style, soft_wrap=True, highlight=False)

@@ -136,11 +136,11 @@ def main() -> None:
         )
     records = f"{weather.source}, {span}"
     # Only archives put together from previous runs have leads in whole days.
-    findings = check_forecasts(tallies, previous_runs=forecasts.finest_lead > 1)
+    warnings = check_forecasts(tallies, previous_runs=forecasts.finest_lead > 1)
     for file in arguments.output:
         text = (
             _csv_text(tallies) if file.suffix == ".csv"
-            else render(forecasts, records, tallies, findings)
+            else render(forecasts, records, tallies, warnings)
         )
         with naming(file):
             file.write_text(text, encoding="utf-8")
@@ -153,8 +153,8 @@ def main() -> None:
         notes[_MOST_NOTES:] = [f"and {len(notes) - _MOST_NOTES} more of this kind"]
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
-    for finding in findings:
-        print(f"warning: {finding.text}", file=sys.stderr)
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
     if arguments.output:
         written = ", ".join(map(str, arguments.output))
         console.print(f"written: {written}", soft_wrap=True, highlight=False)

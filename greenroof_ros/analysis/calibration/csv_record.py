@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone, tzinfo
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
-from typing import NamedTuple
+from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +18,9 @@ from greenroof_ros.analysis.calibration.record import (
     Steps,
     Values,
     in_months,
-    means,
-    sums,
     time_name,
 )
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import parse_time
 from greenroof_ros.formats.records import QUANTITIES, Limits, Table, Unit, gaps, read_table
 from greenroof_ros.formats.steps import steps_of_rows
 from greenroof_ros.model.plant import maximum_pump_flow
@@ -38,7 +34,7 @@ from greenroof_ros.weather.evapotranspiration import (
 TIME = "time"
 REFERENCE = "reference evapotranspiration"
 _COURSE, _MINIMUM, _MAXIMUM = "temperature", "least temperature", "greatest temperature"
-# For each quantity: unit, minimum and maximum believable value, and examples of units of a column.
+# For each quantity: our unit, minimum and maximum believable value, and the units of a column.
 # Limits of amounts are per hour. The maximum rain in a minute was less (WMO: 31.2 mm, Unionville
 # 1956), and no roof gives back more than its rain. A W/m2 evaporates 0.0015 mm/h: the sun's
 # 1361 W/m2 and warmer air cannot evaporate more than 3 mm/h. The minimum level allows for a
@@ -46,76 +42,55 @@ _COURSE, _MINIMUM, _MAXIMUM = "temperature", "least temperature", "greatest temp
 _WATER: Limits = ("mm/h", 0.0, 1900.0)
 _LEVEL: Limits = ("m", -0.1, 100.0)
 _QUANTITIES: dict[str, tuple[Limits, str]] = {
-    "rain": (_WATER, "mm mm/h mm/5min"),
-    "runoff": (_WATER, "mm mm/5min l l/s m3/h"),
-    "pumped": (_WATER, "mm l l/s m3/h m3/s"),
+    "rain": (_WATER, "mm mm/h"),
+    "runoff": (_WATER, "mm mm/h l l/s m3/h"),
+    "pumped": (_WATER, "mm mm/h l l/s m3/h"),
     REFERENCE: (("mm/h", 0.0, 3.0), "mm mm/h mm/day"),
-    "level": (_LEVEL, "m mm cm"),
-    "cistern level": (_LEVEL, "m mm cm"),
+    "level": (_LEVEL, "m cm mm"),
+    "cistern level": (_LEVEL, "m cm mm"),
     "pump state": (("1", 0.0, 1.0), "1 %"),
     **dict.fromkeys((_COURSE, _MINIMUM, _MAXIMUM), (QUANTITIES[_COURSE], "degC")),
 }
+# How far below 0, or above a pump state of 1, a zero error can be: in mm/h or as a share. Dew at
+# night is negative evapotranspiration. A rain gauge that counts has no zero error.
+_ZERO_ERROR = {"runoff": 0.1, "pumped": 0.1, REFERENCE: 0.1, "pump state": 0.02}
 # How many of a unit make one m, 1 or degC.
 _PER_OURS = {"m": 1.0, "cm": 100.0, "mm": 1000.0, "1": 1.0, "%": 100.0, "degC": 1.0}
-_RATE = re.compile(r"(?P<amount>mm|l|m3)(/(?P<count>[1-9]\d{0,3})?(?P<time>s|min|h|day))?")
-_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "day": 86400.0}
+_SECONDS = {"s": 1.0, "h": 3600.0, "day": 86400.0}
 _FEWEST_ROWS = 100
-# When clocks change in either hemisphere: months, and the day of the week.
-_CHANGES, _SUNDAY = {3, 4, 9, 10, 11}, 6
 # Temperatures further apart (s) miss a day's extremes: three hours apart they show at least 0.92 of
 # a sine's range, six hours apart 0.71.
 _LONGEST_STEP_S = 3 * HOUR_S
 
 
-class _Rows(NamedTuple):
-    """The rows of a file, and the step that each belongs to."""
-
-    table: Table
-    times: list[datetime]
-    steps: NDArray[np.int64]
-    """counted from the step of the first row"""
-
-    def together(
-        self, values: Values, group: Callable[[Values, NDArray[np.int64], int], Values]
-    ) -> Values:
-        """Return :func:`.record.sums` or means of each step's rows; NaN for a step without rows."""
-        series = np.full(self.steps[-1] + 1, np.nan)
-        series[np.unique(self.steps)] = group(values, self.steps, 1)
-        return series
-
-
-def read_csv_record(
-    file: Path, site: Site, months: str | None = None, zone: tzinfo | None = None
-) -> RoofRecord:
+def read_csv_record(file: Path, site: Site, months: str | None = None) -> RoofRecord:
     """Read a measured record from CSV.
 
-    The first column is ``time``: ISO 8601, at the site's ``utc_offset`` if a time has no offset.
-    Others are named like ``rain [mm]``: quantity and unit. A row describes the step that begins at
-    its time; levels are at that time. An amount without ``/`` is the sum over its step. ``mm`` is a
-    depth on the roof; ``l`` and ``m3`` are for the whole roof of area ``a2``. Rows are a regular
-    step apart, at most a day. If a clock was set, a row belongs to the step that begins nearest to
-    its time: amounts of two rows in one step add up, other values are averaged. Missing rows and
+    The first column is ``time``: ISO 8601, by the site's clock if a time has no offset: its
+    ``time_zone``, or else its ``utc_offset``. Others are named like ``rain [mm]``: quantity and
+    unit. A row describes the step that begins at its time; levels are at that time. An amount
+    without ``/`` is the sum over its step. ``mm`` is a depth on the roof; ``l`` and ``m3`` are for
+    the whole roof of area ``a2``. Rows are a regular step apart, at most a day. Missing rows and
     empty cells are gaps. Lines that begin with ``#`` are comments.
 
     Required are ``rain``, ``level`` or ``runoff``, and evapotranspiration. It is ``reference
     evapotranspiration``, with gaps of at most an hour, or computed by Hargreaves' equation from
     ``temperature``, or from the day's ``least temperature`` and ``greatest temperature`` in any row
-    of that day. A row belongs to the day of its own time, not of its step. Pumped water is
-    ``pumped``, or ``pump state`` (share of the maximum flow) with ``cistern level``, or else 0.
+    of that day. Pumped water is ``pumped``, or ``pump state`` (share of the maximum flow) with
+    ``cistern level``, or else 0.
 
     Args:
         file: the record.
-        site: its place and pumps.
+        site: its place, clock and pumps.
         months: that count, such as ``4-10``. In other months evapotranspiration may have longer
             gaps, which are interpolated linearly.
-        zone: of times without an offset, with daylight saving; by default standard time.
 
     Raises:
         ConfigurationError: the file breaks a rule; the message names line, column and value.
     """
     table = read_table(file)
     columns = _columns(table)
-    times = _times(table, site, zone)
+    times = _times(table, site)
     if len(times) < _FEWEST_ROWS:
         raise ConfigurationError(
             f"has {len(times)} rows; a record must have at least {_FEWEST_ROWS}", file=file
@@ -126,73 +101,57 @@ def read_csv_record(
         raise table.refuse(
             f"the rows are {time_name(step_s)} apart; they must be at most a day apart", TIME, 1
         )
-    rows = _Rows(table, times, steps)
-    units, numbers, series = {}, {}, {}
-    for quantity, (name, text) in columns.items():
-        limits, unit, adds_up = _unit(table, name, quantity, text, site, step_s)
-        units[quantity] = unit
-        numbers[quantity] = table.usable(
-            name, limits, unit, hint="; is the unit of the column right?"
+    for row in (np.flatnonzero(np.diff(steps) == 0) + 1).tolist():
+        raise table.refuse(
+            f"must be {time_name(step_s)} after the row before; if a clock was set, write one row "
+            "for both, with the sums of amounts and the means of levels", TIME, row,
         )
-        series[quantity] = rows.together(numbers[quantity], sums if adds_up else means)
+    series = {}
+    last_decimal = 0.0
+    for quantity, (name, text) in columns.items():
+        limits, unit = _unit(table, name, quantity, text, site, step_s)
+        numbers = table.usable(
+            name, limits, unit, _ZERO_ERROR.get(quantity, 0.0) * _per_step(limits, step_s),
+            hint="; is the unit of the column right?",
+        )
+        series[quantity] = np.full(steps[-1] + 1, np.nan)
+        series[quantity][steps] = numbers
+        if quantity == "runoff":
+            last_decimal = _last_decimal(numbers * unit.per_ours) / unit.per_ours
     record = RoofRecord(
         source=file, start=times[0], step_s=step_s, rain=series["rain"],
         reference=np.zeros(steps[-1] + 1), pumped=_pumped(series, site, step_s),
-        runoff=series.get("runoff"), level=series.get("level"),
+        runoff=series.get("runoff"), level=series.get("level"), last_decimal=last_decimal,
         cistern=series.get("cistern level"), command=series.get("pump state"),
         reference_column=columns[REFERENCE][0] if REFERENCE in columns else "",
         notes=tuple(table.notes),
     )
-    if record.runoff is not None:
-        per_ours = units["runoff"].per_ours
-        record = replace(record, last_decimal=_last_decimal(record.runoff * per_ours) / per_ours)
     counts = in_months(record, months)
     if REFERENCE in columns:
-        reference = _through_short_gaps(record, rows, series[REFERENCE], counts)
+        lines = [table.lines[row] for row in np.searchsorted(steps, np.arange(record.steps))]
+        reference = _through_short_gaps(record, lines, series[REFERENCE], counts)
     else:
-        reference = _from_temperatures(record, site, rows, numbers, counts)
+        reference = _from_temperatures(record, site, series, counts)
     return replace(record, reference=reference)
 
 
-def _times(table: Table, site: Site, zone: tzinfo | None) -> list[datetime]:
+def _times(table: Table, site: Site) -> list[datetime]:
     """Return the time of each row, each later than the one before."""
-    standard = None if site.utc_offset is None else timezone(timedelta(hours=site.utc_offset))
+    zone = None if site.utc_offset is None else timezone(timedelta(hours=site.utc_offset))
     times: list[datetime] = []
     for time in table.times(
-        TIME, example="2015-06-01T14:05", hint=", or the site file must give utc_offset",
-        zone=zone or standard,
+        TIME, example="2015-06-01T14:05Z",
+        hint=", or the site file must give its time_zone or utc_offset",
+        zone=zone if site.time_zone is None else ZoneInfo(site.time_zone),
     ):
+        if times and time <= times[-1]:
+            raise table.refuse(
+                "must be later than the time of the row before; if the clock has daylight saving "
+                "time, give the site file its time_zone, or write times in UTC, such as "
+                "2015-06-01T14:05Z", TIME, len(times),
+            )
         times.append(time)
-        if len(times) > 1 and time <= times[-2]:
-            if zone is None:
-                _refuse_daylight_saving(table, site, times)
-            raise table.refuse(
-                "must be later than the time of the row before", TIME, len(times) - 1
-            )
-    if zone is None:
-        _refuse_daylight_saving(table, site, times)
     return times
-
-
-def _refuse_daylight_saving(table: Table, site: Site, times: Sequence[datetime]) -> None:
-    """Refuse times without an offset that jump as a clock with daylight saving time does.
-
-    Early on a Sunday such a clock shows an hour twice, or skips one. A logger that stood still just
-    then looks the same.
-    """
-    spacing = np.diff([time.timestamp() for time in times])
-    for row in np.flatnonzero(np.abs(spacing - np.median(spacing)) == HOUR_S) + 1:
-        before, time = (parse_time(table.cell(TIME, at)) for at in (int(row) - 1, int(row)))
-        if before.tzinfo or time.tzinfo:
-            continue
-        if (time.weekday(), time.month in _CHANGES, time.hour <= 4) == (_SUNDAY, True, True):
-            what = "skips an hour" if spacing[row - 1] > 0 else "shows an hour twice"
-            raise table.refuse(
-                f"is after {before}, as by a clock with daylight saving time, which {what} "
-                f"then: give its zone, --time-zone {site.time_zone or 'America/Toronto'}; if the "
-                "clock is on standard time and rows are missing, one such as Etc/GMT+5 for UTC-5",
-                TIME, int(row),
-            )
 
 
 def _columns(table: Table) -> dict[str, tuple[str, str]]:
@@ -225,25 +184,24 @@ def _columns(table: Table) -> dict[str, tuple[str, str]]:
 
 def _unit(
     table: Table, name: str, quantity: str, text: str, site: Site, step_s: float
-) -> tuple[Limits, Unit, bool]:
-    """Return the meaning of a column's unit; refuse a unit that the quantity cannot have.
+) -> tuple[Limits, Unit]:
+    """Return a column's believable range, and its unit relative to ours, which is mm in a step."""
+    (ours, low, high), allowed = _QUANTITIES[quantity]
+    if text not in allowed.split():
+        units = " or ".join(f"[{unit}]" for unit in allowed.split())
+        raise table.refuse(f"the unit of {quantity} must be {units}", name)
+    if ours != "mm/h":
+        return (ours, low, high), Unit(text, _PER_OURS[text])
+    amount, _, time = text.partition("/")
+    per_ours = {"mm": 1.0, "l": site.a2, "m3": site.a2 / 1000}[amount]
+    if time:
+        per_ours *= _SECONDS[time] / step_s
+    return ("mm", low, high * step_s / HOUR_S), Unit(text, per_ours)
 
-    Returns:
-        The believable range, the unit relative to ours (mm in a step for amounts and rates), and
-        whether the numbers of two rows in one step add up, because they are amounts.
-    """
-    (ours, low, high), examples = _QUANTITIES[quantity]
-    per_ours = _PER_OURS.get(text) if text in examples.split() else None
-    if ours != "mm/h" and per_ours is not None:
-        return (ours, low, high), Unit(text, per_ours), False
-    rate = _RATE.fullmatch(text)
-    if ours != "mm/h" or rate is None or not (rate["amount"] == "mm" or "l/s" in examples):
-        units = ", ".join(f"[{example}]" for example in examples.split())
-        raise table.refuse(f"the unit of {quantity} must be one like {units}", name)
-    per_ours = {"mm": 1.0, "l": site.a2, "m3": site.a2 / 1000}[rate["amount"]]
-    if rate["time"]:
-        per_ours *= _SECONDS[rate["time"]] * int(rate["count"] or 1) / step_s
-    return ("mm", low, high * step_s / HOUR_S), Unit(text, per_ours), not rate["time"]
+
+def _per_step(limits: Limits, step_s: float) -> float:
+    """Return how much of an hour's amount a step has; 1 for what is no amount."""
+    return step_s / HOUR_S if limits[0] == "mm" else 1.0
 
 
 def _last_decimal(values: Values) -> float:
@@ -271,16 +229,17 @@ def _pumped(series: Mapping[str, Values], site: Site, step_s: float) -> Values:
 # --- reference evapotranspiration -----------------------------------------------------------------
 
 
-def _through_short_gaps(record: RoofRecord, rows: _Rows, values: Values, counts: Steps) -> Values:
+def _through_short_gaps(
+    record: RoofRecord, lines: list[int], values: Values, counts: Steps
+) -> Values:
     """Return reference evapotranspiration without gaps (mm), shape (steps,).
 
-    A roof dries even if its sensors fail. So a gap of at most an hour is interpolated linearly, and
-    a longer gap is refused. A gap is measured by the times of rows, not by steps: if a clock was
-    set forward, a step can lack a row though hardly any time is missing.
+    A roof dries even if its sensors fail. So a gap of at most an hour, or a step, is interpolated
+    linearly, and a longer gap is refused.
 
     Args:
         record: its times, and the column's name.
-        rows: of the file.
+        lines: line of the row of each step, or of the next row.
         values: of each step (mm), NaN if missing.
         counts: whether a step is fitted or judged, shape (steps,). A gap without such steps may
             have any length.
@@ -295,43 +254,34 @@ def _through_short_gaps(record: RoofRecord, rows: _Rows, values: Values, counts:
             file=record.source, key=column,
         )
     missing = np.isnan(values)
-    since = np.array([time.timestamp() for time in rows.times])
-    # As if there were one more row at each end, so that gaps there count, too.
-    since = np.concatenate(([since[0] - record.step_s], since, [since[-1] + record.step_s]))
     for low, high in gaps(missing):
-        row, after = np.searchsorted(rows.steps, (low, high)).tolist()
-        gap_s = float(since[after + 1] - since[row]) - record.step_s
-        if gap_s > HOUR_S and counts[low:high].any():
-            empty = rows.steps[row] == low
-            reason = "is empty" if empty else f"there is no row of {record.times[low]}"
+        gap_s = (high - low) * record.step_s
+        if gap_s > max(HOUR_S, record.step_s) and counts[low:high].any():
             raise ConfigurationError(
-                f"{reason}, and no row has a value for {time_name(gap_s)}: at most an hour may be "
-                "missing, since a roof also dries while sensors have gaps; write a day's value "
+                f"has no value from {record.time(low)} for {time_name(gap_s)}: at most an hour may "
+                "be missing, since a roof also dries while sensors have gaps; write a day's value "
                 "into each of its rows, and add missing rows with the time and this value, their "
-                "other cells empty", file=record.source, line=rows.table.lines[row], key=column,
+                "other cells empty", file=record.source, line=lines[low], key=column,
             )
     steps = np.arange(len(values))
     return np.interp(steps, steps[~missing], values[~missing])
 
 
 def _from_temperatures(
-    record: RoofRecord, site: Site, rows: _Rows, numbers: Mapping[str, Values], counts: Steps
+    record: RoofRecord, site: Site, series: Mapping[str, Values], counts: Steps
 ) -> Values:
     """Return Hargreaves' reference evapotranspiration of each step (mm), shape (steps,).
 
-    A temperature belongs to the day of its row, not of its step: if the logger's clock was set, the
-    step of a row at 0:00 can begin on the day before. A step has the evapotranspiration of the day
-    in which it begins on the record's own clock. A day without temperatures, or with less than 0.75
-    of its ``temperature``, is interpolated. For a day that counts, temperatures must exist within
-    three days.
+    Days are by the record's own clock. A day without temperatures, or with less than 0.75 of its
+    ``temperature``, is interpolated. For a day that counts, temperatures must exist within three
+    days.
 
     Args:
         record: its times.
         site: its place.
-        rows: of the file.
-        numbers: of each quantity, among them ``temperature``, or ``least temperature`` and
-            ``greatest temperature`` in any row of the day (degC), NaN if a row has none, shape
-            (rows,).
+        series: of each quantity, among them ``temperature``, or ``least temperature`` and
+            ``greatest temperature`` in any row of the day (degC), NaN if a step has none, shape
+            (steps,).
         counts: whether a step is fitted or judged, shape (steps,).
 
     Raises:
@@ -344,18 +294,16 @@ def _from_temperatures(
             "(see config/site.yaml)"
         )
     check_latitude(site)
-    if _COURSE in numbers and record.step_s > _LONGEST_STEP_S:
+    if _COURSE in series and record.step_s > _LONGEST_STEP_S:
         raise ConfigurationError(
             f"its rows are {time_name(record.step_s)} apart, but show a day's extremes only if "
             "they are at most three hours apart; write columns 'least temperature [degC]' and "
             "'greatest temperature [degC]' instead", file=record.source, key=_COURSE,
         )
-    dates, day = np.unique(
-        np.array([time.date() for time in rows.times], dtype="datetime64[D]"), return_inverse=True
-    )
-    low, high = (_COURSE, _COURSE) if _COURSE in numbers else (_MINIMUM, _MAXIMUM)
+    dates, day = np.unique(record.times.astype("datetime64[D]"), return_inverse=True)
+    low, high = (_COURSE, _COURSE) if _COURSE in series else (_MINIMUM, _MAXIMUM)
     minimum, maximum = extremes = extremes_of_days(
-        day, numbers[low], numbers[high], DAY_S / record.step_s if _COURSE in numbers else 1.0
+        day, series[low], series[high], DAY_S / record.step_s if _COURSE in series else 1.0
     )
     crossed = np.flatnonzero(minimum > maximum)
     if len(crossed):
@@ -367,7 +315,7 @@ def _from_temperatures(
     if not there.any():
         raise ConfigurationError("no day has its temperatures", file=record.source)
     temperatures = DailyTemperatures(dates, extremes)
-    counted = np.unique((record.seconds[counts] // DAY_S).astype("datetime64[D]"))
+    counted: NDArray[np.datetime64] = np.unique(record.times[counts].astype("datetime64[D]"))
     far = temperatures.far(counted)
     if far.any():
         raise ConfigurationError(

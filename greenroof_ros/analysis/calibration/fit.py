@@ -49,7 +49,7 @@ _STEP = 1e-3
 _MOST_EVALUATIONS = 60
 # With longer steps (s) the drainage time is not fitted: it would compensate for the even rain.
 _DRAINAGE_STEP_S = 3600
-HARDLY = 0.5
+_HARDLY = 0.5
 """If half an interval exceeds this share of the value or range, the data hardly constrain it."""
 _END = 0.005
 _CONFIDENCE = 0.95
@@ -403,7 +403,7 @@ def _judged(parameter: FitRange, share: float, half: float, why: str) -> FittedP
     reason = ""
     if not _END < share < 1 - _END:
         reason = f"at the end of its range ({parameter.low:.3g} to {parameter.high:.3g})"
-    elif high - low > HARDLY * 2 * abs(value) or half > HARDLY:
+    elif high - low > _HARDLY * 2 * abs(value) or half > _HARDLY:
         reason = "the data hardly constrain it"
     return FittedParameter(parameter.name, value, low, high, reason)
 

@@ -31,7 +31,6 @@ from greenroof_ros.analysis.report.drawing import (
     short,
 )
 from greenroof_ros.analysis.report.page import page_of
-from greenroof_ros.common.quality import Finding
 from greenroof_ros.model.site import site_parameters
 
 MEASURED, SIMULATED = "measured", "simulated"
@@ -42,8 +41,7 @@ _MIN_SHOWN = 0.01
 
 def render(
     record: RoofRecord, halves: Mapping[str, Steps], fit: Fit, scores: Sequence[FitScores],
-    site_file: str,
-    spans: Mapping[str, str], findings: Sequence[Finding],
+    site_file: str, spans: Mapping[str, str], warnings: Sequence[str], notes: Sequence[str],
 ) -> str:
     """Return the page.
 
@@ -54,7 +52,8 @@ def render(
         scores: of each quantity, in the fit and in the validation.
         site_file: text of the site file that was written.
         spans: time span of each half, as text.
-        findings: objections to the fit, and findings other than the roof's parameters.
+        warnings: objections to the record and the fit.
+        notes: what else was found or changed.
     """
     known = {parameter.name: (parameter.unit, parameter.meaning) for parameter in site_parameters()}
     known[FILLED] = "1", "share of the available water on the roof when the record begins"
@@ -65,8 +64,8 @@ def render(
     return page_of(
         __package__, figures, record=record, rain=float(np.nansum(record.rain)),
         parameters=fit.parameters, known=known, scores=scores, time_name=time_name, shown=_shown,
-        site_file=site_file, spans=spans, findings=findings, crop_note=CROP_NOTE,
-        interval_note=INTERVAL_NOTE,
+        site_file=site_file, spans=spans, warnings=warnings, notes=notes,
+        crop_note=CROP_NOTE, interval_note=INTERVAL_NOTE,
     )
 
 

@@ -156,11 +156,6 @@ Amounts add up. Levels do not: their sum would depend on the length of gaps in t
 """
 
 
-def greatest_rise(values: Values) -> float:
-    """Return the maximum rise of a value above an earlier value."""
-    return float(np.max(values - np.minimum.accumulate(values)))
-
-
 def prolonged(steps: Steps, count: int) -> Steps:
     """Return which steps are marked, or follow a marked step by less than ``count``."""
     return np.asarray(np.convolve(steps, np.ones(count), "full")[: len(steps)] > 0)

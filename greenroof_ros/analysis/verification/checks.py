@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from statistics import median
 
 from greenroof_ros.analysis.verification.pairs import Class
 from greenroof_ros.analysis.verification.scores import ForecastScores, Tally
-from greenroof_ros.common.quality import Finding, Findings
-
-_FINDINGS = Findings(Path(__file__).with_name("findings.yaml"))
 
 # Minimum record (h). In three months a few storms can make such differences, in a year they do not.
 _MIN_HOURS = 8760
@@ -24,16 +20,17 @@ _MIN_SHARE = 0.55
 _MIN_R, _MIN_PAIRS = 0.1, 1000
 
 
-def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> list[Finding]:
-    """Return what is most likely wrong with forecasts.
+def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> list[str]:
+    """Return what is most likely wrong with forecasts, each in a sentence.
 
     Args:
         tallies: the tally of each class.
         previous_runs: whether these are previous runs, whose leads can lack water.
     """
     scores = {key: tally.scores() for key, tally in tallies.items()}
-    findings = [
-        _FINDINGS.make("odd-lead", "water", "forecasts", lead=lead, ratio=ratio)
+    warnings = [
+        f"{lead} has {ratio:.2f} times the water of the other leads, most likely because of an "
+        "error in the archive; --horizon leaves late leads out"
         for lead, ratio in (_odd_leads(scores) if previous_runs else {}).items()
     ]
     # Classes of few pairs tell nothing, nor do classes whose forecast or rain never varies.
@@ -42,8 +39,11 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
         if score.n >= _MIN_PAIRS and not math.isnan(score.r)
     ]
     if known and max(known) < _MIN_R:
-        findings.append(_FINDINGS.make("unrelated", "r", "forecasts", bound=_MIN_R))
-    return findings
+        warnings.append(
+            f"these forecasts are unrelated to these records: no correlation reaches {_MIN_R:g}; "
+            "are both for the same place, and are the hours of both right?"
+        )
+    return warnings
 
 
 def _odd_leads(scores: Mapping[Class, ForecastScores]) -> dict[str, float]:

@@ -20,7 +20,6 @@ from greenroof_ros.analysis.report.drawing import (
 from greenroof_ros.analysis.report.page import page_of
 from greenroof_ros.analysis.verification.pairs import Class, IssuedForecasts, Sum
 from greenroof_ros.analysis.verification.scores import SHOWN, TENTHS, Tally
-from greenroof_ros.common.quality import Finding
 
 # Name in Scores, title of the panel, and title of its axis.
 _BY_LEAD = (
@@ -37,7 +36,7 @@ _MOST_LEADS = 5
 
 def render(
     forecasts: IssuedForecasts, records: str, tallies: Mapping[Class, Tally],
-    findings: Sequence[Finding],
+    warnings: Sequence[str],
 ) -> str:
     """Return the page.
 
@@ -45,13 +44,13 @@ def render(
         forecasts: the forecasts that were verified.
         records: name of the records that they were compared with.
         tallies: the tally of each class.
-        findings: what is most likely wrong with the forecasts.
+        warnings: what is most likely wrong with the forecasts.
     """
     figures = [_by_lead(tallies)]
     if forecasts.members > 1:
         figures += [_reliability(tallies), _ranks(tallies)]
     return page_of(
-        __package__, figures, forecasts=forecasts, records=records, findings=findings, shown=SHOWN,
+        __package__, figures, forecasts=forecasts, records=records, warnings=warnings, shown=SHOWN,
         rows=[(key, tally.scores()) for key, tally in tallies.items()],
     )
 
