@@ -24,9 +24,8 @@ HOUR_S, DAY_S = 3600, 86400
 _STORM_GAP_S, _AFTER_S = 6 * HOUR_S, DAY_S
 # An unknown storm is forgotten after this long (s) and this much reference evapotranspiration (mm).
 _FORGOTTEN_S, _FORGOTTEN_MM = 7 * DAY_S, 20.0
-# Rain next to an outage and runoff (mm), and rise of the level (m), that show water: more than a
-# drizzle, than a tip, and than noise.
-_RAINED_MM, _RAN_MM, _ROSE_M = 1.0, 0.1, 0.003
+# More rain than a drizzle in the hours next to a short outage (mm).
+_RAINED_MM = 1.0
 
 
 @dataclass(frozen=True)
@@ -200,37 +199,19 @@ def outages(record: RoofRecord) -> list[Outage]:
     """Return the outages of rain gauge and pump meter after which the roof is unknown.
 
     A storm may have come in them. Its water is gone after about a week, and not before 20 mm could
-    evaporate. Outages of at most an hour count only if it rained in the hours next to them, more
-    water than before runs off by an hour later, or the level has risen.
+    evaporate. Outages of at most an hour count only if it rained in the hours next to them.
     """
     lost = gaps(np.isnan(record.rain) | np.isnan(record.pumped))
     evaporated = np.concatenate(([0.0], np.cumsum(record.reference)))
-    week = math.ceil(_FORGOTTEN_S / record.step_s)
+    week, hour = (math.ceil(time / record.step_s) for time in (_FORGOTTEN_S, HOUR_S))
     found = []
     for first, end in lost:
-        if (end - first) * record.step_s <= HOUR_S and not _watered(record, first, end):
+        near = np.nansum(record.rain[max(0, first - hour):end + hour])
+        if (end - first) * record.step_s <= HOUR_S and near <= _RAINED_MM:
             continue
         dried = int(np.searchsorted(evaporated, evaporated[end] + _FORGOTTEN_MM))
         found.append(Outage(first, end, min(max(end + week, dried), record.steps)))
     return found
-
-
-def _watered(record: RoofRecord, first: int, end: int) -> bool:
-    """Return whether rain, runoff or level show that there was water in an outage."""
-    hour = math.ceil(HOUR_S / record.step_s)
-    before, after = slice(max(0, first - hour), first), slice(end, end + hour)
-    if np.nansum(record.rain[before]) + np.nansum(record.rain[after]) > _RAINED_MM:
-        return True
-    if record.runoff is not None:
-        ran = np.nansum(record.runoff[first : end + hour])
-        if ran - np.nansum(record.runoff[max(0, 2 * first - end - hour) : first]) > _RAN_MM:
-            return True
-    if record.level is None:
-        return False
-    was, since = (
-        series[~np.isnan(series)] for series in (record.level[before], record.level[after])
-    )
-    return bool(len(was) and len(since) and np.median(since) - np.median(was) > _ROSE_M)
 
 
 def comparable(record: RoofRecord) -> Steps:

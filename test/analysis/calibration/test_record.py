@@ -107,23 +107,13 @@ def test_nothing_counts_after_an_outage_until_the_roof_has_forgotten(name: str) 
         assert counted.max() == 40 * DAY - 1 and 2 * DAY in counted
 
 
-def test_a_short_outage_counts_unless_water_is_seen() -> None:
+def test_a_short_outage_counts_only_next_to_rain() -> None:
     record = of_rain(40, {100: 5.0})
     short = lost(record, "rain", 3 * DAY, 3 * DAY + 6)
     assert outages(short) == []
-    ran = np.zeros(40 * DAY)
-    ran[3 * DAY + 4 : 3 * DAY + 9] = 0.2
-    assert len(outages(replace(short, runoff=ran))) == 1
-    level = np.full(40 * DAY, 0.02)
-    level[3 * DAY + 3 :] += 0.008
-    assert len(outages(replace(short, runoff=None, level=level))) == 1
-    assert outages(replace(short, runoff=None, level=np.full(40 * DAY, 0.02))) == []
-    # A dry roof lets nothing run off, but the storm shows on both sides of the gap.
     for outside in (3 * DAY - 1, 3 * DAY + 6):
         storm = lost(of_rain(40, {outside: 4.0}), "rain", 3 * DAY, 3 * DAY + 6)
         assert len(outages(storm)) == 1
-    # Runoff that goes on after earlier rain is none of the outage's.
-    assert outages(replace(short, runoff=np.full(40 * DAY, 0.01))) == []
 
 
 def test_an_outage_at_the_end_or_of_daily_sums() -> None:

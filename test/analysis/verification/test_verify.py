@@ -139,16 +139,6 @@ def rain_of_july() -> list[float]:
     return [float(row["Precip. Amount (mm)"]) for row in rows_of(JULY)]
 
 
-def test_what_was_left_out_is_noted(tmp_path: Path) -> None:
-    """Of the forecasts and of the records."""
-    write_previous_runs(tmp_path / "runs.csv", {1: [1.0, -999, *[1.0] * 70]})
-    write_gauge(tmp_path / "gauge.csv", [1.0] * 40 + [-9999] + [1.0] * 31)
-    done = run(tmp_path, "verify", "runs.csv", "--weather", "gauge.csv", "--lead", "24")
-    assert done.returncode == 0, done.stderr
-    notes = [line for line in done.stderr.splitlines() if line.startswith("note: ")]
-    assert [note.split(" of ")[1].split()[0] for note in notes] == ["-9999", "-999"]
-
-
 def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
     """A service's rain is of the hour before its time: its right forecasts score as right."""
     rain = rain_of_july()[1:]  # the first row's hour was before the records
@@ -176,7 +166,7 @@ def test_forecasts_of_another_place(tmp_path: Path) -> None:
     assert (done.returncode, "day 2" in done.stdout) == (0, True)
     header = (tmp_path / "page.html").read_text(encoding="utf-8").partition("</header>")[0]
     for text in (done.stderr, header):
-        assert text.count("orecasts: these forecasts are unrelated to these records") == 1
+        assert text.count("hese forecasts are unrelated to these records") == 1
 
 
 def test_models_of_the_package(tmp_path: Path) -> None:
