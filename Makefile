@@ -87,7 +87,7 @@ endif
 # The next ROS 2, in an environment of its own: its wheels replace the wheels of the extra [ros].
 KILTED := .venv-kilted
 KILTED_WHEELS := "ros-kilted-rclpy[fastrtps]>=9.1,<10" $(addprefix ros-kilted-, \
-    std-msgs rosgraph-msgs diagnostic-msgs rcl-interfaces lifecycle-msgs std-srvs)
+    std-msgs rosgraph-msgs diagnostic-msgs rcl-interfaces std-srvs)
 
 test-kilted: $(KILTED)/.made
 	@$(KILTED)/bin/python -m pytest --numprocesses $$(($$(nproc) + 3)) --dist loadgroup -m graph $(ARGS)

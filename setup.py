@@ -13,7 +13,7 @@ SHARE = Path("share") / NAME
 NODES = {
     **{name: f"nodes.{name}" for name in ("plant", "weather", "controller", "recorder")},
     **{f"live_{name}": f"live.{name}" for name in ("weather", "controller", "recorder")},
-    **{name: f"live.{name}" for name in ("sensors", "pump", "loop_pump")},
+    **{name: f"live.{name}" for name in ("sensors", "pump")},
 }
 # ... and the node of one of this package's controllers, without ``--controller``. The commands are
 # those of ``greenroof``, everywhere.
@@ -102,7 +102,6 @@ setup(
             "ros-jazzy-rosgraph-msgs>=2.0,<3",  # Clock
             "ros-jazzy-diagnostic-msgs>=5.3,<6",  # /diagnostics
             "ros-jazzy-rcl-interfaces>=2.0,<3",  # descriptors and results of node parameters
-            "ros-jazzy-lifecycle-msgs>=2.0,<3",  # the pump node's states
             "ros-jazzy-std-srvs>=5.3,<6",  # the pump node's services
         ],
         # The pump node's drives and sensors on Modbus, and their simulators.

@@ -344,7 +344,7 @@ def relays() -> str:
         ]
         if relay.unverified:
             names = ", ".join(f"**`{key}`**" for key in relay.unverified)
-            parts.append(f"Not verified (reported when it is activated): {names}.\n")
+            parts.append(f"Not verified (reported at the start): {names}.\n")
     return "\n".join(parts)
 
 
@@ -369,7 +369,7 @@ def drives() -> str:
         parts.append("\n".join(f"- {cell(text)}" for text in drive.set_up) + "\n")
         vital = set(drive.unverified_and_vital)
         names = [f"**`{key}`**" if key in vital else f"`{key}`" for key in drive.unverified]
-        parts.append(f"Not verified (bold: reported when it is activated): {', '.join(names)}.\n")
+        parts.append(f"Not verified (bold: reported at the start): {', '.join(names)}.\n")
     return "\n".join(parts)
 
 
@@ -566,7 +566,7 @@ def nodes() -> str | None:
         return None
     from greenroof_ros.graph.parameters import default_site, type_name
     from greenroof_ros.live import controller as live_controller
-    from greenroof_ros.live import loop_pump, pump, sensors
+    from greenroof_ros.live import pump, sensors
     from greenroof_ros.live import recorder as live_recorder
     from greenroof_ros.live import weather as live_weather
     from greenroof_ros.nodes import controller, plant, recorder, weather
@@ -578,7 +578,7 @@ def nodes() -> str | None:
         "live_weather": live_weather.parameters(site),
         "live_controller": live_controller.parameters(None),
         "live_recorder": live_recorder.parameters(site), "sensors": sensors.parameters(site),
-        "pump": pump.parameters(site), "loop_pump": loop_pump.parameters(site),
+        "pump": pump.parameters(site),
     }
     of_nodes: dict[tuple[str, str, str], list[str]] = {}
     for node, parameters in declared.items():

@@ -40,15 +40,8 @@ class Way:
     perhaps: tuple[str, ...] = ()
 
 
-_DRIVE = (
-    ("control word, speed", "pump", "drive"), ("status, actual speed, faults", "drive", "pump")
-)
 WAYS = {
     "graph-simulated": Way("simulated", ("weather", "plant", "controller", "recorder")),
-    "graph-in-the-loop": Way(
-        "hardware in the loop", ("weather", "plant", "controller", "pump", "recorder"),
-        devices=("drive",), exchanges=_DRIVE,
-    ),
     "graph-live": Way(
         "live",
         (
@@ -58,7 +51,9 @@ WAYS = {
         live=True,
         devices=("drive", "sensors"),
         exchanges=(
-            *_DRIVE, ("cistern level", "sensors", "cistern_sensor"),
+            ("control word, speed", "pump", "drive"),
+            ("status, actual speed, faults", "drive", "pump"),
+            ("cistern level", "sensors", "cistern_sensor"),
             ("roof level", "sensors", "roof_sensor"),
         ),
         perhaps=("rain_gauge", "thermometer", "flow_meter"),

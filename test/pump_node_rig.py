@@ -1,23 +1,22 @@
-"""A pump node and a simulated drive as processes; the test acts as plant and controller."""
+"""A pump node and a simulated drive as processes; the test acts as sensors and controller."""
 
 from __future__ import annotations
 
 import subprocess
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from graphs import wait_for
-from lifecycle_msgs.srv import ChangeState, GetState
-from places import guarding
+from places import CONFIG, guarding
 from ros_rig import LATE, Observer
-from rosgraph_msgs.msg import Clock
 from simulators import Simulator
 from std_msgs.msg import Float64, String
 
 from greenroof_ros.graph.states import PumpState
 
-# Ten ticks of 1 s per second, and a drive that ramps ten times as fast as in real time.
+# The node's tau, and a drive that ramps ten times as fast as in real time.
 PERIOD_S = 0.1
 PACE = ("--speed", "10", "--boot", "0.1", "--timeout", "1.5")
 MIN_TIMES = {"least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
@@ -29,27 +28,25 @@ def state_in(message: String) -> str:
 
 
 class PumpRig:
-    """The node's peers: they send clock, levels, frost and commands, and record its answers."""
+    """The node's peers: they send levels, frost and commands, and record its answers."""
 
     def __init__(self, observer: Observer) -> None:
         self.domain, self.cwd, self.observer = observer.domain, observer.cwd, observer
         self._drive: Simulator | None = None
-        self._nodes = 0
         self.node = observer.node
         self.flows: list[float] = observer.collect("/pump/flow")
         self.states: list[str] = observer.collect("/pump/state", state_in)
-        self._ticks = 0
         self._volumes = [75.0, 0.3]
         self._publishers: dict[str, Any] = {}
         self._open()
 
     def _open(self) -> None:
-        """Begin a new run: a restarted node takes part from the next tick on."""
+        """Open the topics that the node reads."""
         self.remove_publishers()
         self._publishers = {
             name: self.observer.publisher(name)
-            for name in ("/clock", "/cistern/level", "/roof/level", "/weather/frost",
-                         "/pump/command", "/pump/meter")
+            for name in ("/cistern/level", "/roof/level", "/weather/frost", "/pump/command",
+                         "/pump/meter")
         }
 
     @property
@@ -74,24 +71,24 @@ class PumpRig:
         return str(self.observer.values(f"/pump: {part}").get("code", ""))
 
     def start(
-        self, address: str = "", *, popen: dict[str, Any] | None = None, live: bool = False,
-        **parameters: object,
+        self, address: str = "", *, popen: dict[str, Any] | None = None, **parameters: object,
     ) -> subprocess.Popen[Any]:
-        """Start the node, in the loop or live, by default with the simulated drive.
-
-        Its state file is kept.
-        """
+        """Start the node, by default with the simulated drive; its state file is kept."""
         settings = {
             "drive": guarding("abb_acs880", self.cwd),
-            "address": address or self.drive.address, "autostart": "true", "exchange_period": 0.05,
+            "address": address or self.drive.address, "exchange_period": 0.05,
+            "site_file": parameters.get("site_file") or self.site(), "recovery_time": 0.3,
             "state_file": self.cwd / "state.json", **MIN_TIMES, **parameters,
         }
         self.states.clear()
-        if self._nodes:
-            self._open()
-        self._nodes += 1
-        module = "live.pump" if live else "live.loop_pump"
-        return self.observer.start(module, popen=popen, **settings)
+        return self.observer.start("live.pump", popen=popen, **settings)
+
+    def site(self, *lines: str) -> Path:
+        """Write a site file with a short tau and further lines, and return it."""
+        file = self.cwd / "site.yaml"
+        text = [f"extends: {CONFIG / 'site.yaml'}", f"tau: {PERIOD_S}", *lines]
+        file.write_text("\n".join(text))
+        return file
 
     def remove_publishers(self) -> None:
         """Remove all publishers."""
@@ -110,25 +107,30 @@ class PumpRig:
         self._publishers["/pump/command"].publish(b"\x00\x01\x00\x00\x00")
 
     def tick(self, command: float) -> float:
-        """Publish a tick, and return its flow; there must be exactly one."""
+        """Publish the inputs of a tick, and return the newest flow at its end."""
         began, before = time.monotonic(), len(self.flows)
-        clock = Clock()
-        clock.clock.sec = 1_751_371_200 + self._ticks
-        self._publishers["/clock"].publish(clock)
         self.publish("/cistern/level", self._volumes[0] / 25.0)
         self.publish("/roof/level", self._volumes[1] / 68.8)
         self.publish("/weather/frost", 0.0)
         self.publish("/pump/command", command)
-        self._ticks += 1
         self.observer.until(lambda: len(self.flows) > before, LATE, "a flow")
         remaining = began + PERIOD_S - time.monotonic()
         while remaining > 0:
             self.observer.executor.spin_once(timeout_sec=remaining)
             remaining = began + PERIOD_S - time.monotonic()
-        assert len(self.flows) == before + 1
         flow = self.flows[-1]
-        self._volumes = [self._volumes[0] - flow, self._volumes[1] + flow]
+        pumped = flow * PERIOD_S
+        self._volumes = [self._volumes[0] - pumped, self._volumes[1] + pumped]
         return flow
+
+    def pumped(self) -> float:
+        """Return the volume that the flows so far have delivered (m3)."""
+        return sum(self.flows) * PERIOD_S
+
+    @property
+    def drive_state(self) -> str:
+        """The state of the node in its last report."""
+        return str(self.observer.values("/pump").get("drive_state", ""))
 
     def tick_until(
         self, command: float, condition: Callable[[], Any], seconds: float, event: str
@@ -196,12 +198,3 @@ class PumpRig:
     def call(self, kind: Any, name: str, **fields: object) -> Any:
         """Call a service of the node."""
         return self.observer.call(kind, f"/pump/{name}", **fields)
-
-    def change(self, label: str) -> bool:
-        """Request a lifecycle transition."""
-        request = ChangeState.Request()
-        request.transition.label = label
-        return bool(self.call(ChangeState, "change_state", transition=request.transition).success)
-
-    def lifecycle_state(self) -> str:
-        return str(self.call(GetState, "get_state").current_state.label)

@@ -25,7 +25,7 @@ import greenroof_ros
 
 NODES = (
     "plant", "weather", "controller", "mpc", "onoff", "anticipating_onoff", "lookahead",
-    "recorder", "live_weather", "live_controller", "live_recorder", "sensors", "pump", "loop_pump",
+    "recorder", "live_weather", "live_controller", "live_recorder", "sensors", "pump",
 )
 GREENROOF = "greenroof"
 # What `ros2 run` finds in a workspace; pip installs only the first.

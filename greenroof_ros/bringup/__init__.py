@@ -1,1 +1,1 @@
-"""The ways to run a graph: simulated, with a drive in the loop, and live."""
+"""The ways to run a graph: simulated and live."""

@@ -92,12 +92,11 @@ class Composition:
         """
         return end_nodes(list(self._nodes.values()), failure)
 
-    def spin(self, check: Callable[[int], None]) -> None:
+    def spin(self, check: Callable[[], None]) -> None:
         """Make the nodes, and run them to the end of the run.
 
         Args:
-            check: called 20 times a second with the tick, -1 before the first; can raise to end the
-                run with an error.
+            check: called 20 times a second; can raise to end the run with an error.
 
         Raises:
             LockstepError: the graph cannot go on.
@@ -115,7 +114,7 @@ class Composition:
 
             def may_end() -> bool:
                 watchdog.report()
-                check(self.tick)
+                check()
                 self._show()
                 return self._finished()
 
@@ -185,5 +184,4 @@ class Composition:
             return str(error), exit_code(error)
         if isinstance(error, (LockstepError, OSError)):
             return str(error), EXIT_FAILED
-        code = getattr(error, "code", None)  # of a process
-        return (describe(error), EXIT_FAILED) if code is None else (str(error), code)
+        return describe(error), EXIT_FAILED

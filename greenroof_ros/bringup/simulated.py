@@ -1,14 +1,9 @@
-"""Run a simulated site as a ROS 2 graph, with or without a drive in the loop: ``greenroof run``.
-
-See :mod:`greenroof_ros.live.in_the_loop` for what a drive adds: only with a drive is anything of a
-live site imported.
-"""
+"""Run a simulated site as a ROS 2 graph: ``greenroof run``."""
 
 from __future__ import annotations
 
 import argparse
 import shlex
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,13 +15,11 @@ from greenroof_ros.common.command_line import (
     EXIT_INTERRUPTED,
     Parser,
     command,
-    refuse,
 )
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.standard_error import LINES, print_line
 from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary, summary_table
-from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.experiment.options import (
     add_graph_arguments,
     add_output_arguments,
@@ -38,12 +31,11 @@ from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other_nodes
-from greenroof_ros.graph.states import PUMP, RECORDER
+from greenroof_ros.graph.states import RECORDER
 from greenroof_ros.recording.bag_reader import count_ticks
 
 if TYPE_CHECKING:
     from greenroof_ros.bringup.composition import Composition
-    from greenroof_ros.live.drive_choice import DriveChoice
 
 _NODES = "greenroof_ros.nodes"
 
@@ -56,8 +48,6 @@ def make_parser() -> Parser:
         description="Run plant, weather, controller and recorder as ROS 2 nodes of one process, "
         "in lockstep on simulated time. While it runs, "
         "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.\n\n"
-        "With --drive and --drive-at there is hardware in the loop: a drive instead of the "
-        "simulated pump, in real time, or with the drive simulator at another --speed.\n\n"
         "A site with sensors, at which nothing is simulated, is 'greenroof live'.",
         epilog="examples:\n"
         "  greenroof run --controller lookahead --initial high-low --horizon 12\n"
@@ -66,14 +56,12 @@ def make_parser() -> Parser:
         "  greenroof run --speed 60 --no-record\n"
         "  greenroof run --controller external    # your node runs alongside it; its four rules "
         "are in\n"
-        "                                         # greenroof check-controller --help\n"
-        "  greenroof run --drive danfoss_fc202 --drive-at gateway://127.0.0.1:5020\n\n"
-        "exit codes: 0 done, 1 a node failed, the pump may run on, or done with incidents: a "
-        "drive was lost for a while, 2 bad usage or configuration, 3 a graph is already "
+        "                                         # greenroof check-controller --help\n\n"
+        "exit codes: 0 done, 1 a node failed, 2 bad usage or configuration, 3 a graph is already "
         "running, 130 interrupted",
     )
     add_run_arguments(parser)
-    output = add_output_arguments(parser, None, "max; with --drive 1")
+    output = add_output_arguments(parser)
     output.add_argument("--no-record", action="store_true", help="no bag")
     add_graph_arguments(parser, "internal")
     return parser
@@ -86,10 +74,8 @@ def simulated_run(arguments: argparse.Namespace) -> Run:
         ConfigurationError: an option or a file that it names is wrong.
     """
     run = run_from_arguments(arguments)
-    if arguments.pump == EXTERNAL or arguments.drive is not None:
+    if arguments.pump == EXTERNAL:
         run.sensor_pump_errors.refuse_external_pump()
-    no_drive = arguments.state is not None and arguments.drive is None
-    refuse((no_drive, "--state", None, "is for a drive"))
     return run
 
 
@@ -103,10 +89,6 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """
     with importing_ros():
         from greenroof_ros.bringup.composition import Composition
-    drive = _chosen_drive(arguments)
-    speed = arguments.speed
-    if speed is None:  # real time with a drive, otherwise as fast as possible
-        speed = 0.0 if drive is None else 1.0
     is_external = run.controller.reference == EXTERNAL
     modules = {
         "plant": f"{_NODES}.plant",
@@ -114,11 +96,6 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         **({} if is_external else {run.controller.name: f"{_NODES}.controller"}),
         **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
     }
-    if drive is not None:
-        from greenroof_ros.live.in_the_loop import PUMP_NODE, DriveInLoop, drive_parameters
-
-        drive.refuse_speed(speed, signals.check)
-        modules[PUMP] = PUMP_NODE
     user_files = node_parameter_files(arguments, modules, run.controller)
     with only_bringup(arguments.namespace):
         refuse_other_nodes(
@@ -126,40 +103,23 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
             {*modules, RECORDER, *([] if is_external else controller_names())}, signals.check,
         )
         directory = make_run_directory(arguments.output, run.controller.name)
-        of_drive = {} if drive is None else drive_parameters(
-            drive, arguments.state, run.site.tau, speed
-        )
-        parameters = write_configuration(
-            directory, run,
-            {
-                "speed": speed,
-                "pump": arguments.pump if drive is None else EXTERNAL,
-                "record": not arguments.no_record,
-                "peer_limit": arguments.peer_limit,
-            },
-            {} if drive is None else {PUMP: of_drive},
-        )
+        parameters = write_configuration(directory, run, {
+            "speed": arguments.speed,
+            "pump": arguments.pump,
+            "record": not arguments.no_record,
+            "peer_limit": arguments.peer_limit,
+        })
         summary.write(summary.build_unfinished(run, summary.RUNNING), directory)
         progress = RunProgress(run.steps, run.site.tau, LINES)
         graph = Composition(
             run, [parameters, *user_files], arguments.namespace, record=not arguments.no_record,
             external=is_external or arguments.pump == EXTERNAL, progress=progress,
         )
-        loop = DriveInLoop(
-            drive, of_drive, directory, [parameters, *user_files], arguments.namespace, signals,
-            progress,
-        ) if drive is not None else None
-
-        def check(tick: int) -> None:
-            signals.check()
-            if loop is not None:
-                loop.check(tick)
-
         status, reason, code = summary.DONE, "", EXIT_DONE
         with graph:
             try:
-                with progress, loop or nullcontext():
-                    graph.spin(check)
+                with progress:
+                    graph.spin(signals.check)
             except InterruptedRun as error:
                 status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
                 print_line(reason)
@@ -170,35 +130,15 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
             failure = reason or None
             if graph.end(failure) != failure:  # the bag cannot be closed
                 code = EXIT_FAILED
-            incidents = IncidentLog(print_line) if loop is None else loop.log
-            if loop is not None and loop.may_run:
-                code = EXIT_FAILED
-            _end(run, directory, graph, incidents, status, reason, as_json=arguments.json)
-        return code or (EXIT_FAILED if incidents.count else EXIT_DONE)
-
-
-def _chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
-    """Return the drive in the loop; None for none.
-
-    Raises:
-        ConfigurationError: there is no such drive file, or the options are inconsistent.
-    """
-    if arguments.drive is None and arguments.drive_at is None:
-        return None
-    from greenroof_ros.live.drive_choice import chosen_drive
-
-    return chosen_drive(arguments)
+            _end(run, directory, graph, status, reason, as_json=arguments.json)
+        return code
 
 
 def _end(
-    run: Run, directory: Path, graph: Composition, log: IncidentLog, status: str, reason: str, *,
-    as_json: bool,
+    run: Run, directory: Path, graph: Composition, status: str, reason: str, *, as_json: bool,
 ) -> None:
     """Write the summary; print it if the run is done, otherwise print how to open the bag."""
-    notes: dict[str, Any] = {
-        "refused": graph.refused, **graph.parameter_changes,
-        "incidents": log.as_dicts(), "incident_count": log.count,
-    }
+    notes: dict[str, Any] = {"refused": graph.refused, **graph.parameter_changes}
     if status == summary.DONE:
         result = summary.build(run, **graph.results, **notes)
         summary.write(result, directory)

@@ -21,7 +21,7 @@ _NICENESS = 10
 _DESCRIPTION = """\
 Publish on MQTT what the page of 'greenroof watch' shows: levels, pump, rain, frost, what the
 controller plans, and alarms by code. Home Assistant discovers it automatically. It works alongside
-any graph that runs in this ROS domain, simulated, with a drive in the loop or live. It may start
+any graph that runs in this ROS domain, simulated or live. It may start
 late and stop early: nothing waits for it.
 
 Whoever may write to the topic greenroof/SITE/stop can stop the pump. Nothing can be released or

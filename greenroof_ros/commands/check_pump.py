@@ -11,27 +11,25 @@ _INVENTED = (
     "pump run a cistern dry, or pump into a frozen pipe. With a real pump, make sure yourself that "
     "there is water in the cistern, room on the roof and no frost, and set --period to the site's "
     "tau (1): at 0.1 the minimum on and off times pass ten times as fast for the motor, which is "
-    "started nine times."
+    "started ten times."
 )
 _SUBJECT = (
     "Check a running pump driver, this package's or your own in any language, against the "
     "interface, using topics only: off at start, one flow for each command, refused values, "
     "watchdog, a second publisher, frost, unknown levels and frost, a cistern at the suction "
     "level, and that it runs again after each. The check replaces plant, weather and controller, "
-    "so start no run. With a --period of less than tau this package's pump node refuses any drive "
-    "but the drive simulator; the pump node ends with the check, as it does with the plant of a "
-    "run."
+    "so start no run. Give --live for a driver of a live graph, such as this package's pump node: "
+    "it publishes its flow every tau by itself."
 )
 _LIMIT = (
     "The flows in the answers are the only evidence: topics do not show whether the pump's shaft "
-    "is really stopped, so watch the pump. The check runs in lockstep, one flow for each command, "
-    "not a live graph, in which a driver must also stop for an input that falls silent."
+    "is really stopped, so watch the pump."
 )
 # Options in seconds: option, field of `DriverLimits`, minimum value, default and meaning.
 _TIMES = (
     (
-        "--period", "period", 0.001, 0.1, "minimum time between two commands; each is a tick of "
-        "the site; with a real pump its tau, 1",
+        "--period", "period", 0.001, 0.1, "minimum time between two commands, each a tick of the "
+        "site; with --live and with a real pump the site's tau, 1",
     ),
     ("--answer-within", "answer", 0.001, 5.0, "how long a flow may take to answer a command"),
     ("--start-within", "start", 0.001, 60.0, "how long the flow may take to become steady"),
@@ -53,7 +51,8 @@ def make_parser() -> Parser:
         prog="greenroof check-pump",
         description=f"{_INVENTED}\n\n{_SUBJECT}\n\n{_LIMIT}",
         epilog="example:\n  python my_driver.py &\n"
-        "  greenroof check-pump --node pump\n\n"
+        "  greenroof check-pump --node pump\n"
+        "  greenroof check-pump --node pump --live --period 1    # the package's pump node\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 there is no such driver, 3 a graph is "
         "running",
     )
@@ -64,6 +63,10 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--command", type=within(0.001, 1.0), default=0.5, metavar="SHARE",
         help="command at which the pump runs, a share of its maximum flow (default: 0.5)",
+    )
+    parser.add_argument(
+        "--live", action="store_true",
+        help="the driver publishes its flow by its own clock, not one for each command",
     )
     for option, limit, minimum, default, meaning in _TIMES:
         parser.add_argument(
@@ -83,7 +86,7 @@ def main() -> int:
         from greenroof_ros.commands.checks.pump_driver import DriverLimits, PumpCheck
     site = read_site(arguments.site)
     times = {limit: getattr(arguments, limit) for _, limit, *_ in _TIMES}
-    limits = DriverLimits(command=arguments.command, **times)
+    limits = DriverLimits(command=arguments.command, live=arguments.live, **times)
     results = check_node(
         "check_pump", arguments.node, lambda node, name: PumpCheck(node, name, site, limits)
     )

@@ -110,7 +110,7 @@ def _judge(shown: Mapping[str, Any]) -> int:
         return NOTHING
     if (
         tiles["summary"]["level"] == "error" or tiles["pump"]["state"] == "fault"
-        or (unknown and mode in ("live", "loop"))
+        or (unknown and mode == "live")
     ):
         return ALARM
     return WARNING if unknown or _present(shown) else EXIT_DONE

@@ -23,7 +23,7 @@ _NICENESS = 10
 _DESCRIPTION = """\
 Show what the roof does, on a page in a browser: levels, pump, rain, what the controller intends,
 alarms and what to do. It shows any graph that runs in this ROS domain, simulated at up to 60 times
-real time, with a drive in the loop or live. Any number of watchers may start and stop at any time:
+real time, or live. Any number of watchers may start and stop at any time:
 no run waits for them. The pump can be stopped on the page, and released if that was allowed. With
 --foxglove there is no page: Foxglove or Lichtblick shows the graph.
 

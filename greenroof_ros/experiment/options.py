@@ -217,15 +217,11 @@ def _skill(text: str) -> str:
 _skill.__name__ = f"skill: {', '.join(SKILLS)}, or a FILE.yaml"
 
 
-def add_output_arguments(
-    parser: Parser, speed: float | None = 0.0, otherwise: str = "max"
-) -> argparse._ArgumentGroup:
+def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
     """Add the options that decide where a run goes and how fast; return their group.
 
     Args:
         parser: of the command.
-        speed: if the option is not given; 0 is as fast as possible, None leaves it to the command.
-        otherwise: what that is, for people.
     """
     group = parser.add_argument_group("output and pace")
     group.add_argument(
@@ -233,8 +229,8 @@ def add_output_arguments(
         help="directory of the run, new or empty (default: a dated one under runs/)",
     )
     group.add_argument(
-        "--speed", type=within(1e-9, 1e9, word="max"), default=speed, metavar="{max|FACTOR}",
-        help=f"simulated time per wall time; 1 is real time (default: {otherwise})",
+        "--speed", type=within(1e-9, 1e9, word="max"), default=0.0, metavar="{max|FACTOR}",
+        help="simulated time per wall time; 1 is real time (default: max)",
     )
     group.add_argument(
         "--json", action="store_true", help="print the summary as JSON instead of a table"
@@ -243,7 +239,7 @@ def add_output_arguments(
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None:
-    """Add the options of a graph and its drive, the same for ``run`` and ``live``.
+    """Add the options of a graph, the same for ``run`` and ``live``.
 
     Args:
         parser: the command's parser.
@@ -276,39 +272,10 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         group, "serve the graph to Foxglove or Lichtblick on this machine, at the address that is "
         "printed, until the graph ends; the graph does not need it.",
     )
-    group = parser.add_argument_group(
-        "the drive",
-        "With --drive the pump node takes the commands and runs a drive over Modbus, or a relay\n"
-        "over MQTT, real or simulated.",
-    )
-    group.add_argument(
-        "--drive", metavar="{NAME,FILE}",
-        help="make of the drive: a name in config/drives/, or a drive file",
-    )
-    group.add_argument(
-        "--drive-at", metavar="ADDRESS",
-        help="its address: tcp://HOST:PORT if it has its own Ethernet port, gateway://HOST:PORT "
-        "for a gateway to its serial port, or a serial line such as /dev/ttyUSB0; append a comma "
-        "and its device id if that differs from its file's, such as gateway://HOST:PORT,17; for a "
-        "relay mqtt://HOST[:PORT]/DEVICE (its topic at a broker), mqtts:// for TLS",
-    )
-    for option, metavar, meaning in (
-        ("--broker-login", "FILE", "for a relay: YAML file with username and password"),
-        ("--broker-authority", "FILE", "for a relay: file of trusted certificates (PEM), if the "
-         "system does not know the broker's"),
-    ):
-        group.add_argument(option, default="", metavar=metavar, help=meaning)
-    group.add_argument(
-        "--state", type=Path, metavar="DIR",
-        help="directory for what must survive a restart: a stop, a fault, the pump's use of the "
-        "day; live, also for bag, logs and summary (default: the drive's own, a file by its "
-        "address in ~/.local/state/greenroof_ros; live: live)",
-    )
     group.add_argument(
         "--node-parameters", type=Path, metavar="FILE",
         help="ROS 2 parameter file for what bringup does not decide, such as the pump node's "
-        "limits; each node's --help lists its parameters; unknown ones are refused. The drive, "
-        "its address and its state directory are set only by --drive, --drive-at and --state",
+        "limits; each node's --help lists its parameters; unknown ones are refused",
     )
 
 

@@ -20,8 +20,7 @@ from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.model.site import read_site
 
 _SECTION = "ros__parameters"
-# Parameters that only bringup sets, by node, each with its option of bringup. If the plant's could
-# be overridden, a real drive would run at another speed than the one that was checked.
+# Parameters that only bringup sets, by node, each with its option of bringup.
 _OF_BRINGUP = {
     "pump": {
         "drive": "--drive",
@@ -46,8 +45,7 @@ def node_parameter_files(
 
     Raises:
         ConfigurationError: the file does not exist or sets something without effect; it sets the
-            drive (bringup would then stop the wrong one), its state file or the speed (which
-            bringup has checked).
+            drive (bringup would then stop the wrong one), its state file or the plant's speed.
     """
     file: Path | None = arguments.node_parameters
     if file is None:

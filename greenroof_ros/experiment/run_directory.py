@@ -68,8 +68,7 @@ def _make_dated_directory(controller: str) -> Path:
 
 
 def write_configuration(
-    directory: Path, run: Run, nodes: dict[str, object],
-    extra: Mapping[str, dict[str, object]] | None = None,
+    directory: Path, run: Run, nodes: dict[str, object]
 ) -> Path:
     """Copy the files that a run was made from, and write the parameters of its nodes.
 
@@ -77,7 +76,6 @@ def write_configuration(
         directory: of the run.
         run: what was asked for.
         nodes: parameters of the plant that the run does not set; the recorder shares peer_limit.
-        extra: parameters of nodes that only some runs have, by node.
 
     Returns:
         The ROS 2 parameter file that all nodes of the run read.
@@ -122,7 +120,6 @@ def write_configuration(
                 "directory": str(directory / "bag"),
                 "controller": run.controller.reference,
             },
-            **{name: {**common, **values} for name, values in (extra or {}).items()},
         }
         return write_parameters(configuration, parameters)
 

@@ -13,14 +13,13 @@ and the plant is at most 32 ticks ahead of the recorder. These end a run:
 
 - a message that does not come within the peer limit (before the first answers: the start limit);
   the plant watches this, and names the topics that it waits for;
-- a second publisher, or a second message before the node has acted. Only the pump node tolerates
-  these, for the command, and stops the pump; the plant also gets them and ends the run;
+- a second publisher, or a second message before the node has acted;
 - a second message after the node has acted. It counts for the next tick, and is found when that
   tick's own message comes; after the last tick, any message ends the run. A message that only the
   recorder misses shows in its count.
 
 The plant publishes ``/run`` before the first tick: N, with which every node knows its last tick. No
-timer or sleep delays a tick. Wall clocks only end a run that hangs, and stop the pump node's drive.
+timer or sleep delays a tick. Wall clocks only end a run that hangs.
 """
 
 from __future__ import annotations
@@ -81,21 +80,15 @@ class Lockstep:
         self._of_tick: set[str] = set()  # names of the inputs that the node acts on
         self._act, self._finish, self._publishers_of = act, finish, publishers_of
 
-    def receiver(self, entry: Input, *, tolerates_second: bool) -> Callable[[bytes], None]:
-        """Make the node wait for an input; return the receiver of its messages.
-
-        Args:
-            entry: the input.
-            tolerates_second: whether a second message in a tick does not end the run.
-        """
+    def receiver(self, entry: Input) -> Callable[[bytes], None]:
+        """Make the node wait for an input; return the receiver of its messages."""
         name, awaited = entry.topic.name, self.awaited
         self._of_tick.add(name)
         awaited.add(name)
 
         def receive(message: bytes) -> None:
             """Keep a message, and act if it was the last one awaited."""
-            second = name not in awaited
-            if second and not tolerates_second:
+            if name not in awaited:
                 kind = LockstepError if self.tick else OccupiedError
                 raise kind(
                     f"{entry.name} has a second message in tick {self.tick} "
@@ -104,7 +97,7 @@ class Lockstep:
                 )
             entry.receive(message)
             awaited.discard(name)
-            if not (awaited or second):
+            if not awaited:
                 self.act()
 
         return receive

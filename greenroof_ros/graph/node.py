@@ -47,21 +47,18 @@ class SimulationNode(NoClockSubscription, GraphNode):
         result: what it has added to the run's summary; empty before the run is over.
     """
 
-    def __init__(
-        self, name: str, role: str, reports: type[NodeDiagnostics] = NodeDiagnostics,
-    ) -> None:
+    def __init__(self, name: str, role: str) -> None:
         """Join the graph.
 
         Args:
             name: the node's name.
             role: its role in the interface: its name, or ``controller``.
-            reports: reports the node's state.
 
         Raises:
             ConfigurationError: ROS arguments or a parameter file are wrong.
         """
         self._now_ns = 0  # 0: not set yet
-        super().__init__(name, role, read_topics(), reports)
+        super().__init__(name, role, read_topics(), NodeDiagnostics)
         fix(self, USE_SIM_TIME, True, "must be true: this node is in a simulated graph")
         self.peers = Peers(role)
         self.lockstep = Lockstep(self.on_inputs, self.finish, self.peers.publishers_of)
@@ -94,16 +91,14 @@ class SimulationNode(NoClockSubscription, GraphNode):
             cast(ROSClock, clock).set_ros_time_override(now)
         return clock
 
-    def subscribe(self, name: str, *, tolerates_second: bool = False) -> Input:
+    def subscribe(self, name: str) -> Input:
         """Open an input that the node waits for in each tick, and return it.
 
         Args:
             name: the topic's name in the interface.
-            tolerates_second: whether a second publisher does not end the run; the node must then
-                look for one itself, in :attr:`peers`.
         """
-        entry = self._input(name, tolerates_second=tolerates_second)
-        self._open(name, self.lockstep.receiver(entry, tolerates_second=tolerates_second))
+        entry = self._input(name)
+        self._open(name, self.lockstep.receiver(entry))
         return entry
 
     def listen(self, name: str, callback: Callable[[Any], None]) -> None:
@@ -121,10 +116,10 @@ class SimulationNode(NoClockSubscription, GraphNode):
         self._input(name)
         self._open(name, callback)
 
-    def _input(self, name: str, *, tolerates_second: bool = False) -> Input:
+    def _input(self, name: str) -> Input:
         topic = self.interface[name]
         publishers = Publishers(self, topic, _required(topic))
-        self.peers.add(publishers, tolerates_second=tolerates_second)
+        self.peers.publishers[name] = publishers
         self.inputs[name] = Input(topic, publishers.full_name)
         return self.inputs[name]
 

@@ -29,20 +29,7 @@ class Peers:
         """
         self.publishers: dict[str, Publishers] = {}
         self._role = role
-        self._tolerated: set[str] = set()
         self._incompatible_since: dict[str, float] = {}
-
-    def add(self, publishers: Publishers, *, tolerates_second: bool = False) -> None:
-        """Add the publishers of an input.
-
-        Args:
-            publishers: the publishers.
-            tolerates_second: whether the node itself handles a second one.
-        """
-        name = publishers.topic.name
-        self.publishers[name] = publishers
-        if tolerates_second:
-            self._tolerated.add(name)
 
     # --- who is missing ---------------------------------------------------------------------
 
@@ -90,8 +77,8 @@ class Peers:
 
     def second(self) -> str:
         """Return which input has a second publisher, in words; empty if none has."""
-        for name, publishers in self.publishers.items():
-            if name not in self._tolerated and publishers.count > 1 and publishers.compatible > 1:
+        for publishers in self.publishers.values():
+            if publishers.count > 1 and publishers.compatible > 1:
                 return f"{publishers.full_name} {publishers.second(DISCOVERY_S)}"
         return ""
 

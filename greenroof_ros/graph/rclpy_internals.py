@@ -47,20 +47,3 @@ def waiting_messages(subscription: Any) -> Iterator[tuple[bytes, Any]]:
     with subscription.handle:
         while (sample := subscription.handle.take_message(subscription.msg_type, True)) is not None:
             yield sample
-
-
-def lifecycle_state(node: Any) -> int:
-    """Return the present state of a lifecycle node; rclpy has no public way to read it."""
-    return int(node._state_machine.current_state[0])
-
-
-def wrap_change_state(
-    node: Any, wrap: Callable[[Callable[[Any, Any], Any]], Callable[[Any, Any], Any]]
-) -> None:
-    """Wrap the callback of a lifecycle node's service ``change_state``.
-
-    rclpy's own callback ends the node with an exception if the present state lacks the transition,
-    such as a second *activate* (rclpy issue 1209).
-    """
-    service = node._service_change_state
-    service.callback = wrap(service.callback)

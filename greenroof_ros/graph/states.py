@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -12,6 +13,17 @@ STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "e
 # Roles in the interface that code treats specially, and how to name one whose node is unknown.
 PLANT, PUMP, RECORDER = "plant", "pump", "recorder"
 ROLES = {"controller": "the controller", PUMP: "the pump driver"}
+
+
+class DriveState(enum.Enum):
+    """Whether the pump node can run its drive: the state of the node."""
+
+    CONNECTING = "connecting"  # the drive does not answer
+    REFUSED = "refused"  # nothing might stop it: its own timeout, or a state that is not saved
+    READY = "ready"
+    STOPPED = "stopped"  # someone holds the pump
+    FAULT = "fault"  # a fault is latched, or it is unknown whether there was one
+
 
 PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unknown")
 

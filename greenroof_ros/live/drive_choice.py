@@ -1,20 +1,14 @@
-"""The drive of the pump node, as ``run`` and ``live`` choose it."""
+"""The drive of a live site, as the command line chooses it."""
 
 from __future__ import annotations
 
 import argparse
-import re
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.command_line import refuse
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import state_directory
 from greenroof_ros.controllers.registry import EXTERNAL
-from greenroof_ros.experiment.run_directory import writable
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
 from greenroof_ros.live.supervisor import StopDrive
@@ -23,8 +17,6 @@ _MAY_RUN = (
     "THE PUMP MAY BE RUNNING: only the drive's own communication timeout stops it now, if that is "
     "on; look at the pump, and stop it at the drive's panel or its switch"
 )
-# How long the drive simulator may take to answer (s): it may have been started just before.
-_SIMULATOR_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -51,34 +43,6 @@ class DriveChoice:
         """
         return read_endpoint(self.file, self.at, "--drive-at", self.login, self.authority)
 
-    def state_file(self, state: Path | None) -> Path:
-        """Return the file that keeps this drive's holds and faults, and create its directory.
-
-        By default the file belongs to the drive, not to a run: a fault outlives the run in which it
-        was found. Its name is the same for every spelling of the address.
-
-        Args:
-            state: the directory given by ``--state``; None for the drive's own.
-
-        Raises:
-            ConfigurationError: the file or the address is wrong, the host is unknown, or the
-                directory cannot be created.
-        """
-        if state is not None:
-            record = state.resolve() / "pump.json"
-        else:
-            try:
-                canonical_name = self.read().canonical_name()
-            except OSError as error:
-                raise ConfigurationError(
-                    f"the host is not found ({error.strerror})", key="--drive-at", value=self.at
-                ) from error
-            name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{canonical_name}")
-            record = state_directory() / f"{name}.json"
-        with writable(record.parent, "--state"):
-            record.parent.mkdir(parents=True, exist_ok=True)
-        return record
-
     def parameters(self, state_file: Path) -> dict[str, Any]:
         """Return the pump node's parameters for this drive.
 
@@ -91,44 +55,7 @@ class DriveChoice:
             "broker_login": self.login,
             "broker_authority": self.authority,
             "state_file": str(state_file),
-            "autostart": True,
         }
-
-    def refuse_speed(self, speed: float, check: Callable[[], None]) -> None:
-        """Allow a speed other than real time for the drive simulator only; wait until it answers.
-
-        The pump node repeats this check on each connection.
-
-        Args:
-            speed: simulated time per wall time; 0 for as fast as possible.
-            check: called repeatedly; it can raise to end the wait.
-
-        Raises:
-            ConfigurationError: the drive is not that simulator, or nothing answers.
-        """
-        if speed == 1:
-            return
-        from greenroof_ros.live.devices.drive import real_time_error
-        from greenroof_ros.live.devices.modbus_line import DriveError
-
-        endpoint = self.read()
-        until = time.monotonic() + _SIMULATOR_S
-        why: str | None = None
-        while why is None:
-            check()
-            drive = endpoint.connection()
-            try:
-                if endpoint.is_on_this_machine:
-                    drive.line.connect()
-                why = drive.simulator_problem()
-            except DriveError as error:
-                if time.monotonic() > until:
-                    why = f"no one answers there ({error})"
-                time.sleep(0.1)
-            finally:
-                drive.line.close()
-        if why:
-            raise real_time_error(why, "--speed", speed)
 
     def stopper(self) -> StopDrive:
         """Return a function that stops the drive without the pump node.
@@ -160,6 +87,32 @@ class DriveChoice:
             return (True, message) if status.at_rest else (False, f"{message}; {_MAY_RUN}")
 
         return stop
+
+
+def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the drive to a command's parser."""
+    group = parser.add_argument_group(
+        "the drive",
+        "The pump node takes the commands and runs a drive over Modbus, or a relay over MQTT,\n"
+        "real or simulated.",
+    )
+    group.add_argument(
+        "--drive", metavar="{NAME,FILE}",
+        help="make of the drive: a name in config/drives/, or a drive file",
+    )
+    group.add_argument(
+        "--drive-at", metavar="ADDRESS",
+        help="its address: tcp://HOST:PORT if it has its own Ethernet port, gateway://HOST:PORT "
+        "for a gateway to its serial port, or a serial line such as /dev/ttyUSB0; append a comma "
+        "and its device id if that differs from its file's, such as gateway://HOST:PORT,17; for a "
+        "relay mqtt://HOST[:PORT]/DEVICE (its topic at a broker), mqtts:// for TLS",
+    )
+    for option, meaning in (
+        ("--broker-login", "for a relay: YAML file with username and password"),
+        ("--broker-authority", "for a relay: file of trusted certificates (PEM), if the system "
+         "does not know the broker's"),
+    ):
+        group.add_argument(option, default="", metavar="FILE", help=meaning)
 
 
 def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:

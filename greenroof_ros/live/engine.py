@@ -161,7 +161,8 @@ class SampleAndHold:
         return on_message
 
     def check_inputs(self) -> None:
-        """Check all inputs at the present time."""
+        """Check all inputs at the present time; after a pause of this process they are too old."""
+        self._handle_pause(boot_time())
         for entry in self.inputs:
             entry.check()
 

@@ -20,7 +20,7 @@ from greenroof_ros.graph.states import PUMP, RECORDER
 from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.modbus_line import parse_address
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
-from greenroof_ros.live.drive_choice import DriveChoice, chosen_drive
+from greenroof_ros.live.drive_choice import DriveChoice, add_drive_arguments, chosen_drive
 from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.model.site import read_site
 
@@ -234,6 +234,11 @@ def make_parser() -> Parser:
         help="a node that fails is started again after 1, 2, 4, ... 10 s; after more than N times "
         "in ten minutes the site is stopped (default: %(default)s)",
     )
+    group.add_argument(
+        "--state", type=Path, default=Path("live"), metavar="DIR",
+        help="directory for what must survive a restart (a stop, a fault, the pump's use of the "
+        "day), bag, logs and summary (default: live)",
+    )
     group.add_argument("--no-record", action="store_true", help="no bag")
     group.add_argument(
         "--bag-limit", type=within(MIN_BAG_MB, 1e9), default=10_000.0, metavar="MB",
@@ -241,6 +246,7 @@ def make_parser() -> Parser:
         "at most nine tenths of the room on its disk at the start",
     )
     add_graph_arguments(parser)
+    add_drive_arguments(parser)
     return parser
 
 

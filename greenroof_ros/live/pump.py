@@ -1,34 +1,112 @@
-"""The pump node of a live site.
+"""The pump node of a live site: it turns /pump/command into orders to a drive or a relay.
 
 It acts every tau of the site, on the newest values, and lets the pump run only on fresh, good ones.
-:mod:`greenroof_ros.live.pump_behaviour` describes what it does, and its services.
+It connects to the drive by itself, and does not run it unless the drive's own communication timeout
+would stop it without this node. In between, the drive can be stopped by the steady clock.
+/pump/flow is published every tau, and /pump/state whenever it changes.
+
+``~/stop`` (std_srvs/SetBool) with true holds the pump: it stays off, regardless of the command,
+also after a restart; with false it ends any hold. ``~/hold``
+(rcl_interfaces/SetParametersAtomically) holds it for an ``owner``, with a ``reason`` and an end,
+``until`` (s since 1970), if they are given. ``~/reset`` (std_srvs/Trigger), for a person at the
+pump, clears a latched fault and an unknown state; ``~/clear``, for the page, clears only a fault
+that needs no person at the pump (speed_not_followed). If the site file allows it, ``~/dose``
+(rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, the present time in s
+since 1970) delivers a volume once, or reports why not.
 """
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from functools import partial
+from pathlib import Path
 from typing import Any
 
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import parameter_value_to_python
+from std_srvs.srv import SetBool, Trigger
+
+from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import state_directory
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.common.times import boot_time
-from greenroof_ros.graph.parameters import declare
-from greenroof_ros.live import pump_behaviour
-from greenroof_ros.live.engine import Levels, live_parameters
-from greenroof_ros.live.lifecycle import Lifecycle
+from greenroof_ros.common.times import boot_time, suspended_time
+from greenroof_ros.graph.parameters import declare, site_file
+from greenroof_ros.graph.states import DriveState, PumpState
+from greenroof_ros.live.devices.drive import DriveStatus
+from greenroof_ros.live.devices.drive_file import LONGEST_RAMP_S, find_drive_file
+from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
+from greenroof_ros.live.devices.exchange import RESET_S, UNREAD_S, DriveExchange
+from greenroof_ros.live.engine import LIMITS, PAUSE_S, Levels, live_parameters
+from greenroof_ros.live.live_diagnostics import WARN
 from greenroof_ros.live.node import LiveNode, live_command, live_help
-from greenroof_ros.live.pump_behaviour import COMMAND_LIMIT, PumpBehaviour, common_parameters
-from greenroof_ros.live.pumping.pump_inputs import INPUTS
+from greenroof_ros.live.pump_reports import PumpReports, second_publisher
+from greenroof_ros.live.pumping.ledger import MOST, Ledger
+from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
+from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
+from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
 from greenroof_ros.model.site import Site
+
+_COMMAND_LIMIT = LIMITS["/pump/command"]
+# How long a suspend of the machine is reported (s).
+_REPORTED_S = 60.0
+# How often a state that could not be saved yet is written again, and how often the node reports on
+# the drive (s).
+_AGAIN_S, _REPORT_S = 0.5, 0.2
+
+_OWN = (
+    Parameter("drive", "", meaning="make of drive, a file of config/drives, or a file's path"),
+    Parameter(
+        "address", "", meaning="address of the drive: tcp://HOST:PORT if it has its own Ethernet "
+        "port, gateway://HOST:PORT for a gateway to its serial port, or /dev/tty... for a serial "
+        "line; append a comma and its device id if that differs from its file's, such as "
+        "gateway://HOST:PORT,17; or of a relay: mqtt://HOST[:PORT]/DEVICE (its topic at a "
+        "broker), mqtts:// for TLS",
+    ),
+    Parameter(
+        "broker_login", "", meaning="relay only: YAML file with the broker's username and "
+        "password; empty: the broker needs none",
+    ),
+    Parameter(
+        "broker_authority", "", meaning="relay only: file of trusted certificates (PEM); empty: "
+        "the system's",
+    ),
+    Parameter(
+        "exchange_period", 0.1, "s", 0.02, 1.0, "time between two rounds of requests to the drive",
+    ),
+    Parameter(
+        "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "maximum communication timeout that the "
+        "drive itself may have",
+    ),
+    Parameter(
+        "run_without_drive_timeout", False, meaning="run the pump although the drive itself "
+        "would run on when this machine fails: DANGEROUS",
+    ),
+    Parameter(
+        "local_settings_stop_the_pump", False, meaning="confirms that someone has set the pump "
+        "to stop when the bus connection ends, and has seen it stop; needed if the setting cannot "
+        "be read",
+    ),
+    Parameter(
+        "state_file", "", meaning="file that keeps a hold, a fault and the day's use across "
+        "restarts; empty: greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
+    ),
+)
 
 
 def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
-    return [*common_parameters(site), *live_parameters(row.topic for row in INPUTS)]
+    return [
+        site_file(), *_OWN, *pump_parameters(site),
+        *live_parameters(row.topic for row in INPUTS),
+    ]
 
 
-class PumpNode(Lifecycle, LiveNode):
-    """Runs the pump of a live site."""
+class PumpNode(LiveNode):
+    """Runs the pump of a live site as commanded, unless an interlock is active."""
 
     def __init__(self) -> None:
         """Declare the parameters, and open topics and services.
@@ -36,55 +114,398 @@ class PumpNode(Lifecycle, LiveNode):
         Raises:
             ConfigurationError: a parameter, or the drive file, is wrong.
         """
-        LiveNode.__init__(self, "pump", "pump")
-        site = self.declare_site()
+        super().__init__("pump", "pump")
+        site = self._site = self.declare_site()
         values = declare(self, parameters(site))
-        if values[COMMAND_LIMIT.name] <= site.tau:
+        if values[_COMMAND_LIMIT.name] <= site.tau:
             raise ConfigurationError(
                 f"must be more than tau of the site, {site.tau:g} s: one command arrives per "
-                "tau", key=f"parameter {COMMAND_LIMIT.name} of {self.get_name()}",
-                value=values[COMMAND_LIMIT.name],
+                "tau", key=f"parameter {_COMMAND_LIMIT.name} of {self.get_name()}",
+                value=values[_COMMAND_LIMIT.name],
             )
-        command = self.subscribe("/pump/command", lambda _: self._pump.command_received())
-        self._levels = Levels(site, values, self.subscribe)
-        inputs = {
-            "command": command, "cistern_level": self._levels.cistern,
-            "roof_level": self._levels.roof,
-        }
-        inputs |= {
-            row.name: self.subscribe(row.topic, optional=not row.unknown)
-            for row in INPUTS if row.name not in inputs
-        }
-        self._pump = PumpBehaviour(
-            self, site, values, inputs, command.publishers, clock=boot_time,
-            displacements=lambda: self._levels.displacements,
-            own_flow=self.subscribe("/pump/flow", optional=True).publishers,
+        endpoint = _read_endpoint(values, self.get_name())
+        self._exchange = DriveExchange(
+            endpoint, values["exchange_period"], timeout_limit_s=values["drive_timeout_limit"],
+            stops_locally=values["local_settings_stop_the_pump"],
         )
-        Lifecycle.__init__(self, self._pump)
+        self._timeout_waived: bool = values["run_without_drive_timeout"]
+        settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
+        settings["least_speed"] = max(settings["least_speed"], endpoint.file.least_speed)
+        self._settings = PumpSettings(**settings)
+        # Time after which a drive that is not responding is stopped (s).
+        self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
+        if self._timeout_waived:
+            self._drive_stops_after = math.inf
+        own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
+        self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
+        self._ledger = Ledger(self._state_file, time.time)
+        # Why a stop would be forgotten at a restart; empty once the state was saved.
+        self._unsaved, self._saved_at = "it is not saved yet", -math.inf
+        self._start_control()
+        self._decision = Decision(
+            None, "off", "not started", {}, 0.0, "", (), at_rest=False, reported_speed=None,
+            flow_known=False, blind_for=0.0,
+        )
+        self._state = PumpState()
+        self._reasons: tuple[object, ...] = ()  # as `on_timer` last saw them
+        self._resetting_until = self._reported_at = -math.inf
+        self._stepped, self._watched = boot_time(), time.monotonic()
+        self._suspended, self._suspended_at = suspended_time(), -math.inf
+        self._levels = Levels(site, values, self.subscribe)
+        of_levels = {"cistern_level": self._levels.cistern, "roof_level": self._levels.roof}
+        self._by_name = {
+            row.name: of_levels.get(row.name) or self.subscribe(
+                row.topic, optional=not row.unknown
+            )
+            for row in INPUTS
+        }
+        self._flows = self.subscribe("/pump/flow", optional=True).publishers
+        self._pump_reports = PumpReports(
+            self.reports, self._by_name, self._exchange, waived=self._timeout_waived
+        )
+        if unverified := endpoint.file.unverified_and_vital:
+            self.reports.diagnose("drive file", Diagnosis.of(
+                "drive_file_unverified", file=str(endpoint.file.path),
+                settings=", ".join(unverified),
+            ), level=WARN)
+        self.open_outputs("/pump/flow", "/pump/state")
+        self.create_service(SetBool, "~/stop", self._on_stop_request)
+        self.create_service(SetParametersAtomically, "~/hold", self._on_hold_request)
+        self.create_service(Trigger, "~/clear", self._on_clear_request)
+        self.create_service(Trigger, "~/reset", self._on_reset_request)
+        self.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
+
+    # --- state kept across restarts ---------------------------------------------------------------
+
+    def _start_control(self) -> None:
+        """Make the pump control, with the state kept in the ledger."""
+        self._control = PumpControl(
+            self._site, self._settings, self._ledger, self._drive_stops_after
+        )
+        record = self._ledger.record
+        active_hold = self._ledger.active_hold
+        if why := record.fault or record.unknown or (active_hold and active_hold.sentence):
+            self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
+
+    def _acquire_state(self) -> None:
+        """Take over the state file, if another process had it or it could not be made."""
+        if self._ledger.acquire():
+            self._start_control()
+            self._reasons = ()  # decide again
+
+    def _save_state(self, now: float) -> None:
+        """Save the state once before the pump may run, with retries."""
+        if self._unsaved and now - self._saved_at > _AGAIN_S:
+            self._unsaved = self._ledger.flush()
+            self._saved_at = boot_time()
+
+    # --- services ---------------------------------------------------------------------------------
+
+    def _on_stop_request(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        self._acquire_state()
+        if request.data:
+            self._ledger.hold("the operator")
+        else:
+            self._ledger.release()
+        self._step()
+        if request.data:
+            self._exchange.stop()
+        response.success, response.message = self._service_result(str(self._state))
+        return response
+
+    def _on_hold_request(
+        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
+    ) -> SetParametersAtomically.Response:
+        self._acquire_state()
+        result = response.result
+        try:
+            self._ledger.hold(**_parse_hold(request))
+        except ValueError as error:
+            result.successful, result.reason = False, str(error)
+        else:
+            self._step()
+            self._exchange.stop()
+            result.successful, result.reason = self._service_result(str(self._state))
+        self.get_logger().info(f"hold requested: {result.reason}")
+        return response
+
+    def _on_reset_request(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self._acquire_state()
+        cleared = self._control.reset()
+        self._exchange.reset()
+        self._resetting_until = boot_time() + RESET_S
+        response.success, response.message = self._service_result(
+            f"cleared: {cleared}" if cleared else "there was no fault"
+        )
+        self.get_logger().info(f"reset: {response.message}")
+        return response
+
+    def _on_clear_request(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self._acquire_state()
+        if refusal := self._control.clear_refusal:
+            response.success, response.message = False, refusal
+            return response
+        self._control.clear()
+        self._step()
+        response.success, response.message = self._service_result(str(self._state))
+        self.get_logger().info(f"fault cleared: {response.message}")
+        return response
+
+    def _on_dose_request(
+        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
+    ) -> SetParametersAtomically.Response:
+        fields = {parameter.name: parameter.value.double_value for parameter in request.parameters}
+        self._step()  # a reason against it may have just arrived
+        if fields.keys() != {"volume", "asked_at"}:
+            refusal = "a dose needs volume (m3) and asked_at (s since 1970), and nothing else"
+        else:
+            refusal = self._control.request_dose(fields["asked_at"], fields["volume"])
+        self._step()
+        response.result.successful = not refusal
+        response.result.reason = refusal or str(self._state)
+        self.get_logger().info(f"dose requested: {response.result.reason}")
+        return response
+
+    def _service_result(self, message: str) -> tuple[bool, str]:
+        """Return a service's success, only if the state is saved for a restart, and its message."""
+        problem = self._ledger.flush()
+        return not problem, f"{message}; but {problem}" if problem else message
+
+    # --- by the clock -----------------------------------------------------------------------------
 
     def on_inputs(self) -> None:
         """Decide, and publish the flow."""
-        flow = self._pump.step(boot_time()).flow
+        flow = self._step().flow
         if self._levels.cistern.good and self._levels.roof.good:
             self._levels.expect(flow)
         self.publish("/pump/flow", flow)
 
     def on_timer(self, now: float) -> None:
-        """Check the pump."""
-        self._pump.check()
+        """Decide again if the reasons against running change, even if no commands arrive."""
+        self._exchange.start()
+        now = boot_time()
+        self._check_suspend(now)
+        self._save_state(now)
+        command, status = self._by_name["command"], self._exchange.status(now)
+        command.check()  # only its age depends on the time
+        reasons = (
+            [*self._reasons_against(now)], command.good, _fault(status),
+            status is not None and status.at_rest,
+            # Decide again every second, since a drive that is not responding comes to rest at some
+            # time.
+            status is None and not self._decision.at_rest and now // 1,
+        )
+        if reasons != self._reasons:
+            self._reasons = reasons
+            self._step()
+        # Again and again: a request expires in a second.
+        self._exchange.request_speed(self._decision.speed)
+        if now - self._reported_at > _REPORT_S:
+            self._reported_at = now
+            self._acquire_state()
+            self._pump_reports.update(
+                now, self._site, self._state, self._decision, self._control.dose,
+                self._ledger.problem, self._second_pump(),
+            )
 
     def on_stop(self) -> None:
-        """Stop the pump."""
-        self._pump.stop()
+        """Stop the drive and confirm that it is stopped, regardless of what ends the node.
+
+        Raises:
+            OSError: that could not be confirmed; the node's exit code also shows this.
+        """
+        try:
+            if self._exchange.started:
+                self._exchange.close()
+                self.get_logger().info(self._exchange.outcome())
+        finally:
+            problem = self._ledger.close()
+            if problem:
+                self.get_logger().error(problem)
+
+    def _check_suspend(self, now: float) -> None:
+        """Report, for a minute, that the machine was suspended while the pump was on."""
+        before, self._suspended = self._suspended, suspended_time()
+        seconds = self._suspended - before
+        if seconds > PAUSE_S and not self._decision.at_rest:
+            self._suspended_at = now
+            self.reports.diagnose("suspend", Diagnosis.of("suspended", suspended_s=seconds))
+        elif now - self._suspended_at > _REPORTED_S:
+            self.reports.diagnose("suspend", None, "the machine stays awake while the pump is on")
+
+    # --- the pump ---------------------------------------------------------------------------------
+
+    @property
+    def _drive_state(self) -> DriveState:
+        """Whether the drive is there and may run."""
+        now, record = boot_time(), self._ledger.record
+        if record.fault or record.unknown:
+            return DriveState.FAULT
+        if self._exchange.absence(now):
+            return DriveState.CONNECTING
+        if any(self._unfit_drive()):
+            return DriveState.REFUSED
+        return DriveState.STOPPED if self._ledger.active_hold else DriveState.READY
+
+    def _unfit_drive(self) -> Iterator[Diagnosis]:
+        """Yield why a drive that answers must not be run yet: nothing might stop it."""
+        snapshot = self._exchange.snapshot
+        yield from filter(None, (
+            snapshot.unguarded,
+            None if self._timeout_waived else self._exchange.timeout_problem(snapshot),
+            Diagnosis.if_any("state_not_kept", self._unsaved),
+        ))
+
+    def _reasons_against(self, now: float) -> Iterator[Diagnosis]:
+        """Yield this node's own reasons against running the pump."""
+        absence, status = self._exchange.absence(now), self._exchange.status(now)
+        if absence is not None:
+            yield absence
+        if status is not None:
+            snapshot = self._exchange.snapshot
+            if not status.remote:
+                yield Diagnosis.of("drive_local", "local")
+            yield from filter(None, (snapshot.second_master, snapshot.start_failed))
+            yield from self._unfit_drive()
+        # Another pump node may have the same drive: then neither runs it.
+        if second := self._second_pump():
+            yield second
+
+    def _second_pump(self) -> Diagnosis | None:
+        """Return that another node publishes a flow; None if none does."""
+        return second_publisher(self._flows, "two_pumps")
+
+    def _value(self, name: str) -> float | None:
+        """Return the value of an input; None if it is unknown."""
+        entry = self._by_name[name]
+        return float(entry.value) if self.acted and entry.good else None
+
+    def _step(self) -> Decision:
+        """Decide on what is known now, give the drive its order, and publish the state."""
+        now = boot_time()
+        self._check_suspend(now)
+        self._engine.check_inputs()
+        status = self._exchange.status(now)
+        observation = Observation(
+            **{row.name: self._value(row.name) for row in INPUTS},
+            displacements=self._levels.displacements,
+            time_ns=time.time_ns(),
+            speed=None if status is None else status.speed,
+            drive_flow=None if status is None else status.flow,
+            drive_ready=status is not None and (status.ready or status.running),
+            drive_fault="" if now < self._resetting_until else _fault(status),
+            runs_on=status is not None and status.runs_on,
+            reasons=[*self._reasons_against(now)],
+        )
+        dt = self._elapsed()
+        # The drive is watched only while the machine is awake; this clock counts only that time.
+        awake = time.monotonic()
+        drive_dt, self._watched = awake - self._watched, awake
+        decided, decision = self._decision, self._control.step(dt, observation, drive_dt)
+        self._decision = decision
+        self._exchange.request_speed(decision.speed)
+        state = PumpState(decision.state, decision.why, tuple(decision.interlocks))
+        before, self._state = self._state, state
+        if state != before:
+            self.publish("/pump/state", state.message())
+            # Not at every change of the words: they have numbers.
+            logged = (decided.state, decided.at_rest, *decided.interlocks)
+            if (decision.state, decision.at_rest, *decision.interlocks) != logged:
+                self.get_logger().info(str(state))
+        return decision
+
+    def _elapsed(self) -> float:
+        """Return the time since the last call (s); a pause of this process is one tick."""
+        before, self._stepped = self._stepped, boot_time()
+        dt, tau = self._stepped - before, self._site.tau
+        if dt > tau + PAUSE_S:
+            # All ticks since the last step were missed, except the present one.
+            self._control.count_unseen(dt - tau)
+            return tau
+        return dt
 
     def progress(self) -> dict[str, Any]:
         """Return the values that bringup shows and waits for."""
-        return self._pump.progress()
+        record, decision, dose = self._ledger.record, self._decision, self._control.dose
+        active_hold = self._ledger.active_hold
+        return {
+            "pump_state": self._state.state, "pump_why": self._state.why,
+            "stands": decision.at_rest,
+            "speed": decision.reported_speed,
+            "flow": decision.flow if decision.flow_known else None,
+            "drive_state": self._drive_state.value,
+            "fault": record.fault,
+            "no_clear": self._control.clear_refusal,
+            "unknown": record.unknown,
+            "hold": {
+                "owner": record.hold_owner, "reason": record.hold_reason,
+                "until": record.hold_until, "said": active_hold.sentence,
+            } if active_hold else None,
+            "greatest_dose": self._site.greatest_dose,
+            "least_dose": self._control.least_dose,
+            "no_dose": self._control.dose_refusal,
+            "dose": None if dose is None else {**asdict(dose), "said": dose.sentence},
+        }
+
+
+def _read_endpoint(values: Mapping[str, Any], node_name: str) -> Endpoint:
+    """Return the drive that a node's parameters choose.
+
+    Raises:
+        ConfigurationError: a parameter or the drive file is wrong.
+    """
+    key = f"parameter {{}} of {node_name}"
+    if not values["drive"]:
+        raise ConfigurationError(
+            "must be given: the make of the drive, as a file of config/drives without .yaml, or "
+            "the path of your own file", key=key.format("drive"),
+        )
+    return read_endpoint(
+        find_drive_file(values["drive"]), values["address"], key.format("address"),
+        values["broker_login"], values["broker_authority"],
+    )
+
+
+def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:
+    """Return owner, reason and end of a requested hold.
+
+    Raises:
+        ValueError: it is not such a request.
+    """
+    fields = {
+        parameter.name: parameter_value_to_python(parameter.value)
+        for parameter in request.parameters
+    }
+    kinds = {"owner": str, "reason": str, "until": float}
+    if not fields.get("owner") or not all(
+        name in kinds and isinstance(value, kinds[name]) for name, value in fields.items()
+    ):
+        raise ValueError(
+            "a hold needs an owner (text), and may have a reason (text) and until (s since 1970, a "
+            "floating-point number), and nothing else"
+        )
+    if "until" in fields and not time.time() < fields["until"] <= MOST:
+        raise ValueError(
+            f"until = {fields['until']:.15g}: must be in the future, in s since 1970, and at most "
+            f"{MOST:g}"
+        )
+    return fields
+
+
+def _fault(status: DriveStatus | None) -> str:
+    """Return a drive's fault, except a stop by its own timeout, which clears automatically."""
+    return "" if status is None or status.timed_out else status.fault
 
 
 main = live_command(PumpNode, partial(
-    live_help, "live.pump", "pump", f"{__doc__}\n{pump_behaviour.__doc__}", parameters,
-    "--ros-args -p drive:=danfoss_fc202 -p address:=gateway://127.0.0.1:5020 -p autostart:=true",
+    live_help, "live.pump", "pump", __doc__, parameters,
+    "--ros-args -p drive:=danfoss_fc202 -p address:=gateway://127.0.0.1:5020",
 ))
 
 

@@ -43,7 +43,7 @@ from greenroof_ros.experiment.parameter_file import node_parameter_files
 from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other_nodes
-from greenroof_ros.graph.states import PUMP, PumpState
+from greenroof_ros.graph.states import PUMP, DriveState, PumpState
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.model.site import edited
@@ -56,6 +56,8 @@ _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
 _LISTED_S, _LATE_S = 1.0, 60.0
 # How long to wait at the end for the summary to be written (s).
 _WRITTEN_S = 5.0
+# States of the pump node in which it cannot run its drive yet.
+_NOT_READY = {DriveState.CONNECTING.value, DriveState.REFUSED.value}
 # Decimal places of each level (m).
 _PLACES = {"cistern": 3, "roof": 4}
 
@@ -71,7 +73,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
             the directory cannot be created.
         OSError: the configuration cannot be written.
     """
-    state: Path = arguments.state or Path("live")
+    state: Path = arguments.state
     modules = {
         name: node.module for node in site.nodes(state, state) for name in node.nodes
     }
@@ -208,7 +210,7 @@ class _StartReport:
         }
         pump, levels = reports.get(PUMP, {}), levels_of(reports)
         why = unready or (
-            pump.get("active") is False and f"the pump is kept off: {_pump_of(pump)}"
+            pump.get("drive_state") in _NOT_READY and f"the pump is kept off: {_pump_of(pump)}"
         )
         stopped = any(part.rule.stops_pump for part in lost_parts)
         if why and not stopped:

@@ -42,10 +42,11 @@ def _is_diagnosis(value: object) -> bool:
 
 # Checks of the types that readers of a report rely on.
 _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
-    **dict.fromkeys(("node", "pump_state", "pump_why", "failure", "fault", "unknown"), _is_text),
+    **dict.fromkeys(("node", "pump_state", "pump_why", "failure", "fault", "unknown",
+                     "drive_state"), _is_text),
     **dict.fromkeys(("cistern_level", "roof_level", "command", "flow", "speed"), _is_number),
     **dict.fromkeys(("warnings", "waiting"), _is_list),
-    **dict.fromkeys(("stands", "active"), lambda value: isinstance(value, bool)),
+    "stands": lambda value: isinstance(value, bool),
     "hold": lambda value: value is None
     or (isinstance(value, dict) and _is_text(value.get("said"))),
     "tick": lambda value: type(value) is int,

@@ -34,7 +34,7 @@ _MOST_ALARMS, _MOST_EVENTS = 55_000, 25_000
 
 _HEADINGS = {
     "none": "Nothing received yet", "ended": "Ended run", "live": "Live site",
-    "simulated": "Simulated run", "loop": "Simulated site with a drive",
+    "simulated": "Simulated run",
 }
 
 
@@ -120,7 +120,7 @@ def _events(store: GraphStore) -> list[dict[str, Any]]:
 
 def _heading(store: GraphStore) -> str:
     heading, factor = _HEADINGS[store.mode], store.factor
-    if factor is None or store.mode not in ("simulated", "loop"):
+    if factor is None or store.mode != "simulated":
         return heading
     times = words.number(factor, 0 if factor >= 9.95 else 1).removesuffix(".0")
     return f"{heading}, " + ("at real time" if times == "1" else f"{times} times real time")

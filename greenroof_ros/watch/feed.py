@@ -218,7 +218,7 @@ class Feed:
         """Update which graph is there, and subscribe to as much as it can bear."""
         now, store = time.monotonic(), self._store
         mode = self._graph.mode(now)
-        live = {"simulated": False, "loop": False, "live": True}.get(mode, self._live)
+        live = {"simulated": False, "live": True}.get(mode, self._live)
         if self._graph.runs != self._run or self._live not in (None, live):
             self._run, self._ticks = self._graph.runs, Ticks()
             store.reset()
@@ -278,7 +278,7 @@ class Feed:
     @property
     def _running(self) -> bool:
         """Whether a simulation runs."""
-        return self._store.mode in ("simulated", "loop")
+        return self._store.mode == "simulated"
 
     # --- incoming messages ----------------------------------------------------------------------
 

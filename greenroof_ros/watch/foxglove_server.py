@@ -123,7 +123,7 @@ class FoxgloveServer:
         now = time.monotonic()
         self._registry.receive(now, statuses, stamp_ns=stamp_ns)
         mode = self._registry.mode(now)
-        self._live = {"simulated": False, "loop": False, "live": True}.get(mode, self._live)
+        self._live = {"simulated": False, "live": True}.get(mode, self._live)
         run = self._live, self._registry.runs
         if run != self._run:
             self._run, self._ticks, self._time_ns = run, Ticks(), 0

@@ -387,21 +387,19 @@ class Registry:
         return None if ended - began < _SPEED_S else (last - first) * tau / (ended - began)
 
     def mode(self, wall: float) -> str:
-        """Return the kind of graph: ``none``, ``simulated``, ``loop``, ``live`` or ``ended``."""
-        plant, pump = self._by_role.get(_PLANT), self.pump(wall) is not None
+        """Return the kind of graph: ``none``, ``simulated``, ``live`` or ``ended``."""
+        plant = self._by_role.get(_PLANT)
         nodes = self._by_role.values()
         here = [node for node in nodes if node.is_present(wall)]
         if plant is not None and plant.is_present(wall):
-            return "loop" if pump else "simulated"
+            return "simulated"
         if any(not node.lockstep for node in here):
             return "live"
-        if plant is not None and pump:
-            return "loop"  # a pump may turn even if its plant is gone
         if here and plant is None:
             return "none"  # they wait for their plant
         # A node that fell silent without reporting its end may still run, and so may a pump.
         if any(not node.lockstep and not node.has_ended for node in nodes):
-            return "live" if plant is None else "loop"
+            return "live"
         return "ended" if nodes else "none"
 
     def pump(self, wall: float) -> Node | None:

@@ -213,7 +213,7 @@ def _state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
     if pumped is None or pumped.value is None:
         if share is None:
             return "unknown", "neither flow nor command is known"
-        if store.mode in ("live", "loop"):
+        if store.mode == "live":
             return "unknown", "its node is not responding"
         return ("off", why) if share == 0 or why else ("running", "")
     rests = "it rested between two runs" if store.ended else "it rests between two runs"

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from commands import run_command
@@ -19,19 +18,16 @@ from places import CHECKOUT
 
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.processes import Signals, acquire_file_lock
+from greenroof_ros.common.processes import acquire_file_lock
 from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.parameter_file import node_parameter_files
-from greenroof_ros.experiment.progress import RunProgress
-from greenroof_ros.experiment.run_directory import write_parameters
-from greenroof_ros.live import in_the_loop, site_run
+from greenroof_ros.live import site_run
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.lock import DriveLock
-from greenroof_ros.live.drive_choice import DriveChoice, chosen_drive
+from greenroof_ros.live.drive_choice import DriveChoice
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.live_site import make_parser as live_site_parser
-from greenroof_ros.live.supervisor import NodeFailed
 
 EXTERNAL = ("--sensors", "external", "--pump", "external", "--weather", "external")
 
@@ -47,9 +43,7 @@ def refused(monkeypatch: pytest.MonkeyPatch, way: str, *words: str) -> str:
         if way == "live":
             LiveSite(live_site_parser().parse_args())
         else:
-            arguments = make_parser().parse_args()
-            chosen_drive(arguments)
-            simulated_run(arguments)
+            simulated_run(make_parser().parse_args())
     except ConfigurationError as error:
         return str(error)
     raise AssertionError("it was not refused")
@@ -65,24 +59,6 @@ def test_a_controller_keeps_what_it_learned_in_its_own_file(
     assert path == str(tmp_path / "lookahead.json")
 
 
-def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: Path) -> None:
-    """A real motor would run on simulated levels, with sixty times the starts per hour."""
-    drive = acs880()
-    options = ("--drive", "abb_acs880", "--state", "state", "--hours", "0.01", "--speed")
-    with closing(Wire(drive)) as wire:
-        done = bringup(tmp_path, *options, "60", "--drive-at", wire.gateway)
-        assert not drive.written and len(wire.requests) == 1
-    assert done.returncode == 2
-    assert done.stderr.startswith(
-        "error: --speed = '60': is allowed only with the drive simulator, at loopback or on a "
-    )
-    assert "the device there does not identify itself as the simulator" in done.stderr
-    # An address of a documentation network, RFC 5737.
-    done = bringup(tmp_path, *options, "max", "--drive-at", "tcp://192.0.2.1")
-    assert done.returncode == 2
-    assert "--speed = 'max'" in done.stderr and done.stderr.count("\n") == 1
-    assert "tcp://192.0.2.1 is neither at loopback nor a pseudo-terminal" in done.stderr
-    assert not list(tmp_path.iterdir())
 
 
 # A live site with a weather node, and the rest external; and a drive.
@@ -105,11 +81,11 @@ WRONG = {
     f"{SENSED} --drive no_such_drive --drive-at tcp://127.0.0.1:1": "drive = 'no_such_drive': is",
     f"{SENSED} --pump external --thermometer external":
         "--thermometer = 'external': contradicts the file of --sensors, which has a thermometer",
-    f"run --pump external {DRIVE}": "--pump = 'external': leaves the pump to someone else's node",
-    "run --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
-    "run --drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
-    f"run {DRIVE} --minimum-on 60": "minimum on and off times: must be set in the pump driver",
-    "run --state here": "--state: is for a drive",
+    f"{SENSED} --pump external {DRIVE}":
+        "--pump = 'external': leaves the pump to someone else's node",
+    f"{SENSED} --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
+    f"{SENSED} --drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
+    "run --pump external --minimum-on 60": "minimum on and off times: must be set in the pump",
 }
 
 
@@ -218,24 +194,6 @@ def test_a_wrong_parameter_file_is_refused_before_anything_is_made(tmp_path: Pat
     assert [file.name for file in tmp_path.iterdir()] == ["nodes.yaml"]
 
 
-def test_a_state_file_is_a_drives_however_its_address_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    (tmp_path / "by-id").symlink_to("/dev/ttyUSB0")
-    file = find_drive_file("abb_acs880")
-
-    def name(at: str) -> str:
-        return DriveChoice(file, at).state_file(None).name
-
-    local = "abb_acs880-127.0.0.1-502-1.json"
-    assert name("gateway://localhost") == name("gateway://127.0.0.1:502,1") == local
-    assert name("gateway://127.0.0.1:502,2") == "abb_acs880-127.0.0.1-502-2.json"
-    assert name(f"{tmp_path}/by-id") == name("/dev/ttyUSB0,1") == "abb_acs880-dev-ttyUSB0-1.json"
-    with pytest.raises(ConfigurationError, match=r"--drive-at = .*: the host is not found"):
-        name("tcp://no-such-host.invalid")
-
-
 def test_a_drive_of_another_program_is_left_to_it() -> None:
     """As at the end of a second bringup that was started with the same drive by mistake."""
     with closing(Wire(acs880())) as wire:
@@ -265,30 +223,6 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
     )
 
 
-def test_a_drive_that_is_not_there_ends_the_loop_in_a_sentence(
-    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With the pump node's message and what to check; without a log."""
-    pytest.importorskip("rclpy")
-    for name, value in environment(domain).items():
-        monkeypatch.setenv(name, value)
-    assert in_the_loop._DRIVE_LIMIT_S == 60.0
-    monkeypatch.setattr(in_the_loop, "_DRIVE_LIMIT_S", 10.0)
-    choice = DriveChoice(find_drive_file("abb_acs880"), "gateway://127.0.0.1:1")
-    values = in_the_loop.drive_parameters(choice, tmp_path, 1.0, 1.0)
-    file, signals = write_parameters(tmp_path, {"pump": values}), SimpleNamespace(check=int)
-    loop = in_the_loop.DriveInLoop(
-        choice, values, tmp_path, [file], "", cast(Signals, signals), RunProgress(1, 1.0),
-    )
-    with pytest.raises(NodeFailed) as failed, loop:
-        pass
-    assert failed.value.code == 1
-    assert re.fullmatch(
-        r"the drive cannot be run, after 10 s: no connection to the drive: .*127\.0\.0\.1:1.*; "
-        r"check its power and cable, and the address of --drive-at", str(failed.value)
-    )
-
-
 def test_a_mistake_is_reported_with_its_traceback(capfd: pytest.CaptureFixture[str]) -> None:
     """By the thread, as all output: the interpreter would block on a stderr that no one reads."""
     written: list[tuple[str, ...]] = []
@@ -313,4 +247,4 @@ def test_a_live_site_has_a_controller_that_fits_it(monkeypatch: pytest.MonkeyPat
     assert "(default: lookahead)" in text and "parameters of lookahead:" in text
     monkeypatch.setattr(sys, "argv", ["run"])
     text = " ".join(make_parser().format_help().split())
-    assert "(default: mpc)" in text and "(default: max; with --drive 1)" in text
+    assert "(default: mpc)" in text and "real time (default: max)" in text

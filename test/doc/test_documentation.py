@@ -43,8 +43,7 @@ def test_commands_are_introduced_as_their_help_does() -> None:
     """With paragraphs; and an option's value is not shown as the name of a function."""
     text = (DOC / "reference" / "commands.md").read_text()
     assert (
-        "shows the roof.\n\nWith `--drive` and `--drive-at` there is hardware in the loop: a "
-        "drive instead of the simulated pump"
+        "shows the roof.\n\nA site with sensors, at which nothing is simulated"
     ) in text
     assert not re.search(r"^- \*\*`--[^*]*\*\* \((parse|\\?_\w+)\)", text, re.MULTILINE)
 

@@ -11,10 +11,7 @@ from graphs import wait_for
 rclpy = pytest.importorskip("rclpy", reason="it is about ROS 2")
 pytestmark = pytest.mark.graph  # also run with the next ROS 2
 
-from lifecycle_msgs.msg import Transition  # noqa: E402
-from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.experimental import EventsExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
@@ -29,35 +26,13 @@ from greenroof_ros.graph.rclpy_internals import (  # noqa: E402
     waiting_messages,
 )
 from greenroof_ros.graph.spin import start_receiving  # noqa: E402
-from greenroof_ros.live.lifecycle import (  # noqa: E402
-    INACTIVE,
-    UNCONFIGURED,
-    Lifecycle,
-)
-
-
-class Small(Lifecycle, Node):
-    """A node with a lifecycle that does nothing."""
-
-    def __init__(self, context: rclpy.Context) -> None:
-        Node.__init__(self, "small", context=context)
-        Lifecycle.__init__(self, self)
-        self.wakes = 0
-
-    def requested(self) -> None:
-        self.wakes += 1
-
-    def configure(self) -> None:
-        pass
-
-    activate = deactivate = cleanup = configure
 
 
 @pytest.fixture
-def small(domain: int) -> Iterator[Small]:
+def small(domain: int) -> Iterator[Node]:
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain)
-    node = Small(context)
+    node = Node("small", context=context)
     yield node
     node.destroy_node()
     context.try_shutdown()
@@ -69,7 +44,7 @@ class Unclocked(NoClockSubscription, Node):
 
 @pytest.mark.parametrize(("kind", "subscriptions"), [(Node, 1), (Unclocked, 0)])
 def test_a_node_in_simulated_time_need_not_subscribe_to_the_clock(
-    small: Small, kind: type[Node], subscriptions: int
+    small: Node, kind: type[Node], subscriptions: int
 ) -> None:
     simulated = Parameter("use_sim_time", Parameter.Type.BOOL, True)
     node = kind("timed", context=small.context, parameter_overrides=[simulated])
@@ -88,7 +63,7 @@ class ExecutorThatMisses:
         pass
 
 
-def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
+def test_messages_that_came_before_an_executor_listens(small: Node) -> None:
     """rclpy's fast executor misses some of them, once in 7,000 times; they are passed on.
 
     Each has its publisher's sequence number.
@@ -116,7 +91,7 @@ def test_messages_that_came_before_an_executor_listens(small: Small) -> None:
     assert numbers == [4, 5]
 
 
-def test_the_short_ways_of_a_message(small: Small) -> None:
+def test_the_short_ways_of_a_message(small: Node) -> None:
     """What is published without rclpy's checks arrives through the fast executor."""
     profile = qos_profile(read_topics()["/roof/level"].qos)
     received: list[bytes] = []
@@ -130,21 +105,3 @@ def test_the_short_ways_of_a_message(small: Small) -> None:
     while not received and time.monotonic() < until:
         executor.spin_once(timeout_sec=0.1)
     assert received == [message]
-
-
-def test_a_transition_that_the_state_lacks_is_refused(small: Small) -> None:
-    """rclpy alone would raise in its executor; the state can be read, and the next one is made."""
-    client = small.create_client(ChangeState, "/small/change_state")
-    executor = SingleThreadedExecutor(context=small.context)
-    executor.add_node(small)
-
-    def request(number: int) -> bool:
-        answer = client.call_async(ChangeState.Request(transition=Transition(id=number)))
-        executor.spin_until_future_complete(answer, 60)
-        return bool(answer.result().success)
-
-    assert small.lifecycle_state == UNCONFIGURED
-    assert not request(Transition.TRANSITION_ACTIVATE)
-    assert request(Transition.TRANSITION_CONFIGURE)
-    assert small.lifecycle_state == INACTIVE
-    assert small.wakes == 2

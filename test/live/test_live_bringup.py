@@ -25,8 +25,9 @@ from brokers import mosquitto, needs_mosquitto
 from commands import run_command
 from disks import disk_that_hangs, fill, full_pipe, small_disk
 from graphs import Process, alive, environment, free_ports, summary_of, wait_for
+from live_rig import QUICK, Hardware, live
 from page_server import Stream
-from places import CONFIG, guarding
+from places import CONFIG
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from ros_rig import FORECASTS, OK, USUAL_EVAPOTRANSPIRATION, Site, newest, write_forecast
@@ -35,12 +36,10 @@ from simulators import Simulator, serial_line
 
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.experiment.incidents import read_incidents
-from greenroof_ros.live.pumping.ledger import Ledger
 
 EXTERNAL = (
     "--controller", "mpc", "--sensors", "external", "--pump", "external", "--weather", "external",
 )
-QUICK = "/**:\n  ros__parameters:\n    recovery_time: 1.0\n"
 # Of a low roof and a full cistern.
 LEVELS = {"/cistern/level": 2.4, "/roof/level": 0.03, "/pump/flow": 0.0}
 
@@ -73,22 +72,6 @@ class Systemd:
 
     def times(self, line: str) -> list[float]:
         return [at for at, lines in list(self.heard) if line in lines]
-
-
-@contextmanager
-def live(
-    domain: int, cwd: Path, *arguments: str, code: int = 0, stderr: int | None = None
-) -> Iterator[Process]:
-    """Bring up a site; on request it must end as expected, together with all of its nodes."""
-    process = Process(
-        domain, "bringup.live", "--state", "run", *arguments, cwd=cwd, stderr=stderr,
-    )
-    yield process
-    nodes = process.nodes().values()
-    process.process.send_signal(signal.SIGTERM)
-    assert process.wait(300) == code, process.stderr()
-    assert not any(map(alive, nodes))
-    assert "Traceback" not in process.stderr()
 
 
 def test_a_site_is_kept_up_and_systemd_told(
@@ -175,74 +158,9 @@ def suspended(pid: int) -> Iterator[None]:
         os.kill(pid, signal.SIGCONT)
 
 
-PUMPING = ("--initial", "high-low", "--controller", "onoff")
-
-
-class Hardware(Simulator):
-    """A drive and, on request, tanks with level sensors, simulated by programs."""
-
-    def __init__(self, domain: int, cwd: Path, speed: str) -> None:
-        super().__init__(
-            "drive_simulator", "--drive", "abb_acs880", "--ramp", "1", "--speed", speed,
-            "--port", "0", "--workbench", "0",
-        )
-        self.domain, self.cwd, self.file = domain, cwd, guarding("abb_acs880", cwd)
-
-    def be_a_site(self, parameters: str = "") -> tuple[str, ...]:
-        """Return bringup's options for a site without sensors and with an old forecast."""
-        cistern, roof = free_ports(2)
-        text = (CONFIG / "sensors.yaml").read_text()
-        (self.cwd / "sensors.yaml").write_text(
-            text.replace(":5030", f":{cistern}").replace(":5031", f":{roof}")
-            .replace("period: 1.0", "period: 0.5")
-        )
-        write_forecast(self.cwd / "forecast.csv", timedelta(days=2000), 0.0, 12.0)
-        (self.cwd / "nodes.yaml").write_text(f"{QUICK}    least_off: 1.0\n{parameters}")
-        return (
-            "--controller", "onoff", "--sensors", "sensors.yaml", "--forecast", "forecast.csv",
-            "--drive", self.file, "--drive-at", self.address, "--node-parameters", "nodes.yaml",
-        )
-
-    def begin(self) -> None:
-        """Fill the tanks, start the sensors, and write a forecast."""
-        tanks = Process(
-            self.domain, "site_simulator", "--sensors", "sensors.yaml", "--drive-at",
-            self.workbench, "--workbench", "0", "--rain", "0", "--initial", "high-low",
-            cwd=self.cwd,
-        )
-        wait_for(tanks.stdout, 60, "sensors that are ready")
-        write_forecast(self.cwd / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
-
-    def in_the_loop(self, *options: str, output: str, stderr: int | None = None) -> Process:
-        """Start a simulated run with the drive and a short minimum time off."""
-        (self.cwd / "pump.yaml").write_text("/**/pump:\n  ros__parameters:\n    least_off: 1.0\n")
-        return Process(
-            self.domain, "bringup", "--output", output, "--drive", self.file, "--drive-at",
-            self.address, "--node-parameters", "pump.yaml", *options, cwd=self.cwd, stderr=stderr,
-        )
-
-    def speed(self) -> float:
-        """Return the pump's true speed (share of rated); each call takes 0.1 s."""
-        time.sleep(0.1)
-        return super().speed()
-
-    def until_it_pumps(self, seconds: float = 90) -> None:
-        wait_for(lambda: self.speed() > 0.9, seconds, "the pump")
-
-    def speeds_for(self, seconds: float) -> list[float]:
-        """Return the pump's speeds during this time (s)."""
-        until, speeds = time.monotonic() + seconds, []
-        while time.monotonic() < until:
-            speeds.append(self.speed())
-        return speeds
-
-
 @pytest.fixture
-def hardware(
-    domain: int, tmp_path: Path, request: pytest.FixtureRequest
-) -> Iterator[Hardware]:
-    """A drive at real time; a test can set another speed."""
-    hardware = Hardware(domain, tmp_path, getattr(request, "param", "1"))
+def hardware(domain: int, tmp_path: Path) -> Iterator[Hardware]:
+    hardware = Hardware(domain, tmp_path)
     yield hardware
     hardware.end()
 
@@ -256,7 +174,7 @@ def test_a_live_site_with_drive_and_sensors(
     arrive. In a namespace; the drive's own timeout is off, so it stops nothing here.
     """
     hardware.inject("timeout_off")
-    options = hardware.be_a_site("    activate_without_drive_timeout: true\n")
+    options = hardware.be_a_site("    run_without_drive_timeout: true\n")
     levels = site.watcher.collect("/roof/level", namespace="/site1")
     options += ("--namespace", "site1", "--peer-limit", "60")
 
@@ -423,29 +341,6 @@ def test_a_start_with_slow_gauges_is_no_incident(
         assert process.stderr().endswith("are stopped\ndone\n")
 
 
-def test_a_second_publisher_of_the_flow_in_the_loop(
-    domain: int, tmp_path: Path, site: Site, hardware: Hardware
-) -> None:
-    """The plant cannot know which flow is the drive's: the run ends, and all state why."""
-    (port,) = free_ports(1)
-    page = Process(domain, "watch", "--port", str(port), cwd=tmp_path)
-    wait_for(page.stdout, 60, "the page")
-    shown, stream = documents(port)
-    run = hardware.in_the_loop(*PUMPING, "--hours", "1", output="run")
-    hardware.until_it_pumps(120)
-    site.values = {"/pump/flow": 1e-4}
-    both = "(observer, pump)"
-    site.until(lambda: run.process.poll() is not None, 120, "the end of the run")
-    assert run.process.poll() == 1
-    reason = summary_of(tmp_path / "run")["reason"]
-    assert reason.startswith("/pump/flow ") and both in reason
-    assert f"error: {reason}" in run.stderr()
-    wait_for(lambda: both in json.dumps(shown[-1]), 60, "the page")
-    assert hardware.speed() == 0
-    page.process.terminate()
-    stream.close()
-
-
 # Longer than a recorder waits for a flush (s), and for one that lasts.
 HANG_S = 30
 
@@ -562,44 +457,6 @@ def test_a_site_whose_configuration_cannot_be_written_does_not_start(
     assert re.fullmatch(
         r"error: /dev/shm/\S+: No space left on device", ended.stderr.splitlines()[-1]
     ), ended.stderr
-
-
-@pytest.mark.parametrize("hardware", ["20"], indirect=True)
-def test_a_drive_in_the_loop(tmp_path: Path, hardware: Hardware) -> None:
-    """At real time unless an option sets otherwise; the drive stands at the end, even an early one.
-
-    A blocked terminal stops no pump, although the plant is in the process that prints.
-    """
-    with full_pipe() as (reading, full):
-        early = hardware.in_the_loop(*PUMPING, "--hours", "1", output="early", stderr=full)
-        hardware.until_it_pumps(120)
-        assert min(hardware.speeds_for(4)) > 0.9
-        os.read(reading, 1 << 20)  # from here on the terminal takes output
-        os.kill(early.nodes()["pump"], signal.SIGKILL)
-        assert early.wait(300) == 1
-        assert b"bringup ordered the drive to stop" in os.read(reading, 1 << 20)
-    wait_for(lambda: hardware.speed() == 0, 60, "the pump's stop")
-    summary = summary_of(tmp_path / "early")
-    assert summary["reason"] == "node pump ended (SIGKILL)"
-    assert 1 < summary["last_tick"] < 3600
-    # A fault belongs to the drive: it stops the next run's pump, and bringup reports it and where.
-    (state,) = (Path(os.environ["XDG_STATE_HOME"]) / "greenroof_ros").glob("*.json")
-    ledger = Ledger(state, time.time)
-    ledger.fault("the drive reports: overload", "drive_fault")
-    assert ledger.close() == ""
-    fast = (*PUMPING, "--hours", "0.02", "--speed", "20")
-    stopped = hardware.in_the_loop(*fast, output="stopped")
-    assert stopped.wait(300) == 1, stopped.stderr()
-    assert f"{state} keeps the pump off: the drive reports: overload" in stopped.stderr()
-    end = summary_of(tmp_path / "stopped")
-    assert end["pumped_m3"] == 0
-    (incident,) = end["incidents"]
-    assert (incident["node"], incident["part"], incident["ended"]) == ("pump", "pump", None)
-    assert incident["cause"].startswith("fault: the drive reports: overload")
-    done = hardware.in_the_loop(*fast, "--state", "another's", output="other")
-    assert done.wait(300) == 0, done.stderr()
-    assert summary_of(tmp_path / "other")["pumped_m3"] > 0
-    assert hardware.speed() == 0
 
 
 def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> None:

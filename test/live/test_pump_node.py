@@ -15,21 +15,20 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 from urllib.request import Request, urlopen
 
 import pytest
 from graphs import Process, free_ports, wait_for
-from modbus_wire import Wire, acs880
 from places import CONFIG
 from pump_node_rig import PumpRig, state_in
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from ros_rig import ERROR, LATE, OK, STALE, SUSPENDED, WARN, Observer
-from std_msgs.msg import Float64, Float64MultiArray
+from ros_rig import ERROR, LATE, OK, SUSPENDED, WARN, Observer
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.times import to_people
@@ -44,60 +43,28 @@ def rig(observer: Observer) -> PumpRig:
     return PumpRig(observer)
 
 
-def test_lifecycle(rig: PumpRig) -> None:
-    """Every transition, possible or not; each command is answered in every state."""
+def test_it_connects_by_itself_and_its_report_shows_the_state(rig: PumpRig) -> None:
+    """Not connected yet, ready, stopped, at fault, and ready again."""
     (port,) = free_ports(1)
-    node = rig.start(f"gateway://127.0.0.1:{port}", autostart="false")
+    rig.start(f"gateway://127.0.0.1:{port}")
     rig.join()
-    assert not rig.change("activate")
-    began = time.monotonic()
-    assert not rig.change("configure")  # no drive
-    assert time.monotonic() - began < 4.5  # bringup kills a node that is silent for 5 s
-    assert rig.lifecycle_state() == "unconfigured"
-    assert rig.tick(0.5) == 0.0
-    rig.until_reported("drive", WARN, "not configured", f"127.0.0.1:{port}")
-    rig.simulate(port=port)
-    wait_for(lambda: rig.change("configure"), LATE, "the drive")
-    assert not rig.change("configure")
-    assert rig.lifecycle_state() == "inactive"
+    rig.tick_until(0.5, lambda: rig.drive_state == "connecting", LATE, "its state")
+    rig.until_reported("drive", ERROR, f"127.0.0.1:{port}")
+    assert rig.code("drive") == "drive_lost"
     assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
-    assert rig.drive.speed() == 0.0
-    assert rig.change("activate")
-    assert not rig.change("activate")
-    assert not rig.change("no such transition")
-    assert rig.lifecycle_state() == "active"
+    rig.simulate(port=port)
     rig.run()
     assert rig.observer.diagnoses["/pump: drive"].hardware_id.startswith("ABB ACS880")
-    assert rig.change("deactivate")
-    rig.until_at_rest()
-    wait_for(lambda: rig.change("cleanup"), LATE, "the end of the ramp")
-    assert rig.drive.speed() == 0.0  # it releases only a stopped drive
-    assert rig.lifecycle_state() == "unconfigured"
-    assert rig.tick(0.5) == 0.0
-    wait_for(lambda: rig.change("configure"), LATE, "the drive")
-    # A failed cleanup is refused quickly, to be retried; finally the node is unconfigured.
-    assert rig.change("activate")
-    rig.run()
-    assert rig.change("deactivate")
-    rig.drive.inject("stuck_running", 5000)
-    began = time.monotonic()
-    assert not rig.change("cleanup")
-    assert time.monotonic() - began < 4.5
-    assert rig.lifecycle_state() == "inactive"
-    assert not rig.change("activate")
-    rig.tick(0.5)  # answered by the flow of a pump that still turns
-    assert "it is being released; clean up first" in rig.state
-    wait_for(
-        lambda: not rig.change("cleanup") and rig.lifecycle_state() == "unconfigured", LATE,
-        "the end of the attempt",
-    )
+    assert rig.drive_state == "ready"
+    assert rig.call(SetBool, "stop", data=True).success
+    rig.tick_until(0.5, lambda: rig.drive_state == "stopped", LATE, "its state")
+    rig.drive.inject("drive_fault", 0x2310)
+    rig.tick_until(0.5, lambda: rig.drive_state == "fault", LATE, "its state")
     rig.drive.inject("none")
-    wait_for(lambda: rig.change("configure"), LATE, "the drive")
-    assert rig.change("shutdown")
-    assert rig.lifecycle_state() == "finalized"
-    assert not rig.change("configure")
-    assert rig.tick(0.5) == 0.0
-    assert node.poll() is None
+    assert rig.call(Trigger, "reset").success
+    assert rig.call(SetBool, "stop", data=False).success
+    rig.run()
+    assert rig.drive_state == "ready"
 
 
 GUARDS = DriveSnapshot(timeout_known=True, timeout_s=3.0)
@@ -130,7 +97,7 @@ def test_a_timeout_that_does_not_guard(
     assert problem is None or words in problem.sentence
 
 
-def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> None:
+def test_without_the_drives_own_timeout_it_does_not_run(rig: PumpRig) -> None:
     """Refused with the reason; only the parameter with the long name overrides that.
 
     Then, without a supervisor, only the node's own watchdog stops the pump.
@@ -139,23 +106,22 @@ def test_without_the_drives_own_timeout_it_does_not_activate(rig: PumpRig) -> No
     node = rig.start()
     rig.join()
     rig.until_reported("drive timeout", ERROR, "is not effective", "58.")
-    rig.tick_until(0.5, lambda: rig.lifecycle_state() == "inactive", LATE, "configuring")
+    rig.until_code("pump", "drive_timeout")
+    assert rig.drive_state == "refused"
     for _ in range(10):
         assert rig.tick(0.5) == 0.0
-    assert "not activated" in rig.state
     assert rig.drive.speed() == 0.0
     node.terminate()
     assert node.wait(120) == 0
     node = rig.start(
-        activate_without_drive_timeout="true", popen={"stderr": subprocess.PIPE, "text": True}
+        run_without_drive_timeout="true", popen={"stderr": subprocess.PIPE, "text": True}
     )
     rig.run()
     assert rig.shows("drive timeout", WARN, "is not effective")
-    # The watchdog uses the steady clock; the clock topic stops with the commands.
     began = time.monotonic()
     rig.observer.until(lambda: rig.drive.speed() == 0.0, LATE, "the watchdog")
     assert time.monotonic() - began > 2.5
-    rig.observer.until(lambda: rig.shows("command", STALE, "command_limit"), LATE, "the reason")
+    rig.observer.until(lambda: rig.shows("command", ERROR, "command_limit"), LATE, "the reason")
     assert rig.tick(0.5) == 0.0  # after a silence the first command finds the pump stopped
     rig.run()
     words = "did not answer at the end", "only its own panel can stop it now"
@@ -177,7 +143,7 @@ def test_what_the_drive_file_reports(rig: PumpRig) -> None:
     rig.join()
     rig.tick_until(0.4, lambda: "is not effective for 4 s" in rig.state, LATE, "the reason")
     rig.until_code("drive timeout", "drive_guards_later", 0.4)
-    assert rig.lifecycle_state() == "active"
+    assert rig.drive_state == "refused"
     while time.monotonic() - began < 4:  # it connected after this began
         assert rig.tick(0.4) == 0.0
     rig.tick_until(0.4, lambda: rig.drive.speed() > 0.89, 60, "a pulse at the minimum speed")
@@ -209,7 +175,7 @@ STOPPED = "held: a hold by the operator"
 
 
 def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
-    """It does not activate, a stop warns that it would be forgotten, and it recovers.
+    """The pump does not run, a stop warns that it would be forgotten, and it recovers.
 
     A fault that the other program recorded meanwhile counts, and so does the stop. If this ended
     the node, the whole site would end with it.
@@ -221,9 +187,8 @@ def test_a_state_that_another_program_keeps(rig: PumpRig) -> None:
         before = file.read_bytes()
         node = rig.start(state_file=file)
         rig.join()
-        rig.tick_until(
-            0.5, lambda: "not activated" in rig.state and words in rig.state, 60, "the refusal"
-        )
+        rig.until_state(words)
+        rig.until_code("pump", "state_not_kept")
         rig.until_reported("state file", ERROR, words)
         answer = rig.call(SetBool, "stop", data=True)
         assert not answer.success and words in answer.message
@@ -267,10 +232,12 @@ def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
 
 
 def test_commands_that_must_not_pump(rig: PumpRig) -> None:
-    """Negative, of two publishers, of a silent one: off, with its name, and it recovers."""
+    """Negative, not finite, of two publishers, of a silent one: off, and it recovers."""
     rig.start()
     rig.run()
-    rig.until_at_rest(-1.0)
+    for command in (math.nan, math.inf, -1.0):
+        rig.until_at_rest(command)
+        rig.run()
     rig.until_reported("command", ERROR, "refused", command=-1.0)
     rig.until_code("pump", "command_unknown", -1.0)
     assert rig.observer.values("/pump: pump")["cause"] == rig.code("command") == "input_refused"
@@ -280,10 +247,10 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     name = rig.node.get_name()
     twin = Node(name, context=rig.observer.context, start_parameter_services=False)
     rig.observer.publisher("/pump/command", twin)
-    rig.until_state(f"/pump/command has 2 publishers ({name})")
     rig.until_at_rest()
-    rig.until_reported("command", ERROR, name)
-    rig.until_code("pump", "two_controllers")
+    rig.until_reported("command", ERROR, f"/pump/command has 2 publishers ({name})")
+    rig.until_code("command", "input_publishers")
+    rig.until_code("pump", "command_unknown")
     twin.destroy_node()
     rig.run()
     # An incompatible publisher, such as ros2 topic pub, may be sending 0 to stop it.
@@ -336,13 +303,6 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(rig: Pump
     ends_in_words(rig, node, "stuck_running", *words)
 
 
-def site_with(rig: PumpRig, *lines: str) -> Path:
-    """Write a site file with additional lines."""
-    file = rig.cwd / "site.yaml"
-    file.write_text("\n".join([f"extends: {CONFIG / 'site.yaml'}", *lines]))
-    return file
-
-
 def command(rig: PumpRig, name: str, *options: str) -> tuple[int, str]:
     """Run a command while the graph ticks; return its exit code and its output."""
     process = Process(rig.domain, name, *options, cwd=rig.cwd)
@@ -351,22 +311,17 @@ def command(rig: PumpRig, name: str, *options: str) -> tuple[int, str]:
 
 
 def test_quiet_hours_are_of_the_sites_time(rig: PumpRig) -> None:
-    """In simulated time: from 12:01 to 12:02, ticks 60 to 119 of the test's clock."""
-    rig.start(site_file=site_with(
-        rig, 'quiet_hours: ["12:01-12:02"]', "time_zone: UTC", "utc_offset: 0"
+    """In hours that began a minute ago in UTC, for six minutes."""
+    now = datetime.now(timezone.utc)
+    begin, end = (now + timedelta(minutes=minutes) for minutes in (-1, 5))
+    rig.start(site_file=rig.site(
+        f'quiet_hours: ["{begin:%H:%M}-{end:%H:%M}"]', "time_zone: UTC", "utc_offset: 0"
     ))
-    rig.run()
-    flows: list[float] = []
-    while len(rig.flows) < 130:
-        flows.append(rig.tick(0.5))
-        if len(rig.flows) == 100:
-            assert rig.state == "held: these are quiet hours, until 2025-07-01 12:02+00:00"
-            assert rig.code("pump") == "quiet_hours"
-            assert rig.drive.speed() == 0.0
-    assert flows[-1] > 0
-    # The clock can come after its tick; the ramp takes a few more.
-    assert rig.flows[66:119] == [0.0] * 53
-    assert min(rig.flows[50:60]) > 0
+    rig.join()
+    rig.until_code("pump", "quiet_hours")
+    assert rig.state == f"held: these are quiet hours, until {end:%Y-%m-%d %H:%M}+00:00"
+    assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
+    assert rig.drive.speed() == 0.0
 
 
 def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> None:
@@ -460,7 +415,7 @@ def test_commands_without_a_graph_say_what_to_do(domain: int, tmp_path: Path) ->
     """A time in the past is refused first, since no graph would accept it."""
     dose, reset, past = (
         Process(domain, *words, cwd=tmp_path) for words in (
-            ("dose", "--volume", "0.2"), ("reset", "--yes"),
+            ("dose", "--volume", "0.05"), ("reset", "--yes"),
             ("hold", "--until", "2020-01-01T00:00"),
         )
     )
@@ -476,19 +431,19 @@ def test_commands_without_a_graph_say_what_to_do(domain: int, tmp_path: Path) ->
 
 def test_a_dose_by_the_command(rig: PumpRig) -> None:
     """Delivered in full at the controller's 0; exit code 1 if it is refused or ended by a stop."""
-    rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
+    rig.start(site_file=rig.site("greatest_dose: 0.5"))
     rig.run()
     rig.until_at_rest(0.0)
-    volume = [Parameter("volume", value=0.1).to_parameter_msg()]
+    volume = [Parameter("volume", value=0.05).to_parameter_msg()]
     by_hand = rig.call(SetParametersAtomically, "dose", parameters=volume).result
     assert not by_hand.successful and "needs volume" in by_hand.reason
-    before = sum(rig.flows)
-    code, output = command(rig, "dose", "--volume", "0.2")
-    assert (code, output.splitlines()[-1]) == (0, "the dose of 0.2 m3 was delivered")
-    assert " of 0.2 m3 is accepted" in output and " a dose of " not in rig.state
+    before = rig.pumped()
+    code, output = command(rig, "dose", "--volume", "0.05")
+    assert (code, output.splitlines()[-1]) == (0, "the dose of 0.05 m3 was delivered")
+    assert " of 0.05 m3 is accepted" in output and " a dose of " not in rig.state
     rig.until_at_rest(0.0)
-    assert sum(rig.flows) - before == pytest.approx(0.2, rel=0.1)
-    assert any(state.startswith("running: a dose of 0.2 m3: ") for state in rig.states)
+    assert rig.pumped() - before == pytest.approx(0.05, rel=0.1)
+    assert any(state.startswith("running: a dose of 0.05 m3: ") for state in rig.states)
     assert not rig.code("dose")
 
     code, output = command(rig, "dose", "--volume", "0.6")
@@ -506,16 +461,16 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
 
 def test_a_dose_by_the_page(rig: PumpRig) -> None:
     """It delivers exactly that volume; for what the page's server refuses see test_server.py."""
-    rig.start(site_file=site_with(rig, "greatest_dose: 0.5"))
+    rig.start(site_file=rig.site("greatest_dose: 0.5"))
     rig.run()
     rig.until_at_rest(0.0)
     watch = Process(rig.domain, "watch", "--allow-release", cwd=rig.cwd)
     url, _, token = wait_for(lambda: watch.stdout().strip(), 60, "the page").partition("#token=")
-    before = sum(rig.flows)
+    before = rig.pumped()
 
     def is_given() -> bool:
         request = Request(
-            f"{url}dose", json.dumps({"volume": 0.2, "asked_at": time.time()}).encode(),
+            f"{url}dose", json.dumps({"volume": 0.05, "asked_at": time.time()}).encode(),
             {"X-Greenroof": "1", "Authorization": f"Bearer {token}"},
         )
         with ThreadPoolExecutor() as pool:
@@ -528,23 +483,7 @@ def test_a_dose_by_the_page(rig: PumpRig) -> None:
 
     wait_for(is_given, LATE, "a dose")
     rig.until_at_rest(0.0)
-    assert sum(rig.flows) - before == pytest.approx(0.2, rel=0.1)
-
-
-def test_by_hand_at_another_speed_than_real_time_it_runs_the_simulator_alone(rig: PumpRig) -> None:
-    """Another drive does not run until the plant publishes its speed; then the node ends."""
-    registers = acs880()
-    with closing(Wire(registers)) as wire:
-        node = rig.start(wire.gateway, popen={"stderr": subprocess.PIPE, "text": True})
-        rig.join()
-        rig.until_code("pump", "no_run")
-        run = rig.observer.publisher("/run")
-        run.publish(Float64MultiArray(data=[1.0, 1e9, 10.0]))
-        _, errors = node.communicate(timeout=300)
-    assert "the plant's speed = '10': is allowed only with the drive simulator" in errors
-    assert node.returncode == 2
-    assert registers.written and (0, 0x047F) not in registers.written
-    rig.observer.node.destroy_publisher(run)
+    assert rig.pumped() - before == pytest.approx(0.05, rel=0.1)
 
 
 def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -561,7 +500,7 @@ def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.Mo
     rig.simulate()  # the drive is not suspended
     monkeypatch.setenv("PYTHONPATH", str(rig.cwd))
     rig.start(
-        live=True, site_file=site, level_limit=1.0, frost_limit=1.0,
+        site_file=site, level_limit=1.0, frost_limit=1.0,
         command_limit=1.0, recovery_time=0.3, averaging_time=1.0,
     )
     inputs = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}
@@ -590,7 +529,7 @@ def test_live(rig: PumpRig) -> None:
     site = rig.cwd / "site.yaml"
     site.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 "))
     rig.start(
-        live=True, site_file=site, level_limit=1.0, frost_limit=1.0, command_limit=1.0,
+        site_file=site, level_limit=1.0, frost_limit=1.0, command_limit=1.0,
         flow_limit=1.0, recovery_time=0.3,
     )
     levels = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}

@@ -263,7 +263,7 @@ def test_help_is_what_the_nodes_have(domain: int, tmp_path: Path, observer: Obse
     of_mpc = section(help_of(tmp_path, "nodes.controller --controller mpc"), "parameters")
     assert {"weight", "max_command"} < of_mpc.keys()
     for module in (
-        "nodes.plant", "nodes.weather", "live.weather", "live.pump", "live.loop_pump",
+        "nodes.plant", "nodes.weather", "live.weather", "live.pump",
         "nodes.recorder",
     ):
         text = help_of(tmp_path, module)

@@ -109,16 +109,14 @@ def test_a_run_under_the_eyes_of_three_is_the_same_run(domain: int, tmp_path: Pa
 
 
 def test_the_page_follows_a_dose_until_it_is_delivered(domain: int, tmp_path: Path) -> None:
-    """In the loop with a drive, in a browser: limits and units, the question, and each answer.
+    """At a live site, in a browser: limits and units, the question, and each answer.
 
-    The controller fills the roof to half of its target, so it asks for nothing.
+    The controller fills the roof to half of its target only, so it asks for nothing.
     """
     file = tmp_path / "site.yaml"
     file.write_text(f"{(CONFIG / 'site.yaml').read_text()}greatest_dose: 0.2\n")
     site = read_site(file)
-    roof = 0.6 * site.z_veg * site.a2
-    (tmp_path / "half.yaml").write_text("/**/onoff:\n  ros__parameters:\n    level: 0.5\n")
-    options = ("--site", str(file), "--roof", str(roof), "--node-parameters", "half.yaml")
+    options = ("--site", str(file), "--level", "0.5")
     with running_pump(domain, tmp_path, *options), started_browser() as browser:
         process = Process(
             domain, "watch", "--namespace", "site1", "--allow-release", cwd=tmp_path

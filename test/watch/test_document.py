@@ -420,7 +420,6 @@ def test_headings() -> None:
         ("simulated", 30.0, "Simulated run, 30 times real time"),
         ("simulated", 1.01, "Simulated run, at real time"),
         ("simulated", math.nan, "Simulated run"),
-        ("loop", 1.5, "Simulated site with a drive, 1.5 times real time"),
     ):
         graph.set_present(mode=mode, factor=factor, note="")
         assert shown(graph)["heading"] == heading
@@ -590,7 +589,7 @@ LOST = "off: no connection to the drive; it is unknown whether the pump is stopp
 def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
     """Placeholders on its topics are not shown: neither off nor 0.0 L/min."""
     document = with_pump(
-        watched("loop", pump_command=1.0), LOST, stands=False, speed=None, flow=None
+        watched("live", pump_command=1.0), LOST, stands=False, speed=None, flow=None
     )
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
     assert (tile["value"], tile["state"], tile["alarm"]) == ("unknown", "unknown", True)

@@ -725,7 +725,7 @@ def test_stop_asks_once_and_reports_what_came_of_it(open_page: Open) -> None:
     stands; the command that releases the pump is shown for as long as it is stopped.
     """
     said = pump()
-    page = open_page(site_watched("loop"), said)
+    page = open_page(site_watched("live"), said)
     # A browser has six connections to a server; five other pages keep one each.
     page.evaluate("""async () => {
         for (let i = 0; i < 5; i += 1) {
@@ -768,7 +768,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
 
     The volume is the one named in the question; if no dose is permitted, the page states why.
     """
-    watched = site_watched("loop")
+    watched = site_watched("live")
     watched.allow_release = True
     said = pump(f"held: {HELD}", hold=HOLD)
     with (

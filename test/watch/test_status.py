@@ -189,7 +189,7 @@ def test_a_drive_that_has_a_fault_is_an_alarm(domain: int, tmp_path: Path) -> No
             )
 
         running = until(1, "running")
-        assert (running["mode"], running["pump_stands"]) == ("loop", False)
+        assert (running["mode"], running["pump_stands"]) == ("live", False)
         stop(domain, tmp_path)
         held = until(1, "held")
         wait_for(

@@ -26,7 +26,6 @@ from graphs import (
     wait_for,
 )
 from page_server import Stream, request
-from places import guarding
 from simulators import Simulator
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -79,23 +78,16 @@ def end(process: Process, number: signal.Signals = signal.SIGINT) -> None:
 def running_pump(
     domain: int, cwd: Path, *options: str
 ) -> Iterator[tuple[Process, Simulator]]:
-    """Run a site in the loop, in the namespace site1; its pump soon runs for half a minute."""
+    """Run a live site in the namespace site1; its pump soon runs, for minutes."""
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
     pytest.importorskip("pymodbus", reason="drives are on Modbus")
-    at, bench = free_ports(2)
-    drive_of = ("--drive", guarding("danfoss_fc202", cwd / "drives"), "--speed", "10")
-    with Simulator(
-        "drive_simulator", *drive_of, "--port", str(at), "--workbench", str(bench)
-    ) as drive:
-        run = Process(
-            domain, "bringup", *drive_of, "--drive-at", drive.address,
-            "--controller", "onoff", "--hours", "2", "--namespace", "site1",
-            "--cistern", "57", "--roof", "0", "--output", "run", *options, cwd=cwd,
-        )
-        yield run, drive
-        assert run.process.poll() is None
-        run.process.send_signal(signal.SIGINT)
-        assert run.wait(300) == 130
+    from live_rig import Hardware, live
+
+    with Hardware(domain, cwd) as hardware:
+        chosen = hardware.be_a_site()
+        hardware.begin()
+        with live(domain, cwd, *chosen, "--namespace", "site1", *options) as process:
+            yield process, hardware
 
 
 def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: Path) -> None:

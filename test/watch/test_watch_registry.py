@@ -18,17 +18,6 @@ def say(
     graph.receive(now, node(name or f"/{role}", role, state=state, run_length=100, **values))
 
 
-def test_a_run_has_not_ended_while_its_pump_is_there() -> None:
-    graph = Registry()
-    say(graph, 0.0, "plant")
-    say(graph, 0.0, "pump")
-    say(graph, 1.0, "plant", "ended")
-    say(graph, 1.0, "pump")
-    assert graph.mode(1.0) == "loop"
-    say(graph, 2.0, "pump", "ended")
-    assert (graph.mode(2.0), graph.pump(2.0)) == ("ended", None)
-
-
 def test_a_live_site_that_falls_silent_has_not_ended() -> None:
     """A silent live pump may turn; a simulation with all nodes killed has ended."""
     live, simulated = Registry(), Registry()

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.devices.drive_file import (
     Codes,
     DriveFile,
@@ -17,7 +16,7 @@ from greenroof_ros.live.devices.drive_file import (
     Step,
     Timeout,
 )
-from greenroof_ros.live.devices.modbus_line import SIMULATOR, Address, DriveError, decode, limits
+from greenroof_ros.live.devices.modbus_line import Address, DriveError, decode, limits
 from greenroof_ros.model.pump_speed import STANDSTILL
 
 # Time between two checks whether a drive has reached a state (s).
@@ -271,27 +270,6 @@ class Drive:
             "second_master", "word", where=self.line.where, word=word, written=self._word
         )
 
-    def simulator_problem(self) -> str:
-        """Return why this may not be the drive simulator; empty if it certainly is.
-
-        Nothing is written to it. Nothing at all is sent unless the address is at loopback or a
-        pseudo-terminal.
-
-        Raises:
-            DriveError: of the kind ``connection``: no one answers there.
-        """
-        if not self._address.is_on_this_machine:
-            return f"{self._address} is neither at loopback nor a pseudo-terminal"
-        try:
-            named = self.line.identification()
-        except DriveError as error:
-            if error.kind == "connection":
-                raise
-            return f"the device there does not identify itself as the simulator ({error})"
-        if named == SIMULATOR:
-            return ""
-        return f"the device at {self._address} identifies itself as {named[0]!r}, {named[1]!r}"
-
     # --- sequences --------------------------------------------------------------------------------
 
     def _perform(
@@ -447,11 +425,6 @@ class DriveEndpoint:
         """Its communication timeout at this address; None if the drive file has none."""
         return self.file.timeout.guarding(self.address)
 
-    @property
-    def is_on_this_machine(self) -> bool:
-        """Whether it is at loopback or a pseudo-terminal; may block while the host is resolved."""
-        return self.address.is_on_this_machine
-
     def canonical_name(self) -> str:
         """Return a name of the place that is the same however the address is written.
 
@@ -483,21 +456,3 @@ class DriveEndpoint:
             ConfigurationError: there is no Modbus library.
         """
         return Drive(self.file, self.address, timeout_s)
-
-
-def real_time_error(why: str, key: str, speed: float) -> ConfigurationError:
-    """Return the error that refuses a speed other than real time.
-
-    A drive other than the simulator may turn a real motor by made-up levels, and start it more
-    often by the factor by which time is faster.
-
-    Args:
-        why: it may not be the simulator; see `Drive.simulator_problem`.
-        key: the option or parameter that sets the speed, for the message.
-        speed: simulated time per wall time; 0 for as fast as possible.
-    """
-    return ConfigurationError(
-        "is allowed only with the drive simulator, at loopback or on a pseudo-terminal: any other "
-        f"drive may turn a real pump according to made-up levels: {why}",
-        key=key, value=f"{speed:g}" if speed else "max",
-    )

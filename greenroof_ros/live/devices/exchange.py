@@ -76,9 +76,8 @@ class DriveSnapshot(DeviceSnapshot):
         timeout_s: its own communication timeout (s); None for off.
         timeout_known: the timeout could be read.
         timeout_note: why it is treated as off, or could not be read.
-        unguarded: why the connected drive is kept off: its own timeout may not guard yet, or it
-            must be the simulator and may not be; None if neither.
-        no_simulator: why it may not be the drive simulator; empty if it is, None if unknown.
+        unguarded: that the connected drive is kept off because its own timeout may not guard yet;
+            None if it guards.
         second_master: that someone else writes to the drive, which is therefore kept off; None
             if no one does.
         start_failed: why it was stopped although it was to run; None once *off* is requested.
@@ -92,7 +91,6 @@ class DriveSnapshot(DeviceSnapshot):
     timeout_known: bool = False
     timeout_note: str = ""
     unguarded: Diagnosis | None = None
-    no_simulator: str | None = None
     second_master: Diagnosis | None = None
     start_failed: Diagnosis | None = None
     errors: int = 0
@@ -130,8 +128,8 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     caller, which counts starts and waits between them, decides on the next. During a silence
     nothing is sent for longer than the drive's own timeout, which then stops it: it may count any
     order as a sign of life. A timeout above the limit is not relied on, and `stop` ends a silence
-    early. `close` works in every state and leaves the drive stopped; a new exchange can then be
-    made. From the first connection to `close` no other program on this machine can use the drive.
+    early. `close` works in every state and leaves the drive stopped. From the first connection to
+    `close` no other program on this machine can use the drive.
 
     Attributes:
         endpoint: the drive.
@@ -146,7 +144,6 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         timeout_s: float = 0.5,
         timeout_limit_s: float = 10.0,
         stops_locally: bool = False,
-        checks_simulator: bool = False,
     ) -> None:
         """Prepare the exchange.
 
@@ -159,7 +156,6 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
                 this long if the timeout is longer, unknown or off.
             stops_locally: whether someone has confirmed that the drive's own settings stop the
                 pump, if they cannot be read.
-            checks_simulator: whether to find out if it is the drive simulator.
 
         Raises:
             ConfigurationError: its library is missing, or a file for the login is wrong.
@@ -188,36 +184,18 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         guard = endpoint.guard
         self._unguarded_s = 0.0 if guard is None else guard.unguarded_after_power_up_s
         self._guarded_from = -math.inf
-        self._checks_simulator, self._requires_simulator = checks_simulator, False
 
-    def close(self, within_s: float = math.inf) -> bool:
+    def close(self) -> None:
         """Stop the drive, read back that it is stopped, and release it; `snapshot` has the result.
 
         It waits as long as the speed falls, `REST_LIMIT_S` at most. If the speed does not fall, or
         the drive does not answer, it is released after a few seconds.
-
-        Args:
-            within_s: longest wait of the caller (s).
-
-        Returns:
-            Whether the drive is released; otherwise the thread continues.
         """
-        now = time.monotonic()
         self._requested = (None, -math.inf)
-        self._rest_deadline = min(self._rest_deadline, now + REST_LIMIT_S)
-        longest_s = max(0.0, self._rest_deadline + LONGEST_WAIT_S - now)
-        if self._stop_thread(min(within_s, longest_s)):
-            return True
-        if within_s < longest_s:
-            return False
-        self._update(state=ExchangeState.CONNECTING, status=None)
-        self._fail("could not confirm that the pump is stopped: the connection hangs")
-        return True
-
-    @property
-    def closing(self) -> bool:
-        """Whether `close` was called."""
-        return self._closing
+        self._rest_deadline = time.monotonic() + REST_LIMIT_S
+        if not self._stop_thread(REST_LIMIT_S + LONGEST_WAIT_S):
+            self._update(state=ExchangeState.CONNECTING, status=None)
+            self._fail("could not confirm that the pump is stopped: the connection hangs")
 
     def outcome(self) -> str:
         """Return, after `close`, how the drive was released.
@@ -247,8 +225,6 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
     def absence(self, now: float) -> Diagnosis | None:
         """Return why the drive does not answer; None if it does."""
-        if self._closing:
-            return Diagnosis.of("drive_lost", "released")
         if self.status(now) is not None:
             return None
         if problem := self.snapshot.problem:
@@ -304,10 +280,6 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._reset_until = time.monotonic() + RESET_S
         self._wake.set()
 
-    def require_simulator(self) -> None:
-        """Run only the drive simulator from now on: the graph does not run in real time."""
-        self._checks_simulator = self._requires_simulator = True
-
     # --- in the thread ----------------------------------------------------------------------------
 
     def _fail(self, problem: str, **changes: Any) -> None:
@@ -328,13 +300,9 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
         It may have lost power since the last connection; a cut cable looks the same.
         """
-        if self._requires_simulator and (why := self._snapshot.no_simulator) != "":
-            if why is None:
-                return Diagnosis.of("drive_guards_later", "unknown")
-            return Diagnosis.of("drive_guards_later", "another", why=why)
         if time.monotonic() >= self._guarded_from:
             return None
-        return Diagnosis.of("drive_guards_later", "power_up", time=self._unguarded_s)
+        return Diagnosis.of("drive_guards_later", time=self._unguarded_s)
 
     def _step(self) -> None:
         """Do what the present state requires."""
@@ -406,7 +374,6 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             return
         self._drive = drive = self.endpoint.connection(self._timeout_s)
         self._last_attempt, self._unanswered = self._closing, 0
-        self._update(no_simulator=None)
         drive.line.connect()
         self._guarded_from = time.monotonic() + self._unguarded_s
         try:
@@ -455,12 +422,8 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             if error.kind == "connection":
                 raise
             seconds, note, timeout_known = None, str(error), False
-        no_simulator = self._drive.simulator_problem() if self._checks_simulator else None
         self._settings_read_at = time.monotonic()
-        self._update(
-            timeout_s=seconds, timeout_known=timeout_known, timeout_note=note,
-            no_simulator=no_simulator,
-        )
+        self._update(timeout_s=seconds, timeout_known=timeout_known, timeout_note=note)
 
     def _run_cycle(self) -> None:
         """Write what is requested, and read the drive's report."""
@@ -469,8 +432,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         try:
             runs, problem = self._write_order()
             status = self._read()
-            unknown = self._checks_simulator and self._snapshot.no_simulator is None
-            if unknown or time.monotonic() - self._settings_read_at > SETTINGS_S:
+            if time.monotonic() - self._settings_read_at > SETTINGS_S:
                 self._read_settings()
         except DriveError as error:
             self._unanswered += 1

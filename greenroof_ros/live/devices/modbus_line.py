@@ -1,14 +1,13 @@
 """A connection to one device on Modbus TCP or RTU: its address, the requests and their answers.
 
 Every answer is checked, and every failure is named. The function codes are 03 and 04 (read holding
-registers, input registers), 06 (write single register) and 43/14 (read device identification) of
-the Modbus Application Protocol V1.1b3. No request is sent twice: the caller decides what a lost one
+registers, input registers) and 06 (write single register) of the Modbus Application Protocol
+V1.1b3. No request is sent twice: the caller decides what a lost one
 means. The module also codes the values of registers, and has a thread that serves one device.
 """
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import logging
 import math
@@ -22,7 +21,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -39,8 +37,6 @@ WIDTHS = {
     "float64": 4,
 }
 WORD_ORDERS = ("", "high first", "low first")
-# The maker and product that the drive simulator reports (function 43/14).
-SIMULATOR = ("greenroof_ros", "drive simulator")
 
 # Its messages repeat ours; without a handler they would go to the terminal.
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
@@ -68,10 +64,6 @@ _TCP_ADDRESS = re.compile(
 )
 
 
-def _is_pseudo(line: str) -> bool:
-    return Path(line).resolve().is_relative_to("/dev/pts")
-
-
 @dataclass(frozen=True)
 class Serial:
     """Modbus RTU, 8 data bits."""
@@ -83,7 +75,8 @@ class Serial:
 
     def parity_letter(self, line: str) -> str:
         """Return E, O or N for a line; a pseudo-terminal has no parity and refuses one."""
-        return "N" if _is_pseudo(line) else self.parity[0].upper()
+        pseudo = Path(line).resolve().is_relative_to("/dev/pts")
+        return "N" if pseudo else self.parity[0].upper()
 
 
 @dataclass(frozen=True)
@@ -120,15 +113,6 @@ class Address:
         drive has a communication timeout for each, and only the timeout of the one in use guards.
         """
         return "serial" if self.line or self.gateway else "tcp"
-
-    @property
-    def is_on_this_machine(self) -> bool:
-        """Whether it is at loopback or a pseudo-terminal; may block while the host is resolved."""
-        if self.line:
-            return _is_pseudo(self.line)
-        with contextlib.suppress(OSError):
-            return all(ip_address(host).is_loopback for host in self._hosts())
-        return False
 
     def shares_line(self, other: Address) -> bool:
         """Whether both are on one serial line, under any name; only one program can open it."""
@@ -351,18 +335,6 @@ class ModbusLine:
                 "answer",
                 f"{action}: the answer confirms {answer.registers} in register {answer.address}",
             )
-
-    def identification(self) -> tuple[str, str]:
-        """Return the maker and product that the device reports, by function 43/14.
-
-        Raises:
-            DriveError: no answer or a wrong one.
-        """
-        read = self._client.read_device_information
-        answer = self._request("reading its identification", 43, read)
-        objects = getattr(answer, "information", {})
-        maker, product = (bytes(objects.get(number, b"")).decode("latin-1") for number in (0, 1))
-        return maker, product
 
     def _request(
         self, action: str, function: int, request: Callable[..., ModbusPDU], *values: int,

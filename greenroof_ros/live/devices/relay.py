@@ -23,7 +23,7 @@ from typing import Any
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.live.devices.drive import DriveStatus
-from greenroof_ros.live.devices.modbus_line import SIMULATOR, Address, DriveError
+from greenroof_ros.live.devices.modbus_line import Address, DriveError
 from greenroof_ros.live.devices.relay_file import RelayFile, RelayMessage, Timer, Value
 
 # Longest wait for the broker (s).
@@ -62,11 +62,6 @@ class RelayEndpoint:
     def guard(self) -> Timer:
         """The timer that switches it off if no *on* arrives."""
         return self.file.timer
-
-    @property
-    def is_on_this_machine(self) -> bool:
-        """Whether its broker is at loopback; may block while the host is resolved."""
-        return Address(self.broker.host).is_on_this_machine
 
     def canonical_name(self) -> str:
         """Return a name of the place that is the same however the address is written.
@@ -401,26 +396,6 @@ class Relay:
         if self._ordered is None or is_on == self._ordered:
             return None
         return Diagnosis.of("second_master", "on" if is_on else "off", where=self.line.where)
-
-    def simulator_problem(self) -> str:
-        """Return why this may not be the relay simulator; empty if it certainly is.
-
-        Nothing is published to switch it. Nothing at all is sent unless the broker is at loopback.
-
-        Raises:
-            DriveError: of the kind ``connection``: no one answers there.
-        """
-        if not self._endpoint.is_on_this_machine:
-            return f"the broker of {self.line.where} is not at loopback"
-        try:
-            named = _text(self._value(self.file.name))
-        except DriveError as error:
-            if error.kind == "connection":
-                raise
-            return f"the relay there does not identify itself as the simulator ({error})"
-        return "" if named == " ".join(SIMULATOR) else (
-            f"the relay at {self.line.where} identifies itself as {named!r}"
-        )
 
     def _read(self) -> bool:
         """Return whether the relay reports that it is on."""

@@ -227,9 +227,6 @@ class PumpControl:
         command, missing = observed.command, list[Diagnosis]()
         if command is None:
             missing.append(Diagnosis.of("command_unknown"))
-        elif not 0 <= command < math.inf:
-            missing.append(Diagnosis.of("command_refused", command=command))
-            command = None
         elif command > 1:
             warnings.append(Diagnosis.of("limited", "above", command=command))
             command = 1.0

@@ -10,7 +10,6 @@ from typing import Any
 from pymodbus import FramerType
 from pymodbus.constants import ExcCodes
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
-from pymodbus.pdu.device import ModbusDeviceIdentification
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
@@ -95,14 +94,12 @@ class Server:
         address: TCP port or serial line; port 0 takes a free one, known once it is open.
         devices: on it, by unit identifier or slave address.
         line: settings of a serial line; not needed on TCP.
-        identity: maker and product for function 43/14; shared by all servers of a process.
         connection: makes the handler of a client's connection.
     """
 
     address: Address
     devices: Mapping[int, Device]
     line: Serial | None = None
-    identity: tuple[str, str] | None = None
     connection: Callable[[Any, Mapping[int, Device]], Connection] = Connection
     _server: ModbusTcpServer | ModbusSerialServer | None = field(default=None, init=False)
 
@@ -115,22 +112,17 @@ class Server:
         if self._server is not None:
             return
         devices = [device.on_wire(number) for number, device in self.devices.items()]
-        named = None
-        if self.identity is not None:
-            named = ModbusDeviceIdentification(  # type: ignore[no-untyped-call]
-                dict(enumerate(self.identity))
-            )
         server: ModbusTcpServer | ModbusSerialServer
         if self.address.line:
             assert self.line is not None
             server = ModbusSerialServer(
-                devices, framer=FramerType.RTU, port=self.address.line, identity=named,
+                devices, framer=FramerType.RTU, port=self.address.line,
                 baudrate=self.line.baud_rate, parity=self.line.parity_letter(self.address.line),
                 stopbits=self.line.stop_bits, bytesize=8,
             )
         else:
             server = ModbusTcpServer(
-                devices, address=(self.address.host, self.address.port or 0), identity=named
+                devices, address=(self.address.host, self.address.port or 0)
             )
         server.callback_new_connection = (  # type: ignore[method-assign]
             lambda: self.connection(server, self.devices)

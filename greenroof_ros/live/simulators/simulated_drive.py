@@ -18,7 +18,7 @@ from pymodbus.constants import ExcCodes
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.devices.drive_file import DriveFile, Register
-from greenroof_ros.live.devices.modbus_line import SIMULATOR, Address, decode, encode
+from greenroof_ros.live.devices.modbus_line import Address, decode, encode
 from greenroof_ros.live.simulators.server import Device, Server
 
 _RATED_RPM = 1500
@@ -371,4 +371,4 @@ def drive_server(drive: SimulatedDrive, file: DriveFile, address: Address) -> Se
         return True
 
     device = Device(drive.registers, drive.write, on_request)
-    return Server(address, {file.device_id_at(address): device}, file.serial, SIMULATOR)
+    return Server(address, {file.device_id_at(address): device}, file.serial)

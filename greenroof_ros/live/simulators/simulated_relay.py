@@ -17,7 +17,6 @@ from typing import Any, ClassVar
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import Broker, make_client
-from greenroof_ros.live.devices.modbus_line import SIMULATOR
 
 _STEP_S = 0.01
 # A topic, and the payload that is published there.
@@ -108,7 +107,7 @@ class Shelly(SimulatedRelay):
 
     def _execute(self, method: str, params: Mapping[str, Any]) -> dict[str, Any] | None:
         if method == "Shelly.GetDeviceInfo":
-            return {"name": None, "id": self._device, "gen": 2, "app": " ".join(SIMULATOR)}
+            return {"name": None, "id": self._device, "gen": 2, "app": "simulator"}
         if params.get("id") != 0:
             return None
         match method:
@@ -152,7 +151,7 @@ class Tasmota(SimulatedRelay):
                 }})
             case ("status", "2"):
                 yield f"stat/{self._device}/STATUS2", json.dumps({"StatusFWR": {
-                    "Version": " ".join(SIMULATOR),
+                    "Version": "simulator",
                 }})
             case ("pulsetime1", ""):
                 remaining = max(0.0, self._off_at - self._clock()) if self.on else 0.0

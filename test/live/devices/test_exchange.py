@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from modbus_wire import Answer, Registers, SerialWire, Wire, acs880, rtu_server
+from modbus_wire import Registers, SerialWire, Wire, acs880, rtu_server
 from places import CHECKOUT
 from simulators import until as wait
 
@@ -688,45 +688,6 @@ def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
         bench.until_reported(lambda status: status.speed == pytest.approx(0.5))
         drive.values[9604] = 2900
         bench.until_reported(lambda status: status.speed == pytest.approx(0.25))
-
-
-# --- not at real time -----------------------------------------------------------------------------
-
-
-SIMULATOR = bytes.fromhex("2b0e0101000002") + b"\0\x0dgreenroof_ros\1\x0fdrive simulator"
-
-
-@pytest.mark.parametrize("simulated", [True, False])
-def test_where_the_simulator_alone_may_run_another_drive_is_stopped_and_stays_so(
-    bench: Bench, simulated: bool
-) -> None:
-    """Even if it ran: a drive in the simulator's place, and one that does not identify itself.
-
-    *Run* is written at most once more, in the round that is under way; that round takes longer if
-    the question is not answered in it. Each connection can lead to another drive.
-    """
-
-    def answer(request: bytes) -> Answer:
-        if request[7] != 43:
-            return bench.drive(request)
-        body = request[6:7] + SIMULATOR
-        return [(0.0, request[:4] + len(body).to_bytes(2, "big") + body)] if simulated else []
-
-    bench.wire.answer = answer
-    if simulated:
-        bench.exchange.require_simulator()
-    bench.run()
-    if simulated:
-        assert bench.now.no_simulator == ""
-        bench.wire.answer = bench.drive
-        bench.wire.drop()
-        wait(lambda: "does not identify itself" in str(bench.now.unguarded))
-    before_it = len(bench.drive.written)
-    bench.exchange.require_simulator()
-    wait(lambda: bench.drive.values[0] == 0x047E)
-    assert bench.drive.written[before_it:].count(RUN) <= 1
-    assert RUN not in bench.written_in(rounds=3)
-    assert bench.now.no_simulator != ""
 
 
 # --- two drivers ----------------------------------------------------------------------------------

@@ -315,32 +315,6 @@ def test_the_supervisor_stops_one_whose_driver_was_killed(bench: Bench) -> None:
     assert not bench.closed
 
 
-def test_only_the_simulator_at_loopback_is_one(bench: Bench) -> None:
-    bench.connect()  # the simulator may have started just now
-    relay = bench.at.connection()
-    try:
-        relay.line.connect()
-        assert relay.simulator_problem() == ""
-    finally:
-        relay.line.close()
-    remote = endpoint("tasmota", "mqtt://192.0.2.1/roof")
-    assert "not at loopback" in remote.connection().simulator_problem()
-
-
-def test_another_relay_is_none(tmp_path: Path) -> None:
-    """It answers like a real relay, with its release."""
-    with mosquitto(tmp_path) as broker, Talker(broker) as tap:
-        relay = endpoint("tasmota", f"{broker.address}/roof").connection()
-        try:
-            relay.line.connect()
-            answer = threading.Timer(0.3, lambda: tap.publish(
-                "stat/roof/STATUS2", '{"StatusFWR": {"Version": "14.2.0(release-tasmota)"}}'))
-            answer.start()
-            assert "identifies itself as '14.2.0(release-tasmota)'" in relay.simulator_problem()
-        finally:
-            relay.line.close()
-
-
 def test_no_one_there_or_no_one_let_in(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]

@@ -297,15 +297,6 @@ def test_the_timeout_of_the_port_in_use_has_passed() -> None:
         assert follow(name, dialogue, Drive.read, gateway=True).timed_out
 
 
-def test_another_product_is_no_simulator() -> None:
-    """43/14, MEI type 0E, read code 01, from object 00: maker, product (V1.1b3, section 6.21)."""
-    why = follow("abb_acs880", (
-        "who? : 2B 0E 01 00 -> 2B 0E 01 01 00 00 02 00 0D" + b"greenroof_ros".hex() + "01 02"
-        + b"PM".hex()
-    ), Drive.simulator_problem)
-    assert why.endswith(" identifies itself as 'greenroof_ros', 'PM'")
-
-
 # --- the drive's own timeout ----------------------------------------------------------------------
 
 ABB_3_S = "58.16 : 03 16B7 0001 -> 03 02 001E"

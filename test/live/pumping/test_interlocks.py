@@ -55,7 +55,6 @@ CAUSES: dict[str, dict[str, Any]] = {
     "daily_volume": {"record": {"day_volume": 1e6}},
     "daily_run": {"record": {"day_run": 86_400.0}},
     "command_unknown": {"command": None},
-    "command_refused": {"command": math.nan},
     "drive_speed_unknown": {"change": {"speed": None}},
     "drive_not_ready": {"change": {"drive_ready": False}},
 }
@@ -104,10 +103,10 @@ def test_they_are_named_in_the_order_of_the_table() -> None:
     rig.ledger.hold("the operator")
     rig.ledger.fault("burst pipe", "delivery")
     rig.change = {
-        "frost": True, "roof_level": None, "reasons": [Diagnosis("no_run", "no plant has joined")],
+        "frost": True, "roof_level": None, "reasons": [Diagnosis("drive_lost", "no answer")],
     }
     decision = rig.step(0.5)
-    assert codes(decision) == ["delivery", "hold", "roof_level_unknown", "frost", "no_run"]
+    assert codes(decision) == ["delivery", "hold", "roof_level_unknown", "frost", "drive_lost"]
     assert decision.state == "fault"
 
 
@@ -163,8 +162,8 @@ def test_the_table_is_whole() -> None:
         topic.greatest_age.parameter for topic in read_topics().values() if topic.greatest_age
     }
     of_nodes = {
-        "state_file", "recovery_time", "autostart", "exchange_period", "drive_timeout_limit",
-        "local_settings_stop_the_pump", "activate_without_drive_timeout", "unknown_frost_may_pump",
+        "state_file", "recovery_time", "exchange_period", "drive_timeout_limit",
+        "local_settings_stop_the_pump", "run_without_drive_timeout", "unknown_frost_may_pump",
         "frozen_movement", "jump_tolerance",
     }
     named = {name for row in rows for name in row.limit}

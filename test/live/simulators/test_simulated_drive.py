@@ -194,7 +194,7 @@ def test_what_is_not_there_is_refused_by_the_specifications_exception(
 
 
 def test_rtu_over_a_pseudo_terminal() -> None:
-    """Without power the line is silent. There, too, it identifies itself as a simulator."""
+    """Without power the line is silent."""
     with Simulator(
         "drive_simulator", "--drive", "abb_acs880", "--serial", "pty", "--workbench", "0",
         "--boot", "0.5",
@@ -203,7 +203,6 @@ def test_rtu_over_a_pseudo_terminal() -> None:
         driver = Drive(file, parse_address(drive.address), 0.2)
         with closing(driver.line):
             driver.line.connect()
-            assert driver.simulator_problem() == ""
             drive.power_cycle()
             with pytest.raises(DriveError, match="no valid answer"):
                 driver.read()
@@ -220,7 +219,7 @@ def test_rtu_over_a_pseudo_terminal() -> None:
 def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
     make: str, tmp_path: Path
 ) -> None:
-    """And its fault can be reset. It identifies itself. The timeout of a CIM is fixed."""
+    """And its fault can be reset. The timeout of a CIM is fixed."""
     timeout = 5 if make == "grundfos_cim500" else 2
     file = read_drive_file(Path(guarding(make, tmp_path)))
     with Simulator(
@@ -241,7 +240,6 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
         def fault() -> str | None:
             return exchange.snapshot.status and exchange.snapshot.status.fault
 
-        exchange.require_simulator()
         exchange.start()
         until(lambda: reached(0.6), 8)
         assert exchange.snapshot.timeout_s == timeout

@@ -1,0 +1,175 @@
+"""What the pump node reports on its parts: pump, inputs, drive, delivery and dose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from greenroof_ros.common.conditions import Diagnosis, joined, read_interlocks
+from greenroof_ros.graph.publishers import Publishers
+from greenroof_ros.graph.states import PumpState
+from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
+from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN, LiveDiagnostics
+from greenroof_ros.live.live_input import LiveInput, bad_inputs
+from greenroof_ros.live.pumping.dose import DONE, Dose
+from greenroof_ros.live.pumping.pump_control import Decision, drive_fault
+from greenroof_ros.live.pumping.pump_inputs import INPUTS
+from greenroof_ros.model.site import Site
+
+
+class PumpReports:
+    """Sets the diagnoses of the pump node's parts; words with numbers in them are not logged."""
+
+    def __init__(
+        self, reports: LiveDiagnostics, inputs: Mapping[str, LiveInput], exchange: DriveExchange,
+        *, waived: bool,
+    ) -> None:
+        """Report nothing yet.
+
+        Args:
+            reports: of the node.
+            inputs: of the node, by their names in
+                :mod:`greenroof_ros.live.pumping.pump_inputs`.
+            exchange: the communication with the drive.
+            waived: whether the drive may run without its own communication timeout.
+        """
+        self._reports, self._inputs, self._exchange = reports, inputs, exchange
+        self._waived = waived
+
+    def update(
+        self, now: float, site: Site, state: PumpState, decision: Decision, dose: Dose | None,
+        unsaved: str, second_pump: Diagnosis | None,
+    ) -> None:
+        """Report each part.
+
+        Args:
+            now: `boot_time` (s).
+            site: the site.
+            state: what the pump does.
+            decision: the last decision.
+            dose: the dose that waits, runs, or ended a moment ago; None if there is none.
+            unsaved: why the state would be forgotten at a restart; empty if it would not.
+            second_pump: that there is another pump node; None if there is not.
+        """
+        diagnose = self._reports.diagnose
+        self._reports.numbers |= self._numbers(decision)
+        first = next(iter(decision.interlocks.values()), None)
+        wrong = first is not None and first.code != "quiet_hours"  # these are as intended
+        diagnose(
+            "pump", first and replace(first, text=str(state)), str(state),
+            ERROR if decision.state == "fault" else WARN if wrong else OK,
+            self._cause(first.code) if first else "", log=False,
+        )
+        diagnose("limits", joined(decision.warnings), "nothing limits the pump", WARN, log=False)
+        if site.greatest_dose is not None:
+            self._diagnose_dose(dose)
+        diagnose("flow", second_pump, f"source: {decision.source}")
+        self._diagnose_inputs(decision)
+        levels_known = self._inputs["cistern_level"].good and self._inputs["roof_level"].good
+        known_for = "both levels have not yet been known for long enough"
+        diagnose(
+            "delivery",
+            Diagnosis.of("delivery_blind") if decision.blind_for and not levels_known else None,
+            known_for if decision.blind_for else "what is pumped is compared with both levels",
+            WARN,
+        )
+        diagnose(
+            "state file", Diagnosis.if_any("state_not_kept", unsaved), "holds and faults are kept"
+        )
+        self._diagnose_drive(now)
+
+    def _diagnose_inputs(self, decision: Decision) -> None:
+        """Report what is wrong with the inputs, by part."""
+        parts: dict[str, list[str]] = {}
+        for row in INPUTS:
+            if part := read_interlocks()[row.unknown].input if row.unknown else "":
+                parts.setdefault(part, []).append(row.name)
+        for part, names in parts.items():
+            problem, level = bad_inputs(self._inputs[name] for name in names), ERROR
+            if problem is None:  # perhaps a good value keeps the pump off
+                level, problem = WARN, next((
+                    reason for code, reason in decision.interlocks.items()
+                    if part in read_interlocks()[code].explained_by
+                ), None)
+            elif part == "frost":
+                level, problem = WARN, problem.under(self._cause("frost_unknown"))
+            well = " and ".join(name.replace("_", " ") for name in names)
+            self._reports.diagnose(part, problem, f"known: {well}", level)
+
+    def _numbers(self, decision: Decision) -> dict[str, dict[str, float | None]]:
+        """Return the numbers behind the report of each part, in the units of the topics."""
+        known = {name: entry.value if entry.good else None for name, entry in self._inputs.items()}
+        return {
+            "pump": {"asked_speed": decision.speed, "speed": decision.reported_speed},
+            "flow": {"flow": decision.flow if decision.flow_known else None},
+            "command": {"command": known["command"]},
+            "levels": {name: known[name] for name in ("cistern_level", "roof_level")},
+            "delivery": {"blind_for_s": decision.blind_for},
+            "drive timeout": {"timeout_s": self._exchange.snapshot.timeout_s},
+        }
+
+    def _cause(self, code: str) -> str:
+        """Return the code that caused an interlock; empty if unknown."""
+        problem = bad_inputs(self._inputs[row.name] for row in INPUTS if row.unknown == code)
+        if problem is None:
+            return ""
+        unknown = code == "frost_unknown" and problem.code == "input_refused"  # NaN: unknown
+        return "temperature_unknown" if unknown else problem.code
+
+    def _diagnose_dose(self, dose: Dose | None) -> None:
+        """Report the progress of a dose and, for a minute, how it ended."""
+        if dose is None:
+            self._reports.diagnose("dose", None, "no dose is under way", log=False)
+            return
+        self._reports.numbers["dose"] = {"volume": dose.volume, "delivered": dose.delivered}
+        early = dose.ended_early if dose.over not in ("", DONE) else None
+        self._reports.diagnose("dose", early, dose.sentence, WARN, dose.cause, log=False)
+
+    def _diagnose_drive(self, now: float) -> None:
+        snapshot, status = self._exchange.snapshot, self._exchange.status(now)
+        if status is None:
+            absence, lost = self._exchange.absence(now), bool(snapshot.errors)
+            if absence is not None and not lost:
+                absence = absence.under("drive_awaited")
+            self._reports.diagnose("drive", absence, level=ERROR if lost else WARN)
+            return
+        self._reports.hardware = snapshot.identity
+        trouble = "; ".join(filter(None, (snapshot.problem, status.warning)))
+        level, problem = WARN, None
+        if status.fault:
+            level, problem = ERROR, drive_fault(status.fault, status.runs_on)
+        elif not status.remote:
+            more = {"problem": trouble} if trouble else {}
+            problem = Diagnosis.of("drive_local", "local", *more, **more)
+        elif snapshot.second_master:
+            problem = snapshot.second_master
+        elif trouble:
+            problem = Diagnosis.of("drive_warning", warning=trouble)
+        self._reports.diagnose("drive", problem, f"connected to {snapshot.identity}", level)
+        self._diagnose_timeout(snapshot)
+
+    def _diagnose_timeout(self, snapshot: DriveSnapshot) -> None:
+        """Report whether the drive's own communication timeout stops the pump."""
+        guard = self._exchange.endpoint.guard
+        well = f"without this machine the drive stops after {snapshot.timeout_s or 0:g} s"
+        if guard is not None and guard.traps:
+            well += f"; beware: {guard.traps}"
+        problem, level = self._exchange.timeout_problem(snapshot), ERROR
+        if problem is None:
+            problem, level = snapshot.unguarded, WARN
+        elif self._waived:
+            problem, level = problem.under("drive_timeout_waived"), WARN
+        self._reports.diagnose("drive timeout", problem, well, level)
+
+
+def second_publisher(publishers: Publishers, code: str) -> Diagnosis | None:
+    """Return that a topic has a second publisher, under this code; None if it has none.
+
+    If one of them is incompatible, it is named: it may be trying to stop the pump.
+    """
+    second = publishers.second()
+    if not second:
+        return None
+    return Diagnosis.of(
+        code, topic=publishers.full_name, problem=publishers.incompatible() or second
+    )
