@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,8 @@ class PumpRig:
         self._drive: Simulator | None = None
         self.node = observer.node
         self.flows: list[float] = observer.collect("/pump/flow")
+        self._flow_times = observer.times("/pump/flow")
+        self._command = 0.0
         self.states: list[str] = observer.collect("/pump/state", state_in)
         self._volumes = [75.0, 0.3]
         self._publishers: dict[str, Any] = {}
@@ -108,7 +111,7 @@ class PumpRig:
 
     def tick(self, command: float) -> float:
         """Publish the inputs of a tick, and return the newest flow at its end."""
-        began, before = time.monotonic(), len(self.flows)
+        began, before, self._command = time.monotonic(), len(self.flows), command
         self.publish("/cistern/level", self._volumes[0] / 25.0)
         self.publish("/roof/level", self._volumes[1] / 68.8)
         self.publish("/weather/frost", 0.0)
@@ -125,7 +128,11 @@ class PumpRig:
 
     def pumped(self) -> float:
         """Return the volume that the flows so far have delivered (m3)."""
-        return sum(self.flows) * PERIOD_S
+        times = self._flow_times
+        return sum(
+            flow * (after - before)
+            for flow, (before, after) in zip(self.flows, pairwise(times), strict=False)
+        )
 
     @property
     def drive_state(self) -> str:
@@ -196,5 +203,9 @@ class PumpRig:
         return self.observer.shows(f"/pump: {part}", level, *words)()
 
     def call(self, kind: Any, name: str, **fields: object) -> Any:
-        """Call a service of the node."""
-        return self.observer.call(kind, f"/pump/{name}", **fields)
+        """Call a service of the node, and go on publishing ticks meanwhile."""
+        client = self.node.create_client(kind, f"/pump/{name}")
+        self.tick_until(self._command, client.service_is_ready, LATE, name)
+        future = client.call_async(kind.Request(**fields))
+        self.tick_until(self._command, future.done, LATE, f"an answer of {name}")
+        return future.result()

@@ -40,9 +40,6 @@ OTHERS: Sample = {
     "simulated/stop long/bringup/0": (
         "", "ran to its end, every byte as undisturbed"
     ),
-    "loop:danfoss_fc202/kill/pump/0": ("pump", "ended"),
-    "loop:danfoss_fc202/stop long/bringup/0": (["pump: pump", "no_command"], "ran again"),
-    "relayed:danfoss_fc202/off/weather.precipitation/0": ("/weather/precipitation", "ended"),
     "service/fails/limit/0": (
         "429", "ran on; without a thermometer until the forecast was too old",
     ),

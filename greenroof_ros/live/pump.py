@@ -41,7 +41,6 @@ from greenroof_ros.live.devices.drive_file import LONGEST_RAMP_S, find_drive_fil
 from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
 from greenroof_ros.live.devices.exchange import RESET_S, UNREAD_S, DriveExchange
 from greenroof_ros.live.engine import LIMITS, PAUSE_S, Levels, live_parameters
-from greenroof_ros.live.live_diagnostics import WARN
 from greenroof_ros.live.node import LiveNode, live_command, live_help
 from greenroof_ros.live.pump_reports import PumpReports, second_publisher
 from greenroof_ros.live.pumping.ledger import MOST, Ledger
@@ -163,11 +162,6 @@ class PumpNode(LiveNode):
         self._pump_reports = PumpReports(
             self.reports, self._by_name, self._exchange, waived=self._timeout_waived
         )
-        if unverified := endpoint.file.unverified_and_vital:
-            self.reports.diagnose("drive file", Diagnosis.of(
-                "drive_file_unverified", file=str(endpoint.file.path),
-                settings=", ".join(unverified),
-            ), level=WARN)
         self.open_outputs("/pump/flow", "/pump/state")
         self.create_service(SetBool, "~/stop", self._on_stop_request)
         self.create_service(SetParametersAtomically, "~/hold", self._on_hold_request)

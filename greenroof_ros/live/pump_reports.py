@@ -127,11 +127,19 @@ class PumpReports:
 
     def _diagnose_drive(self, now: float) -> None:
         snapshot, status = self._exchange.snapshot, self._exchange.status(now)
+        file = self._exchange.endpoint.file
+        if unverified := ", ".join(file.unverified_and_vital):
+            self._reports.diagnose("drive file", Diagnosis.of(
+                "drive_file_unverified", file=str(file.path), settings=unverified
+            ), level=WARN)
         if status is None:
-            absence, lost = self._exchange.absence(now), bool(snapshot.errors)
-            if absence is not None and not lost:
-                absence = absence.under("drive_awaited")
-            self._reports.diagnose("drive", absence, level=ERROR if lost else WARN)
+            absence = self._exchange.absence(now)
+            if absence is not None:  # otherwise it has answered just now
+                lost = bool(snapshot.errors)
+                self._reports.diagnose(
+                    "drive", absence if lost else absence.under("drive_awaited"),
+                    level=ERROR if lost else WARN,
+                )
             return
         self._reports.hardware = snapshot.identity
         trouble = "; ".join(filter(None, (snapshot.problem, status.warning)))

@@ -111,7 +111,7 @@ def _process(node: str, fault: str) -> Expected:
     # A controller that ends is started again, perhaps before the pump node misses its commands.
     lapses = fault == "stop long"
     return Expected(stops=lapses or None, bound="command", signs=(
-        failed, *(_pump("no_command") if lapses else ())))
+        failed, *(_pump("command_unknown") if lapses else ())))
 
 
 def _processes(repeats: int) -> Iterator[Case]:
@@ -398,7 +398,7 @@ def _badly() -> dict[tuple[str, str], Expected]:
     """
     command, frost = "/pump/command", "/weather/frost"
     refused = Expected(signs=_REFUSED[command])
-    silent = Expected(bound="command", signs=_pump("no_command"))
+    silent = Expected(bound="command", signs=_pump("command_unknown"))
     badly = {
         (frost, "off"): Expected(bound="frost", signs=_pump("frost_unknown")),
         (frost, "garbage"): Expected(signs=_REFUSED[frost]),
@@ -472,7 +472,7 @@ def _topics(repeats: int) -> Iterator[Case]:
 # Signs of two publishers, on the topics whose second publisher stops the pump; the others do not
 # command the pump.
 _OBEYED = {
-    "/pump/command": _pump("two_controllers"),
+    "/pump/command": _pump("command_unknown"),
     "/cistern/level": _level("cistern", "input_publishers"),
     "/roof/level": _level("roof", "input_publishers"),
     "/weather/frost": (*_pump("frost_unknown"), ("pump: frost", "input_publishers")),
@@ -521,7 +521,7 @@ def _loop(repeats: int) -> Iterator[Case]:
             yield Case(where, fault, "pump", number, Expected(
                 bound="drive", names="pump", recovery="ends"))
             yield Case(where, fault, "bringup", number, Expected(
-                bound="command", signs=_pump("no_command")) if fault == "stop long" else Expected(
+                bound="command", signs=_pump("command_unknown")) if fault == "stop long" else Expected(
                 recovery="ends"))
         for topic in ("/clock", *_OBEYED, *FORECASTS, "/weather/precipitation", "/pump/flow"):
             for fault in ("intruder", "10000 hostile")[:1 if number else 2]:
@@ -560,7 +560,7 @@ def _relayed(repeats: int) -> Iterator[Case]:
                 "ok": _RUNS_ON,
                 # Later than a command may be, but before the run ends: the pump slows down, but
                 # runs on before it stands.
-                "slow": Expected(stops=None, bound="command", signs=_pump("no_command")),
+                "slow": Expected(stops=None, bound="command", signs=_pump("command_unknown")),
                 # A one-second tick and these two delays are about as long as a command may be late.
                 "delayed": Expected(stops=None, watch=6.0),
                 "intermittent": replace(stalled, bound="intermittent"),

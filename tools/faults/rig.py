@@ -527,7 +527,7 @@ def pump_node(
     options = {
         **{name: str(value).lower() for name, value in rig.pump_parameters.items()},
         "site_file": rig.site_file, "drive": rig.drive_file,
-        "address": rig.drive_at, "autostart": "true",
+        "address": rig.drive_at,
         "state_file": rig.directory / f"pump-{len(more)}-{domain}.json",
     }
     return Process(

@@ -66,6 +66,7 @@ class NodeCheck(ABC):
         result: of the present check, if it is worth showing.
         hindered: why no more ticks are tried; empty if they are.
         ticks: how many ticks were published.
+        live: whether the node is of a live graph.
     """
 
     kind: ClassVar[str]
@@ -75,7 +76,8 @@ class NodeCheck(ABC):
     optional: ClassVar[tuple[str, ...]] = ()
     played: ClassVar[tuple[str, ...]]
     peers: ClassVar[str]
-    checks: ClassVar[int]
+    checks: int
+    live = False
 
     def __init__(self, node: Node, tested: str, arrival: float, tau: float, speed: float) -> None:
         """Prepare a check, in the namespace of the node that plays the peers.
@@ -193,6 +195,8 @@ class NodeCheck(ABC):
             infos = self.endpoints(topic)
             if not infos and topic not in self.optional:
                 problems.append(f"it has no {end}")
+            if self.live and not is_output:
+                continue  # it needs no messages of before it joined
             qos = self.interface[topic].qos
             if not is_output:  # only a publisher must have a lease
                 qos = replace(qos, lease_s=math.inf)
