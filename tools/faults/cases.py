@@ -521,7 +521,8 @@ def _loop(repeats: int) -> Iterator[Case]:
             yield Case(where, fault, "pump", number, Expected(
                 bound="drive", names="pump", recovery="ends"))
             yield Case(where, fault, "bringup", number, Expected(
-                bound="command", signs=_pump("command_unknown")) if fault == "stop long" else Expected(
+                bound="command", signs=_pump("command_unknown"),
+            ) if fault == "stop long" else Expected(
                 recovery="ends"))
         for topic in ("/clock", *_OBEYED, *FORECASTS, "/weather/precipitation", "/pump/flow"):
             for fault in ("intruder", "10000 hostile")[:1 if number else 2]:

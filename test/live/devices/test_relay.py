@@ -133,7 +133,7 @@ def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
         now = bench.now
         assert now.status is not None and now.status.at_rest and now.problem == ""
         assert (now.timeout_s, now.timeout_known, now.timeout_note) == (TIMER_S, True, "")
-        assert "greenroof_ros drive simulator" in now.identity
+        assert "(simulator)" in now.identity
         wait(lambda: switched(tap, on=False), 5)
         assert not switched(tap, on=True)
         bench.speed = 1.0
