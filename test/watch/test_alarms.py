@@ -299,7 +299,7 @@ def test_events_of_a_hold_and_a_fault() -> None:
     assert alarms.events()[0] == {"at": 7.0, "what": "99"}
 
 
-TWO = "two publishers", "two_controllers"
+TWO = "two publishers", "input_publishers"
 
 
 @pytest.mark.parametrize(("cause", "said", "chain"), [
@@ -313,7 +313,7 @@ TWO = "two publishers", "two_controllers"
     ], ["/weather: rain gauge"]),
     # A second controller explains bad inputs of the pump.
     ("/pump: command", pump(
-        ("pump", WARN, *TWO), ("command", ERROR, *TWO),
+        ("pump", WARN, "off: no command", "command_unknown"), ("command", ERROR, *TWO),
         ("inputs", ERROR, "two publishers", "input_publishers"),
     ), ["/pump: pump", "/pump: inputs"]),
 ])
@@ -343,8 +343,8 @@ def test_a_state_of_the_pump_that_its_cause_does_not_tell(
 
 
 @pytest.mark.parametrize(("state", "part", "code"), [
-    ("drive_lost", "drive", "drive_lost"), ("not_active", "drive timeout", "drive_timeout"),
-    ("two_controllers", "command", "two_controllers"),
+    ("drive_lost", "drive", "drive_lost"), ("drive_timeout", "drive timeout", "drive_timeout"),
+    ("command_unknown", "command", "input_publishers"),
     ("roof_level_unknown", "levels", "input_frozen"), ("frost", "frost", "frost"),
     ("frost_unknown", "frost", "temperature_unknown"), ("two_pumps", "flow", "two_pumps"),
 ])
@@ -393,8 +393,8 @@ def test_no_error_follows_from_a_warning() -> None:
     assert list(follows(alarms).items()) == [("/mpc: inputs", None), ("/mpc", None)]
     assert alarms.counts() == (1, 1, 0)
     off = pump(
-        ("command", STALE, "no command", "no_command"),
-        ("pump", WARN, "off: no command", "no_command"),
+        ("command", STALE, "no command", "input_silent"),
+        ("pump", WARN, "off: no command", "command_unknown"),
     )
     for at, said in each_quarter(1.25, [*mpc(("inputs", OK, "good"), **start), *off], begin=6.25):
         alarms.receive(at, at, said)
@@ -402,7 +402,7 @@ def test_no_error_follows_from_a_warning() -> None:
     assert alarms.counts() == (1, 0, 2)
     chain = {
         "/pump: inputs": Trouble(ERROR, "old", "input_silent", "pump", "inputs"),
-        "/pump: command": Trouble(STALE, "old", "no_command", "pump", "command"),
+        "/pump: command": Trouble(STALE, "old", "input_silent", "pump", "command"),
         "/mpc": Trouble(WARN, "waits", "waits", "controller", names=("plant",)),
     }
     assert find_causes(chain) == {"/pump: inputs": "/pump: command"}
