@@ -175,33 +175,35 @@ def _sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     """Return how roof and pump are, and what is expected."""
     if store.mode == "none":
         return "no run or site is found."
-    roof, verb = shown["roof"], "was" if store.ended else "is"
+    if store.ended:
+        doubt = f"; {_pump_clause(shown['pump'])}" if shown["pump"]["alarm"] else ""
+        return f"The run has ended: this is its last state{doubt}."
+    roof = shown["roof"]
     if roof["state"] in ("unknown", "alarm"):
         level_clause = f"The roof's level is {roof['value']}"
         if roof["stale"]:
             level_clause = f"The roof's level is unknown now ({roof['sentence']})"
     else:
         judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")
-        level_clause = f"The roof {verb} {judged}{roof['sentence']}"
-    clause = f"the pump is {waits}" if waits else _pump_clause(shown["pump"], verb)
-    over = "The run has ended." if store.ended else ""
-    return " ".join(filter(None, (over, f"{level_clause}; {clause}.", tiles.too_wet(store))))
+        level_clause = f"The roof is {judged}{roof['sentence']}"
+    clause = f"the pump is {waits}" if waits else _pump_clause(shown["pump"])
+    return f"{level_clause}; {clause}."
 
 
-def _pump_clause(pump: Tile, verb: str) -> str:
+def _pump_clause(pump: Tile) -> str:
     state, why = pump["state"], pump["why"]
     if pump["alarm"]:
-        return f"it is unknown whether the pump {verb} stopped"
+        return "it is unknown whether the pump is stopped"
     if state == "unknown":
         return "it is unknown what the pump does"
     if state in ("running", "starting", "stopping"):
-        clause = f"the pump {verb} {state}"
+        clause = f"the pump is {state}"
         return f"{clause} at {tiles.flow(pump['number'])}" if pump["number"] else clause
     if state == "fault":
-        return f"the pump {'had' if verb == 'was' else 'has'} a fault: {why}"
+        return f"the pump has a fault: {why}"
     if state == "held":
-        return f"the pump {verb} held off: {why}"
-    return f"the pump {verb} off" + (f", since {why}" if why else "")
+        return f"the pump is held off: {why}"
+    return "the pump is off" + (f", since {why}" if why else "")
 
 
 def _advice(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
@@ -209,7 +211,6 @@ def _advice(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     if store.alarms.missing:
         return "Nothing to do: the site is starting. What is still missing is listed below."
     roof, pump = shown["roof"]["state"], shown["pump"]
-    runs = pump["state"] in ("starting", "running")
     if store.mode == "none":
         return (
             "Start a run or a site; if one is running, check that this watcher has its "
@@ -222,17 +223,13 @@ def _advice(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
             "Nothing is reported as wrong, but some values are unknown: check whether sensors and "
             "programs run."
         )
+    runs = pump["state"] in ("starting", "running")
     if roof == "high" and runs:
         return "The roof has enough water, and the pump runs: check whether it should."
-    if roof == "high":
-        return "Nothing to do: the roof will drain and dry."
-    if roof != "low" or waits:
+    if roof != "low" or runs or waits:
         return "Nothing to do."
-    if runs:
-        return "Nothing to do: the pump waters the roof."
     if pump["idle"]:
-        why = tiles.why_not_yet(store) or f"the controller {shown['controller']['sentence']}"
-        return f"Nothing to do now: {why}."
+        return f"Nothing to do now: the controller {shown['controller']['sentence']}."
     why = f": {pump['why']}" if pump["why"] else ""
     return f"The roof is not watered, since the pump is {pump['state']}{why}."
 

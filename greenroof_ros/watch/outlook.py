@@ -14,8 +14,6 @@ AHEAD_S = 12 * 3600.0
 
 # Fewer members than this have no tenth: their range is from the minimum to the maximum.
 _TENTHS = 10
-ALIKE_M = 0.0005
-"""Levels that differ by less than this are treated as equal (m)."""
 # A smaller flow is rounding of the solver (m3/s): 6 mL/min.
 _PUMPS = 1e-7
 
@@ -114,23 +112,10 @@ class Plan(_Steps):
     Attributes:
         flow: mean of each step (m3/s).
         level: expected roof level at the end of each step (m).
-        fill_to: level to which each step fills the roof if no rain has come (m); 0: does not fill.
     """
 
     flow: Values
     level: Values
-    fill_to: Values
-
-    def without_rain(self, now: float) -> tuple[float, float]:
-        """Return when the roof is filled highest if no rain comes, up to 12 h ahead, and how high.
-
-        The time is in s since 1970; the level is in m, and 0 if the plan is over.
-        """
-        ahead = np.flatnonzero((self.ends > now) & (self.begins < now + AHEAD_S))
-        if not len(ahead):
-            return now, 0.0
-        highest = ahead[(self.fill_to[ahead] > self.fill_to[ahead].max() - ALIKE_M).argmax()]
-        return max(now, float(self.begins[highest])), float(self.fill_to[highest])
 
     def pumped(self, now: float) -> PlannedPumping | None:
         """Return the pumping planned from now to 12 h ahead; None if there is none."""
@@ -140,21 +125,6 @@ class Plan(_Steps):
             return None
         begin = max(now, float(self.begins[pumps[0]]))
         return PlannedPumping(float(self.flow @ lengths), begin, float(self.level[pumps].max()))
-
-    def above(self, level: float, now: float, present: float) -> tuple[float, float] | None:
-        """Return when the roof rises above a level (s since 1970), and how high it rises.
-
-        Looks up to 12 h ahead; None if the roof is at no end of a step above the level. From the
-        present level, which is not above it, to the ends of the steps the roof rises in straight
-        lines, as the chart draws it.
-        """
-        ahead = (self.ends > now) & (self.ends <= now + AHEAD_S)
-        times, levels = np.append(now, self.ends[ahead]), np.append(present, self.level[ahead])
-        over = np.flatnonzero(levels > level)
-        if not len(over):
-            return None
-        rise = slice(over[0] - 1, over[0] + 1)
-        return float(np.interp(level, levels[rise], times[rise])), float(levels.max())
 
     def rows(self, now: float) -> list[list[float]]:
         """Return begin and end (s since 1970), flow, and level at the end of each coming step."""

@@ -126,9 +126,9 @@ class EventStream:
         than showing old values as present ones, and keeps its stop.
 
         Args:
-            hours: of the past in the series; 0 for the summary alone, for a page that no one sees.
+            hours: of the past in the series.
         """
-        wanted: tuple[str | float, ...] = ("state", hours) if hours else ("summary",)
+        wanted: tuple[str | float, ...] = ("state", hours)
         sent: dict[str | float, ServerEvent] = {}
         self.readers += 1
         try:
@@ -172,8 +172,7 @@ class EventStream:
             parts = Parts()
             content = parts.make("Series", lambda: series(self._store, key), {})
             return ServerEvent("series", content or {"problem": parts.failed["Series"]})
-        shown = document(self._store, time.monotonic())
-        return ServerEvent(key, shown if key == "state" else shown["tiles"]["summary"])
+        return ServerEvent(key, document(self._store, time.monotonic()))
 
 
 # --- connections ---------------------------------------------------------------------------------
@@ -433,12 +432,12 @@ def _number(body: Mapping[str, object], name: str, unit: str) -> float:
 
 
 def _hours(text: str) -> float:
-    """Return how much of the past is requested (h); 0 for the summary alone."""
+    """Return how much of the past is requested (h)."""
     with suppress(ValueError):
         hours = float(text)
-        if hours == 0 or hours in HOURS:
+        if hours in HOURS:
             return hours
-    raise web.HTTPBadRequest(reason=f"hours {HOURS.expected()}, or 0")
+    raise web.HTTPBadRequest(reason=f"hours {HOURS.expected()}")
 
 
 async def _body(request: web.Request) -> dict[str, Any]:

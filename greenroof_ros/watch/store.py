@@ -50,8 +50,6 @@ INTERVALS, _STALE_S, _LONGEST_S = 3, 5.0, 600.0
 _LATEST_NS = 2**62
 # How far the system's clock may be set back (s): that much is caught up within a minute.
 _SET_BACK_S = 60.0
-# A forecast is reported as new if its rain differs by this much (m), at most once in this time (s).
-_NEW_FORECAST_M, _NEW_FORECAST_S = 2e-3, 3600.0
 # How long ahead a level was predicted if it is compared with the measured level, and how often such
 # a prediction is kept (s).
 _LEAD_S, _EXPECTED_EVERY_S = 3600.0, 300.0
@@ -150,7 +148,6 @@ class GraphStore:
         self.past = {name: History() for name in (*LINES, EXPECTED)}
         self._expected_at = -math.inf  # when an expected level was last kept (s since 1970)
         self.forecast: Forecast | None = None
-        self._reported_forecast: tuple[float, float] | None = None  # when (s), and rain (m)
         self.plan: Plan | None = None
         self._controller: tuple[str, str] | None = None  # name and process
         self._controller_at = -math.inf  # when it last reported (s since 1970)
@@ -316,23 +313,6 @@ class GraphStore:
             elif self.forecast is None or at > self.forecast.at:
                 issued = float(front[0]) if 0 < front[0] <= at else None
                 self.forecast = Forecast(at, at + ends, rain, issued)
-                self._report_forecast(self.forecast)
-
-    def _report_forecast(self, forecast: Forecast) -> None:
-        """Report an event if the expected rain has changed enough."""
-        amount = forecast.amount(forecast.at)
-        if amount is None or amount.reach_s < _NEW_FORECAST_S:
-            return
-        if self._reported_forecast is None:
-            self._reported_forecast = forecast.at, amount.mean
-        at, before = self._reported_forecast
-        if abs(amount.mean - before) >= _NEW_FORECAST_M and forecast.at - at >= _NEW_FORECAST_S:
-            self._reported_forecast = forecast.at, amount.mean
-            reach = words.horizon(amount.reach_s)
-            self.add_event(
-                f"New forecast: {words.rain(amount.mean)} of rain in the next {reach}; before, it "
-                f"was {words.rain(before)}", forecast.at,
-            )
 
     def add_plan(self, time_ns: int, rows: Values) -> None:
         """Add a plan of the controller.
@@ -340,9 +320,8 @@ class GraphStore:
         Args:
             time_ns: when it was planned, since 1970; if there is a newer plan, this is left out.
             rows: of each step its end (s from then), mean flow (m3/s), expected roof level at its
-                end (m), and the level to which the roof is filled if no rain has come (m), shape
-                (steps, 4). Empty: nothing has changed. With an impossible number: there is no plan
-                now.
+                end (m), and a level that is not shown, shape (steps, 4). Empty: nothing has
+                changed. With an impossible number: there is no plan now.
         """
         at = time_ns / 1e9
         if not 0 < time_ns < _LATEST_NS:
@@ -382,15 +361,10 @@ class GraphStore:
                 self.plan = None
             self._controller, self._controller_at = controller, self._event_time
 
-    def add_event(self, text: str, at: float | None = None) -> None:
-        """Add an event.
-
-        Args:
-            text: what happened.
-            at: when (s since 1970); None for now.
-        """
+    def add_event(self, text: str) -> None:
+        """Add an event that happens now."""
         with self.lock:
-            self.alarms.add_event(self._event_time if at is None else at, text)
+            self.alarms.add_event(self._event_time, text)
 
     def acknowledge(self, alarm_id: str) -> bool:
         """Acknowledge an alarm; return False if there is no such alarm."""
@@ -447,7 +421,7 @@ def _plan_of(at: float, rows: Values) -> Plan | None:
     plan = np.asarray(rows, dtype=np.float64)
     if plan.ndim != 2 or plan.shape[1] != 4 or len(plan) > _MOST_STEPS:
         return None
-    ends, flow, level, fill_to = plan.T
+    ends, flow, level, _ = plan.T
     if not np.all((plan >= 0) & (plan <= _LARGEST)) or np.any(np.diff(ends, prepend=0.0) <= 0):
         return None
-    return Plan(at, at + ends, flow, level, fill_to)
+    return Plan(at, at + ends, flow, level)

@@ -10,14 +10,12 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from greenroof_ros.graph.states import PUMP, PumpState
 from greenroof_ros.model.metrics import NEAR_TARGET
 from greenroof_ros.model.plant import pumps_run
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
-from greenroof_ros.watch.outlook import ALIKE_M, Plan, RainAmount
+from greenroof_ros.watch.outlook import Plan, RainAmount
 from greenroof_ros.watch.store import GraphStore
 
 # Most controllers look hours ahead; a shorter forecast contains nothing about the rain to come (s).
@@ -28,7 +26,7 @@ _RENEWED_S, OLD_S = 3600.0, 6 * 3600.0
 
 _FLOW, _COMMAND, _RAIN = "/pump/flow", "/pump/command", "/weather/precipitation"
 _ROOF, _CISTERN, _FROST = "/roof/level", "/cistern/level", "/weather/frost"
-_GAUGE = "/gauge/precipitation"
+_GAUGE, _FILL_TO = "/gauge/precipitation", "/controller/fill_to"
 roof_level = partial(words.value_of, _ROOF)
 flow = partial(words.value_of, _FLOW)
 
@@ -164,7 +162,7 @@ def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     elif not flow_known and not may_turn:
         parts.append("its flow is unknown")
     if command is not None:
-        parts.append(_commanded(command.value, _is(store)))
+        parts.append(_commanded(command.value))
     newest = pumped if pumped is not None else command
     old = newest is not None and newest.stale
     # The node reports its state by another way than the flow.
@@ -190,16 +188,11 @@ def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     }
 
 
-def _is(store: GraphStore) -> str:
-    """Return ``was`` after the end of a run, otherwise ``is``."""
-    return "was" if store.ended else "is"
-
-
-def _commanded(share: float | None, verb: str) -> str:
+def _commanded(share: float | None) -> str:
     if share is None:
-        return f"the command {verb} {words.NOT_PLAUSIBLE}"
+        return f"the command is {words.NOT_PLAUSIBLE}"
     if not share:
-        return f"nothing {verb} commanded"
+        return "nothing is commanded"
     return f"commanded {words.command(share)} of its maximum flow"
 
 
@@ -216,25 +209,25 @@ def _state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
         if store.mode == "live":
             return "unknown", "its node is not responding"
         return ("off", why) if share == 0 or why else ("running", "")
-    rests = "it rested between two runs" if store.ended else "it rests between two runs"
-    return ("running", "") if pumps_run(site, pumped.value) else ("off", why or rests)
+    if pumps_run(site, pumped.value):
+        return "running", ""
+    return "off", why or "it rests between two runs"
 
 
 def _why_off(store: GraphStore, share: float | None) -> str:
     """Return why a simulated pump stands; empty if nothing known explains it."""
     site, level, stored = store.site, store.present_value(_ROOF), store.present_value(_CISTERN)
-    verb = _is(store)
     if store.present_value(_FROST):
-        return f"there {verb} frost"
+        return "there is frost"
     if _quiet(store):
-        return f"it {verb} in quiet hours"
+        return "it is in quiet hours"
     if share == 0:
-        return f"nothing {verb} commanded"
+        return "nothing is commanded"
     if level is not None and level >= site.z_veg:
-        return f"the roof {'had' if store.ended else 'has'} reached its target"
+        return "the roof has reached its target"
     if stored is not None and stored < site.suction_level:
-        return f"the cistern {verb} below the suction level"
-    return f"no command {verb} known" if share is None else ""
+        return "the cistern is below the suction level"
+    return "no command is known" if share is None else ""
 
 
 def _quiet(store: GraphStore) -> bool:
@@ -260,18 +253,13 @@ def _to_come(store: GraphStore) -> str:
     amount = forecast.amount(now)
     if amount is None:
         return f"no forecast is known: the one of {made} has ended"
-    if now - forecast.at > OLD_S and not store.ended:
-        return f"the forecast of {made} is too old: {_amount(amount, ended=True)}"
-    sentence = _amount(amount, ended=store.ended)
-    return sentence if age <= _RENEWED_S else f"{sentence}, by the forecast of {made}"
-
-
-def _amount(amount: RainAmount, *, ended: bool) -> str:
     reach = words.horizon(amount.reach_s)
     if amount.reach_s < SOON_S:
         return f"no forecast for the next hours: it reaches only {reach} ahead"
-    sentence = f"{words.rain(amount.mean)} {'were ' if ended else ''}expected in the next {reach}"
-    return sentence + _range(amount)
+    if now - forecast.at > OLD_S:
+        return f"the forecast of {made} is too old"
+    sentence = f"{words.rain(amount.mean)} expected in the next {reach}{_range(amount)}"
+    return sentence if age <= _RENEWED_S else f"{sentence}, by the forecast of {made}"
 
 
 def _range(amount: RainAmount) -> str:
@@ -305,14 +293,15 @@ def controller(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     elif name is None and command is None:
         sentence = "no controller is known"
     elif command is None or command.value is None:
-        sentence = f"its command {_is(store)} unknown"
+        sentence = "its command is unknown"
     elif command.value:
-        commands = "commanded" if store.ended else "commands"
-        sentence = f"{commands} {words.command(command.value)} of the pump's maximum flow"
+        sentence = f"commands {words.command(command.value)} of the pump's maximum flow"
     else:
-        sentence = "commanded no pumping" if store.ended else "commands no pumping now"
-    if not alarm and not store.ended:
-        sentence = "; ".join(filter(None, (_aim(store, plan, now), sentence, why_not_yet(store))))
+        sentence = "commands no pumping now"
+    if not alarm:
+        aim = store.present_value(_FILL_TO)
+        text = "" if aim is None else f"fills to {words.value_of(_FILL_TO, aim)} now"
+        sentence = "; ".join(filter(None, (text, sentence)))
     return {
         "label": "Controller", "value": name or words.UNKNOWN, "number": None,
         "state": "alarm" if alarm else "good" if known else "unknown", "sentence": sentence,
@@ -325,70 +314,22 @@ def _forecast_known(store: GraphStore) -> bool:
     forecast, now = store.forecast, store.now
     return (
         forecast is not None and now is not None and forecast.amount(now) is not None
-        and (store.ended or now - forecast.at <= OLD_S)
+        and now - forecast.at <= OLD_S
     )
 
 
-def _aim(store: GraphStore, plan: Plan | None, now: float | None) -> str:
-    """Return to which level a controller fills the roof, now and later; empty if it does not.
-
-    A level that the roof has already is no aim.
-    """
-    level = store.present_value("/controller/fill_to")
-    text = "" if level is None else f"fills to {words.value_of('/controller/fill_to', level)} now"
-    if plan is None or now is None:
-        return text
-    begin, later = plan.without_rain(now)
-    if begin <= now or later <= (level or 0.0) + ALIKE_M:
-        return text
-    present = store.present_value(_ROOF)
-    if not text and present is not None and later <= present:
-        return f"does not fill the roof before {store.hour(begin)}"
-    then = f"to {words.value_of('/controller/fill_to', later)} after {store.hour(begin)}"
-    if not _forecast_known(store):
-        return f"{text}, and {then}" if text else f"fills {then}"
-    return f"{text}, and {then} if no rain has come" if text else f"fills {then} if no rain comes"
-
-
-def why_not_yet(store: GraphStore) -> str:
-    """Return why a controller lets a roof stay too dry for now; empty if that is unknown."""
-    forecast, now, level, plan = store.forecast, store.now, store.present_value(_ROOF), store.plan
-    if (
-        forecast is None or now is None or level is None or plan is None or store.ended
-        or not _forecast_known(store) or level >= band_of(store.site)[0]
-        or now >= plan.ends[-1] or plan.pumped(now) is not None
-    ):
-        return ""
-    amount = forecast.amount(now)
-    if amount is not None and max(amount.mean, amount.high) >= ALIKE_M:
-        reach = words.horizon(amount.reach_s)
-        return (
-            f"it waits and leaves room for rain: {words.rain(amount.mean)}{_range(amount)} "
-            f"expected in the next {reach}"
-        )
-    later = float((forecast.rain.mean(axis=0) * np.clip(
-        forecast.ends - np.maximum(forecast.begins, now), 0.0, None
-    )).sum())
-    if later >= ALIKE_M:
-        return (
-            f"it waits and leaves room for rain: {words.rain(later)} expected until "
-            f"{store.hour(float(forecast.ends[-1]))}"
-        )
-    return "it waits, since the roof then stays nearest to its target over the hours it looks ahead"
-
-
 def _planned(store: GraphStore, plan: Plan, now: float) -> str:
-    ended, right = store.ended, " if the forecast is right" if _forecast_known(store) else ""
+    right = " if the forecast is right" if _forecast_known(store) else ""
     if now >= plan.ends[-1]:
-        return "its plan was over" if ended else "its plan is over"
+        return "its plan is over"
     pumped = plan.pumped(now)
     reach = words.horizon(min(12 * 3600.0, float(plan.ends[-1]) - now))
     if pumped is None:
-        return f"{'planned not to' if ended else 'will not'} pump in the next {reach}{right}"
+        return f"will not pump in the next {reach}{right}"
     start = "from now on" if pumped.begin <= now else f"from {store.hour(pumped.begin)} on"
     return (
-        f"{'planned to' if ended else 'will'} pump {words.quantity(pumped.volume, 'm³', 2)} in the "
-        f"next {reach}, {start}, up to {roof_level(pumped.level)}{right}"
+        f"will pump {words.quantity(pumped.volume, 'm³', 2)} in the next {reach}, {start}, up to "
+        f"{roof_level(pumped.level)}{right}"
     )
 
 
@@ -405,7 +346,7 @@ def waiting(store: GraphStore, idle: bool) -> str:
     site, now, forecast = store.site, store.now, store.forecast
     level = store.present_value(_ROOF)
     if (
-        now is None or forecast is None or level is None or store.ended
+        now is None or forecast is None or level is None
         or not idle or _quiet(store) or level >= band_of(site)[0] or now - forecast.at > OLD_S
     ):
         return ""
@@ -417,19 +358,3 @@ def waiting(store: GraphStore, idle: bool) -> str:
         return ""
     by = store.hour(-(-amount.fallen_at // 3600) * 3600)
     return f"waiting for rain: {words.rain(amount.mean)}{_range(amount)} by {by}"
-
-
-def too_wet(store: GraphStore) -> str:
-    """Return how much too wet the controller expects the roof to be; empty if it does not."""
-    site, plan, now, level = store.site, store.plan, store.now, store.present_value(_ROOF)
-    if plan is None or now is None or level is None or store.ended:
-        return ""
-    high = band_of(site)[1]
-    above = None if level > high else plan.above(high, now, level)
-    if above is None:
-        return ""
-    begin, highest = above
-    return (
-        f"It is expected to be too wet from {store.hour(begin)} on, "
-        f"up to {roof_level(highest - site.z_veg)} above its target."
-    )

@@ -11,7 +11,6 @@ import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -461,26 +460,6 @@ def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
         assert "this document cannot be made" in capfd.readouterr().err
         assert_goes_on(port)
     assert next(look().events())[0] == "state"
-
-
-def test_a_page_that_no_one_sees_gets_the_summary_alone(
-    look: Callable[..., Stream], watched: GraphStore
-) -> None:
-    """For its title: on changes, and now and then to confirm the connection."""
-    set_level(watched, 0.01, 1)
-    watched.set_present(mode="live", factor=None, note="")
-    events = look("0").events()
-    name, content = next(events)
-    assert (name, content["level"]) == ("summary", "warn")
-    begun = time.monotonic()
-    watched.add_statuses(time.monotonic(), [ALARM])
-    name, content = next(events)
-    assert (name, content["word"]) == ("summary", "1 warning.")
-    assert time.monotonic() - begun < 3
-    watched.add_statuses(time.monotonic(), [replace(ALARM, message="and again")])
-    begun = time.monotonic()
-    assert next(events)[1]["word"] == "1 warning."  # an unchanged summary is not pushed
-    assert time.monotonic() - begun > 3
 
 
 def _open_files() -> int:

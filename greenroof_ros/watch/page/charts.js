@@ -113,7 +113,6 @@ export class Charts {
     this.speak = speak;
     this.hours = 12;
     this.zoomed = null;
-    this.paused = false;
     this.series = null;
     this.rows = null;
     this.blocks = null;
@@ -134,16 +133,10 @@ export class Charts {
     return { unit, factor, decimals, title: unit ? `${label} (${unit})` : label };
   }
 
-  // A new series: drawn at once, or kept while a reader has paused.
+  // A new series is drawn at once.
   take(series) {
-    this.waiting = series;
-    if (!this.paused) this.drawWaiting();
-  }
-
-  drawWaiting() {
-    if (!this.waiting || this.waiting.now === null) return;
-    this.series = this.waiting;
-    this.waiting = null;
+    if (series.now === null) return;
+    this.series = series;
     this.read();
     if (this.views.size) this.draw();
     else this.rebuild();
@@ -251,7 +244,7 @@ export class Charts {
   }
 
   // The present time, and the references with their words, behind the series: no value is hidden.
-  drawMarks(plot, { chart, marks }) {
+  drawMarks(plot, { marks }) {
     const { ctx, bbox } = plot;
     const ratio = devicePixelRatio;
     ctx.save();
@@ -274,36 +267,22 @@ export class Charts {
     ctx.setLineDash([]);
     ctx.lineWidth = 4 * ratio;
     ctx.strokeStyle = colour("--card");
-    for (const { text, left, top } of this.placed(plot, chart, marks)) {
+    for (const { text, left, top } of this.placed(plot, marks)) {
       ctx.strokeText(text, left, top);
       ctx.fillText(text, left, top);
     }
     ctx.restore();
   }
 
-  // Where the words of references are: by no other reference and, if there is such a place, by no series.
-  placed(plot, chart, marks) {
-    const { ctx, bbox } = plot;
-    const ratio = devicePixelRatio;
-    const lines = marks.map(({ v }) => plot.valToPos(v, "left", true));
-    const words = [];
-    marks.forEach(({ text }, i) => {
-      const width = ctx.measureText(text).width;
-      // The nearest rows above and below its own line first, and in each row from one end to the other.
-      const room = bbox.width - width - 8 * ratio;
-      const places = [-14, 3, -28, 17].flatMap((away) => [0, 1, 0.5, 0.25, 0.75].map((share) => {
-        const [left, top] = [bbox.left + 4 * ratio + share * room, lines[i] + away * ratio];
-        return { text, left, right: left + width, top, bottom: top + 12 * ratio };
-      }));
-      const apart = places.filter(({ top, bottom }) => bbox.top <= top && bottom <= bbox.top + bbox.height
-        && lines.every((y, j) => i === j || y < top || bottom < y) && words.every((other) => bottom < other.top || other.bottom < top));
-      const free = apart.find(({ left, right, top, bottom }) => {
-        const [low, high] = this.extent(chart, false, plot.posToVal(left, "x", true), plot.posToVal(right, "x", true));
-        return plot.posToVal(top, "left", true) < low || high < plot.posToVal(bottom, "left", true);
-      });
-      words.push(free ?? apart[0] ?? places[0]);
+  // Where the words of references are: each above its line, or below at the top, and none over another.
+  placed({ ctx, bbox, valToPos }, marks) {
+    let left = bbox.left + 4 * devicePixelRatio;
+    return marks.map(({ text, v }) => {
+      const above = valToPos(v, "left", true) - 14 * devicePixelRatio;
+      const place = { text, left, top: above < bbox.top ? above + 17 * devicePixelRatio : above };
+      left += ctx.measureText(text).width + 12 * devicePixelRatio;
+      return place;
     });
-    return words;
   }
 
   // The ranges of lines, behind the series: not narrower than a pixel, however many values one has.
@@ -424,11 +403,6 @@ export class Charts {
   setHours(hours) {
     this.hours = hours;
     this.zoomed = null;
-  }
-
-  pause(paused) {
-    this.paused = paused;
-    if (!paused) this.drawWaiting();
   }
 
   // Show from one time to another; without a range, everything.

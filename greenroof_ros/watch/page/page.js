@@ -88,7 +88,7 @@ const fillTile = (tile, data) => {
   const state = tile.querySelector(".state");
   state.hidden = form === null;
   if (form !== null) setShape(state.firstChild, form);
-  setText(state.lastChild, word === "works" && shown.mode === "ended" ? "worked" : word);
+  setText(state.lastChild, word);
   const value = tile.querySelector(".value");
   setText(value, data.value ?? "");
   value.classList.toggle("long", value.textContent.length > 10);
@@ -191,10 +191,6 @@ const fillAlarm = (row, alarm) => {
 
 // The document
 
-const showTitle = ({ level, word }) => {
-  document.title = `${level === "ok" ? "" : `${word} `}Green roof`;
-};
-
 let shown = null;
 let shownAt = 0; // by the browser's clock (ms), which may be wrong
 let announced = { text: "", at: 0 };
@@ -206,7 +202,7 @@ const showSummary = (document_) => {
   setText(byId("summary-word"), summary.word);
   setText(byId("summary-sentence"), summary.sentence);
   setText(byId("advice"), document_.advice);
-  showTitle(summary);
+  document.title = `${summary.level === "ok" ? "" : `${summary.word} `}Green roof`;
   announce(`${summary.word} ${summary.sentence}`);
 };
 
@@ -419,13 +415,6 @@ const charts = new Charts(
 window.charts = charts; // for the console
 const zoom = { "zoom-in": () => charts.scale(0.5), "zoom-out": () => charts.scale(2), "zoom-all": () => charts.zoom(null) };
 for (const [id, act] of Object.entries(zoom)) byId(id).addEventListener("click", act);
-byId("pause").addEventListener("click", () => {
-  const paused = !charts.paused;
-  charts.pause(paused);
-  byId("pause").setAttribute("aria-pressed", String(paused));
-  setText(byId("pause"), paused ? "Resume" : "Pause");
-  setText(byId("charts-note"), paused ? "The charts are paused." : "");
-});
 for (const button of document.querySelectorAll("[data-hours]")) {
   button.addEventListener("click", () => {
     for (const other of document.querySelectorAll("[data-hours]")) other.setAttribute("aria-pressed", String(other === button));
@@ -480,7 +469,7 @@ const stream = {
       if (Date.now() - heard > SILENT) controller.abort();
     }, 1000);
     try {
-      const response = await fetch(`/events?hours=${document.hidden ? 0 : charts.hours}`, { headers: headers(), signal: controller.signal, cache: "no-store" });
+      const response = await fetch(`/events?hours=${charts.hours}`, { headers: headers(), signal: controller.signal, cache: "no-store" });
       if (!response.ok) throw new Refused((await response.json()).sentence);
       const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
       let text = "";
@@ -503,13 +492,9 @@ const stream = {
     const lines = part.split("\n");
     const name = lines.find((line) => line.startsWith("event: "))?.slice(7);
     const data = lines.filter((line) => line.startsWith("data: ")).map((line) => line.slice(6)).join("\n");
-    if (!["state", "series", "summary"].includes(name)) return;
+    if (!["state", "series"].includes(name)) return;
     this.wait = 500;
     const received = JSON.parse(data);
-    if (name === "summary") {
-      showTitle(received);
-      return;
-    }
     byId("lost").hidden = true;
     document.body.classList.remove("lost-link");
     if (name === "state") show(received);
@@ -533,12 +518,6 @@ const stream = {
   },
 };
 
-// A hidden page gets only the summary, for its title; everything else on it is then old.
-document.addEventListener("visibilitychange", () => {
-  stream.close();
-  if (document.hidden) document.body.classList.add("lost-link");
-  stream.open();
-});
 addEventListener("online", () => stream.open());
 addEventListener("hashchange", () => {
   stream.close();
