@@ -28,6 +28,7 @@ from greenroof_ros.watch.store import GraphStore
 
 # The fastest run, in times real time, whose numbers are received: 60 and some jitter.
 FASTEST = 66.0
+_CATCHING_UP = 2.0
 # How often the watcher receives new messages, and how often it updates the state of the graph (s).
 _POLL_S, _REPORT_S = 0.05, 0.25
 # If this process pauses for longer than this (s), the silence of other nodes means nothing.
@@ -260,8 +261,10 @@ class Feed:
         """Subscribe to as much as the graph can bear."""
         assert self._client is not None
         live, factor = self._store.mode == "live", self._factor
-        # The speed of a run that has not begun, or that stands still, is unknown.
-        wanted = live or (self._running and (factor <= FASTEST if factor else self._subscribed))
+        # The speed of a run that has not begun, or that stands still, is unknown. A run that was
+        # held up on a busy machine is faster for a while.
+        fastest = _CATCHING_UP * FASTEST if self._subscribed else FASTEST
+        wanted = live or (self._running and (factor <= fastest if factor else self._subscribed))
         if wanted == self._subscribed:
             return
         self._client.subscribe([
@@ -329,7 +332,7 @@ class Feed:
         now, factor = time.monotonic(), self._factor
         self._reported_at = now
         note = self._problem if now < self._problem_until else ""
-        if (factor or 0.0) > FASTEST:
+        if not self._subscribed and (factor or 0.0) > FASTEST:
             note = (
                 "This run is too fast to be shown: more than 60 times real time. See its report "
                 "afterwards."
