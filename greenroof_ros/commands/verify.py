@@ -7,8 +7,7 @@ import csv
 import io
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 
 from rich import box
@@ -16,12 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.analysis.verification.checks import check_forecasts
-from greenroof_ros.analysis.verification.pairs import (
-    Class,
-    Sum,
-    issued_forecasts,
-    tally,
-)
+from greenroof_ros.analysis.verification.pairs import Class, Sum, issued_forecasts, tally
 from greenroof_ros.analysis.verification.scores import SHOWN, Tally
 from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
@@ -69,9 +63,7 @@ _MOST_NOTES = 20
 
 def make_parser() -> Parser:
     """Return the command's parser."""
-    parser = Parser(
-        prog="greenroof verify", description=_DESCRIPTION, epilog=_EPILOG,
-    )
+    parser = Parser(prog="greenroof verify", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("forecasts", metavar="FORECASTS", help="archive or model")
     parser.add_argument(
         "--weather", nargs="+", required=True, metavar="FILE",
@@ -125,8 +117,13 @@ def main() -> None:
             f"must be a multiple of {forecasts.finest_lead} h, the finest lead time of "
             f"{forecasts.name}", key="--lead", value=arguments.lead,
         )
-    with _bar(forecasts.count) as done:
-        tallies = tally(forecasts, weather.precipitation, arguments.lead, sums, done)
+    with progress_bar() as update_progress:
+        tallies = tally(
+            forecasts, weather.precipitation, arguments.lead, sums,
+            lambda done: update_progress(
+                f"verifying: {done} of {forecasts.count} issues", done / forecasts.count
+            ),
+        )
     span = f"{to_people(weather.first)} to {to_people(weather.end)}"
     if not any(of_class.scores().n for of_class in tallies.values()):
         raise ConfigurationError(
@@ -210,16 +207,3 @@ def _csv_text(tallies: Mapping[Class, Tally]) -> str:
              *("" if math.isnan(value) else f"{value:.6g}" for value in scores[1:]))
         )
     return stream.getvalue()
-
-
-@contextmanager
-def _bar(total: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar; yield a function that is called with the number of issues just done."""
-    done = 0
-    with progress_bar() as update_progress:
-        def advance(more: int) -> None:
-            nonlocal done
-            done += more
-            update_progress(f"verifying: {done} of {total} issues", done / total)
-
-        yield advance

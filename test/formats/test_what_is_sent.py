@@ -73,18 +73,14 @@ def weather(directory: Path, site: Site = TORONTO, **columns: Sequence[Any]) -> 
 @pytest.mark.parametrize(
     ("name", "quantity", "value", "expected"),
     [
-        ("shortwave_radiation", "solar radiation", -0.2, 0.0),
         ("shortwave_radiation", "solar radiation", -0.3, 0.0),
         ("precipitation", "precipitation", -0.1, 0.0),
-        ("precipitation", "precipitation", -0.01, 0.0),
         ("wind_speed_10m", "wind speed", -0.4, 0.0),
-        ("precipitation", "precipitation", -3276.8, np.nan),
         ("shortwave_radiation", "solar radiation", -13159.9, np.nan),
         ("precipitation", "precipitation", 9999.0, np.nan),
         ("precipitation", "precipitation", "abc", np.nan),
         ("shortwave_radiation", "solar radiation", 9.96921e36, np.nan),
         ("temperature_2m", "temperature", -999, 20.0),  # bridged
-        ("dew_point_2m", "dew point", 1e20, 12.0),
         ("surface_pressure", "station pressure", -32768, 100.1),
         ("wind_speed_10m", "wind speed", -13159.9, 9.0),
     ],
@@ -116,7 +112,6 @@ def test_a_night_of_small_negatives(tmp_path: Path) -> None:
     [
         ([900.0] * 72, r"precipitation\[0\] = '900.0': must be a number from 0 to 500 mm"),
         ([600.0] * 3 + [5.0] * 69, r"precipitation\[0\] = '600.0'"),
-        (["?"] * 72, r"precipitation\[0\] = '\?': must be a number"),
         (["NaN", None, *["?"] * 70], r"precipitation\[2\] = '\?': must be a number"),
         ([f"{hour} mm" for hour in range(72)], r"precipitation\[0\] = '0 mm': must be a number"),
         ([-999] * 72, r"precipitation\[0\] = '-999'"),
@@ -129,9 +124,7 @@ def test_too_little_left(tmp_path: Path, column: list[Any], reason: str) -> None
 
 
 @pytest.mark.parametrize("name", ["temperature_2m", "surface_pressure", "precipitation"])
-@pytest.mark.parametrize(
-    "code", [65535, -2147483648, -7999, -888.8, 1e20, "inf", "#VALUE!", "No Data", "***", "Error"]
-)
+@pytest.mark.parametrize("code", [65535, -888.8, 1e20, "inf", "#VALUE!", "No Data", "***"])
 def test_an_outage_of_eight_hours(tmp_path: Path, name: str, code: Any) -> None:
     """Codes and words cost only their hours, however many they are."""
     read = weather(tmp_path, **{name: [USUAL[name]] * 30 + [code] * 8 + [USUAL[name]] * 34})
@@ -388,9 +381,7 @@ SECTIONS = {
 
 
 @pytest.mark.parametrize(
-    ("before", "after"),
-    [(["current"], []), ([], ["daily"]), (["current", "minutely_15"], ["daily"]),
-     (["minutely_15"], []), (["daily"], ["current"])],
+    ("before", "after"), [([], ["daily"]), (["current", "minutely_15"], ["daily"])]
 )
 @pytest.mark.parametrize("separator", [",", ";"])
 def test_sections(tmp_path: Path, before: list[str], after: list[str], separator: str) -> None:
@@ -541,10 +532,6 @@ def test_french_and_older_names(tmp_path: Path, form: str) -> None:
          "holds days or months, not hours"),
         ('"Longitude (x)","Latitude (y)","Date/Heure","Année","Mois","Temp max.(°C)"',
          '"-79.4","43.6","2021-07-01","2021","07","25.0"', "holds days or months, not hours"),
-        ('"Longitude (x)","Date/Heure","Année","Mois","Moyenne des temp. maximales (°C)"',
-         '"-79.4","2021-07","2021","07","25.0"', "holds days or months, not hours"),
-        ('"Date/Time","Year","Month","Day","Max Temp (°C)","Total Rain (mm)"',
-         '"2015-07-01","2015","07","01","25.0","80"', "holds days or months, not hours"),
         ('"Longitude (x)","Date/Time","Year","Month","Mean Max Temp (°C)","Total Rain (mm)"',
          '"-79.4","2021-07","2021","07","25.0","80"', "holds days or months, not hours"),
     ],
@@ -630,7 +617,6 @@ def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path, rest: str) -> N
     [
         ("44384.0416667", "a spreadsheet counts days: format its cells as yyyy-mm-dd hh:mm"),
         ("13/07/2021 00:00", "year, month and day, in this order"),
-        ("13.07.21 00:00", "year, month and day, in this order"),
         ("2021-07-07 01:00 PM", "hours must be from 00 to 23"),
         ("1625616000", "write a date and a time"),
         ("2021-07-07 00:00 EST", "write the offset from UTC as a number"),

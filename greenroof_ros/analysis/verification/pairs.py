@@ -154,7 +154,7 @@ def tally(
         observed: records (mm/h), shape (hours,); NaN if missing.
         lead: width of a class of leads (h); a multiple of the length of each sum.
         sums: their lengths and events.
-        done: called with the number of forecasts just added.
+        done: called with the number of forecasts added so far.
 
     Returns:
         The tally of each class, in the order of leads and sums.
@@ -167,6 +167,7 @@ def tally(
     }
     unknown = np.full(reach, np.nan)
     padded = np.concatenate((unknown, observed, unknown))
+    added = 0
     while batch := list(itertools.islice(forecasts.issues, _AT_ONCE)):
         rain = np.full((forecasts.members, len(batch), reach), np.nan)
         fallen = np.empty((1, len(batch), reach))
@@ -184,5 +185,6 @@ def tally(
                 for hours in (rain, fallen)
             )
             total.add(predicted, fell[0])
-        done(len(batch))
+        added += len(batch)
+        done(added)
     return tallies
