@@ -11,10 +11,7 @@ from pathlib import Path
 import pytest
 from graphs import environment
 
-from greenroof_ros.__main__ import COMMANDS
-
-# Commands that go on until they are ended, with what they need; and each other one's help, which
-# imports what the command imports.
+# Commands that go on until they are ended, with what they need.
 LONG = {
     "simulate": "--hours 60 --start 2021-07-07T02:00 --speed 1",
     "run": "--hours 60 --start 2021-07-07T02:00 --speed 1 --no-record",
@@ -42,17 +39,18 @@ def interrupted(directory: Path, words: str, after_s: float) -> tuple[int, str]:
     return process.wait(300), "".join(lines)
 
 
-@pytest.mark.parametrize("after_s", [0.0, 0.1, 0.25, 0.5, 1.0])
-@pytest.mark.parametrize("name", ["simulate", "run", "bound"])
+@pytest.mark.parametrize(
+    ("name", "after_s"), [("simulate", 0.0), ("run", 0.25), ("bound", 0.5), ("simulate", 1.0)]
+)
 def test_a_command_that_runs(name: str, after_s: float, tmp_path: Path) -> None:
     code, error = interrupted(tmp_path, f"{name} {LONG[name]}", after_s)
     assert code == 130, error
     assert "Traceback" not in error and "interrupted" in error
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_while_it_is_imported(name: str, tmp_path: Path) -> None:
-    """It ends with 130, or is done with its help before."""
+@pytest.mark.parametrize("name", ["live", "watch", "report", "calibrate"])
+def test_a_command_while_it_is_imported(name: str, tmp_path: Path) -> None:
+    """Its help imports what it imports: it ends with 130, or is done before."""
     code, error = interrupted(tmp_path, f"{name} --help", 0.1)
     assert (code, error) in ((130, "interrupted\n"), (0, "")), error
 

@@ -1,24 +1,20 @@
 """What pip and colcon make of the checkout: the real tools, in separate directories."""
 
 import ast
-import contextlib
 import filecmp
 import importlib.util
 import json
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import tarfile
-import time
 import venv
 from pathlib import Path
 
 import pytest
 import yaml
-from doc_commands.blocks import fences
 from places import CHECKOUT
 
 import greenroof_ros
@@ -273,75 +269,6 @@ def test_pip_install_with_extras_studies_and_reports(with_extras, tmp_path):
     assert len(table) == 1 + 2
     assert "</html>" in (tmp_path / "study" / "report" / "report.html").read_text()
     assert list((tmp_path / "study" / "report" / "figures").glob("*.png"))
-
-
-# -------------------------------------------------------------------------------------- ros2
-
-# What the output of each kind of line contains.
-ROS2_PRINTS = {
-    "topic list": "/roof/level", "topic echo": "---", "topic hz": "average rate",
-    "param set": "Set parameter successful", "interface show": "float64 data",
-}
-
-
-def blocks(page):
-    """Return the blocks of shell lines on a page."""
-    return [text for _, language, text in fences(page) if language == "sh"]
-
-
-@pytest.fixture(scope="module")
-def ros2_checkout(package_index, tmp_path_factory):
-    """Return a copy of the checkout with the .venv that make run and the first run's lines make."""
-    if not os.environ.get("GREENROOF_ROS_TEST_ROS2"):
-        pytest.skip("takes minutes: GREENROOF_ROS_TEST_ROS2=1 runs it")
-    repository = "https://github.com/ros2/ros2cli"
-    if subprocess.run(["git", "ls-remote", "-q", repository], capture_output=True).returncode:
-        pytest.skip(f"{repository} cannot be reached")
-    (lines,) = (block for block in blocks("doc/tutorials/first-run.md") if repository in block)
-    checkout = copy_of_checkout(tmp_path_factory.mktemp("ros2") / "checkout")
-    # Pip's cache is there.
-    environment = bare_environment(os.environ.get("HOME", checkout), Path(sys.executable).parent)
-    for command in (["make", ".venv/.for-run"], ["bash", "-e", "-c", lines]):
-        run(*command, cwd=checkout, env=environment)
-    return checkout
-
-
-def test_ros2_lines_work_as_printed(ros2_checkout, domain):
-    """Each line works in a separate terminal in which only .venv was activated."""
-    environment = bare_environment(ros2_checkout) | {"ROS_DOMAIN_ID": str(domain)}
-    pages = "\n".join(blocks("doc/tutorials/first-run.md") + blocks("doc/reference/topics.md"))
-    lines = re.findall(r"^(?:\S+ )?ros2 (?:topic|param|interface) .*$", pages, re.MULTILINE)
-    assert lines
-    (export,) = re.findall(r"^export .*$", pages, re.MULTILINE)
-
-    def start(line):
-        script = f". .venv/bin/activate; {export}; {line}"
-        return subprocess.Popen(
-            ["bash", "-c", script], cwd=ros2_checkout, env=environment, text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
-        )
-
-    def end(process, seconds):
-        """Wait, press Ctrl-C, and return the output."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            return process.communicate(timeout=seconds)[0]
-        os.killpg(process.pid, signal.SIGINT)
-        return process.communicate(timeout=300)[0]
-
-    graph = start("exec python -m greenroof_ros.bringup --controller mpc --speed 20 --no-record")
-    try:
-        until = time.monotonic() + 60
-        while "sec:" not in end(start("ros2 topic echo --once /clock"), 10):
-            assert graph.poll() is None and time.monotonic() < until
-        for line in lines:
-            printed = end(start(line), 10)
-            kind = re.search(r"ros2 (\w+ \w+)", line)[1]
-            assert ROS2_PRINTS[kind] in printed, f"{line}\n{printed}"
-            assert "Error" not in printed, f"{line}\n{printed}"
-    finally:
-        printed = end(graph, 0)
-        end(start("ros2 daemon stop"), 20)
-    assert graph.returncode == 130, printed
 
 
 def test_make_keeps_an_environment_that_is_active(tmp_path):
