@@ -57,7 +57,7 @@ help:
 	@echo "make docs   the documentation, doc/_build/index.html"
 	@echo "make bench  the speed of graph and controller, as ratios"
 	@echo "make doc-commands  every block of commands in README and doc/, as written: half an hour"
-	@echo "make faults every process, cable and message made to fail, 1,600 times: over an hour"
+	@echo "make faults every process, cable and message made to fail: half an hour"
 	@echo "make clean  remove .venv and all else that can be made again; runs/ stays"
 
 run: $(FOR_RUN)

@@ -15,8 +15,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import paths  # noqa: F401
@@ -27,7 +25,6 @@ from places import CONFIG
 ROUNDS = 5
 HOURS = 2
 ECHOES = 7200
-COMPUTING = 2
 
 
 def echo(role: str) -> None:
@@ -130,20 +127,6 @@ def measure_graph(domain: int, *arguments: str) -> Graph:
     return Graph(ticks / int(summary["steps"]), whole - ticks, echo)
 
 
-@contextmanager
-def computing() -> Iterator[None]:
-    """Let processes compute next to what is measured."""
-    processes = [
-        subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(COMPUTING)
-    ]
-    try:
-        yield
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
-
-
 def _drain(leader: int) -> None:
     try:
         while os.read(leader, 1 << 16):
@@ -167,28 +150,6 @@ def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
     for _ in closed_loop(run, controller, Metrics()):
         pass
     return (time.perf_counter() - began) / run.steps, controller.statistics() or {}
-
-
-def measure_study() -> float:
-    """Return the wall time of the paper's study, relative to its MPC runs alone.
-
-    Theirs is the time of a single 12 h MPC run times their number, divided by the cores.
-    """
-    with tempfile.TemporaryDirectory() as directory:
-
-        def timed(module: str, *options: str) -> float:
-            began = time.perf_counter()
-            subprocess.run(
-                [sys.executable, "-m", "greenroof_ros", module, "--output", *options],
-                cwd=directory, check=True, capture_output=True,
-            )
-            return time.perf_counter() - began
-
-        alone = [timed("simulate", f"run{number}") for number in range(3)]
-        mpc_runs = 15
-        return timed("study", "study") / (
-            statistics.median(alone) * mpc_runs / len(os.sched_getaffinity(0))
-        )
 
 
 def measure_do_mpc(steps: int = 30) -> float:
@@ -252,16 +213,12 @@ def measure_do_mpc(steps: int = 30) -> float:
 
 MEASURED = {
     "tick": "tick of `greenroof run` / echo round trip of two processes",
-    "busy": f"the same, next to {COMPUTING} processes that compute",
-    "bare": "the same without the recorder, and without them",
-    "roof_tick": "the same with the recorder, on a measured soil",
+    "bare": "the same without the recorder",
     "around": "start and end of `greenroof run` beyond its ticks (s)",
-    "busy_around": f"the same, next to {COMPUTING} processes that compute (s)",
     "mean": "decision of `lookahead` on an ensemble / of `mpc`, mean of all ticks",
     "p99": "the same, 99th percentile",
     "plan": "longest decision of `lookahead`, with a plan / of `mpc`, mean",
     "do_mpc": "do-mpc step / MPC step of `simulate`",
-    "study": "study of 30 runs / (one MPC run alone x 15 / cores)",
 }
 
 
@@ -272,27 +229,19 @@ def main() -> None:
         for number in range(ROUNDS):
             load = os.getloadavg()[0]  # of the minute before
             recorded = measure_graph(domain)
-            with computing():
-                busy = measure_graph(domain)
             bare = measure_graph(domain, "--no-record")
-            roof = measure_graph(domain, "--site", str(CONFIG / "site_neubrandenburg.yaml"))
             (step, mpc), peer = measure_simulated(), measure_do_mpc()
             _, ahead = measure_simulated("--controller", "lookahead", "--forecast", "ensemble")
             rows["tick"].append(recorded.trips)
-            rows["busy"].append(busy.trips)
             rows["bare"].append(bare.trips)
-            rows["roof_tick"].append(roof.trips)
             rows["around"].append(recorded.around)
-            rows["busy_around"].append(busy.around)
             rows["mean"].append(ahead["mean_s"] / mpc["mean_s"])
             rows["p99"].append(ahead["p99_s"] / mpc["p99_s"])
             rows["plan"].append(ahead["max_s"] / mpc["mean_s"])
             rows["do_mpc"].append(peer / step)
-            rows["study"].append(measure_study())
             print(
                 f"round {number + 1} of {ROUNDS}, load {load:.1f} before: "
                 f"echo {recorded.echo * 1e6:.0f} us, tick {recorded.tick * 1e6:.0f} us, "
-                f"busy {busy.echo * 1e6:.0f} and {busy.tick * 1e6:.0f} us, "
                 f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us",
                 file=sys.stderr, flush=True,
             )

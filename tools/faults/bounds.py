@@ -11,7 +11,6 @@ from greenroof_ros.live.devices.exchange import FIRST_WAIT_S, SILENCE_MARGIN_S
 from greenroof_ros.live.devices.stop_monitor import RUNS_ON_S, VISIBLE_S
 from greenroof_ros.live.engine import LIMITS
 from greenroof_ros.live.pump import parameters as parameters_of_pump
-from greenroof_ros.live.supervisor import ENDING_S
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import FLUSH_S
@@ -25,8 +24,6 @@ SILENCE_S = 5.0
 LIMIT_S = 20.0
 # Added by a busy machine, and by the measurement, to any of these times (s).
 SLACK_S = float(os.environ.get("FAULTS_SLACK", "1"))
-# For a simulation, time to the end of bringup: silence is noticed, and all nodes are ended.
-SIMULATION_END_S = SILENCE_S + ENDING_S + SLACK_S
 
 
 def _limit(topic: str) -> float:

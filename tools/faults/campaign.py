@@ -1,10 +1,10 @@
 """The campaign of seeded faults, ``make faults``: each case is a parameter of pytest.
 
-It has more than a thousand cases: each node and program killed, ended and stopped; every topic and
-every Modbus exchange off, stuck, garbage, wrong, slow, delayed and intermittent; sensors, drives,
-weather, intruders. A rig (a live site, a pump node alone, hardware in the loop, a simulation)
-serves the cases of a pytest-xdist group until one ends or breaks it. Results are lines of JSON.
-Cases that have a good result are skipped, except a case that is run alone.
+Each node and program is killed, ended and stopped; every topic and every Modbus exchange is off,
+stuck, garbage, wrong, slow, delayed and intermittent; and so are sensors, drives, weather, and
+intruders. A rig (a live site, or a pump node alone) serves the cases of a pytest-xdist group until
+one ends or breaks it. Results are lines of JSON. Cases that have a good result are skipped, except
+a case that is run alone.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
-from faults import readers, service, simulated
 from faults.cases import Case, all_cases
-from faults.live import Outcome, Rigs, run_case
+from faults.live import Outcome, run_case
+from faults.rig import RIGS, BrokenError, Rig
 from faults.table import read_results
 from graphs import Process, environment, reserved_domain
 
@@ -50,67 +50,65 @@ def in_order(cases: list[Case]) -> list[Case]:
 
 
 class Bench:
-    """Does one case after the other; consecutive cases use the same rig."""
+    """Does one case after the other; consecutive cases use the same rig, unless it broke."""
 
     def __init__(self) -> None:
         RESULTS.mkdir(parents=True, exist_ok=True)
         self._place = Path(tempfile.mkdtemp(prefix="rigs-", dir=RESULTS))
-        self._rigs = Rigs(self._place)
-        self._of, self._served = "", 0
-        self._read: dict[Case, Outcome] = {}
-        self._last: dict[str, Any] = {}
-        self._failed = False
-        self._ended_badly: list[str] = []
+        self._stack = ExitStack()
+        self._rig: Rig | None = None
+        self._of, self._served, self._failed = "", 0, False
 
     def do(self, case: Case) -> Outcome:
         """Do a case, and write its outcome."""
+        began, outcome = time.monotonic(), Outcome()
         if case.rig != self._of or self._served == _SHARE:
-            self.end_rig()
-            self._of, self._served = case.rig, 0
-        self._served += 1
-        began, rng = time.monotonic(), random.Random(f"{SEED} {case.id}")
-        place = self._place / str(sum(1 for _ in self._place.iterdir()))
-        outcome = Outcome()
-        if case.rig == "simulated":
-            with reserved_domain() as domain:
-                outcome = simulated.run_case(case, place, domain, rng)
-        elif case.rig == "readers":
-            if case not in self._read:
-                block = [other for other in all_cases()
-                         if (other.rig, other.number) == (case.rig, case.number)]
-                self._read |= dict(readers.run_cases(block, place, SEED))
-            outcome = self._read[case]
-        elif case.rig == "service":
-            service.run_case(case, place, outcome)
-        else:
-            self._rigs.do(case, outcome, lambda rig: run_case(rig, case, rng, outcome))
-        self._last = {
-            "id": case.id, "way": case.way, "fault": case.fault, "target": case.target,
-            "seed": SEED, **vars(outcome), "wall_s": round(time.monotonic() - began, 1),
-        }
-        self._write()
+            outcome.fail(self.end_rig())
+        try:
+            if self._rig is None:
+                self._rig = self._new_rig(case)
+            self._served += 1
+            run_case(self._rig, case, random.Random(f"{SEED} {case.id}"), outcome)
+        except BrokenError as error:
+            outcome.fail(f"rig: {error}")
+        except Exception as error:  # for any error, the next case needs a new rig
+            outcome.fail(f"{type(error).__name__}: {error}")
+        ends = case.expected.recovery in ("ends", "stays") or case.fault == "full disk"
+        if outcome.wrong or ends:
+            outcome.fail(self.end_rig())
+        self._failed |= bool(outcome.wrong)
+        with (RESULTS / "results.jsonl").open("a") as stream:
+            stream.write(json.dumps({
+                "id": case.id, "fault": case.fault, "target": case.target, "seed": SEED,
+                **vars(outcome), "wall_s": round(time.monotonic() - began, 1),
+            }) + "\n")
         return outcome
 
-    def _write(self) -> None:
-        self._failed |= bool(self._last["wrong"])
-        with (RESULTS / "results.jsonl").open("a") as stream:
-            stream.write(json.dumps(self._last) + "\n")
+    def _new_rig(self, case: Case) -> Rig:
+        self._of, self._served = case.rig, 0
+        domain = self._stack.enter_context(reserved_domain())
+        kind, _, drive = case.rig.partition(":")
+        place = self._place / str(sum(1 for _ in self._place.iterdir()))
+        return self._stack.enter_context(RIGS[kind](place, domain, drive))
 
-    def end_rig(self) -> None:
-        """End the rig; anything wrong with that is added to its last case."""
-        wrong = self._rigs.end()
-        if wrong:
-            self._last["wrong"] = "; ".join(filter(None, (self._last["wrong"], wrong)))
-            self._write()
-            self._ended_badly.append(f"{self._last['id']}: {wrong}")
+    def end_rig(self) -> str:
+        """End the rig, and return what is wrong with how it ended."""
+        rig, self._rig = self._rig, None
+        wrong = []
+        try:
+            self._stack.close()
+        except Exception as error:
+            wrong.append(f"{type(error).__name__}: {error}")
+        wrong += [] if rig is None else rig.ended_badly
+        return "; ".join(f"at the end of a rig: {what}" for what in wrong)
 
     def end(self) -> None:
-        """End what is left; fail if a rig ended badly after its last case."""
-        self.end_rig()
+        """End what is left; fail if the last rig ended badly."""
+        wrong = self.end_rig()
         Process.end_all()
         if not self._failed:
             shutil.rmtree(self._place, ignore_errors=True)
-        assert not self._ended_badly, self._ended_badly
+        assert not wrong, wrong
 
 
 @pytest.fixture(scope="module")
@@ -121,9 +119,7 @@ def bench() -> Iterator[Bench]:
 
 
 @pytest.mark.parametrize("case", [
-    # Simulations and foreign readers keep the processors busy, so they form one group.
-    pytest.param(case, id=case.id, marks=pytest.mark.xdist_group(
-        case.rig if ":" in case.rig else "busy"))
+    pytest.param(case, id=case.id, marks=pytest.mark.xdist_group(case.rig))
     for case in in_order(all_cases())
 ])
 def test_case(bench: Bench, case: Case, request: pytest.FixtureRequest) -> None:

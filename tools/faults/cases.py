@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from forecast_service import FAULTS, NONE
 from rig_simulators import DEFAULT
 
-SIMULATED, LOOP, LIVE = "simulated", "hardware in the loop", "live"
-WAYS = (SIMULATED, LOOP, LIVE)
-# How often the four foreign readers are stopped in one case.
-ROUNDS = 50
+# How often the foreign readers are stopped in a case.
+ROUNDS = 20
 CHANGES = "4000 changes of a parameter"
 DRIVES = ("danfoss_fc202", "abb_acs880", "grundfos_cim500", "schneider_atv630")
+SITE, PUMP = f"site:{DRIVES[0]}", f"pump:{DRIVES[0]}"
 # The name of a status on /diagnostics, and the code of a condition that it shows.
 Sign = tuple[str, str]
 
@@ -28,7 +26,6 @@ def _level(tank: str, why: str = "") -> tuple[Sign, ...]:
     return _pump(f"{tank}_level_unknown") + ((("pump: levels", why),) if why else ())
 
 
-
 @dataclass(frozen=True)
 class Expected:
     """What must follow from a fault.
@@ -37,12 +34,10 @@ class Expected:
         stops: True: the pump must stop within the bound; False: it must run on; None: either.
         bound: name of one of `bounds.bounds`.
         signs: what must be shown, all of it.
-        names: node or topic that the reason of the end must name; if the rig does not end, that
-            bringup must print.
+        names: node or topic that bringup must print.
         never: conditions that must not be shown.
         recovery: ``heals``: the pump runs again automatically; ``latches``: only after ~/reset;
-            ``either``; ``stays``: it stays off; ``ends``: bringup and all its processes end; for a
-            simulation ``same``: it runs to its end, with an unchanged bag.
+            ``stays``: it stays off; ``ends``: bringup and all its processes end.
         watch: how long the pump must run on (s).
     """
 
@@ -55,6 +50,10 @@ class Expected:
     watch: float = 3.0
 
 
+_RUNS_ON = Expected(stops=False)
+_ENDS = Expected(bound="drive", recovery="ends")
+
+
 @dataclass(frozen=True)
 class Case:
     """One fault.
@@ -63,38 +62,30 @@ class Case:
         rig: kind of rig and drive, such as ``site:abb_acs880``; cases of one rig are consecutive.
         fault: what is done, such as ``kill``.
         target: what it is done to.
-        number: of the repetition.
         parameter: of the fault, if it has one.
     """
 
     rig: str
     fault: str
     target: str
-    number: int
     expected: Expected
     parameter: int = DEFAULT
 
     @property
-    def way(self) -> str:
-        kind = self.target if self.rig == "readers" else self.rig.partition(":")[0]
-        return {"simulated": SIMULATED, "loop": LOOP, "relayed": LOOP}.get(kind, LIVE)
-
-    @property
     def id(self) -> str:
-        return f"{self.rig}/{self.fault}/{self.target.strip('/').replace('/', '.')}/{self.number}"
+        return f"{self.rig}/{self.fault}/{self.target.strip('/').replace('/', '.')}"
 
 
 # --- processes ------------------------------------------------------------------------------------
 
-PROCESSES = ("onoff", "weather", "sensors", "pump", "recorder")
-NODES = ("onoff", "weather", "cistern_sensor", "roof_sensor", "pump", "recorder")
+_LOST = _pump("drive_lost")
 
 
 def _process(node: str, fault: str) -> Expected:
     """Return what must follow from a fault of a live site's process."""
     failed = (node, "node_failed")
     if fault == "stop short":
-        return Expected(stops=False)
+        return _RUNS_ON
     if node == "recorder":
         return Expected(stops=False, signs=(failed,), watch=12.0)
     if node == "bringup":  # the other processes do without it, until they are asked to end
@@ -114,30 +105,29 @@ def _process(node: str, fault: str) -> Expected:
         failed, *(_pump("command_unknown") if lapses else ())))
 
 
-def _processes(repeats: int) -> Iterator[Case]:
-    for number in range(repeats):
-        rig = f"site:{DRIVES[number % 4]}"
-        for fault in ("kill", "term", "stop short", "stop long"):
-            for node in (*PROCESSES, "bringup"):
-                yield Case(rig, fault, node, number, _process(node, fault))
-        # A requested end is no failure.
-        yield Case(rig, "term after an incident", "bringup", number, _process("bringup", "term"))
-    for number, drive in enumerate(DRIVES):
+def _processes() -> Iterator[Case]:
+    for fault in ("kill", "term", "stop short", "stop long"):
+        for node in ("onoff", "weather", "sensors", "pump", "recorder", "bringup"):
+            yield Case(SITE, fault, node, _process(node, fault))
+    for drive in DRIVES:
         rig = f"site:{drive}"
-        for fault in ("kill", "stop long"):
-            yield Case(rig, fault, "drive_simulator", number, Expected(
-                stops=None, bound="drive", signs=_LOST))
-            yield Case(rig, fault, "site_simulator", number, Expected(
-                bound="level", signs=_level("cistern")))
-        for again in range(2):
-            # Only the drive's own timeout can stop the pump.
-            yield Case(rig, "kill both", "pump and bringup", number + 4 * again, Expected(
-                bound="drive", recovery="ends"))
+        if rig != SITE:
+            for fault in ("kill", "stop long"):
+                yield Case(rig, fault, "pump", _process("pump", fault))
+        yield Case(rig, "kill", "drive_simulator", Expected(
+            stops=None, bound="drive", signs=_LOST))
+        # Only the drive's own timeout can stop the pump.
+        yield Case(rig, "kill both", "pump and bringup", _ENDS)
+        # For some time after power-up some drives have no timeout.
+        yield Case(f"guarded:{drive}", "power cycle, then kill", "drive", _ENDS)
+    for fault in ("kill", "stop long"):
+        yield Case(SITE, fault, "site_simulator", Expected(
+            bound="level", signs=_level("cistern")))
+    yield Case(SITE, "readers", "four of /roof/level", Expected(stops=False))
 
 
 # --- the drive ------------------------------------------------------------------------------------
 
-_LOST = _pump("drive_lost")
 _DRIVE: dict[str, Expected] = {
     # An absurd value is outside the drive file's range of the speed and implausible, as if there
     # were no answer. A drive that has power again is as before, and reports no fault.
@@ -146,9 +136,11 @@ _DRIVE: dict[str, Expected] = {
          "wrong_function", "wrong_length", "absurd_value", "power_cycle", "echo"),
         Expected(bound="drive", signs=_LOST),
     ),
-    "slow": Expected(stops=False),
-    "split": Expected(stops=False),
+    "slow": _RUNS_ON,
+    "split": _RUNS_ON,
     "exception": Expected(bound="refused", signs=_LOST),
+    # It refuses writes, but counts every request as a sign of life.
+    "refused_writes": Expected(bound="refusing", signs=_LOST),
     "drive_fault": Expected(bound="drive", signs=_pump("drive_fault"), recovery="latches"),
     "timeout_off": Expected(bound="drive", signs=_pump("drive_timeout")),
     "local": Expected(bound="drive", signs=(("pump: drive", "drive_local"),)),
@@ -158,91 +150,67 @@ _DRIVE: dict[str, Expected] = {
     "intermittent": Expected(bound="intermittent drive", signs=_LOST),
 }
 # A Danfoss's speed is a share of its reference. Twice that share is accepted, as a speed that does
-# not follow.
-_OF_MAKE = {
+# not follow. A Grundfos has no panel, and its timeout cannot be set.
+_OF_MAKE: dict[tuple[str, str], Expected | None] = {
     ("danfoss_fc202", "absurd_value"): Expected(
         bound="follow", signs=_pump("speed_not_followed"), recovery="latches"),
+    ("grundfos_cim500", "local"): None,
 }
-# Drive faults on a serial line, which has no connections; a restarted simulator's line would have
-# another name.
-_SERIAL = tuple(name for name in _DRIVE if name not in ("refused", "timeout_off", "local"))
+# Not on a serial line: it has no connections, and a restarted simulator's has another name.
+_NOT_SERIAL = ("refused", "timeout_off", "local", "refused_writes")
 # The motor does not stop, regardless of the command: there must be an alarm, and the fault latches.
-_UNSTOPPABLE = ("speed_stays", "stuck_running", "contactor")
+_UNSTOPPABLE = Expected(
+    stops=None, watch=0.0, bound="follow", recovery="latches", signs=_pump("runs_on"))
 
 
-def _drive(kind: str, faults: tuple[str, ...], first: int, repeats: int) -> Iterator[Case]:
+def _drives() -> Iterator[Case]:
     for drive in DRIVES:
-        for number in range(first, first + repeats):
-            for fault in faults:
-                if not (fault == "local" and drive == "grundfos_cim500"):
-                    expected = _OF_MAKE.get((drive, fault), _DRIVE[fault])
-                    yield Case(f"{kind}:{drive}", "drive", fault, number, expected)
-            for fault in _UNSTOPPABLE if len(faults) == len(_DRIVE) else ():
-                yield Case(f"{kind}:{drive}", "unstoppable", fault, number, Expected(
-                    stops=None, watch=0.0, bound="follow", recovery="latches",
-                    signs=_pump("runs_on")))
-
-
-def _drive_alone(repeats: int) -> Iterator[Case]:
-    """Yield the cases of a pump node alone."""
-    for number in range(repeats):
-        for drive in DRIVES:
-            # It refuses writes, but counts every request as a sign of life.
-            yield Case(f"pump:{drive}", "drive", "refused_writes", number, Expected(
-                bound="refusing", signs=_LOST))
-            # Its connections break before it can be judged on one.
-            yield Case(f"pump:{drive}", "drive", "runs_on, breaks", number, Expected(
-                bound="runs on, breaks", signs=_pump("runs_on"), recovery="latches"), 3)
-            # For some time after power-up some drives have no timeout.
-            yield Case(f"guarded:{drive}", "power cycle, then kill", "drive", number, Expected(
-                bound="drive", recovery="ends"))
-
-
-def _timeouts() -> Iterator[Case]:
-    """Yield the cases of a drive whose timeout another client lengthens."""
-    for drive in DRIVES:
-        if drive != "grundfos_cim500":  # its timeout cannot be set
-            for target, bound in (
-                ("drive", "longest silence"), ("stop requested", "requested")
-            ):
-                yield Case(f"site:{drive}", "timeout rewritten", target, 0, Expected(
+        for fault, usual in _DRIVE.items():
+            expected = _OF_MAKE.get((drive, fault), usual)
+            if expected is not None:
+                kind = "pump" if fault == "refused_writes" else "site"
+                yield Case(f"{kind}:{drive}", "drive", fault, expected)
+        for fault in ("speed_stays", "stuck_running", "contactor"):
+            yield Case(f"site:{drive}", "unstoppable", fault, _UNSTOPPABLE)
+        # Its connections break before it can be judged on one.
+        yield Case(f"pump:{drive}", "drive", "runs_on, breaks", Expected(
+            bound="runs on, breaks", signs=_pump("runs_on"), recovery="latches"), 3)
+        if drive != "grundfos_cim500":
+            for target, bound in (("drive", "longest silence"), ("stop requested", "requested")):
+                yield Case(f"site:{drive}", "timeout rewritten", target, Expected(
                     bound=bound, signs=(("pump: drive timeout", "drive_timeout"),)))
+    for fault in _DRIVE.keys() - {*_NOT_SERIAL}:
+        expected = _OF_MAKE.get((DRIVES[0], fault), _DRIVE[fault])
+        assert expected is not None
+        yield Case(f"rtu:{DRIVES[0]}", "drive", fault, expected)
 
 
-# --- a relay on MQTT ------------------------------------------------------------------------------
-
-RELAYS = ("tasmota", "shelly_gen2")
-
-
-def _relay(repeats: int) -> Iterator[Case]:
+def _relays() -> Iterator[Case]:
     """Yield the cases of a relay, its broker and its driver.
 
     Deaf means that renewals come too late or not at all: it switches itself off, but answers.
     """
-    for drive in RELAYS:
+    lost = Expected(bound="drive", signs=_LOST)
+    for drive in ("tasmota", "shelly_gen2"):
         rig = f"relay:{drive}"
-        for number in range(repeats):
-            for target in ("killed", "restarted", "paused", "half_open"):
-                yield Case(rig, "broker", target, number, Expected(bound="drive", signs=_LOST))
-            for target in ("silence", "garbage", "late", "power_cycle"):
-                yield Case(rig, "drive", target, number, Expected(bound="drive", signs=_LOST))
-            yield Case(rig, "drive", "deaf", number, Expected(
-                bound="drive", signs=_pump("second_master")))
-            yield Case(rig, "unstoppable", "welded", number, Expected(
-                stops=None, watch=0.0, bound="welded", recovery="latches",
-                signs=_pump("delivery")))
-            for fault in ("kill", "stop long"):
-                yield Case(rig, fault, "pump", number, _process("pump", fault))
-            yield Case(rig, "kill both", "pump and bringup", number, Expected(
-                bound="drive", recovery="ends"))
+        for target in ("killed", "restarted", "paused", "half_open"):
+            yield Case(rig, "broker", target, lost)
+        for target in ("silence", "garbage", "late", "power_cycle"):
+            yield Case(rig, "drive", target, lost)
+        yield Case(rig, "drive", "deaf", replace(lost, signs=_pump("second_master")))
+        yield Case(rig, "unstoppable", "welded", Expected(
+            stops=None, watch=0.0, bound="welded", recovery="latches", signs=_pump("delivery")))
+        for fault in ("kill", "stop long"):
+            yield Case(rig, fault, "pump", _process("pump", fault))
+        yield Case(rig, "kill both", "pump and bringup", _ENDS)
 
-
-# Faults of the line to a sensor.
-WIRE = ("refused", "dropped", "half_open", "silence", "slow", "late", "split", "garbage",
-        "wrong_unit", "wrong_function", "wrong_length", "exception", "echo", "intermittent")
-_RUNS_ON = Expected(stops=False)
 
 # --- sensors and weather --------------------------------------------------------------------------
+
+# Faults of the line to a sensor.
+_WIRE = ("refused", "dropped", "half_open", "silence", "slow", "late", "split", "garbage",
+         "wrong_unit", "wrong_function", "wrong_length", "exception", "echo", "intermittent")
+_DELIVERY = Expected(bound="undelivered", signs=_pump("delivery"), recovery="latches")
 
 
 def _still(tank: str) -> Expected:
@@ -251,151 +219,138 @@ def _still(tank: str) -> Expected:
     A constant roof level does not show whether water arrives.
     """
     if tank == "roof":
-        return Expected(bound="roof frozen", signs=_pump("delivery"), recovery="latches")
+        return replace(_DELIVERY, bound="roof frozen")
     return Expected(bound="cistern frozen", signs=_level("cistern", "input_frozen"))
 
 
-def _sensors(repeats: int) -> Iterator[Case]:
-    for number in range(repeats):
-        rig = f"site:{DRIVES[number % 4]}"
-        for tank in ("cistern", "roof"):
-            for fault, expected, parameter in (
-                ("silent", Expected(bound="level", signs=_level(tank, "input_silent")), DEFAULT),
-                ("absurd", Expected(bound="level", signs=_level(tank, "input_silent")), DEFAULT),
-                ("noisy", Expected(bound="noisy", signs=_level(tank, "input_jump")), 1000),
-                ("frozen", _still(tank), DEFAULT),
-                ("drifting", Expected(bound="drift", signs=_level(tank, "input_jump")), 500),
-            ):
-                if fault in ("frozen", "drifting") and number >= 2:
-                    continue
-                yield Case(rig, "sensor", f"{tank}_{fault}", number, expected, parameter)
-            for fault in WIRE:
-                expected = _RUNS_ON if fault in ("slow", "split") else Expected(
-                    bound="intermittent" if fault == "intermittent" else "level",
-                    signs=_level(tank, "input_silent"))
-                yield Case(rig, "sensor line", f"{tank}_{fault}", number, expected)
-            yield Case(rig, "flapping", tank, number, Expected(
-                bound="intermittent", signs=_level(tank, "input_silent")))
-        for file in ("broken", "missing"):
-            yield Case(rig, "forecast file", file, number, Expected(
-                stops=False, signs=(("weather: forecast", "forecast_unreadable"),)))
-        yield Case(rig, "forecast file", "old", number, Expected(
-            bound="command",
-            signs=(("weather: forecast", "forecast_missing"), *_pump("frost_unknown"))))
-    for number, drive in enumerate(DRIVES):
-        for fault in ("burst_pipe", "closed_valve"):
-            yield Case(f"site:{drive}", "site", fault, number, Expected(
-                bound="undelivered", signs=_pump("delivery"), recovery="latches"))
-    # These leaks lower the level faster than pump and outlet can, so the level jumps meanwhile.
-    for number, leak in enumerate((20_000, 50_000)):
-        yield Case(f"site:{DRIVES[number]}", "site", "leak", number, Expected(
-            bound="undelivered", signs=_pump("delivery"), recovery="latches"), leak)
-
-
-_UNREADABLE: Sign = ("weather: forecast", "forecast_unreadable")
-
-
-def _harmless() -> Iterator[Case]:
-    """Yield the cases that must not stop the pump."""
-    for number, drive in enumerate(DRIVES[:2]):
-        for target, signs in (
-            ("large", ()), ("an issue too large", (_UNREADABLE,)),
-            ("short", (("weather: forecast", "forecast_short"),)),
-            ("a null", ()), ("an empty member", ()), ("a short control run", ()),
+def _sensors() -> Iterator[Case]:
+    for tank in ("cistern", "roof"):
+        silent = Expected(bound="level", signs=_level(tank, "input_silent"))
+        jump = Expected(bound="noisy", signs=_level(tank, "input_jump"))
+        for fault, expected, parameter in (
+            ("silent", silent, DEFAULT), ("absurd", silent, DEFAULT), ("noisy", jump, 1000),
+            ("frozen", _still(tank), DEFAULT), ("drifting", replace(jump, bound="drift"), 500),
         ):
-            yield Case(f"lookahead:{drive}", "forecast file", target, number, Expected(
-                stops=False, signs=signs, watch=20.0 if "large" in target else 5.0,
-                never=() if signs == (_UNREADABLE,) else (_UNREADABLE,)))
-        yield Case(f"empty:{drive}", "from the start", "roof level of -1 mm", number, Expected(
-            stops=False, never=_level("roof", "input_refused")))
-        yield Case(f"no forecast:{drive}", "from the start", "no forecast file", number, Expected(
-            stops=False, signs=(("weather: forecast", "forecast_missing"),)))
-        # The reading does not change for a while, although the level does.
-        for tank, watch in (("cistern", 40.0), ("roof", 80.0)):
-            yield Case(f"played:{drive}", "coarse", f"/{tank}/level", number, Expected(
-                stops=False, watch=watch, never=_level(tank, "input_frozen")))
-        # Surfaces hold back the rain, 2 mm.
-        yield Case(f"catchment:{drive}", "coarse in rain", "/cistern/level", number, Expected(
-            stops=False, watch=40.0, never=(("onoff: inputs", "input_frozen"),)))
-        yield Case(f"site:{drive}", CHANGES, "onoff", number, _RUNS_ON)
-        for node in NODES:
-            yield Case(f"site:{drive}", "use_sim_time", node, number, _RUNS_ON)
+            yield Case(SITE, "sensor", f"{tank}_{fault}", expected, parameter)
+        special = {"slow": _RUNS_ON, "split": _RUNS_ON,
+                   "intermittent": replace(silent, bound="intermittent")}
+        for fault in _WIRE:
+            yield Case(SITE, "sensor line", f"{tank}_{fault}", special.get(fault, silent))
+    for fault in ("burst_pipe", "closed_valve"):
+        yield Case(SITE, "site", fault, _DELIVERY)
+    # This leak lowers the level faster than pump and outlet can, so the level jumps meanwhile.
+    yield Case(SITE, "site", "leak", _DELIVERY, 50_000)
+    yield Case(f"dry:{DRIVES[0]}", "dry", "cistern", Expected(
+        bound="filtered", signs=_pump("cistern_low"), recovery="stays"))
 
 
-def _state_files() -> Iterator[Case]:
-    """Yield the cases of a killed pump node whose state file is lost or broken meanwhile."""
-    for number, drive in enumerate(DRIVES):
-        for target in ("moved away", "unfinished", "torn", "without starts"):
-            yield Case(f"site:{drive}", "state file", target, number, Expected(
-                bound="drive", signs=_pump("record_unknown"), recovery="latches"))
-
-
-def _brokers(repeats: int) -> Iterator[Case]:
+def _brokers() -> Iterator[Case]:
     """Yield the cases of sensors on MQTT and their broker."""
+    rig = f"mqtt:{DRIVES[0]}"
     level = Expected(bound="level", signs=_level("cistern", "input_silent"))
     lost, broker_lost = (
         tuple((f"{tank}_sensor: sensor", f"{what}_lost") for tank in ("cistern", "roof"))
         for what in ("sensor", "broker")
     )
-    for number in range(repeats):
-        rig = f"mqtt:{DRIVES[number % 4]}"
-        for fault, expected in (
-            ("killed", replace(level, signs=(*level.signs, *broker_lost))),
-            # The broker may be back before the level is too old.
-            ("restarted", Expected(stops=None, signs=broker_lost)),
-            ("paused", level),
-            ("half_open", level),
-            ("retained", replace(level, signs=(*level.signs, lost[0]))),
-            ("hostile", Expected(stops=None, bound="level", signs=lost[:1])),
-        ):
-            yield Case(rig, "broker", fault, number, expected)
-        for tank, sensor in zip(("cistern", "roof"), lost, strict=True):
-            for fault in ("silent", "absurd"):
-                yield Case(rig, "sensor", f"{tank}_{fault}", number, Expected(
-                    bound="level", signs=(*_level(tank), sensor)))
-        yield Case(rig, "kill", "site_simulator", number, replace(
-            level, signs=(*level.signs, *lost)))
-        yield Case(rig, "stop long", "sensors", number, _process("sensors", "stop long"))
+    for fault, expected in (
+        ("killed", replace(level, signs=(*level.signs, *broker_lost))),
+        # The broker may be back before the level is too old.
+        ("restarted", Expected(stops=None, signs=broker_lost)),
+        ("paused", level),
+        ("half_open", level),
+        ("retained", replace(level, signs=(*level.signs, lost[0]))),
+        ("hostile", Expected(stops=None, bound="level", signs=lost[:1])),
+    ):
+        yield Case(rig, "broker", fault, expected)
+    for tank, sensor in zip(("cistern", "roof"), lost, strict=True):
+        for fault in ("silent", "absurd"):
+            yield Case(rig, "sensor", f"{tank}_{fault}", Expected(
+                bound="level", signs=(*_level(tank), sensor)))
+    yield Case(rig, "kill", "site_simulator", replace(level, signs=(*level.signs, *lost)))
 
 
-def _dry(repeats: int) -> Iterator[Case]:
-    for number in range(repeats):
-        yield Case(f"dry:{DRIVES[number % 4]}", "dry", "cistern", number, Expected(
-            bound="filtered", signs=_pump("cistern_low"), recovery="stays"))
+_UNREADABLE: Sign = ("weather: forecast", "forecast_unreadable")
 
 
-def _limits(repeats: int) -> Iterator[Case]:
+def _forecasts() -> Iterator[Case]:
+    for file in ("broken", "missing"):
+        yield Case(SITE, "forecast file", file, Expected(stops=False, signs=(_UNREADABLE,)))
+    yield Case(SITE, "forecast file", "old", Expected(
+        bound="command", signs=(("weather: forecast", "forecast_missing"),
+                                *_pump("frost_unknown"))))
+    for target, signs in (
+        ("large", ()), ("an issue too large", (_UNREADABLE,)),
+        ("short", (("weather: forecast", "forecast_short"),)),
+        ("a null", ()), ("an empty member", ()), ("a short control run", ()),
+    ):
+        yield Case(f"lookahead:{DRIVES[0]}", "forecast file", target, Expected(
+            stops=False, signs=signs, watch=20.0 if "large" in target else 5.0,
+            never=() if signs == (_UNREADABLE,) else (_UNREADABLE,)))
+    yield Case(f"no forecast:{DRIVES[0]}", "from the start", "no forecast file", Expected(
+        stops=False, signs=(("weather: forecast", "forecast_missing"),)))
+
+
+def _harmless() -> Iterator[Case]:
+    """Yield the cases that must not stop the pump."""
+    yield Case(f"empty:{DRIVES[0]}", "from the start", "roof level of -1 mm", Expected(
+        stops=False, never=_level("roof", "input_refused")))
+    # The reading does not change for a while, although the level does.
+    for tank, watch in (("cistern", 40.0), ("roof", 80.0)):
+        yield Case(f"played:{DRIVES[0]}", "coarse", f"/{tank}/level", Expected(
+            stops=False, watch=watch, never=_level(tank, "input_frozen")))
+    # Surfaces hold back the rain, 2 mm.
+    yield Case(f"catchment:{DRIVES[0]}", "coarse in rain", "/cistern/level", Expected(
+        stops=False, watch=40.0, never=(("onoff: inputs", "input_frozen"),)))
+    yield Case(SITE, CHANGES, "onoff", _RUNS_ON)
+    for node in ("onoff", "weather", "cistern_sensor", "pump", "recorder"):
+        yield Case(SITE, "use_sim_time", node, _RUNS_ON)
+
+
+def _records() -> Iterator[Case]:
+    """Yield the cases of a full disk, and of a killed pump node whose state file is spoilt."""
+    for target in ("moved away", "torn"):
+        yield Case(SITE, "state file", target, Expected(
+            bound="drive", signs=_pump("record_unknown"), recovery="latches"))
+    yield Case(f"full disk:{DRIVES[0]}", "full disk", "recorder", Expected(
+        stops=False, bound="full disk", signs=(("recorder: recording", "not_recorded"),),
+        watch=5.0))
+
+
+def _limits() -> Iterator[Case]:
     """Yield the cases of a command that never changes, which the pump's limits must stop."""
-    for number in range(repeats):
-        for limit, code, recovery in (
-            ("greatest_run", "longest_run", "heals"),
-            ("greatest_run_per_day", "daily_run", "stays"),
-            ("greatest_volume_per_day", "daily_volume", "stays"),
-        ):
-            yield Case(f"{limit}:{DRIVES[number % 4]}", "stuck for ever", "/pump/command", number,
-                       Expected(bound="limit", signs=_pump(code), recovery=recovery))
-
-
-def _full_disk(repeats: int) -> Iterator[Case]:
-    for number in range(repeats):
-        yield Case(f"full disk:{DRIVES[number % 4]}", "full disk", "recorder", number, Expected(
-            stops=False, bound="full disk", signs=(("recorder: recording", "not_recorded"),),
-            watch=5.0))
-        yield Case("simulated", "full disk", "recorder", number, Expected(
-            stops=None, bound="supervised", names="No space left", recovery="ends"))
+    for limit, code, recovery in (
+        ("greatest_run", "longest_run", "heals"),
+        ("greatest_run_per_day", "daily_run", "stays"),
+        ("greatest_volume_per_day", "daily_volume", "stays"),
+    ):
+        yield Case(f"{limit}:{DRIVES[0]}", "stuck for ever", "/pump/command", Expected(
+            bound="limit", signs=_pump(code), recovery=recovery))
 
 
 # --- topics ---------------------------------------------------------------------------------------
 
-MODES = ("ok", "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
+MODES = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
+LEVELS = ("/cistern/level", "/roof/level", "/weather/frost")
+FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
+PLAYED = (*LEVELS, *FORECASTS)
+GAUGES = ("/gauge/precipitation", "/gauge/temperature")
+# Signs of refused values, by topic.
+_REFUSED = {
+    "/pump/command": (*_pump("command_unknown"), ("pump: command", "input_refused")),
+    "/weather/frost": _pump("frost_unknown"),
+    **{f"/{tank}/level": _level(tank, "input_refused") for tank in ("cistern", "roof")},
+    "/gauge/precipitation": (("weather: rain gauge", "gauge_bad"),),
+    "/gauge/temperature": (("weather: thermometer", "gauge_bad"),),
+}
+# Topics played badly, by rig. The campaign's controller (on/off) needs no forecast.
+_ON = {
+    "pump": ("/pump/command", *LEVELS), "played": FORECASTS, "gauged": GAUGES,
+    "metered": ("/pump/meter",),
+}
 
 
 def _badly() -> dict[tuple[str, str], Expected]:
-    """Return what must follow from topics that are published badly; others have no effect.
-
-    The controller uses its own command in place of /pump/flow, and the campaign's controller
-    (on/off) needs no forecast.
-    """
+    """Return what must follow from topics that are published badly; others have no effect."""
     command, frost = "/pump/command", "/weather/frost"
     refused = Expected(signs=_REFUSED[command])
     silent = Expected(bound="command", signs=_pump("command_unknown"))
@@ -409,19 +364,18 @@ def _badly() -> dict[tuple[str, str], Expected]:
         (command, "slow"): silent,
         (command, "intermittent"): replace(silent, bound="intermittent"),
         # The meter reports no flow while a level falls: one of the two is wrong.
-        ("/pump/meter", "wrong"): Expected(
-            bound="undelivered", signs=_pump("delivery"), recovery="latches"),
+        ("/pump/meter", "wrong"): _DELIVERY,
         ("/gauge/temperature", "wrong"): Expected(bound="command", signs=_pump("frost")),
     }
     for tank in ("cistern", "roof"):
         name = f"/{tank}/level"
+        gone = Expected(bound="level", signs=_level(tank, "input_silent"))
         badly |= {
-            (name, "off"): Expected(bound="level", signs=_level(tank, "input_silent")),
+            (name, "off"): gone,
             (name, "stuck"): _still(tank),
             (name, "garbage"): Expected(signs=_REFUSED[name]),
             (name, "wrong"): Expected(signs=_level(tank, "input_jump")),
-            (name, "intermittent"): Expected(
-                bound="intermittent", signs=_level(tank, "input_silent")),
+            (name, "intermittent"): replace(gone, bound="intermittent"),
         }
     for gauge in GAUGES:  # the forecast is used instead
         bad = Expected(stops=False, bound="gauge", signs=_REFUSED[gauge])
@@ -429,42 +383,16 @@ def _badly() -> dict[tuple[str, str], Expected]:
     return badly
 
 
-LEVELS = ("/cistern/level", "/roof/level", "/weather/frost")
-FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
-PLAYED = (*LEVELS, *FORECASTS)
-GAUGES = ("/gauge/precipitation", "/gauge/temperature")
-# Signs of refused values, by topic.
-_REFUSED = {
-    "/pump/command": (*_pump("command_unknown"), ("pump: command", "input_refused")),
-    "/weather/frost": _pump("frost_unknown"),
-    **{f"/{tank}/level": _level(tank, "input_refused") for tank in ("cistern", "roof")},
-    "/gauge/precipitation": (("weather: rain gauge", "gauge_bad"),),
-    "/gauge/temperature": (("weather: thermometer", "gauge_bad"),),
-}
-# Topics played by the campaign, by rig.
-_ON = {
-    "pump": ("/pump/command", *LEVELS), "played": PLAYED, "gauged": GAUGES,
-    "metered": ("/pump/meter",), "flow": ("/pump/flow",),
-}
-
-
-def _topics(repeats: int) -> Iterator[Case]:
+def _topics() -> Iterator[Case]:
     badly = _badly()
-    for rig, topics in _ON.items():
-        for number in range(repeats):
-            for topic in topics:
-                for mode in MODES:
-                    # These take a minute or more.
-                    slow = mode == "stuck" and topic in LEVELS[:2]
-                    slow |= mode == "off" and topic in ("/weather/frost", *GAUGES)
-                    slow |= mode == "wrong" and topic == "/pump/meter"
-                    if number >= (1 if mode == "ok" else 2 if slow else repeats):
-                        continue
-                    yield Case(f"{rig}:{DRIVES[number % 4]}", mode, topic, number,
-                               badly.get((topic, mode), _RUNS_ON))
-                yield Case(f"{rig}:{DRIVES[number % 4]}", "10000 hostile", topic, number, Expected(
-                    stops=None, bound="gauge" if rig == "gauged" else "command",
-                    signs=_REFUSED.get(topic, ())))
+    for kind, topics in _ON.items():
+        for topic in topics:
+            rig = f"{kind}:{DRIVES[0]}"
+            for mode in MODES:
+                yield Case(rig, mode, topic, badly.get((topic, mode), _RUNS_ON))
+            yield Case(rig, "10000 hostile", topic, Expected(
+                stops=None, bound="gauge" if kind == "gauged" else "command",
+                signs=_REFUSED.get(topic, ())))
 
 
 # --- intruders ------------------------------------------------------------------------------------
@@ -476,159 +404,38 @@ _OBEYED = {
     "/cistern/level": _level("cistern", "input_publishers"),
     "/roof/level": _level("roof", "input_publishers"),
     "/weather/frost": (*_pump("frost_unknown"), ("pump: frost", "input_publishers")),
+    "/pump/flow": (*_pump("two_pumps"), ("pump: flow", "two_pumps")),
 }
-_RECEIVED = (*FORECASTS, "/weather/precipitation", "/weather/evapotranspiration", "/pump/flow",
-          "/pump/state", "/pump/meter", "/controller/cost", "/diagnostics")
+_RECEIVED = (*FORECASTS, "/weather/precipitation", "/weather/evapotranspiration", "/pump/state",
+             "/pump/meter", "/controller/cost", "/diagnostics")
 
 
-_TWO_PUMPS = Expected(
-    bound="command", signs=(*_pump("two_pumps"), ("pump: flow", "two_pumps")), names="/pump/flow")
-
-
-def _intruders(repeats: int) -> Iterator[Case]:
-    for number in range(repeats):
-        rig = f"site:{DRIVES[number % 4]}"
-        for topic, signs in _OBEYED.items():
-            yield Case(rig, "intruder", topic, number, Expected(bound="command", signs=signs))
-        for topic in _RECEIVED:
-            yield Case(rig, "intruder", topic, number, _TWO_PUMPS if topic == "/pump/flow" else
-                       Expected(stops=None))
-        # Every topic that a live node receives, from any publisher: 10,000 hostile messages.
-        for topic in (*_OBEYED, *_RECEIVED, *GAUGES):
-            yield Case(rig, "10000 hostile", topic, number, Expected(
-                stops=None, bound="command", signs=_OBEYED.get(topic, ())))
-        yield Case(rig, "second pump node", "pump", number, Expected(
-            stops=None, bound="command", watch=5.0, names="/pump/flow",
-            signs=(("pump", "two_processes"), ("pump: flow", "two_pumps"))))
-        for target in ("in another domain", "in another domain, temporary files removed"):
-            yield Case(f"pump:{DRIVES[number % 4]}", "second pump node", target, number, Expected(
-                stops=False, bound="command", watch=5.0, signs=(("pump: drive", "drive_lost"),)))
-        yield Case(rig, "second controller", "onoff", number, Expected(
-            bound="command", signs=_OBEYED["/pump/command"]))
-        for target in ("bringup", "bringup, temporary files removed"):
-            yield Case(rig, "second graph", target, number, Expected(stops=False))
-
-
-# --- hardware in the loop, simulated --------------------------------------------------------------
-
-
-def _loop(repeats: int) -> Iterator[Case]:
-    for number in range(repeats):
-        for process in ("pump", "bringup"):
-            yield Case(f"loop:{DRIVES[number % 4]}", "stop short", process, number, _RUNS_ON)
-        for fault in ("kill", "term", "stop long"):
-            where = f"loop:{DRIVES[number % 4]}"
-            yield Case(where, fault, "pump", number, Expected(
-                bound="drive", names="pump", recovery="ends"))
-            yield Case(where, fault, "bringup", number, Expected(
-                bound="command", signs=_pump("command_unknown"),
-            ) if fault == "stop long" else Expected(
-                recovery="ends"))
-        for topic in ("/clock", *_OBEYED, *FORECASTS, "/weather/precipitation", "/pump/flow"):
-            for fault in ("intruder", "10000 hostile")[:1 if number else 2]:
-                yield Case(f"loop:{DRIVES[number % 4]}", fault, topic, number, Expected(
-                    bound="supervised", recovery="ends",
-                    names=topic))
-        yield Case(f"loop:{DRIVES[number % 4]}", "kill both", "pump and bringup", number, Expected(
-            bound="drive", recovery="ends"))
-
-
-# Weather topics that only the plant hears.
-_OF_PLANT = ("/weather/precipitation", "/weather/evapotranspiration")
-RELAYED = (*_OBEYED, *FORECASTS, *_OF_PLANT)
-
-
-def _relayed(repeats: int) -> Iterator[Case]:
-    """Yield the cases of relayed topics: a missing message stalls the tick, a late one delays it.
-
-    A wrong level is accepted, because a plant could have it.
-    """
-    for number in range(repeats):
-        for topic in RELAYED:
-            hearer = "plant" if topic in _OF_PLANT else "onoff"
-            refused = Expected(stops=topic not in _OF_PLANT, signs=_REFUSED.get(
-                topic, ((f"{hearer}: refused", "values_refused"),)))
-            wrong = {"/pump/command": refused, "/weather/frost": Expected(signs=_pump("frost"))}
-            # The waiting nodes are known, so the first in the chain is named.
-            stalled = Expected(
-                bound="command", signs=(("plant", "node_failed"),), recovery="ends",
-                names=topic if topic in _OF_PLANT else "/pump/command")
-            for mode, expected in {
-                "off": stalled,
-                "stuck": _RUNS_ON,
-                "garbage": refused,
-                "wrong": wrong.get(topic, _RUNS_ON),
-                "ok": _RUNS_ON,
-                # Later than a command may be, but before the run ends: the pump slows down, but
-                # runs on before it stands.
-                "slow": Expected(stops=None, bound="command", signs=_pump("command_unknown")),
-                # A one-second tick and these two delays are about as long as a command may be late.
-                "delayed": Expected(stops=None, watch=6.0),
-                "intermittent": replace(stalled, bound="intermittent"),
-            }.items():
-                if number and mode in ("ok", "slow", "delayed", "intermittent"):
-                    continue
-                yield Case(f"relayed:{DRIVES[number % 4]}", mode, topic, number, expected)
-
-
-def _simulated(repeats: int) -> Iterator[Case]:
-    for number in range(repeats):
-        for fault in ("kill", "term", "stop short", "stop long"):
-            yield Case("simulated", fault, "bringup", number, Expected(
-                stops=None, bound="supervised",
-                recovery="same" if fault.startswith("stop") else "ends"))
-        for topic in ("/clock", *_OBEYED, *FORECASTS, *_OF_PLANT):
-            for fault in ("intruder", "10000 hostile")[:1 if number else 2]:
-                yield Case("simulated", fault, topic, number, Expected(
-                    stops=None, bound="supervised", recovery="ends",
-                    names=topic))
-        for topic in ("/cistern/outflow", "/roof/drainage"):
-            yield Case("simulated", "intruder", topic, number, Expected(
-                stops=None, bound="supervised", recovery="either"))
-        for fault, target in (("second graph", "bringup"), (CHANGES, "onoff")):
-            yield Case("simulated", fault, target, number, Expected(stops=None, recovery="same"))
-
-
-def _readers(blocks: int) -> Iterator[Case]:
-    """Yield cases of four readers of /roof/level, stopped for 6.5 s and continued, in all ways."""
-    for number in range(blocks):
-        for way in ("simulated", "loop", "live"):
-            yield Case("readers", f"four readers stopped {ROUNDS} times", way, number, Expected(
-                stops=False, recovery="same"))
-
-
-def _service() -> Iterator[Case]:
-    for fault in FAULTS:
-        if fault != NONE:
-            yield Case("service", "fails", fault, 0, Expected(stops=False))
+def _intruders() -> Iterator[Case]:
+    for topic in (*_OBEYED, *_RECEIVED):
+        signs = _OBEYED.get(topic)
+        yield Case(SITE, "intruder", topic, Expected(
+            stops=True if signs else None, bound="command", signs=signs or (),
+            names=topic if topic == "/pump/flow" else ""))
+        # Every topic that a live node receives, from any publisher.
+        yield Case(SITE, "10000 hostile", topic, Expected(
+            stops=None, bound="command", signs=signs or ()))
+    yield Case(SITE, "second pump node", "pump", Expected(
+        stops=None, bound="command", watch=5.0, names="/pump/flow",
+        signs=(("pump", "two_processes"), ("pump: flow", "two_pumps"))))
+    for target in ("in another domain", "in another domain, temporary files removed"):
+        yield Case(PUMP, "second pump node", target, Expected(
+            stops=False, bound="command", watch=5.0, signs=(("pump: drive", "drive_lost"),)))
+    yield Case(SITE, "second controller", "onoff", Expected(
+        bound="command", signs=_OBEYED["/pump/command"]))
+    for target in ("bringup", "bringup, temporary files removed"):
+        yield Case(SITE, "second graph", target, _RUNS_ON)
 
 
 def all_cases() -> list[Case]:
     """Return the whole campaign."""
-    every = tuple(_DRIVE)
     cases = [
-        *_simulated(4),
-        *_full_disk(2),
-        *_processes(4),
-        *_drive("site", every, 0, 1),
-        *_drive("pump", every, 1, 2),
-        *_drive("loop", every, 0, 1),
-        *_drive("rtu", _SERIAL, 0, 1),
-        *_drive_alone(1),
-        *_timeouts(),
-        *_relay(2),
-        *_sensors(2),
-        *_harmless(),
-        *_state_files(),
-        *_brokers(4),
-        *_dry(4),
-        *_limits(2),
-        *_topics(3),
-        *_intruders(2),
-        *_loop(2),
-        *_relayed(2),
-        *_readers(4),
-        *_service(),
+        *_processes(), *_drives(), *_relays(), *_sensors(), *_brokers(), *_forecasts(),
+        *_harmless(), *_records(), *_limits(), *_topics(), *_intruders(),
     ]
     assert len({case.id for case in cases}) == len(cases)
     return cases

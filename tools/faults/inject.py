@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import signal
+import subprocess
+import sys
 import threading
 import time
-import zlib
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import asdict
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 from faults.bounds import DRIVE_TIMEOUT_S
-from faults.cases import CHANGES, GAUGES, LEVELS, Case
-from faults.players import HOSTILE, HUGE, OFF_S, ON_S, Players
+from faults.cases import CHANGES, GAUGES, LEVELS, ROUNDS, Case
+from faults.players import HOSTILE, HUGE, OFF_S, ON_S
 from faults.rig import FullDiskRig, MqttRig, RelayRig, Rig, SiteRig, pump_node, wait
 from faults.truth import AT_REST
 from faults.watcher import Watcher
-from graphs import Process, reserved_domain
+from graphs import Process, environment, reserved_domain
 from ros_rig import FORECAST_HEADER, write_forecast
 
 from greenroof_ros.common.command_line import EXIT_OCCUPIED
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.experiment.incidents import INCIDENTS, Incident, wall_time
+from greenroof_ros.common.processes import child_environment
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.modbus_line import encode, parse_address
 
@@ -43,6 +42,20 @@ _MISSING: dict[str, Callable[[int, int], bool]] = {
     "an empty member": lambda member, hour: member == 3,
     "a short control run": lambda member, hour: member == 0 and hour >= 120,
 }
+# Time for which foreign readers are stopped, and the longest time between their stops (s).
+_READERS_S, _APART_S = 6.5, 0.4
+# Like ``ros2 topic echo``: it uses only this package's rule for when to end, and the middleware's
+# own settings, including shared memory.
+_READER = """
+import rclpy
+from std_msgs.msg import Float64
+from greenroof_ros.common.processes import end_with_parent
+end_with_parent()
+rclpy.init()
+node = rclpy.create_node("reader", start_parameter_services=False)
+node.create_subscription(Float64, "/roof/level", lambda message: None, 10)
+rclpy.spin(node)
+"""
 # Where cleaners of temporary files remove them, and the end of a login session.
 _CLEANED = ("/tmp/", "/run/lock/", "/var/lock/", "/dev/shm/")
 
@@ -138,15 +151,8 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             assert accepted == [False], f"use_sim_time: {accepted}"
         case fault if fault == CHANGES:
             change_parameter(rig.watcher, case.target, "level")
-        case "flapping":
-            _fill_incidents(rig, undo)
-            _on_wire(rig.lines[case.target].inject, "intermittent", undo)
-        case "term after an incident":
-            before = rig.incidents()
-            os.kill(rig.pids()["weather"], signal.SIGKILL)
-            wait(lambda: rig.incidents() > before, 30, "an incident")
-            wait(rig.runs, 90, "a pump that runs again")
-            rig.main.process.terminate()
+        case "readers":
+            _stop_readers(rig, rng, undo)
         case "coarse in rain":
             assert players is not None
             for topic, mode in ((LEVELS[0], "coarse"), (GAUGES[0], "wrong")):
@@ -168,7 +174,7 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             refuse_second_graph(rig.domain, rig.directory)
         case "second pump node" | "second controller":
             _second(rig, case, undo)
-        case "10000 hostile" if isinstance(players, Players) and case.target in players.topics:
+        case "10000 hostile" if players is not None and case.target in players.topics:
             players.burst(case.target, 10_000, rng)
         case "intruder" | "10000 hostile":
             intrude(rig.watcher, case.target, case.fault, rng)
@@ -313,19 +319,29 @@ def _rewrite_timeout(rig: Rig, case: Case, undo: ExitStack) -> None:
         undo.callback(rig.watcher.stop, False)
 
 
-def _fill_incidents(rig: Rig, undo: ExitStack) -> None:
-    """Fill the list of incidents, as months of flapping would; it must not become longer."""
-    file = rig.output / INCIDENTS
-    old = Incident(0, "campaign", "earlier", "of an earlier start", wall_time(), wall_time())
-    line = json.dumps(asdict(old)) + "\n"
-    with file.open("a") as stream:
-        stream.write(line * (1_000_000 // len(line) + 1))
+def _stop_readers(rig: Rig, rng: random.Random, undo: ExitStack) -> None:
+    """Stop and continue four foreign readers, again and again.
 
-    def check() -> None:
-        size = file.stat().st_size
-        assert size < 100_000, f"{INCIDENTS} grew to {size} bytes"
-
-    undo.callback(check)
+    With shared memory this froze unrelated nodes.
+    """
+    readers = [
+        subprocess.Popen(
+            [sys.executable, "-c", _READER], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            env={**child_environment(), **environment(rig.domain)}, start_new_session=True,
+        ) for _ in range(4)
+    ]
+    for reader in readers:
+        undo.callback(reader.wait)
+        undo.callback(reader.kill)
+    time.sleep(3.0)
+    for _ in range(ROUNDS):
+        for number in (signal.SIGSTOP, signal.SIGCONT):
+            for reader in readers:
+                reader.send_signal(number)
+                time.sleep(rng.uniform(0.0, _APART_S / 4))
+            if number == signal.SIGSTOP:
+                time.sleep(_READERS_S)
+    assert all(reader.poll() is None for reader in readers), "a reader ended on its own"
 
 
 def _remove_files(rig: Rig) -> None:
@@ -383,18 +399,8 @@ def _state_file(rig: Rig, fault: str) -> None:
     match fault:
         case "moved away":
             file.rename(file.with_name("pump.json.broken"))
-        case "unfinished":
-            file.rename(file.with_name("pump.json.new"))
         case "torn":
             file.write_bytes(file.read_bytes()[:5000])
-        case "without starts":
-            lines = b""
-            for line in file.read_bytes().splitlines():
-                content = json.loads(line.split(maxsplit=1)[1])
-                del content["starts"]
-                text = json.dumps(content).encode()
-                lines += (b"%08x " % zlib.crc32(text) + text).ljust(len(line)) + b"\n"
-            file.write_bytes(lines)
 
 
 def _second(rig: Rig, case: Case, undo: ExitStack) -> None:

@@ -7,7 +7,6 @@ import random
 import threading
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
 
 from faults.truth import Truth
 from faults.watcher import Watcher
@@ -19,8 +18,6 @@ Value = float | Sequence[float]
 PERIOD_S = 1.0
 # The fault *intermittent* of PX4: on for 2 s, off for 7 s.
 ON_S, OFF_S = 2.0, 7.0
-# Prefix of the topics on which the nodes publish if the campaign stands between them.
-TRUE = "/true"
 HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e-9, -1e300)
 # Values too large for other topics; as a command they are treated as 1.
 HUGE = (101.0, 1e9, 1.7976931348623157e308)
@@ -30,8 +27,6 @@ _WRONG: dict[str, Callable[[float], float]] = {
     "/roof/level": lambda level: level + 0.1,
     "/weather/frost": lambda frost: 1.0,
     "/pump/command": lambda command: -0.5,
-    "/weather/precipitation": lambda rain: 1e-6,
-    "/weather/evapotranspiration": lambda loss: 1e-5,
     "/forecast/precipitation": lambda rain: 1e-4,
     "/forecast/evapotranspiration": lambda loss: 1e-3,
     "/pump/flow": lambda flow: 0.5 * flow,
@@ -45,56 +40,24 @@ _DELAY_S, _SLOW = 2.0, 4.0
 _COARSE_M = 0.005
 
 
-class _Played:
-    """Topics that the campaign publishes, each with one of the faults of PX4's list.
+class Players:
+    """Publishes each topic once a second, with one of the faults of PX4's list.
+
+    Levels follow from the drive's true speed.
 
     Attributes:
         topics: the published topics.
     """
 
-    def __init__(self, watcher: Watcher, topics: Sequence[str]) -> None:
+    def __init__(
+        self, watcher: Watcher, truth: Truth, site: Site, topics: Sequence[str]
+    ) -> None:
         self.topics = set(topics)
         self._watcher = watcher
         self._mode = dict.fromkeys(topics, "ok")
         self._began = time.monotonic()
         self._last: dict[str, Value] = {}
         self._random = random.Random(0)
-
-    def set(self, topic: str, mode: str, rng: random.Random) -> None:
-        """Publish a topic with this fault from now on."""
-        self._random = random.Random(rng.random())
-        self._began = time.monotonic()
-        self._mode[topic] = mode
-
-    def _later(self, seconds: float, topic: str, value: Value) -> None:
-        threading.Timer(seconds, self._watcher.publish, (topic, value)).start()
-
-    def _changed(self, topic: str, value: Value) -> Value | None:
-        """Return the value to publish; None if nothing is published now."""
-        mode, since = self._mode[topic], time.monotonic() - self._began
-        if mode == "off" or (mode == "intermittent" and since % (ON_S + OFF_S) > ON_S):
-            return None
-        if mode == "delayed":
-            self._later(_DELAY_S, topic, value)
-            return None
-        if mode == "garbage":
-            return _garbage(topic, value, self._random)
-        if mode == "coarse" and isinstance(value, float):
-            return round(value / _COARSE_M) * _COARSE_M
-        if mode == "wrong":
-            return _wrong(topic, value)
-        if mode != "stuck":
-            self._last[topic] = value
-        return self._last[topic]
-
-
-class Players(_Played):
-    """Publishes each topic once a second; levels follow from the drive's true speed."""
-
-    def __init__(
-        self, watcher: Watcher, truth: Truth, site: Site, topics: Sequence[str]
-    ) -> None:
-        super().__init__(watcher, topics)
         self.cistern, self.roof = 2.9, 0.01
         self._truth, self._site = truth, site
         good: dict[str, Callable[[], Value]] = {
@@ -138,6 +101,33 @@ class Players(_Played):
                     if changed_value is not None:
                         self._watcher.publish(topic, changed_value)
 
+    def set(self, topic: str, mode: str, rng: random.Random) -> None:
+        """Publish a topic with this fault from now on."""
+        self._random = random.Random(rng.random())
+        self._began = time.monotonic()
+        self._mode[topic] = mode
+
+    def _changed(self, topic: str, value: Value) -> Value | None:
+        """Return the value to publish; None if nothing is published now."""
+        mode, since = self._mode[topic], time.monotonic() - self._began
+        match mode:
+            case "off":
+                return None
+            case "intermittent" if since % (ON_S + OFF_S) > ON_S:
+                return None
+            case "delayed":
+                threading.Timer(_DELAY_S, self._watcher.publish, (topic, value)).start()
+                return None
+            case "garbage":
+                return _garbage(topic, value, self._random)
+            case "wrong":
+                return _wrong(topic, value)
+            case "coarse" if isinstance(value, float):
+                return round(value / _COARSE_M) * _COARSE_M
+        if mode != "stuck":
+            self._last[topic] = value
+        return self._last[topic]
+
     def burst(self, topic: str, count: int, rng: random.Random) -> None:
         """Publish this many hostile values as fast as possible, with random pauses."""
         sample = self._values[topic]()
@@ -146,26 +136,6 @@ class Players(_Played):
             self._watcher.publish(topic, _garbage(topic, sample, self._random))
             if number % 500 == 499:
                 time.sleep(rng.uniform(0.0, 0.05))
-
-
-class Relay(_Played):
-    """Stands between nodes in lockstep: the others hear each node's messages only through it.
-
-    A node publishes under /true, and each message is passed on as a case requires; one that is not
-    passed on holds up the tick. A node in lockstep publishes again only when it is answered, so
-    slow is the same as delayed, but longer.
-    """
-
-    def __init__(self, watcher: Watcher, topics: Sequence[str]) -> None:
-        super().__init__(watcher, topics)
-        for topic in topics:
-            watcher.relay(f"{TRUE}{topic}", topic, partial(self._changed, topic))
-
-    def _changed(self, topic: str, value: Value) -> Value | None:
-        if self._mode[topic] != "slow":
-            return super()._changed(topic, value)
-        self._later(_SLOW * PERIOD_S, topic, value)
-        return None
 
 
 def _wrong(topic: str, value: Value) -> Value:

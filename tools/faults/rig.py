@@ -9,7 +9,7 @@ import re
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
@@ -19,18 +19,16 @@ import yaml
 from brokers import Mosquitto, Talker
 from disks import fill, small_disk
 from faults.bounds import DRIVE_TIMEOUT_S, LIMIT_S, RAMP_S
-from faults.cases import GAUGES, LEVELS, PLAYED, RELAYED, Sign
+from faults.cases import GAUGES, LEVELS, PLAYED, Sign
 from faults.line import Cable, Line
-from faults.players import TRUE, Players, Relay
+from faults.players import Players
 from faults.truth import AT_REST, Truth
 from faults.watcher import Watcher
-from graphs import Process, alive, free_ports, summary_of
+from graphs import Process, alive, free_ports
 from places import CONFIG, guarding
 from pump_rig import settings_for
 from ros_rig import write_forecast
 
-from greenroof_ros.common.interface import read_topics
-from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.live.devices.modbus_line import Address, parse_address
 from greenroof_ros.model.pump_speed import flow_at
@@ -44,11 +42,10 @@ BOOT_S = 2.0
 # Parameters that differ from their defaults, so that a stopped pump runs again soon. No bound
 # depends on them.
 SHORTENED = {"recovery_time": 1.0}
-LOOP_SHORTENED = {
-    "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0,
+PUMP_SHORTENED = {
+    **SHORTENED, "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0,
     "local_settings_stop_the_pump": True,  # as the simulated Grundfos is set
 }
-PUMP_SHORTENED = {**SHORTENED, **LOOP_SHORTENED}
 # The paper's site, but with a roof that takes an hour to fill: ten times its target.
 _TARGET = 0.45
 _CISTERN_M3, _ROOF_M3 = 73.0, 0.5
@@ -187,7 +184,7 @@ class Rig:
         self.started: set[int] = set()
         self.ended_badly: list[str] = []
         self.output = directory / "state"
-        self.players: Players | Relay | None = None
+        self.players: Players | None = None
         site_bench = self.start_site()
         self.truth = Truth(parse_address(self._bench), site_bench)
         self.watcher = Watcher(self.domain)
@@ -249,19 +246,15 @@ class Rig:
 
     def signs(self, since: float, incidents: int = 0) -> set[Sign]:
         """Return the signs since a time on /diagnostics, and in incidents from a number on."""
-        return self._signs_since("signs", since) | {
+        return self._reported(since) | {
             (incident.subject, incident.code)
             for incident in read_incidents(self.output)[incidents:]
         }
 
-    def advised(self, since: float) -> set[Sign]:
-        """Return the signs since a time that the page has advice about."""
-        return self._signs_since("advised", since)
-
-    def _signs_since(self, kind: str, since: float) -> set[Sign]:
-        """Return a kind of signs since a time; a case's own watcher hears that case alone."""
+    def _reported(self, since: float) -> set[Sign]:
+        """Return the signs since a time; a case's own watcher hears that case alone."""
         return {
-            sign for watcher in self.watchers for at, sign in list(getattr(watcher, kind))
+            sign for watcher in self.watchers for at, sign in list(watcher.signs)
             if at >= since or watcher is not self.watcher
         }
 
@@ -269,20 +262,12 @@ class Rig:
         """Return the number of incidents so far."""
         return len(read_incidents(self.output))
 
-    def summary(self) -> dict[str, Any]:
-        """Return bringup's summary; empty if there is no bringup."""
-        return summary_of(self.output) if (self.output / summary.SUMMARY).exists() else {}
-
-    def reason(self) -> str:
-        """Return why bringup ended, as text; empty if it was killed."""
-        return self.summary().get("reason") or ""
-
     def __enter__(self) -> Rig:
         return self
 
     def __exit__(self, *failure: object) -> None:
         self.ended_badly = self._end_main()
-        if isinstance(self.players, Players):
+        if self.players is not None:
             self.players.close()
         self.watcher.close()
         self.truth.close()
@@ -504,35 +489,17 @@ class PlayedRig(Rig):
         return ("--drive", self.drive_file, "--drive-at", self.drive_at)
 
 
-class FlowRig(PlayedRig):
-    """The same, but the campaign also publishes the flow in place of the pump node."""
-
-    topics = (*PLAYED, "/pump/flow")
-    nodes = (CONTROLLER,)
-
-    def _pump(self) -> tuple[str, ...]:
-        self.pump = pump_node(self, "-r", "/pump/flow:=/true/flow")
-        return ("--pump", "external")
-
-    def __exit__(self, *failure: object) -> None:
-        self.pump.process.terminate()
-        self.pump.process.wait(45)
-        super().__exit__(*failure)
-
-
-def pump_node(
-    rig: Rig, *more: str, domain: int | None = None, module: str = "live.pump"
-) -> Process:
+def pump_node(rig: Rig, domain: int | None = None) -> Process:
     """Start only a pump node at a rig's drive."""
     options = {
         **{name: str(value).lower() for name, value in rig.pump_parameters.items()},
         "site_file": rig.site_file, "drive": rig.drive_file,
         "address": rig.drive_at,
-        "state_file": rig.directory / f"pump-{len(more)}-{domain}.json",
+        "state_file": rig.directory / f"pump-{domain}.json",
     }
     return Process(
-        rig.domain if domain is None else domain, module, "--ros-args",
-        *(word for name, value in options.items() for word in ("-p", f"{name}:={value}")), *more,
+        rig.domain if domain is None else domain, "live.pump", "--ros-args",
+        *(word for name, value in options.items() for word in ("-p", f"{name}:={value}")),
         cwd=rig.directory,
     )
 
@@ -547,60 +514,9 @@ class PumpRig(Rig):
         return pump_node(self)
 
 
-class LoopRig(Rig):
-    """Hardware in the loop: the site is simulated in lockstep in real time, with a drive."""
-
-    pump_parameters = LOOP_SHORTENED
-    nodes = ("pump",)
-
-    def bring_up(self) -> Process:
-        self.output = self.directory / "run"
-        return Process(
-            self.domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
-            "--cistern", str(_CISTERN_M3), "--roof", str(_ROOF_M3), "--hours", "2",
-            "--drive", self.drive_file, "--drive-at", self.drive_at,
-            "--output", str(self.output), "--state", str(self.directory / "state"),
-            "--node-parameters", str(self.parameters), cwd=self.directory,
-        )
-
-
-class RelayedRig(Rig):
-    """The same with each node started separately, and the campaign between them."""
-
-    pump_parameters = LOOP_SHORTENED
-
-    def bring_up(self) -> Process:
-        self.players = Relay(self.watcher, RELAYED)
-        self.started.add(pump_node(self, module="live.loop_pump").process.pid)
-        site, ticks = f"site_file:={self.site_file}", "run_length:=7200"
-        self._node("weather", site, ticks)
-        self._node("controller", site, arguments=("--controller", CONTROLLER))
-        return self._node(
-            "plant", site, ticks, "speed:=1.0", "pump:=external",
-            f"initial_cistern_volume:={_CISTERN_M3}", f"initial_roof_volume:={_ROOF_M3}",
-        )
-
-    def _node(self, name: str, *parameters: str, arguments: Sequence[str] = ()) -> Process:
-        """Start a node whose messages go through the campaign."""
-        interface = read_topics()
-        ours = [topic for topic in RELAYED if name in interface[topic].publishers]
-        node = Process(
-            self.domain, f"nodes.{name}", *arguments, "--ros-args",
-            *(word for parameter in parameters for word in ("-p", parameter)),
-            *(word for topic in ours for word in ("-r", f"{topic}:={TRUE}{topic}")),
-            cwd=self.directory,
-        )
-        self.started.add(node.process.pid)
-        return node
-
-    def reason(self) -> str:
-        return self.watcher.failures["plant"]
-
-
 RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
     "site": SiteRig, "mqtt": MqttRig, "relay": RelayRig, "gauged": GaugedRig,
-    "full disk": FullDiskRig, "played": PlayedRig, "flow": FlowRig, "pump": PumpRig,
-    "loop": LoopRig, "relayed": RelayedRig,
+    "full disk": FullDiskRig, "played": PlayedRig, "pump": PumpRig,
     # Water for half a minute.
     "dry": partial(SiteRig, cistern_m3=19.5),
     # A controller that uses all members of the forecast; an empty roof whose sensor reads -1 mm; no

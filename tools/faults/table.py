@@ -24,7 +24,7 @@ _ROWS = {
     "level sensors, their lines and broker": (
         "sensor", "broker", "coarse", "from the start", "flapping",
     ),
-    "forecast file and service": ("forecast file", "fails"),
+    "forecast file": ("forecast file",),
     "burst pipe, closed valve, leak, empty cistern, endless command": (
         "site", "dry", "stuck for ever",
     ),
@@ -32,7 +32,7 @@ _ROWS = {
     "hostile messages, a second publisher, pump node, controller or bringup": (
         "10000 hostile", "intruder", "second",
     ),
-    "four readers stopped, 200 times": ("four readers",),
+    "four readers stopped, 20 times": ("readers",),
     "values of a topic missing, stuck, wrong or late": MODES,
 }
 

@@ -7,7 +7,7 @@ import os
 import threading
 import time
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -25,8 +25,6 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.domain import choose_transport
 from greenroof_ros.graph.messages import message_class, qos_profile
-from greenroof_ros.watch.alarms import Alarms
-from greenroof_ros.watch.wire import WireStatus
 
 
 @contextmanager
@@ -48,24 +46,16 @@ class Watcher:
         texts: reports of changed states, as text: the time, the status, its level and sentence.
         last: the newest of these texts, by status.
         codes: code of each status when it was last received; empty if all is well.
-        signs: conditions that came up, from the status values and on the page: the time, the status
-            and the code.
-        advised: those on the page with advice, likewise.
-        standing: the conditions on the page now.
+        signs: conditions that came up: the time, the status and the code.
         pump_state: the pump's state in a word, from its node.
-        failures: why nodes ended, by their names.
     """
 
     def __init__(self, domain: int, name: str = "watcher") -> None:
         self.texts: list[tuple[float, str, str]] = []
         self.last: dict[str, str] = {}
         self.signs: list[tuple[float, Sign]] = []
-        self.advised: list[tuple[float, Sign]] = []
-        self.standing: set[Sign] = set()
         self.pump_state = ""
-        self.failures: dict[str, str] = {}
         self.codes: dict[str, str] = {}
-        self._alarms = Alarms()
         self._context = rclpy.Context()
         with _transport():
             rclpy.init(
@@ -106,17 +96,6 @@ class Watcher:
         now = time.monotonic()
         for status in message.status:
             self._receive(now, status)
-        self._alarms.receive(now, time.time(), [
-            WireStatus(status.name, status.level[0], status.message,
-                   {entry.key: entry.value for entry in status.values})
-            for status in message.status
-        ])
-        rows = [row for row in self._alarms.rows() if row["over"] is None]
-        advised = {(row["id"].lstrip("/"), row["code"]) for row in rows if row["plain"]}
-        new_signs = [(now, sign) for sign in advised - self.standing]
-        self.signs += new_signs
-        self.advised += new_signs
-        self.standing = advised
 
     def _receive(self, now: float, status: Any) -> None:
         who, values = status.name.lstrip("/"), {entry.key: entry.value for entry in status.values}
@@ -128,7 +107,6 @@ class Watcher:
                 self.texts.append((now, who, text))
         else:
             code = json.loads(values.get("code", '""'))
-            self.failures[who] = json.loads(values.get("failure", '""'))
             if who == "pump":
                 self.pump_state = json.loads(values.get("pump_state", '""'))
         if code and self.codes.get(who) != code:
@@ -161,23 +139,6 @@ class Watcher:
             self._publishers[topic].publish(DiagnosticArray(status=[status]))
         else:
             self._publishers[topic].publish(message_class(self._topics[topic].type)())
-
-    def relay(self, source: str, topic: str, changed: Callable[[Any], Any]) -> None:
-        """Publish what arrives on another topic, changed by a function (None: nothing)."""
-        self.open(topic)
-        described = self._topics[topic]
-
-        def pass_on(message: Any) -> None:
-            data = message.data
-            if isinstance(data, array):  # without the padding in front of a forecast
-                data = data[message.layout.data_offset :]
-            value = changed(data)
-            if value is not None:
-                self.publish(topic, value)
-
-        self.node.create_subscription(
-            message_class(described.type), source, pass_on, qos_profile(described.qos)
-        )
 
     def open(self, topic: str) -> None:
         """Create a publisher of a topic, without publishing."""
