@@ -22,12 +22,15 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
+from places import CONFIG
 
 from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.formats.open_meteo import UNITS, VARIABLES
 from greenroof_ros.formats.records import HOUR, PRECIPITATION, RADIATION, Records
-from greenroof_ros.model.site import Site
+from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.evapotranspiration import sun_height
+from greenroof_ros.weather.reading import default_weather, read_weather
+from greenroof_ros.weather.series import FILL
 
 NONE = "none"
 FAULTS = {
@@ -146,6 +149,16 @@ class ForecastService:
             float(self._site.latitude or 0), seconds, float(self._site.longitude or 0)
         )
         return _SUN_W_PER_M2 * height
+
+
+def started_service(fault: str = NONE) -> ForecastService:
+    """Serve the paper's weather, with its first hour as the present one."""
+    site = read_site(CONFIG / "site.yaml")
+    records = read_weather([default_weather()], site, gaps=FILL)
+    service = ForecastService(site, records, records.first, 0)
+    service.fault = fault
+    service.start()
+    return service
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -31,7 +31,7 @@ def guarding(make: str, directory: Path) -> str:
 _COMMANDS = {
     word: name.split() for name, entry in COMMANDS.items() for word in (entry.module, name)
 }
-_RIGS = ("drive_simulator", "site_simulator", "forecast_simulator")
+_RIGS = ("drive_simulator", "site_simulator")
 
 
 def words_of(module: str) -> list[str]:

@@ -24,13 +24,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import forecast_service
 from pymodbus.constants import ExcCodes
 
 from greenroof_ros.common.command_line import add_site, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import parse_topic
-from greenroof_ros.common.times import DEFAULT_START, read_start
 from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
 from greenroof_ros.live.devices.drive_file import DriveFile, find_drive_file, read_drive_file
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
@@ -49,8 +47,6 @@ from greenroof_ros.live.simulators.simulated_site import SimulatedSite
 from greenroof_ros.model.initial_state import default_state
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.weather.reading import default_weather, find_files, read_weather
-from greenroof_ros.weather.series import FILL
 
 DEVICE_ID = 247
 # Registers of the workbench. The parameter of a fault is written before the fault.
@@ -721,31 +717,10 @@ def site_simulator(parser: argparse.ArgumentParser) -> None:
         asyncio.run(bench.serve(*given.fault))
 
 
-def forecast_simulator(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--weather", action="append")
-    parser.add_argument("--start", default=DEFAULT_START)
-    parser.add_argument("--port", type=int, default=0)
-    parser.add_argument("--fault", default=NONE)
-    add_site(parser)
-    given = parser.parse_args()
-    site = read_site(given.site)
-    files = find_files(given.weather or [str(default_weather())], "--weather")
-    records = read_weather(files, site, gaps=FILL)
-    start = read_start(given.start, records.first.tzinfo)
-    service = forecast_service.ForecastService(site, records, start, given.port)
-    service.fault = given.fault
-    service.start()
-    print(f"ready: {service.address}/v1/forecast and {service.address}/v1/ensemble", flush=True)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    with contextlib.suppress(KeyboardInterrupt):
-        signal.pause()
-    service.close()
-
-
 @command
 def main() -> None:
     """Run the program that the first argument names."""
-    programs = (drive_simulator, site_simulator, forecast_simulator)
+    programs = (drive_simulator, site_simulator)
     wanted = {program.__name__: program for program in programs}[sys.argv.pop(1)]
     try:
         wanted(argparse.ArgumentParser())

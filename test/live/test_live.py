@@ -22,7 +22,7 @@ from typing import Any
 
 import pytest
 from disks import disk_that_hangs, fill, small_disk
-from forecast_service import ForecastService
+from forecast_service import started_service
 from modbus_wire import Wire
 from places import CONFIG
 from rcl_interfaces.srv import SetParameters
@@ -48,10 +48,7 @@ from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiA
 
 from greenroof_ros.live.devices.sensor_file import QUANTITIES
 from greenroof_ros.model.look_ahead import growing_steps
-from greenroof_ros.model.site import read_site
 from greenroof_ros.watch.alarms import advise
-from greenroof_ros.weather.reading import default_weather, read_weather
-from greenroof_ros.weather.series import FILL
 
 
 def test_a_bad_input_stops_the_pump(site: Site) -> None:
@@ -581,11 +578,7 @@ def test_live_weather_that_lacks_something_until_it_is_fetched(site: Site) -> No
 
     Without one, unknown_frost_may_pump makes frost 0.
     """
-    paper = read_site(CONFIG / "site.yaml")
-    records = read_weather([default_weather()], paper, gaps=FILL)
-    service = ForecastService(paper, records, records.first, 0)
-    service.fault = "error"
-    service.start()
+    service = started_service("error")
     file = site.cwd / "kept" / "forecast.csv"
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
     arrays = site.watcher.collect("/diagnostics", lambda message: message)
@@ -631,10 +624,7 @@ def disk_that_takes_nothing(place: Path, how: str) -> Iterator[None]:
 @pytest.mark.parametrize("how", ["full", "hangs"])
 def test_a_fetched_forecast_needs_no_disk(site: Site, how: str) -> None:
     """The file is an archive: the controller gets the forecast by memory."""
-    paper = read_site(CONFIG / "site.yaml")
-    records = read_weather([default_weather()], paper, gaps=FILL)
-    service = ForecastService(paper, records, records.first, 0)
-    service.start()
+    service = started_service()
     frost, forecast = site.listen("/weather/frost"), site.listen("/forecast/precipitation")
     disk = site.cwd / "disk"
     options = {

@@ -24,6 +24,7 @@ import pytest
 from brokers import mosquitto, needs_mosquitto
 from commands import run_command
 from disks import disk_that_hangs, fill, full_pipe, small_disk
+from forecast_service import started_service
 from graphs import Process, alive, environment, free_ports, summary_of, wait_for
 from live_rig import QUICK, Hardware, live
 from page_server import Stream
@@ -531,10 +532,8 @@ def test_a_forecast_service_that_gives_none(domain: int, tmp_path: Path, site: S
         f"{QUICK}    gauge_limit: 2.0\n    issue_limit: 1600.0\n"
     )
     commands = site.listen("/pump/command")
-    service = Process(
-        domain, "forecast_simulator", "--port", "0", "--fault", "error", cwd=tmp_path,
-    )
-    url = wait_for(service.stdout, 60, "the service").split()[-1]
+    service = started_service("error")
+    url = f"{service.address}/v1/ensemble"
     options = (
         "--sensors", "external", "--pump", "external", "--controller", "mpc",
         "--forecast", "open-meteo", "--fetch-url", url, "--node-parameters", "nodes.yaml",
@@ -580,7 +579,7 @@ def test_a_forecast_service_that_gives_none(domain: int, tmp_path: Path, site: S
         )
         page.process.terminate()
         stream.close()
-    service.process.terminate()
+    service.close()
     assert "Check the thermometer" in advice()["thermometer_lost"]
     assert "it is asked again automatically" in advice()["forecast_service_silent"]
     texts = "\n".join([*site.messages, process.stderr(), json.dumps(shown)])
