@@ -119,8 +119,8 @@ def bench() -> Iterator[Bench]:
 
 
 @pytest.mark.parametrize("case", [
-    pytest.param(case, id=case.id, marks=pytest.mark.xdist_group(case.rig))
-    for case in in_order(all_cases())
+    pytest.param(case, id=case.id, marks=pytest.mark.xdist_group(f"{case.rig} {number // _SHARE}"))
+    for number, case in enumerate(in_order(all_cases()))
 ])
 def test_case(bench: Bench, case: Case, request: pytest.FixtureRequest) -> None:
     done = DONE.get(case.id)
