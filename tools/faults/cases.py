@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from rig_simulators import DEFAULT
 
 # How often the foreign readers are stopped in a case.
-ROUNDS = 20
+ROUNDS = 10
 CHANGES = "4000 changes of a parameter"
 DRIVES = ("danfoss_fc202", "abb_acs880", "grundfos_cim500", "schneider_atv630")
 SITE, PUMP = f"site:{DRIVES[0]}", f"pump:{DRIVES[0]}"

@@ -32,7 +32,7 @@ _ROWS = {
     "hostile messages, a second publisher, pump node, controller or bringup": (
         "10000 hostile", "intruder", "second",
     ),
-    "four readers stopped, 20 times": ("readers",),
+    "four readers stopped, 10 times": ("readers",),
     "values of a topic missing, stuck, wrong or late": MODES,
 }
 
