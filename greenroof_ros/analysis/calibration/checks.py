@@ -119,7 +119,8 @@ _EXTRA_STORAGE = 20.0
 
 def _units(record: RoofRecord, site: Site) -> Iterator[FailedCheck]:
     """Compare amounts and levels with what roofs can have."""
-    water, days = float(record.water.sum()), record.steps * record.step_s / DAY_S
+    water = float(record.water.sum())
+    days = float(np.count_nonzero(~np.isnan(record.rain))) * record.step_s / DAY_S
     amounts = [("rain", "with pumped water, in mm", water, _MIN_WATER, _MOST_A_DAY * max(days, 7))]
     if record.reference_column:
         _, day = np.unique(record.seconds // DAY_S, return_inverse=True)
