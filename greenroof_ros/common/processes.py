@@ -18,7 +18,10 @@ import threading
 from collections.abc import Iterator
 from io import FileIO
 from pathlib import Path
+from types import FrameType
 from typing import Any
+
+from greenroof_ros.common.errors import HangError
 
 _PR_SET_PDEATHSIG = 1
 # The environment variable of a child that must end with its parent: the parent's number.
@@ -235,6 +238,27 @@ class Signals:
         """Raise :class:`InterruptedRun` if a signal was received."""
         if self._received is not None:
             raise InterruptedRun(f"interrupted by {self._received.name}")
+
+
+@contextlib.contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """End Python code of the main thread that takes too long, and once a second if it goes on.
+
+    Raises:
+        HangError: it took longer than this (s).
+    """
+
+    def end(_: int, frame: FrameType | None) -> None:
+        place = "" if frame is None else f"{frame.f_code.co_filename}, line {frame.f_lineno}"
+        raise HangError(f"did not return within {seconds:g} s; it was at {place}")
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def notify(*lines: str) -> None:

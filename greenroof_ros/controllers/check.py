@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
 import math
-import traceback
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ import numpy as np
 from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
+from greenroof_ros.controllers.failure import raised
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.controllers.tick_times import TickTimes
@@ -94,33 +93,16 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
         problem = ""
         try:
             check(_Trial(choice, site))
-        except Exception as error:  # anything that a user's class raises
-            expected = isinstance(error, (_ProblemError, ConfigurationError))
+        except _ProblemError as error:
             problem = str(error)
-            if not expected:
-                problem = f"raises {type(error).__name__}: {error} ({_where(error, choice.kind)})"
-                if problem in reported:  # one fault mostly fails many checks
-                    problem = f"raises the same {type(error).__name__} as above"
-                reported.add(problem)
+        except Exception as error:  # anything that a user's class raises
+            known = isinstance(error, ConfigurationError)
+            problem = str(error if known else raised(choice.kind, error))
+            if problem in reported:  # one fault mostly fails many checks
+                problem = "fails as above"
+            reported.add(problem)
         results.append(CheckResult(name, problem))
     return results
-
-
-def _where(error: Exception, kind: Any) -> str:
-    """Return file, line and function of a user's class that raised an error.
-
-    That is the last place in its file. If there is none, as with a wrong number of arguments, it is
-    the method that the message names, otherwise the class.
-    """
-    file = inspect.getsourcefile(kind) or kind.__module__
-    for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        if frame.filename == file:
-            return f"{file}, line {frame.lineno}, in {frame.name}"
-    for name, method in inspect.getmembers(kind, inspect.isfunction):
-        if f"{name}()" in str(error):
-            code = method.__code__
-            return f"{code.co_filename}, line {code.co_firstlineno}, {name}"
-    return f"{file}, line {inspect.getsourcelines(kind)[1]}, {kind.__name__}"
 
 
 def _checked_command(controller: Controller, *inputs: Any) -> float:

@@ -8,13 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, HangError
+from greenroof_ros.controllers.failure import ControllerError, place_of, raised
 from greenroof_ros.controllers.protocol import Controller, knows_time
 from greenroof_ros.controllers.registry import ControllerChoice
-
-
-class NoCommandError(ConfigurationError):
-    """A controller returned an invalid command: the controller is broken, not its inputs."""
 
 
 def decide(
@@ -43,20 +40,38 @@ def decide(
         quiet: whether the tick is in the site's quiet hours.
 
     Raises:
-        NoCommandError: the controller returned an invalid command.
+        ControllerError: the controller raised an error or returned an invalid command.
         ConfigurationError: the controller cannot use the forecast.
     """
-    if not allowed or (quiet and not knows_time(controller)):
-        controller.skip()
-        return 0.0
-    command = controller.command(cistern_level, roof_level, precipitation, evapotranspiration)
+    try:
+        if not allowed or (quiet and not knows_time(controller)):
+            controller.skip()
+            return 0.0
+        command = controller.command(cistern_level, roof_level, precipitation, evapotranspiration)
+    except (ConfigurationError, HangError):
+        raise
+    except (Exception, SystemExit) as error:
+        raise raised(type(controller), error) from error
     if isinstance(command, (float, int)) and 0 <= command < math.inf:
         return 0.0 if quiet else command
-    raise NoCommandError(
+    file, line = place_of(type(controller), "command")
+    raise ControllerError(
         "must be a finite number, not negative (greenroof check-controller finds this before a "
-        "run)",
-        key=f"the command of {type(controller).__name__}", value=command,
+        "run)", file=file, line=line,
+        key=f"the command of {type(controller).__name__} = {command!r}",
     )
+
+
+def statistics_of(controller: Controller) -> dict[str, float] | None:
+    """Return the figures of a controller's solver; None if it has none.
+
+    Raises:
+        ControllerError: its code raised an error.
+    """
+    try:
+        return controller.statistics()
+    except Exception as error:
+        raise raised(type(controller), error) from error
 
 
 def rain_forecast(choice: ControllerChoice, rain: Any, topic: str) -> Any:

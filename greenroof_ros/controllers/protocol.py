@@ -68,7 +68,8 @@ class Controller(Protocol):
         A forecast can be missing: empty, of another length, or with entries that are NaN. The
         method must then return a command or raise a
         :class:`~greenroof_ros.common.errors.ConfigurationError`, which ends a simulated run; a live
-        site treats it as a missing forecast.
+        site treats it as a missing forecast. Any other error also ends a simulated run, with its
+        file and line; on a live site on/off then commands.
 
         Returns:
             Share of the pumps' maximum flow (1), finite and not negative.

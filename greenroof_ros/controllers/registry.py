@@ -13,9 +13,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
-from greenroof_ros.common.errors import ConfigurationError, did_you_mean, must_be_one_of
+from greenroof_ros.common.errors import (
+    ConfigurationError,
+    HangError,
+    did_you_mean,
+    must_be_one_of,
+)
 from greenroof_ros.common.files import YamlMapping, read_ros_parameters
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.failure import raised
 from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_forecast_ends
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
@@ -138,13 +144,18 @@ class ControllerChoice:
         """Make the controller.
 
         Raises:
-            ConfigurationError: its solver's library cannot be imported.
+            ConfigurationError: its solver's library cannot be imported, or its code failed.
         """
+        kind = self.kind
         try:
-            controller = self.kind(site, **parameters)
+            controller = kind(site, **parameters)
+            set_forecast_ends(controller, look_ahead_ends(site, parameters.get("horizon", 0.0)))
         except ImportError as error:
             raise self._not_imported(error) from error
-        set_forecast_ends(controller, look_ahead_ends(site, parameters.get("horizon", 0.0)))
+        except (ConfigurationError, HangError):
+            raise
+        except (Exception, SystemExit) as error:
+            raise raised(kind, error) from error
         return controller
 
     def _not_imported(self, error: Exception) -> ConfigurationError:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greenroof_ros.controllers.decide import decide
+from greenroof_ros.controllers.decide import decide, statistics_of
 from greenroof_ros.controllers.protocol import Controller, set_time
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run import Run
@@ -164,5 +164,5 @@ class Simulation:
         """Return the content of ``summary.json``, after the last tick."""
         return summary.build(
             self._run, self._metrics.results(), self._metrics.weekly_deviations(),
-            wall_s=self._wall_s, solver=self._controller.statistics(),
+            wall_s=self._wall_s, solver=statistics_of(self._controller),
         )

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.failure import raised
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
 from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
@@ -25,13 +26,13 @@ class ControllerParameters:
     """A controller made from its node's parameters, which may change in a run if declared so.
 
     Attributes:
-        controller: the controller.
+        controller: the controller; None before :meth:`make`, and while it cannot be made.
     """
 
     def __init__(
         self, node: Node, choice: ControllerChoice, site: Site, tick: Callable[[], int]
     ) -> None:
-        """Declare the parameters, and make the controller.
+        """Declare the parameters.
 
         Args:
             node: the node.
@@ -42,15 +43,20 @@ class ControllerParameters:
         self._node, self._choice, self._site, self._tick = node, choice, site, tick
         self._values = declare(node, choice.parameters_on(site))
         self.controller: Any = None
-        self.make()
         # Limited, since each report has them, and a program may change a parameter in each tick.
         self._changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES)
         self._change_count = 0
         node.add_on_set_parameters_callback(self._on_parameters)
 
-    def make(self) -> None:
-        """Make the controller, with the present values of its parameters."""
+    def make(self) -> Any:
+        """Make the controller, with the present values of its parameters, and return it.
+
+        Raises:
+            ConfigurationError: see :meth:`ControllerChoice.make`.
+        """
+        self.controller = None
         self.controller = self._choice.make(self._site, self._values)
+        return self.controller
 
     def changes(self) -> dict[str, Any]:
         """Return the changes of the parameters, for reports."""
@@ -67,8 +73,13 @@ class ControllerParameters:
             (parameter.name, parameter.value) for parameter in changes
             if parameter.name in may_change
         ):
+            try:
+                if self.controller is not None:
+                    setattr(self.controller, name, value)
+            except Exception as error:  # anything that a user's class raises
+                reason = str(raised(self._choice.kind, error))
+                return SetParametersResult(successful=False, reason=reason)
             before, self._values[name] = self._values[name], value
-            setattr(self.controller, name, value)
             self._change_count += 1
             self._changes.append({
                 "tick": tick, "parameter": name,

@@ -1,6 +1,6 @@
 """The controller node of a live site, for any controller: levels and forecasts in, commands out.
 
-On/off replaces a controller that needs a forecast while it has none.
+On/off replaces a controller that fails, or that needs a forecast, while it has none.
 
 ``python -m greenroof_ros.live.controller --controller NAME`` runs a registered controller, or any
 class as ``package.module:Class``; the node is named after it.
@@ -10,17 +10,21 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import NumberFile
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, HangError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.processes import time_limit
 from greenroof_ros.common.times import from_epoch_ns, to_people
-from greenroof_ros.controllers.decide import NoCommandError, decide, rain_forecast
+from greenroof_ros.controllers.decide import decide, rain_forecast
+from greenroof_ros.controllers.failure import ControllerError, raised
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import (
     knows_time,
@@ -33,7 +37,7 @@ from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
-from greenroof_ros.live.live_diagnostics import WARN
+from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode, live_command, live_help
 from greenroof_ros.model.plant import pump_flow
 
@@ -43,9 +47,14 @@ _INPUTS = (
     "/weather/frost",
 )
 _FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
-# On/off takes over once a forecast has been missing for this multiple of recovery_time. A short
-# gap, as after a pause of the node itself, then starts no pump.
+# On/off takes over once the controller has failed, or a forecast was missing, for this multiple of
+# recovery_time. A short gap, as after a pause of the node itself, then starts no pump.
 _GIVEN_UP = 3
+# How long after a failure the controller is asked again while on/off commands, likewise.
+_ASKED_AGAIN = 60
+# How long it may take to decide, if the tick is not longer (s): the supervisor kills a node that is
+# silent for 5 s.
+_LONGEST_S = 3.0
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 STATE_FILE = Parameter(
     "state_file", "", meaning="file that keeps what waiting for rain has cost so far "
@@ -64,8 +73,9 @@ def parameters(choice: ControllerChoice | None) -> list[Parameter]:
 class LiveControllerNode(LiveNode):
     """Runs one controller; commands 0 in frost, in quiet hours and on bad inputs.
 
-    A forecast that is missing, too old or refused does not stop the pump: on/off, with its
-    defaults, commands until there is a good one. If on/off has pumped, the controller then
+    On/off, with its defaults, takes over from a controller that needs a forecast and has no good
+    one, or whose code fails: it raises an error, does not return, or its command is invalid. One
+    that failed is asked again every 60 times recovery_time. After on/off has pumped, the controller
     restarts, since its knowledge of the roof and its plan are outdated. What waiting for rain has
     cost is kept, also across restarts of the node, in ``state_file``.
     """
@@ -99,130 +109,163 @@ class LiveControllerNode(LiveNode):
         self._flow = self.subscribe(_FLOW, optional=True)
         self._gauge = self.subscribe(_GAUGE, optional=True)
         self._time_ns, self._quiet = 0, False
-        self._without_forecast = OnOff(site, FRACTION.default)
-        self._give_up_after = _GIVEN_UP * live[RECOVERY.name]
-        self._missing_since = math.inf  # forecast missing since (steady clock, s)
-        self._without_since = ""  # when on/off took over, in words; empty if not
-        self._without_pumped = False
-        self._learned_file = self._load_learned(declare(self, [STATE_FILE])[STATE_FILE.name])
+        self._failure, self._failed_at = "", -math.inf  # the controller's last; steady clock (s)
+        self._stand_in = OnOff(site, FRACTION.default)
+        self._stand_in_after = _GIVEN_UP * live[RECOVERY.name]
+        self._asked_again_after = _ASKED_AGAIN * live[RECOVERY.name]
+        self._lacking_since = math.inf  # a forecast, or a controller that works (steady clock, s)
+        self._stand_in_since = ""  # when on/off took over, in words; empty if not
+        self._outdated = False
+        file = declare(self, [STATE_FILE])[STATE_FILE.name]
+        self._learned_file = NumberFile(Path(file)) if file else None
+        self._learned = self._load_learned()
         self._saved_at = time.monotonic()
 
     def on_inputs(self) -> None:
         """Publish the command and the controller's optional outputs."""
-        allowed = self.good and not self._frost.value
+        allowed = bool(self.good and not self._frost.value)
         if self._site.quiet is not None:
             self._time_ns = self.get_clock().now().nanoseconds
             self._quiet = self._site.quiet.quiet_at(self._time_ns)
-            allowed = allowed and (not self._quiet or knows_time(self._settings.controller))
-        allowed = self._command(allowed)
-        self._tick += 1
-        for topic, attribute in self._optional:
-            value = getattr(self._settings.controller, attribute) if allowed else topic.undecided
-            self.publish(topic.name, value)
-
-    def _decide(self, allowed: bool) -> float:
-        usable = allowed and self._rain.good and self._evapotranspiration.good
-        if self._site.quiet is not None:
-            set_time(self._settings.controller, self._time_ns)
-        set_gauge_rain(self._settings.controller, self._measured_rain())
-        return decide(
-            self._settings.controller, allowed, self._cistern.value, self._roof.value,
-            rain_forecast(self._choice, self._rain.value, self._rain.name) if usable else (),
-            self._evapotranspiration.value if usable else (), self._quiet,
-        )
-
-    def _command(self, allowed: bool) -> bool:
-        """Publish the command: the controller's, or on/off without forecast; 0 on bad inputs.
-
-        Args:
-            allowed: whether it may pump.
-
-        Returns:
-            Whether the controller decided.
-        """
-        if self._without_pumped and allowed and not self._forecast_problem():
-            learned = learned_by(self._settings.controller)
-            self._settings.make()
-            if learned is not None:
-                set_learned(self._settings.controller, learned)
-            self._without_pumped = False
-        try:
-            command, decides = self._decide_or_refuse(allowed)
-        except ConfigurationError as error:
-            self.reports.diagnose("command", Diagnosis.of("controller_failed", why=str(error)))
-            command, decides = 0.0, False
-        else:
-            if "command" in self.reports.diagnoses:
-                now = "commands again" if decides else "is idle"
-                self.reports.diagnose("command", None, f"the controller {now}")
+        command, decides = 0.0, False
+        failed_for = time.monotonic() - self._failed_at
+        if not self._failure or not self._stand_in_since or failed_for >= self._asked_again_after:
+            with self._controllers_code():
+                command, decides = self._ask(allowed)
+        if decides and failed_for >= self._stand_in_after:
+            self._failure = ""
+        self._update_stand_in()
+        self._diagnose_failure()
         self._diagnose_forecast()
         self._save_learned(_SAVE_S)
         cistern, roof = self._cistern.value, self._roof.value
-        if allowed and self._without_since:
-            command = self._without_forecast.command(cistern, roof, (), ())
-            self._without_pumped = self._without_pumped or command > 0
+        if self._stand_in_since:
+            command = self._stand_in.command(cistern, roof, (), ()) if allowed else 0.0
+            self._outdated |= command > 0
         if command and (self._quiet or not self.good):
             command = 0.0
         self.publish("/pump/command", command)
+        self._tick += 1
+        with self._controllers_code():
+            for topic, attribute in self._optional:
+                of_controller = decides and self._settings.controller is not None
+                self.publish(
+                    topic.name,
+                    getattr(self._settings.controller, attribute) if of_controller
+                    else topic.undecided,
+                )
         self._expect(command)
         self._values = {
             "command": command,
             "cistern_level": cistern if self._cistern.good else None,
             "roof_level": roof if self._roof.good else None,
         }
-        return decides
 
-    def _load_learned(self, file: str) -> NumberFile | None:
-        """Load what the controller had learned; return the file, or None if there is none.
-
-        If the file cannot be understood, the node warns and the controller begins from the start.
-        """
-        if not file or learned_by(self._settings.controller) is None:
-            return None
-        memory = NumberFile(Path(file))
+    @contextmanager
+    def _controllers_code(self) -> Iterator[None]:
+        """Keep an error of the controller's code, also that it does not return, as its failure."""
         try:
-            learned = memory.read()
-            if learned:
-                set_learned(self._settings.controller, learned)
-        except (ConfigurationError, KeyError) as error:
-            self.get_logger().warning(f"learned values are lost: {file}: {error}")
-        return memory
+            with time_limit(max(_LONGEST_S, self._site.tau)):
+                yield
+            return
+        except (ConfigurationError, HangError) as error:
+            self._failure = str(error)
+        except (Exception, SystemExit) as error:
+            self._failure = str(raised(self._choice.kind, error))
+        self._failed_at, self._settings.controller = time.monotonic(), None
+
+    def _ask(self, allowed: bool) -> tuple[float, bool]:
+        """Return the controller's command, and whether it decided; otherwise the command is 0.
+
+        A forecast that it cannot use is refused.
+        """
+        if self._settings.controller is None:
+            self._make()
+        allowed = allowed and (not self._quiet or knows_time(self._settings.controller))
+        decides = allowed and not self._forecast_problem()
+        if decides and self._outdated:
+            self._make()
+        try:
+            command = self._decide(decides)
+        except ControllerError:
+            raise
+        except ConfigurationError as error:
+            self._rain.refuse(str(error))
+            decides = allowed and not self._forecast_problem()
+            command = self._decide(decides)
+        self._learned = learned_by(self._settings.controller)
+        return command, decides
+
+    def _make(self) -> None:
+        """Make a new controller, which knows what the last one had learned."""
+        controller, self._outdated = self._settings.make(), False
+        if self._learned and learned_by(controller) is not None:
+            try:
+                set_learned(controller, self._learned)
+            except KeyError as error:
+                self.get_logger().warning(f"learned values are lost: {error}")
+                self._settings.make()
+
+    def _decide(self, decides: bool) -> float:
+        controller = self._settings.controller
+        if self._site.quiet is not None:
+            set_time(controller, self._time_ns)
+        set_gauge_rain(controller, self._measured_rain())
+        usable = decides and self._rain.good and self._evapotranspiration.good
+        return decide(
+            controller, decides, self._cistern.value, self._roof.value,
+            rain_forecast(self._choice, self._rain.value, self._rain.name) if usable else (),
+            self._evapotranspiration.value if usable else (), self._quiet,
+        )
+
+    def _update_stand_in(self) -> None:
+        """Let on/off command once the controller has lacked something for long enough."""
+        if not (self._failure or self._forecast_problem()):
+            self._lacking_since, self._stand_in_since = math.inf, ""
+            return
+        now = time.monotonic()
+        self._lacking_since = min(self._lacking_since, now)
+        if not self._stand_in_since and now - self._lacking_since >= self._stand_in_after:
+            wall = from_epoch_ns(self.get_clock().now().nanoseconds)
+            self._stand_in_since = to_people(wall.replace(microsecond=0))
+
+    def _diagnose_failure(self) -> None:
+        if self._failure:
+            case, values, level = "stops", {"why": self._failure}, ERROR
+            if self._stand_in_since:
+                case, values["since"], level = "onoff", self._stand_in_since, WARN
+            self.reports.diagnose(
+                "command", Diagnosis.of("controller_failed", case, **values), level=level
+            )
+        elif "command" in self.reports.diagnoses:
+            self.reports.diagnose("command", None, "the controller commands again")
+
+    def _load_learned(self) -> dict[str, float] | None:
+        """Return what the controller had learned; None, with a warning, if that is lost."""
+        if self._learned_file is None:
+            return None
+        try:
+            return self._learned_file.read()
+        except ConfigurationError as error:
+            self.get_logger().warning(f"learned values are lost: {error}")
+            return None
 
     def _save_learned(self, every: float) -> None:
         """Save what the controller has learned, if the last time was at least ``every`` s ago."""
         now = time.monotonic()
-        if self._learned_file is None or now - self._saved_at < every:
+        if self._learned_file is None or not self._learned or now - self._saved_at < every:
             return
         self._saved_at = now
-        learned = learned_by(self._settings.controller)
         if self._learned_file.problem:
             why = self._learned_file.problem
-            warning = f"learned values of {self.get_name()} are not saved: {why}"
-            self.get_logger().warning(warning)
-        if learned is not None:
-            self._learned_file.write(learned)
+            self.get_logger().warning(f"learned values of {self.get_name()} are not saved: {why}")
+        self._learned_file.write(self._learned)
 
     def on_stop(self) -> None:
         """Save what the controller has learned."""
         if self._learned_file is not None:
             self._save_learned(0.0)
             self._learned_file.close()
-
-    def _decide_or_refuse(self, allowed: bool) -> tuple[float, bool]:
-        """Return a command, and whether the controller decided; refuse a forecast it cannot use.
-
-        Raises:
-            ConfigurationError: the controller cannot command.
-        """
-        decides = allowed and not self._forecast_problem()
-        try:
-            return self._decide(decides), decides
-        except NoCommandError:
-            raise
-        except ConfigurationError as error:
-            self._rain.refuse(str(error))
-        decides = allowed and not self._forecast_problem()
-        return self._decide(decides), decides
 
     def _expect(self, command: float) -> None:
         """Set the expected change of the levels in a tick, from the gauge's rain and the flow.
@@ -254,7 +297,7 @@ class LiveControllerNode(LiveNode):
         )
 
     def _diagnose_forecast(self) -> None:
-        """Report what is wrong with the forecasts, and let on/off command if that lasts.
+        """Report what is wrong with the forecasts.
 
         A controller that can do without a forecast continues to command; if the site never had a
         forecast, nothing is reported then.
@@ -264,17 +307,11 @@ class LiveControllerNode(LiveNode):
             return
         problem = self._bad_forecasts()
         if not problem:
-            self._missing_since, self._without_since = math.inf, ""
             self.reports.diagnose("forecast", None, "the forecast is good")
             return
-        now = time.monotonic()
-        self._missing_since = min(self._missing_since, now)
         values, case = {"problem": problem}, "bad" if needs else "without"
-        if needs and not self._without_since and now - self._missing_since >= self._give_up_after:
-            wall = from_epoch_ns(self.get_clock().now().nanoseconds)
-            self._without_since = to_people(wall.replace(microsecond=0))
-        if self._without_since:
-            case, values["since"] = "onoff", self._without_since
+        if needs and self._stand_in_since:
+            case, values["since"] = "onoff", self._stand_in_since
         bad = (self._evapotranspiration if self._rain.good else self._rain).problem
         self.reports.diagnose(
             "forecast", Diagnosis.of("no_forecast", case, **values), level=WARN,

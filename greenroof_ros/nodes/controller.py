@@ -11,7 +11,7 @@ from typing import Any
 
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.decide import decide, rain_forecast
+from greenroof_ros.controllers.decide import decide, rain_forecast, statistics_of
 from greenroof_ros.controllers.protocol import knows_time, set_time
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
@@ -43,7 +43,7 @@ class ControllerNode(SimulationNode):
         super().__init__(choice.name, "controller")
         self._site = site = self.declare_site()
         self._settings = ControllerParameters(self, choice, site, lambda: self.lockstep.tick)
-        self._controller = self._settings.controller
+        self._controller = self._settings.make()
         self._optional = optional_topics(choice.outputs)
         self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
         self._cistern, self._roof, self._rain, self._evapotranspiration, self._frost = (
@@ -82,7 +82,7 @@ class ControllerNode(SimulationNode):
 
     def summary(self) -> dict[str, Any]:
         """Return the solver's statistics."""
-        return {"solver": self._controller.statistics()}
+        return {"solver": statistics_of(self._controller)}
 
 
 _help = partial(

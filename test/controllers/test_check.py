@@ -112,10 +112,10 @@ def test_the_command(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("change", "where"), [
-    (returning("return None + 1.0"), "in command"),
+    (returning("return None + 1.0"), "command"),
     # A wrong number of arguments: the method that the message names.
     (("def skip(self)", "def skip(self, more)"), "skip"),
-    (returning("return float(self.missing)"), "in command"),
+    (returning("return float(self.missing)"), "command"),
 ])
 def test_an_error_has_its_file_and_line_and_is_not_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: tuple[str, str], where: str
@@ -134,6 +134,6 @@ def test_an_error_has_its_file_and_line_and_is_not_repeated(
             find_controller("raising:Proportional"), PAPER_SITE
         ) if result.problem
     ]
-    assert problems[0].endswith(f"({file}, line {line}, {where})"), problems[0]
+    assert problems[0].startswith(f"{file}, line {line}: Proportional.{where}: rai"), problems[0]
     assert sum(str(file) in problem for problem in problems) == 1
     assert all(problem.endswith(" as above") for problem in problems[1:])

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import math
 from array import array
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from paper import PAPER_SITE
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.decide import decide, rain_forecast
+from greenroof_ros.controllers.decide import decide, rain_forecast, statistics_of
+from greenroof_ros.controllers.failure import ControllerError
 from greenroof_ros.controllers.registry import find_controller
 
 
@@ -51,6 +56,49 @@ def test_what_is_no_command_ends_the_run(answer: Any) -> None:
     """It could pump water out of the roof, or fail in the middle of the plant."""
     with pytest.raises(ConfigurationError, match=r"the command of Answering.*must be a finite num"):
         decide(Answering(answer), True, 2.0, 0.03, [0.0], [0.0])
+
+
+class Raising(Answering):
+    """Raises in a method of its own, in one of a library, or takes too few values."""
+
+    def __init__(self, site: Any = None, answer: Any = None) -> None:
+        super().__init__(answer)
+        if site is not None:
+            math.sqrt(-1.0)
+
+    def skip(self) -> None:
+        json.loads("{")
+
+    def statistics(self) -> None:
+        raise SystemError
+
+
+class Deaf(Answering):
+    """Takes no forecasts."""
+
+    def command(self, cistern: float, roof: float) -> float:  # type: ignore[override]
+        return 0.0
+
+
+def line_of(text: str) -> int:
+    """Return the first line of this file with a text."""
+    lines = Path(__file__).read_text().splitlines()
+    return next(number for number, line in enumerate(lines, 1) if text in line)
+
+
+@pytest.mark.parametrize(("call", "line", "why"), [
+    (lambda: find_controller(f"{__name__}:Raising").make(PAPER_SITE, {}), "math.sqrt", "ValueErr"),
+    (lambda: decide(Raising(), False, 2.0, 0.03, [], []), "json.loads", "JSONDecodeError"),
+    (lambda: statistics_of(Raising()), "raise SystemError", "SystemError"),
+    (lambda: decide(Deaf(0.0), True, 2.0, 0.03, [], []), "roof: float) -> float", "TypeError"),
+    (lambda: decide(Answering(None), True, 2.0, 0.03, [], []), "def command", "= None: must be"),
+])
+def test_an_error_of_a_class_names_file_and_line(
+    call: Callable[[], object], line: str, why: str
+) -> None:
+    """It is one line of a command's output, without a traceback."""
+    with pytest.raises(ControllerError, match=f"^{__file__}, line {line_of(line)}: .*{why}"):
+        call()
 
 
 def test_a_forecast_has_the_shape_that_the_controller_takes() -> None:

@@ -187,9 +187,9 @@ import math
 from greenroof_ros.common.parameter import Parameter
 
 class Waiting:
-    parameters = (Parameter("answer", 0.0, "1", 0.0, 2.0, "none above 1", may_change=True),)
+    parameters = (Parameter("answer", 0.0, "1", 0.0, 2.0, "of its commands", may_change=True),)
     def __init__(self, site, answer): self.answer = answer
-    def command(self, *inputs): return math.nan if self.answer > 1 else self.answer
+    def command(self, *inputs): return self.answer
     def skip(self): pass
     def statistics(self): return None
 
@@ -236,7 +236,7 @@ def test_quiet_hours_are_of_the_system_clock(site: Site, forecasts: bool) -> Non
 
 
 def test_classes_of_a_users_own(site: Site) -> None:
-    """Without a forecast on/off takes over, then it starts again; an invalid command acts as 0."""
+    """Without a forecast on/off takes over, then it starts again."""
     commands = site.be_dry()
     good = dict(site.values)
     without = {name: value for name, value in good.items() if name not in FORECASTS}
@@ -261,20 +261,79 @@ def test_classes_of_a_users_own(site: Site) -> None:
         site.until(site.shows("/waiting: forecast", WARN, "was refused"), LATE, "the refusal")
         site.values = good
         site.until(site.shows("/waiting: forecast", OK), LATE, "a forecast again")
-        # An invalid command acts as 0; as the forecast is good, on/off does not take over.
-        answer = Parameter("answer", value=1.5).to_parameter_msg()
-        site.call(SetParameters, "/waiting/set_parameters", parameters=[answer])
-        broken = site.shows("/waiting: command", ERROR, "must be a finite number")
-        site.until(broken, LATE, "what is wrong")
-        site.during(2)
         assert {value for _, value in commands} == {0.0}
-        assert site.shows("/waiting: forecast", OK)()
     # A controller that needs no forecast continues, and reports that it has none.
     commands.clear()
     with site.live("controller --controller lookahead", recovery_time=0.2):
         without = site.shows("/lookahead: forecast", WARN, "commands without a forecast")
         site.until(without, LATE, "that it has none")
         site.until(lambda: newest(commands), LATE, "its commands")
+
+
+BROKEN = """
+import math, time
+from pathlib import Path
+import numpy as np
+
+asked = 0
+
+def fault():
+    file = Path("fault")
+    return file.read_text() if file.exists() else ""
+
+class Broken:
+    parameters = ()
+    outputs = {"/controller/fill_to": "fill_to"}
+    def __init__(self, site):
+        if fault() == "made": raise ValueError("no")
+    def command(self, *inputs):
+        global asked
+        asked += 1
+        what = fault()
+        if what == "raises": 1 / 0
+        if what == "every other time" and asked % 2: raise ArithmeticError
+        if what == "in a library": time.sleep("1")
+        if what == "exits": raise SystemExit(3)
+        while what == "never returns": pass
+        answers = {"NaN": math.nan, "None": None, "low": -0.1, "array": np.ones(2)}
+        return answers.get(what, 0.3)
+    def skip(self): pass
+    def statistics(self): return None
+    @property
+    def fill_to(self): return math.sqrt(-1.0 if fault() == "output" else 1.0)
+"""
+# What is reported of each fault, and the text of the line that is named.
+FAULTS = {
+    "made": ("ValueError: no", "raise ValueError"), "raises": ("ZeroDivisionError", "1 / 0"),
+    "every other time": ("ArithmeticError", "raise Arith"), "in a library": ("TypeError", "sleep"),
+    "exits": ("SystemExit: 3", "SystemExit"), "never returns": ("did not return", "while what"),
+    "NaN": ("must be a finite number", "def command"), "None": ("= None: must", "def command"),
+    "low": ("= -0.1: must", "def command"), "array": ("must be a finite", "def command"),
+    "output": ("ValueError", "math.sqrt"),
+}
+
+
+def test_on_off_replaces_a_class_that_fails(site: Site) -> None:
+    """With a warning that names file and line, until it works again; the node goes on."""
+    file, fault = site.cwd / "broken.py", site.cwd / "fault"
+    file.write_text(BROKEN)
+    commands = site.be_dry()
+    fault.write_text("made")  # at the start of the node
+    with site.live("controller --controller broken:Broken", recovery_time=0.1) as process:
+        for what, (why, text) in FAULTS.items():
+            fault.write_text(what)
+            (line,) = (
+                number for number, words in enumerate(BROKEN.splitlines(), 1) if text in words
+            )
+            place = site.shows(
+                "/broken: command", WARN, "on/off commands", f"{file}, line {line}", why
+            )
+            site.until(place, LATE, f"{what}: {why}")
+            site.until(lambda: newest(commands) == 1.0, LATE, f"{what}: on/off")
+            fault.unlink()
+            site.until(lambda: newest(commands) == 0.3, LATE, f"{what}: its commands")
+            site.until(site.shows("/broken: command", OK), LATE, f"{what}: all well")
+        assert process.poll() is None
 
 
 def test_a_class_that_asks_for_it_knows_the_rain_of_the_gauge(site: Site) -> None:

@@ -23,7 +23,7 @@ import greenroof_ros as gr
 from greenroof_ros.analysis.api.control import ForecastSteps, SiteState
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.decide import NoCommandError
+from greenroof_ros.controllers.failure import ControllerError
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.forecast.choice import ForecastChoice
 
@@ -161,7 +161,7 @@ def test_what_a_function_returns_must_be_a_number(answer: object) -> None:
     def wrong(state: object, forecast: object) -> object:
         return answer
 
-    with pytest.raises(NoCommandError, match="the command of wrong"):
+    with pytest.raises(ControllerError, match="the command of wrong"):
         gr.simulate(wrong, hours=0.01)
 
 
