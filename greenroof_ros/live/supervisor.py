@@ -44,8 +44,6 @@ START_LIMIT_S = 30.0
 _LAST_LINES = 15
 # Largest report of a node; a line that is longer is none. More than a socket holds (both bytes).
 _LONGEST_REPORT, _MOST_READ = 10_000_000, 1 << 18
-# Nodes that fall silent for one reason do so within this time (s): they report every 0.25 s.
-_SAME_SILENCE_S = 0.5
 # Size at which a node's log is renamed to .log.1, replacing the previous one: a live site runs for
 # months. After the nodes have ended, how long to wait until their output is written (s).
 _LOG_BYTES, _WRITTEN_S = 10_000_000, 2.0
@@ -172,12 +170,29 @@ class NodeProcess:
             self.process.wait(1.0)
 
 
-class Supervisor:
-    """Node processes, each with a socket on which it reports its state every quarter of a second.
+@dataclass
+class _NodeRecord:
+    """A node of a live site: how to start it, and the history of its starts."""
 
-    Not over topics: discovery can take seconds, and a supervisor must not miss a report. A pump
-    node that has died cannot stop the drive. So leaving the ``with`` block ends all nodes and then
-    stops the drive, regardless of what the pump node reports.
+    start: NodeStart
+    started: float = 0.0  # when it was last started (steady clock, s)
+    starts_again: float | None = None  # when its restart is due; None while it runs
+    restarts: deque[float] = field(default_factory=deque)  # times of restarts within the window
+    was_ready: bool = False
+    cannot_start: str = ""  # why the system could not start the process
+
+
+class LiveSupervisor:
+    """The node processes of a live site: starts, restarts and ends them.
+
+    Each has a socket on which it reports its state every quarter of a second. Not over topics:
+    discovery can take seconds, and a supervisor must not miss a report.
+
+    It has no part in whether the pump may run. A node that ends or is silent for too long is
+    restarted after a delay that grows. If a node needs too many restarts, it is given up: the pump
+    is stopped and the site ends. The recorder is never given up: recording must not stop control.
+    A pump node that has died cannot stop the drive: it is stopped from here, also at the end,
+    regardless of what the pump node reports.
 
     Attributes:
         nodes: the started processes of nodes, by name.
@@ -186,7 +201,8 @@ class Supervisor:
 
     def __init__(
         self, logs: Path, parameters: Sequence[Path], namespace: str,
-        stop_drive: StopDrive | None, on_failure: Callable[[str, str], None],
+        stop_drive: StopDrive | None, on_failure: Callable[[str, str], None], *,
+        silence_s: float, restarts: int,
     ) -> None:
         """Start nothing yet.
 
@@ -197,6 +213,8 @@ class Supervisor:
             stop_drive: stops the drive; None if there is none, or the user runs the pump.
             on_failure: called with a node's name and a text if the node failed without ending the
                 run, or the drive had to be stopped in its place.
+            silence_s: how long a node may be silent before it is killed (s).
+            restarts: most restarts of one node within ten minutes; one more stops the site.
         """
         self.nodes: dict[str, NodeProcess] = {}
         self.may_run = ""
@@ -204,7 +222,12 @@ class Supervisor:
         self._on_failure = on_failure
         self._directory = logs
         self._logs: dict[str, RotatingFileHandler] = {}
-        self._environment: dict[str, str] = {}
+        self._records: dict[str, _NodeRecord] = {}
+        self._silence_s = silence_s
+        self._restarts = restarts
+        self._stopper = ThreadPoolExecutor(1)
+        self._stopper.submit(int)  # start its thread now: later the system may be out of threads
+        self._stopping: Future[tuple[bool, str]] | None = None
         # rcl would also write log files, on the node's thread: they would grow for months, and a
         # hung disk would stop the node.
         self._ros_arguments = ["--ros-args", "--disable-external-lib-logs"]
@@ -215,12 +238,17 @@ class Supervisor:
         self._selector = selectors.DefaultSelector()
         self._read_at = time.monotonic()
 
-    def __enter__(self) -> Supervisor:
+    def __enter__(self) -> LiveSupervisor:
         """Return the supervisor; nothing is started."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End all nodes: the pump node first, the recorder last, so that the bag is complete."""
+        """End all nodes: the pump node first, the recorder last, so that the bag is complete.
+
+        Two stops of the drive would collide, so a running one ends first.
+        """
+        if self._stopping is not None:
+            self._stopping.result()
         for node in self.nodes.values():
             node.process.send_signal(signal.SIGCONT)  # a stopped process would not get SIGTERM
         names = self.nodes.keys()
@@ -259,7 +287,7 @@ class Supervisor:
                 stdout=printing.fileno(),
                 stderr=subprocess.STDOUT,
                 env={
-                    **child_environment(), **self._environment, SOCKET: str(theirs.fileno()),
+                    **child_environment(), LEASE: _LIVE_LEASE_S, SOCKET: str(theirs.fileno()),
                 },
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,
@@ -316,38 +344,6 @@ class Supervisor:
         why = next(filter(None, (report.get("failure") for report in reports)), None)
         return f"ended ({ending})" + (f": {why}" if why else "")
 
-    def check(self, limit: float) -> None:
-        """Check that all nodes run and report.
-
-        Args:
-            limit: longest silence (s). It is reported 0.5 s later, when the nodes that wait for the
-                silent one have also exceeded it.
-
-        Raises:
-            NodeFailed: a node has ended, or nodes have been silent for longer.
-        """
-        for name, node in self.nodes.items():
-            exit_status = self.exit_status(name)
-            if exit_status:
-                raise NodeFailed(
-                    f"node {name} {exit_status}", self.last_lines_of(name), node.process.returncode
-                )
-        now = time.monotonic()
-        silent = {
-            name: age for name, node in self.nodes.items()
-            if (age := now - node.last_report_at) > limit
-        }
-        # A stopped node silences those that wait for it: name all of them, and mark the stopped.
-        if max(silent.values(), default=0.0) > limit + _SAME_SILENCE_S:
-            raise NodeFailed(
-                "; ".join(
-                    f"node {name}{' (stopped)' if self.nodes[name].is_stopped else ''} "
-                    f"has not answered for {limit:g} s"
-                    for name in silent
-                ),
-                "\n".join(map(self.last_lines_of, silent)), EXIT_FAILED,
-            )
-
     # --- ending ---------------------------------------------------------------------------------
 
     def _stop_nodes(self, nodes: Collection[str]) -> None:
@@ -376,75 +372,7 @@ class Supervisor:
         if all(node.process.poll() is not None for node in self.nodes.values()):
             DISK.wait(_WRITTEN_S)
 
-
-def _log_file(path: Path) -> RotatingFileHandler:
-    """Return the handler that writes a node's log; it opens the file with the first line."""
-    log = RotatingFileHandler(
-        path, maxBytes=_LOG_BYTES, backupCount=1, encoding="utf-8", errors="surrogateescape",
-        delay=True,
-    )
-    log.terminator = ""
-    return log
-
-
-@dataclass
-class _NodeRecord:
-    """A node of a live site: how to start it, and the history of its starts."""
-
-    start: NodeStart
-    started: float = 0.0  # when it was last started (steady clock, s)
-    starts_again: float | None = None  # when its restart is due; None while it runs
-    restarts: deque[float] = field(default_factory=deque)  # times of restarts within the window
-    was_ready: bool = False
-    cannot_start: str = ""  # why the system could not start the process
-
-
-class LiveSupervisor(Supervisor):
-    """The node processes of a live site.
-
-    It starts, restarts and ends them, and has no part in whether the pump may run. A node that ends
-    or is silent for too long is restarted after a delay that grows. If a node needs too many
-    restarts, it is given up: the pump is stopped and the site ends. The recorder is never given up:
-    recording must not stop control. If the pump node dies or falls silent, it is killed and the
-    drive is stopped from here.
-    """
-
-    def __init__(
-        self,
-        logs: Path,
-        parameters: Sequence[Path],
-        namespace: str,
-        stop_drive: StopDrive | None,
-        on_failure: Callable[[str, str], None],
-        *,
-        silence_s: float,
-        restarts: int,
-    ) -> None:
-        """Start nothing yet.
-
-        Args:
-            logs: see :class:`Supervisor`, also for the next four.
-            parameters: likewise.
-            namespace: likewise.
-            stop_drive: likewise.
-            on_failure: likewise.
-            silence_s: how long a node may be silent before it is killed (s).
-            restarts: most restarts of one node within ten minutes; one more stops the site.
-        """
-        super().__init__(logs, parameters, namespace, stop_drive, on_failure)
-        self._environment[LEASE] = _LIVE_LEASE_S
-        self._records: dict[str, _NodeRecord] = {}
-        self._silence_s = silence_s
-        self._restarts = restarts
-        self._stopper = ThreadPoolExecutor(1)
-        self._stopper.submit(int)  # start its thread now: later the system may be out of threads
-        self._stopping: Future[tuple[bool, str]] | None = None
-
-    def __exit__(self, *error: object) -> None:
-        """End all nodes; first wait for a running stop of the drive, since two would collide."""
-        if self._stopping is not None:
-            self._stopping.result()
-        super().__exit__(*error)
+    # --- keeping them running -------------------------------------------------------------------
 
     def add(self, node: NodeStart) -> None:
         """Start a node now, and again whenever it has failed; see :meth:`start`."""
@@ -561,6 +489,17 @@ class LiveSupervisor(Supervisor):
             return ""
         waiting = report.get("waiting")
         return f"waits for {', '.join(waiting)}" if waiting else "is starting"
+
+
+
+def _log_file(path: Path) -> RotatingFileHandler:
+    """Return the handler that writes a node's log; it opens the file with the first line."""
+    log = RotatingFileHandler(
+        path, maxBytes=_LOG_BYTES, backupCount=1, encoding="utf-8", errors="surrogateescape",
+        delay=True,
+    )
+    log.terminator = ""
+    return log
 
 
 def _unrecorded(name: str) -> str:

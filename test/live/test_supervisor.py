@@ -22,7 +22,7 @@ from greenroof_ros.common.disk import DISK
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.live import supervisor
 from greenroof_ros.live.site_run import _StartReport, values_of
-from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart, Supervisor
+from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.live.supervisor_socket import SOCKET, SupervisorSocket, read_report
 
 TOO_LONG_S = 60
@@ -304,7 +304,9 @@ def few_files_left(number: int) -> Iterator[None]:
 @pytest.mark.parametrize("files", range(7))
 def test_a_start_for_which_there_are_too_few_files(site: Site, files: int) -> None:
     """Wherever they run out, it is an error that can be handled, and nothing is left open."""
-    nodes = Supervisor(site.directory, [], "", None, print)
+    nodes = LiveSupervisor(
+        site.directory, [], "", None, print, silence_s=5.0, restarts=1
+    )
     gc.collect()  # close now what earlier tests left open
     before = _open_files()
     with few_files_left(files), pytest.raises(OSError, match="Too many open files"):
