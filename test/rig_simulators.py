@@ -521,24 +521,28 @@ class DistantPump:
         self.speed, self._lost = 0.0, False
         self._line = ModbusLine(address, port=0, device_id=DEVICE_ID, timeout_s=1.0)
         self._level, self._log = level, log
-        threading.Thread(target=self._poll, daemon=True).start()
 
-    def _poll(self) -> None:
+    def update(self) -> None:
+        """Read the speed, and write the level."""
+        try:
+            if not self._line.connected:
+                self._line.connect()
+            self.speed = self._line.read(SPEED, 1)[0] * SPEED_UNIT
+            depth = round(self._level() / LEVEL_UNIT)
+            self._line.write(CISTERN_LEVEL, min(max(depth, 0), 0xFFFF))
+            self._lost = False
+        except DriveError as error:
+            self.speed = 0.0
+            self._line.close()
+            if not self._lost:
+                self._log(f"{error}: the pump is assumed to be stopped")
+            self._lost = True
+
+    def poll(self) -> None:
+        """Update it again and again, in a thread of its own."""
         while True:
-            try:
-                if not self._line.connected:
-                    self._line.connect()
-                self.speed = self._line.read(SPEED, 1)[0] * SPEED_UNIT
-                depth = round(self._level() / LEVEL_UNIT)
-                self._line.write(CISTERN_LEVEL, min(max(depth, 0), 0xFFFF))
-                self._lost = False
-            except DriveError as error:
-                self.speed = 0.0
-                self._line.close()
-                if not self._lost:
-                    self._log(f"{error}: the pump is assumed to be stopped")
-                self._lost = True
             time.sleep(0.02)
+            self.update()
 
 
 class FaultySite(SimulatedSite):
@@ -631,6 +635,9 @@ class SiteBench(Bench):
         self.site.fault, self.site.output = self.fault, output
         self.site.began()
         self.servers += self.site.servers
+        if pump is not None:
+            pump.update()
+            threading.Thread(target=pump.poll, daemon=True).start()
         if output is not None:
             print(COLUMNS, file=output, flush=True)
 
