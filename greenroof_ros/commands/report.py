@@ -6,22 +6,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
-from rich.table import Table
 
-from greenroof_ros.analysis.report.run import Assumptions
 from greenroof_ros.common.command_line import Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
 
-if TYPE_CHECKING:
-    from greenroof_ros.analysis.report.groups import Report
-
-# Shown on the terminal; the report has all tables.
-_MOST_TABLES = 3
 # A report's directory holds this file and figures/.
 _PAGE = "report.html"
 
@@ -69,20 +61,16 @@ def make_parser() -> Parser:
     )
     group = parser.add_argument_group("assumptions")
     group.add_argument(
-        "--energy-price", type=within(0, 1e9), default=Assumptions.energy_price, metavar="PRICE",
+        "--energy-price", type=within(0, 1e9), default=0.115, metavar="PRICE",
         help="price of a kWh of electric energy (default: %(default)s, Ontario 2021)",
     )
     group.add_argument(
-        "--water-price", type=within(0, 1e9), default=Assumptions.water_price, metavar="PRICE",
+        "--water-price", type=within(0, 1e9), default=4.1346, metavar="PRICE",
         help="price of a m3 of mains water (default: %(default)s, Toronto 2021)",
     )
     group.add_argument(
-        "--currency", default=Assumptions.currency, metavar="NAME",
+        "--currency", default="CAD", metavar="NAME",
         help="currency of the prices (default: %(default)s)",
-    )
-    group.add_argument(
-        "--band", type=within(0, 1), default=Assumptions.band, metavar="SHARE",
-        help="a roof counts as near its target within this share of it (default: %(default)s)",
     )
     return parser
 
@@ -136,22 +124,22 @@ def main() -> None:
     """Make the report that the command line asks for."""
     arguments = make_parser().parse_args()
     with in_extra("study"):
-        from greenroof_ros.analysis.report import figures, groups, page
+        from greenroof_ros.analysis.report import figures, page
+        from greenroof_ros.analysis.report.groups import Assumptions, Report
         from greenroof_ros.analysis.report.sources import find_runs
     output: Path = arguments.output or arguments.paths[0] / "report"
     with _writing(output):
         former = _former_report(output, figures.is_figure, force=arguments.force)
-    sources = find_runs(arguments.paths, arguments.site)
-    assumptions = Assumptions(
-        arguments.energy_price, arguments.water_price, arguments.currency, arguments.band
-    )
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
         console=Console(stderr=True), transient=True,
     ) as progress:
-        report = groups.Report(
-            sources, assumptions, partial(progress.track, description="reading runs")
+        sources = find_runs(
+            arguments.paths, arguments.site, partial(progress.track, description="reading runs")
         )
+        report = Report(sources, Assumptions(
+            arguments.energy_price, arguments.water_price, arguments.currency
+        ))
         made = list(figures.make_figures(report))
         with _writing(output):
             (output / "figures").mkdir(parents=True, exist_ok=True)
@@ -163,45 +151,9 @@ def main() -> None:
     for file in former:
         if file.parent.name == "figures" and file.stem not in names:
             file.unlink()
-    _show(report)
-    Console().print(f"written to {output.resolve() / _PAGE}", soft_wrap=True, highlight=False)
-
-
-def _show(report: Report) -> None:
-    """Print problems of runs, the best runs of the first windows, and counts of other runs."""
-    from greenroof_ros.analysis.report.groups import SEASONS, SEEDS, TOTAL, who
-
-    console = Console()
-    for name, run in report.runs.items():
-        for there, text in (
-            (run.incidents, f"{name}: {run.ended}; the report lists them"),
-            (run.ending, f"{name} {run.ending}; all results are for the recorded part only"),
-        ):
-            if there:
-                console.print(text, style="bold", soft_wrap=True, markup=False)
-    windows = report.windows()
-    for window in windows[:_MOST_TABLES]:
-        title = f"Smallest deviation from the target: {report.heading(window)}"
-        table = Table("from", "controller", title=title, title_justify="left")
-        for unit in ("mean mm", "total m3"):
-            table.add_column(unit, justify="right")
-        for row in report.best():
-            if row["window"] == window["window"]:
-                mean = row["mean_deviation_mm"]
-                table.add_row(
-                    row["from"], who(row), "" if mean is None else f"{mean:.2f}",
-                    f"{row[TOTAL]:.2f}",
-                )
-        console.print(table)
-    if len(windows) > _MOST_TABLES:
-        console.print(f"and {len(windows) - _MOST_TABLES} more windows in the report")
-    kinds = report.table["kind"].to_list()
-    for count, what in (
-        (kinds.count(SEEDS), "runs with many seeds of their forecasts' errors: {}; the report has "
-         "their mean and their worst tenth"),
-        (kinds.count(SEASONS), "runs of the same season in several years: {}; the report has "
-         "their means and how sure their differences are"),
-        (len(report.failed), "[bold]runs that failed or did not run: {}; the report lists them[/]"),
-    ):
-        if count:
-            console.print(what.format(count))
+    for run in report.runs:
+        if run.row.get("ended"):
+            print(f"{run.name} {run.row['ended']}; all results are for the recorded part only")
+    if report.failed:
+        print(f"runs that failed or did not run: {len(report.failed)}; the report lists them")
+    print(f"written to {output.resolve() / _PAGE}")

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from rich.console import Console
@@ -15,6 +16,7 @@ from rich.table import Column, Table
 
 from greenroof_ros.analysis.study.case_run import bound_case, run_case
 from greenroof_ros.analysis.study.grid import Case, contents, read_grid
+from greenroof_ros.analysis.study.names import Names
 from greenroof_ros.analysis.study.store import StudyStore
 from greenroof_ros.analysis.study.workers import Workers, processes
 from greenroof_ros.common.command_line import (
@@ -29,12 +31,8 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.standard_error import progress_bar
-from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.recording.results_table import differing, shortest
 
 _REFRESH_S = 0.5
-# Runs with the same values in these columns share a table on the terminal.
-_WINDOW = ("site", "weather", "start", "hours", "evapotranspiration")
 _NOTES = {
     "filled_hours": "had missing hours of weather filled in",
     "frost_hours": "had frost, in which nothing was pumped",
@@ -155,7 +153,7 @@ def main() -> int:
         return code
     finally:
         rows = store.write_tables()
-    show(cases, rows, store.directory)
+    show(rows, store.directory)
     return EXIT_FAILED if store.failures else EXIT_DONE
 
 
@@ -204,91 +202,40 @@ def _run(
             signals.check()
 
 
-class Names:
-    """Names of a study's cases: the controller, and the facts that differ between cases."""
-
-    def __init__(self, cases: Sequence[Case]) -> None:
-        """Find what differs between all cases, and between the cases of each controller."""
-        self._facts = differing([_facts(case) for case in cases])
-        self._values = {
-            name: differing([_values(case) for case in cases if case.controller.name == name])
-            for name in {case.controller.name for case in cases}
-        }
-
-    def name(self, case: Case) -> str:
-        """Return the full name of a case."""
-        facts = _facts(case)
-        return ", ".join([self.setting(case), *(facts[key] for key in self._facts)])
-
-    def setting(self, case: Case) -> str:
-        """Return the controller with its parameters, and the errors of sensor and pump."""
-        values, name = _values(case), case.controller.name
-        return _named(name, {key: values[key] for key in self._values[name]})
-
-
-def _values(case: Case) -> dict[str, float | str]:
-    """Return the parameters of a case's controller, and the errors of its sensor and pump."""
-    errors = case.sensor_pump_errors
-    return {**case.parameters, **({} if errors is None else errors.values())}
-
-
-def _facts(case: Case) -> dict[str, str]:
-    """Return the facts that can distinguish cases of one controller, in words."""
-    return {
-        "initial": case.initial, "start": f"from {case.start}",
-        "hours": f"{shortest(case.hours)} h", "weather": case.weather_name,
-        "site": case.site.name,
-        "evapotranspiration": f"{case.evapotranspiration} evapotranspiration",
-        "forecast": f"forecast {_forecast(case)}",
-    }
-
-
-def _forecast(case: Case) -> str:
-    choice = case.forecast
-    return _named(str(choice), choice.options())
-
-
-def _named(name: str, values: Mapping[str, float | str]) -> str:
-    texts = (
-        f"{key} {value if isinstance(value, str) else shortest(value)}"
-        for key, value in values.items()
-    )
-    return " ".join([name, *texts])
-
-
-def show(cases: Sequence[Case], rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
-    """Print mean deviations: a row for each setting and forecast, initial states as columns.
+def show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
+    """Print mean deviations of each window: a row for each case, initial states as columns.
 
     Args:
-        cases: of the study.
-        rows: of its ``results.csv``, one for each case.
+        rows: of the study's ``results.csv``, one for each run.
         directory: of the study.
     """
-    console, names = Console(), Names(cases)
-    initials = list(dict.fromkeys(case.initial for case in cases))
-    labels = ["controller"]
-    if any(case.forecast.model != PERFECT for case in cases):
-        labels.append("forecast")
-    tables: dict[tuple[Any, ...], dict[tuple[str, ...], dict[str, str]]] = {}
-    for case, row in zip(cases, rows, strict=True):
-        window = tuple(row[column] for column in _WINDOW)
-        line = (names.setting(case), _forecast(case))[: len(labels)]
-        mean = row["status"].upper()
-        if row["status"] == "done":
-            mean = f"{row['mean_deviation_mm']:.2f}"
-        tables.setdefault(window, {}).setdefault(line, {})[case.initial] = mean
-    for (site, weather, start, hours, method), lines in tables.items():
+    console = Console()
+    windows: dict[str, dict[str, dict[str, list[float | None]]]] = {}
+    for row in rows:
+        cases = windows.setdefault(row["window"], {})
+        means = cases.setdefault(row["case"], {}).setdefault(row["initial"], [])
+        means.append(row.get("mean_deviation_mm"))
+    for window, cases in windows.items():
+        initials = list(dict.fromkeys(initial for case in cases.values() for initial in case))
         table = Table(
-            *labels, *(Column(initial, justify="right") for initial in initials),
-            title=f"Mean deviation from the target level (mm): {weather}, "
-            f"{shortest(hours)} h from {start}, {method} evapotranspiration, {site}",
-            title_justify="left",
+            "case", *(Column(initial, justify="right") for initial in initials),
+            title=f"Mean deviation from the target level (mm): {window}", title_justify="left",
         )
-        for line, means in lines.items():
-            table.add_row(*line, *(means.get(initial, "") for initial in initials))
+        for case, of_case in cases.items():
+            table.add_row(case, *(_mean(of_case.get(initial, [])) for initial in initials))
         console.print(table)
     for column, what in _NOTES.items():
         count = sum(bool(row.get(column)) for row in rows)
         if count:
             console.print(f"NOTE: {count} of {len(rows)} runs {what} (column {column})")
     console.print(f"written to {directory / 'results.csv'}", soft_wrap=True, highlight=False)
+
+
+def _mean(values: Sequence[float | None]) -> str:
+    """Return the mean over seeds and years, and how many runs have no result."""
+    known = [value for value in values if value is not None]
+    lacking = len(values) - len(known)
+    return " ".join([
+        *([f"{fmean(known):.2f}"] if known else []),
+        *([f"({lacking} without result)"] if lacking else []),
+    ])

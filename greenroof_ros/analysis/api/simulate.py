@@ -362,11 +362,9 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
         2021-07-07 03:00:00-05:00 0.0457
     """
     with in_extra("study"):
-        from greenroof_ros.analysis.report.bags import read_run
+        from greenroof_ros.analysis.report.bags import read_recording
     bag = Path(path)
-    run = read_run(bag, bag.name, None if site is None else file_of_site(site))
-    if isinstance(run, dict):
-        raise ConfigurationError(run["error"], file=bag)
-    if run.load is None:
+    recording = read_recording(bag, None if site is None else file_of_site(site))
+    if recording.trajectory is None:
         raise ConfigurationError("has no trajectory; repeat the run with --trajectory", file=bag)
-    return table(run.site, run.load().trajectory)
+    return table(recording.site, recording.trajectory)

@@ -1,47 +1,56 @@
-"""Run directories and bags as runs of a report: their results, and the curves to draw.
+"""Run directories and bags as runs of a report.
 
 A run directory has a bag; of a simulation in one process it has the trajectory, or results alone.
 """
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import replace
+from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from greenroof_ros.analysis.report.run import (
-    Note,
-    ReportedRun,
-    Row,
-    labels,
-    meaning_of_initial,
-    read_about,
-)
+from greenroof_ros.analysis.report.run import About, Row, read_about
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file, file_digest
 from greenroof_ros.common.times import to_people
-from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
-from greenroof_ros.experiment.run import build_run
+from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.experiment.summary import site_file_of
-from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.metrics import Samples, totals_of
 from greenroof_ros.model.plant import mains_flow
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
-from greenroof_ros.recording.bag_reader import RecordedTrajectory, load_bag
+from greenroof_ros.recording.bag_reader import load_bag
 from greenroof_ros.recording.bag_writer import METADATA, recovered_bag
+from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.recording.trajectory import CSV, TRAJECTORY, Trajectory, read_trajectory
-from greenroof_ros.weather.reading import read_weather
 
-MOST_POINTS = 500
-"""of a drawn line, about"""
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """A run directory or a bag.
+
+    Attributes:
+        directory: with its configuration.
+        site: where it was recorded.
+        site_name: of its file.
+        about: what its summary contains.
+        trajectory: None if only results were kept.
+        bag: the bag that was read; None if the trajectory is from another file.
+        notes: what a reader should know, beside ``about.notes``.
+        alarms: recorded ones, each a row for a table.
+    """
+
+    directory: Path
+    site: Site
+    site_name: str
+    about: About
+    trajectory: Trajectory | None
+    bag: Path | None
+    notes: list[str]
+    alarms: list[dict[str, str]]
 
 
 def run_directory(path: Path) -> Path:
@@ -55,163 +64,133 @@ def _bag_in(path: Path) -> Path:
     return path / "bag" if (path / "bag").is_dir() else path
 
 
-def _closed_and_repair(path: Path, bag: Path) -> tuple[list[Path], str]:
-    """Return a run's closed bags, the one to read first, and what repairs it, for a message.
+def _closed_and_repair(path: Path, bag: Path) -> tuple[Path | None, str]:
+    """Return the closed bag of a run to read, if any, and what repairs it, for a message.
 
     What ``recover`` made counts until something is recorded after it. A single file is a bag.
     """
     if path.is_file():
-        return [path], f"greenroof recover {path.parent} makes a whole bag of what is left"
+        return path, f"greenroof recover {path.parent} makes a whole bag of what is left"
     new = recovered_bag(bag)
-    closed = [place for place in (new, bag) if (place / METADATA).is_file()]
+    closed = bag if (bag / METADATA).is_file() else None
     if any(bag.glob("*.db3")):
         return closed, f"ros2 bag reindex {bag} writes its metadata.yaml again"
-    if new not in closed:
+    if not (new / METADATA).is_file():
         return closed, f"greenroof recover {path} makes a whole one of what is left"
     recorded = max((file.stat().st_mtime for file in bag.glob("*")), default=0.0)
     if (new / METADATA).stat().st_mtime < recorded:
-        return closed[::-1], f"remove {new}, and greenroof recover {path} makes a new one"
-    return closed, ""
+        return closed or new, f"remove {new}, and greenroof recover {path} makes a new one"
+    return new, ""
 
 
-def read_run(path: Path, name: str, site_file: Path | None) -> ReportedRun | Row:
-    """Return the run in a run directory or bag; a row with its error if it left nothing."""
-    bag, run = _bag_in(path), run_directory(path)
+def read_recording(path: Path, site_file: Path | None = None) -> Recording:
+    """Read a run directory, a bag or an .mcap file.
+
+    Args:
+        path: its path.
+        site_file: the site; by default the one next to the bag, or else the paper's.
+
+    Raises:
+        ConfigurationError: the bag is damaged or foreign, or there is neither bag nor result.
+    """
+    run, notes = run_directory(path), list[str]()
+    own_site = site_file_of(run)
+    file = site_file or (own_site if own_site.is_file() else None)
+    site = read_site(file or default_site_file())
+    if file is None:
+        notes.append("no site file came with the bag: the site is the paper's, config/site.yaml")
+    about = read_about(run)
+    bag, repair = _closed_and_repair(path, _bag_in(path))
     kept = next((path / name for name in (TRAJECTORY, CSV) if (path / name).is_file()), None)
-    closed, repair = _closed_and_repair(path, bag)
-    bag = next(iter(closed), bag)
-    own_site, notes = site_file_of(run), list[Note]()
-    if site_file is not None:
-        site, site_name = read_site(site_file), str(site_file)
-    elif own_site.is_file():
-        site, site_name = read_site(own_site), own_site.name
-    else:
-        site = read_site(default_site_file())
-        site_name = "the paper's"
-        notes.append(
-            Note("no site file came with the bag: the site is the paper's, config/site.yaml")
+    trajectory = None
+    if bag is not None:
+        if bag == recovered_bag(_bag_in(path)):
+            notes.append(f"{bag.name} is what greenroof recover found whole")
+        zone = about.start.tzinfo if about.start is not None else None
+        if zone is None and own_site.is_file() and site.utc_offset is not None:
+            zone = timezone(timedelta(hours=site.utc_offset))
+        if zone is None:
+            notes.append("times are in UTC: no configuration gives the offset")
+        trajectory, further = load_bag(
+            bag, site, zone or timezone.utc, own=about.own, external_pump=about.external_pump,
+            repair=repair,
         )
-    if bag == recovered_bag(_bag_in(path)):
-        notes.append(Note(f"{bag.name} is what greenroof recover found whole in {name}"))
-    about = read_about(run, site)
-    if not closed and kept is None and "hours" not in about.row:
-        if any(bag.glob("*.mcap")) or any(bag.glob("*.db3")):
-            raise ConfigurationError(
-                f"has no metadata.yaml: it is being recorded, or was cut off; {repair}", file=bag
-            )
-        if about.ending:
-            error = f"{about.ending}; no bag"
-            return {"run": name, "what": about.row["controller"], "error": error}
+        notes += further
+    elif kept is not None:
+        trajectory = load_trajectory(kept)
+    elif any(_bag_in(path).glob("*.mcap")) or any(_bag_in(path).glob("*.db3")):
+        raise ConfigurationError(
+            f"has no metadata.yaml: it is being recorded, or was cut off; {repair}",
+            file=_bag_in(path),
+        )
+    elif about.ending:
+        raise ConfigurationError("no bag", file=path)
+    elif "total_deviation_m3" not in about.row:
         raise ConfigurationError(
             "must be a study (with results.csv), a run (with bag/, or a simulation that is done), "
-            "a bag (with metadata.yaml) or an .mcap file",
-            file=path,
+            "a bag (with metadata.yaml) or an .mcap file", file=path,
         )
-    zone = about.zone
-    if zone is None and own_site.is_file() and site.utc_offset is not None:
-        zone = timezone(timedelta(hours=site.utc_offset))
-    if zone is None:
-        notes.append(Note("times are in UTC: no configuration gives the offset"))
-    row = {**about.row, "run": name, "site": site_name, "status": "done"}
-    if not closed and kept is None:
-        row |= {"frost_pumped_m3": 0.0, "bound_m3": None}
-    weather = sorted((run / "configuration" / "weather").glob("*"))
-    forecast = sorted((run / "configuration" / "forecast").rglob("*"))
-    return replace(
-        about,
-        row={**row, **labels(row), "seed": ""},  # a single run is no group of seeds
-        notes=(*notes, *about.notes),
-        load=partial(
-            load_bag, bag, site, zone or timezone.utc,
-            own=about.own, external_pump=about.external_pump, repair=repair,
-        ) if closed else None if kept is None else partial(load_trajectory, kept),
-        # A sensor with errors shows neither the roof's initial volume nor its deviation.
-        bound=partial(
-            _run_bound, weather, own_site, site, row["evapotranspiration"], row["gaps"]
-        ) if about.exact_sensor else lambda _: None,
-        source=name,
-        meant={
-            "site": site,
-            "weather": "".join(map(file_digest, weather)),
-            "forecast": "".join(map(file_digest, forecast)),
-            "from": meaning_of_initial(row),
-        },
+    zone = trajectory.start.tzinfo if trajectory is not None else timezone.utc
+    try:
+        alarms = [
+            {
+                "part": alarm.subject, "from": _moment(alarm.began, zone),
+                "until": "not over" if alarm.ended is None else _moment(alarm.ended, zone),
+                "cause": alarm.cause,
+            }
+            for alarm in read_incidents(run)
+        ]
+    except (OSError, ValueError) as error:
+        notes.append(f"the alarms next to the bag are damaged, and not used: {error}")
+        alarms = []
+    return Recording(
+        directory=run, site=site, site_name="the paper's" if file is None else file.name,
+        about=about, trajectory=trajectory, bag=bag, notes=notes, alarms=alarms,
     )
 
 
-def load_trajectory(path: Path) -> RecordedTrajectory:
+def _moment(wall_time: str, zone: Any) -> str:
+    return to_people(datetime.fromisoformat(wall_time).astimezone(zone).replace(microsecond=0))
+
+
+def row_of(recording: Recording, name: str) -> tuple[Row, tuple[object, ...]]:
+    """Return a recording's row of results, and what identifies its window.
+
+    Results of a finished run are its summary's; all others are computed from the trajectory. Sums
+    are Euler's: a value holds from its sample to the next, over the difference of their times. The
+    flows of the last sample count in no sum, because the run ends in its state.
+    """
+    about, trajectory, site = recording.about, recording.trajectory, recording.site
+    row: Row = {**about.row, "run": name, "site": recording.site_name, "season": ""}
+    if trajectory is not None:
+        row = {
+            "cistern_m3": float(trajectory.cistern[0]), "roof_m3": float(trajectory.roof[0]),
+            **totals_of(site, samples_of(site, trajectory)), **row,
+            "start": trajectory.start.isoformat(),
+            "hours": float(trajectory.time[-1] - trajectory.time[0]) / 3600,
+        }
+        frost = trajectory.frost[:-1] > 0
+        pumped = trajectory.pump_flow[:-1] * np.diff(trajectory.time)
+        row["frost_pumped_m3"] = float(pumped[frost].sum())
+    elif about.start is not None:
+        row["start"] = about.start.isoformat()
+    start, hours = row.get("start"), row.get("hours")
+    row["window"] = ", ".join([
+        row["site"], row["weather"] if about.own else name,
+        *([f"from {to_people(datetime.fromisoformat(start))}"] if start else []),
+        *([f"{shortest(round(hours, 5))} h"] if hours else []),
+        f"{row['evapotranspiration']} evapotranspiration",
+    ])
+    weather = sorted((recording.directory / "configuration" / "weather").glob("*"))
+    return row, (site, row["cistern_m3"], row["roof_m3"], *map(file_digest, weather))
+
+
+def load_trajectory(path: Path) -> Trajectory:
     """Read the trajectory of a simulation in one process."""
     trajectory = read_trajectory(path)
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
         raise ConfigurationError("must have two or more samples, in order of time", file=path)
-    return RecordedTrajectory(trajectory)
-
-
-def _run_bound(
-    weather: list[Path], site_file: Path, site: Site, method: str, gaps: str,
-    recorded: RecordedTrajectory,
-) -> float | None:
-    """Return the minimum total deviation (m3) that a controller could reach in a run's own weather.
-
-    None if that is unknown: there are no weather files, or the bag's weather or times differ.
-    """
-    trajectory = recorded.trajectory
-    steps = len(trajectory.time) - 1
-    if not weather or not np.allclose(
-        trajectory.time, site.tau * np.arange(steps + 1), rtol=0, atol=1e-6
-    ):
-        return None
-    try:
-        run = build_run(
-            site_file, site, read_weather(weather, site, method, gaps),
-            trajectory.start.isoformat(), steps, find_controller("onoff"), {}, "custom",
-            (float(trajectory.cistern[0]), float(trajectory.roof[0])), ForecastChoice(),
-        )
-        for ours, theirs in (
-            (run.series.precipitation, trajectory.precipitation),
-            (run.series.evapotranspiration, trajectory.evapotranspiration),
-        ):
-            if not np.allclose(ours[:steps], theirs[:-1], rtol=1e-9, atol=0):
-                return None
-        return clairvoyant_bound(run).bound_m3
-    except (ConfigurationError, NoBoundError):
-        return None
-
-
-def measured(run: ReportedRun, recorded: RecordedTrajectory) -> Row:
-    """Return the row of a bag's run with its results.
-
-    Results in the summary of a finished run are kept; all others are computed from the bag. Sums
-    are Euler's: a value holds from its sample to the next, over the difference of their times. The
-    flows of the last sample count in no sum, because the run ends in its state.
-    """
-    trajectory, site = recorded.trajectory, run.site
-    dt = np.diff(trajectory.time)
-    frost = trajectory.frost[:-1] > 0
-    row = {
-        "cistern_m3": float(trajectory.cistern[0]),
-        "roof_m3": float(trajectory.roof[0]),
-        **totals_of(site, samples_of(site, trajectory)),
-        "frost_hours": float(dt[frost].sum()) / 3600,
-        **run.row,
-        "start": to_people(trajectory.start),
-        "hours": float(trajectory.time[-1] - trajectory.time[0]) / 3600,
-        "frost_pumped_m3": float(np.sum((trajectory.pump_flow[:-1] * dt)[frost])),
-        "bound_m3": run.bound(recorded) if run.bound is not None else None,
-    }
-    return {**row, "length": labels(row)["length"]}
-
-
-def near_hours(site: Site, trajectory: Trajectory, band: float) -> float:
-    """Return how long the roof is near its target (h).
-
-    Args:
-        site: the site, Table I.
-        trajectory: of the run; the last sample counts for a tick.
-        band: half width of the band about the target, as a share of the target (1).
-    """
-    near = np.abs(trajectory.roof - site.x2_star) <= band * site.x2_star
-    return float(np.append(np.diff(trajectory.time), site.tau)[near].sum()) / 3600
+    return trajectory
 
 
 def samples_of(site: Site, trajectory: Trajectory) -> Samples:
@@ -238,48 +217,3 @@ def samples_of(site: Site, trajectory: Trajectory) -> Samples:
         **flows, duration=dt, cistern=trajectory.cistern, roof=trajectory.roof,
         evapotranspiration=followed.evaporated, layer=followed.layer, time=trajectory.time,
     )
-
-
-class Drawn(NamedTuple):
-    """The curves of a run that are drawn."""
-
-    start: datetime
-    """time of the first sample"""
-    curves: dict[str, list[tuple[float, float]]]
-    """time (s) and value of :data:`MOST_POINTS` samples, by attribute of the trajectory"""
-    frost: list[tuple[float, float]]
-    """start and end (s since the first sample) of each period of frost"""
-
-
-def drawn(trajectory: Trajectory) -> Drawn:
-    """Return the curves of a trajectory that are drawn."""
-    curves = {}
-    for name in ("command", "pump_flow", "cistern", "roof", "precipitation", "evapotranspiration"):
-        values = getattr(trajectory, name)
-        if name not in ("cistern", "roof"):
-            # The run ends at the last sample: its flows never held, so draw the values before it.
-            values = np.append(values[:-1], values[-2])
-        index = thin(values)
-        times = trajectory.time[index].tolist()
-        curves[name] = list(zip(times, values[index].tolist(), strict=True))
-    steps = np.diff(np.concatenate([[0], trajectory.frost[:-1] > 0, [0]]).astype(int))
-    begins, ends = (trajectory.time[np.flatnonzero(steps == step)].tolist() for step in (1, -1))
-    return Drawn(trajectory.start, curves, list(zip(begins, ends, strict=True)))
-
-
-def thin(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Return the samples to draw: the first, the last, and the smallest and largest of each bucket.
-
-    Args:
-        values: shape (n,).
-        most: number of samples to keep, about; all are kept if there are no more than this.
-    """
-    count = len(values)
-    if count <= most:
-        return np.arange(count)
-    edges = np.linspace(0, count, (most - 2) // 2 + 1).astype(np.intp)
-    indices = {0, count - 1}
-    for low, high in itertools.pairwise(edges):
-        indices.add(int(low + np.argmin(values[low:high])))
-        indices.add(int(low + np.argmax(values[low:high])))
-    return np.array(sorted(indices), dtype=np.intp)

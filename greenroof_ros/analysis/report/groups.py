@@ -1,523 +1,228 @@
-"""How a report groups its runs: a table with a row for each run, and its cases.
-
-Runs that differ only in the seed of their forecasts' errors are one case. Runs of a week or more
-that are the same season of several years are one case, together with their seeds. Every other run
-is a case of its own. All statements of a report are about cases.
-"""
+"""The cases of a report: runs that differ only in their seeds and, of a season, in the year."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, replace
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
 from itertools import groupby
-from typing import Any
+from statistics import fmean
+from typing import NamedTuple
 
 import numpy as np
-import polars as pl
 
-from greenroof_ros.analysis.report.bags import Drawn, drawn, measured, near_hours
-from greenroof_ros.analysis.report.intervals import Deviations, compare, worst_tenth
-from greenroof_ros.analysis.report.run import (
-    NO_ERRORS,
-    PAPERS_CONTROLLERS,
-    Assumptions,
-    Note,
-    ReportedRun,
-    Row,
-    controller_name,
-    parameter_text,
-)
-from greenroof_ros.analysis.report.sources import Sources
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.analysis.report.intervals import Comparison, Deviations, compare, worst_tenth
+from greenroof_ros.analysis.report.run import Row
+from greenroof_ros.analysis.report.sources import ReportedRun, Sources, weeks
 from greenroof_ros.controllers.onoff import OnOff
-from greenroof_ros.forecast.choice import PERFECT
-from greenroof_ros.forecast.skill import SKILLS
-from greenroof_ros.model.metrics import METRICS, NEAR_TARGET
+from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.recording.results_table import differing
 
-SINGLE, SEEDS, SEASONS = "single", "seeds", "seasons"
-"""the kinds of cases"""
-
 TOTAL = "total_deviation_m3"
-
-# Runs are compared if they agree in these columns, which are also headers on the page.
-_WINDOW = (
-    "site", "weather", "start", "length", "evapotranspiration", "forecast",
-    "sensor and pump errors",
-)
-SKY = _WINDOW[:4]
-"""windows that agree in these columns share a figure of the weather"""
-_SEASON = ("site", "from", "start", "length", "evapotranspiration", "sensor and pump errors")
-_FACTS = {SINGLE: _WINDOW, SEEDS: _WINDOW, SEASONS: _SEASON}
-
-_NUMBERS = (
-    *(metric.name for metric in METRICS), "frost_hours", "frost_pumped_m3", "cistern_change_m3",
-    "roof_change_m3", "cistern_residual_m3", "roof_residual_m3", "energy_cost", "water_value",
-    "near_share",
-)
-_TEXTS = (
-    "run", "site", "weather", "start", "length", "evapotranspiration", "forecast", "model",
-    "kind of forecast", "skill", "seed", "sensor and pump errors", "controller", "from", "begins",
-    "kind", "label", "setting", "ended",
-)
-_SCHEMA: dict[str, Any] = {
-    **dict.fromkeys(_TEXTS, pl.String), "season": pl.List(pl.Float64),
-    **dict.fromkeys(("year", "rank", "skill rank"), pl.Int64),
-    **dict.fromkeys(
-        ("hours", "cistern_m3", "roof_m3", "bound_m3", "tau", "initial_layer", "roof_m2",
-         "cistern_size_m3", *_NUMBERS),
-        pl.Float64,
-    ),
+FLOWS = {
+    "cistern": {"rain_cistern_m3": 1, "mains_m3": 1, "pumped_m3": -1, "outflow_m3": -1},
+    "roof": {"rain_roof_m3": 1, "pumped_m3": 1, "evapotranspiration_m3": -1, "drainage_m3": -1},
 }
-# A rank is a controller's place times this, plus the place of the setting; no controller has more.
-_SETTINGS = 10_000
-# Named skills from the best to the worst, after forecasts without a skill and before skill files.
-_SKILLS = {skill: rank for rank, skill in enumerate(("", *SKILLS))}
+"""the flows of each tank's water balance, each with its sign"""
+
 # The parameters that depend on a site's size: areas, the cistern's depth, and volumes.
 _BY_SIZE = {
     "a1", "a2", "z_o", "x2_star", "z_cap", "initial_cistern", "initial_roof", "initial_layer",
 }
 
 
-def heading(row: Row, apart: Sequence[str], names: Sequence[str] = ()) -> str:
-    """Name a set of runs by the facts that distinguish it from others, and by unusual facts.
+class Assumptions(NamedTuple):
+    """Assumptions that runs do not state."""
 
-    Args:
-        row: of a run in the set.
-        apart: the facts that distinguish it, as column headers.
-        names: the facts to use; by default all of its kind.
-    """
-    usual = {"site": row["site"], "forecast": PERFECT, "sensor and pump errors": NO_ERRORS}
-    facts = {name: row[name] for name in names or _FACTS[row["kind"]]}
-    return ", ".join(
-        f"{text} {name}" if name == "evapotranspiration"
-        else f"{name} {text}" if name == "forecast" or text == NO_ERRORS else text
-        for name, text in facts.items() if name in apart or text != usual.get(name)
-    )
+    energy_price: float
+    """of a kWh of electric energy"""
+    water_price: float
+    """of a m3 from the mains"""
+    currency: str
+    """of both prices"""
 
 
-class Settings:
-    """Labels of one controller's runs: the parameters that differ, or were changed during a run.
+@dataclass
+class Case:
+    """Runs of one window, initial state and setting.
 
     Attributes:
-        title: what a label shows: the parameter's name if there is just one, or ``setting``.
-        labels: all labels, in the order of their values.
+        runs: in the order of their source.
+        row: the first run's row, with the mean of each result over the seeds of each year, and then
+            over the years; None if no run has it.
+        totals: the total deviation of each seed (m3), by year; the year of a run that is of no
+            season is 0.
+        deviations: with those of the weeks, if it is a season.
+        relative: the season compared with plain on/off, if that ran in the same years.
     """
 
-    def __init__(self, runs: Sequence[ReportedRun]) -> None:
-        changed = {name for run in runs for name in run.changes}
-        apart = differing([run.parameters for run in runs])
-        apart += sorted(changed.difference(apart))
-        self._shown = apart or list(runs[0].parameters)[:1]
-        self.title = self._shown[0] if len(self._shown) == 1 else "setting"
+    runs: list[ReportedRun]
+    row: Row
+    totals: dict[int, list[float]]
+    deviations: Deviations | None = None
+    relative: Comparison | None = None
 
-        def order(run: ReportedRun) -> tuple[list[tuple[float, str]], str]:
-            values = map(run.parameters.get, self._shown)
-            return [
-                (value if isinstance(value, float) else math.inf, str(value)) for value in values
-            ], self.label(run)
+    @property
+    def label(self) -> str:
+        """Name of the case, unique in its place."""
+        return str(self.row["case"])
 
-        self.labels = list(dict.fromkeys(map(self.label, sorted(runs, key=order))))
+    @property
+    def place(self) -> tuple[str, str]:
+        """Window and initial state: within a place cases are compared."""
+        return str(self.row["window"]), str(self.row["initial"])
 
-    def label(self, run: ReportedRun, *, full: bool = False) -> str:
-        """Return the setting of a run: the parameters that differ between the controller's runs.
-
-        Args:
-            run: of the controller.
-            full: whether to name the parameter even if there is just one. Without parameters the
-                setting is then empty, and else ``none``.
-        """
-        texts = {
-            name: parameter_text(run.parameters.get(name)) + run.changes.get(name, "")
-            for name in self._shown
-        }
-        if len(texts) == 1 and not full:
-            return texts[self.title]
-        setting = ", ".join(f"{name} {text}" for name, text in texts.items())
-        return setting if full else setting or "none"
+    @property
+    def worst_tenth(self) -> float:
+        """Mean of the worst tenth: of the weeks of a season, else of the runs (m3)."""
+        if self.deviations is not None:
+            return self.deviations.worst_weeks()
+        return worst_tenth(np.array([total for year in self.totals.values() for total in year]))
 
 
 class Report:
     """All results, and their grouping into cases.
 
     Attributes:
-        table: a row for each run, with its kind and the numbers of its window, place and case. Each
-            number is the index of its first run. A place is a window and an initial state.
-        cases: a row for each case, place by place, ordered by controller, setting and skill.
-        runs: by name.
+        cases: in the order of the runs, window by window and in each by initial state.
+        runs: all runs with results.
         failed: runs without results.
         configuration: name and text of each further file that affects the results.
-        drawn: curves of the runs that are cases of their own, by name.
-        controllers: names, the paper's first.
-        settings: by controller.
         assumptions: that the results are based on.
     """
 
-    def __init__(
-        self, sources: Sources, assumptions: Assumptions,
-        track: Callable[[Sequence[ReportedRun]], Iterable[ReportedRun]] = iter,
-    ) -> None:
-        """Read and group runs.
-
-        Args:
-            sources: the runs.
-            assumptions: that the runs do not state.
-            track: shows the progress of reading runs.
-
-        Raises:
-            ConfigurationError: the trajectory of a finished run cannot be read, or no run is left.
-        """
-        self.assumptions = assumptions
-        self.failed, self.configuration = list(sources.failed), sources.configuration
-        self.drawn: dict[str, Drawn] = {}
-        kinds, runs = _kinds([run.row for run in sources.runs]), []
-        for kind, run in zip(kinds, track(sources.runs), strict=True):
-            try:
-                runs.append(self._read(run, kind))
-            except ConfigurationError as error:
-                if not run.ending:
-                    raise
-                reason = f"{run.ending}; {error}"
-                self.failed.append(
-                    {"run": run.name, "what": run.row["controller"], "error": reason}
-                )
-        if not runs:
-            first, *_ = self.failed
-            raise ConfigurationError(
-                f"holds no finished run; {len(self.failed)} failed or did not run, the first: "
-                f"{first['run']} {first['error']}"
-            )
-        self.runs = {run.name: run for run in runs}
-        ran = list(dict.fromkeys(run.row["controller"] for run in runs))
-        self.controllers = [name for name in PAPERS_CONTROLLERS if name in ran]
-        self.controllers += [name for name in ran if name not in PAPERS_CONTROLLERS]
-        self.settings = {
-            name: Settings([run for run in runs if run.row["controller"] == name])
-            for name in self.controllers
-        }
-        self.table = self._grouped(runs)
-        self.cases = self._cases()
-
-    def _read(self, run: ReportedRun, kind: str) -> ReportedRun:
-        """Return a run with its kind; if it is a case of its own, also read its trajectory.
-
-        The curves to draw are kept. For other runs, only the results in the study's table are used.
-        """
-        row, notes = {**run.row, "kind": kind}, list(run.notes)
-        recorded = run.load() if kind == SINGLE and run.load is not None else None
-        if recorded is not None:
-            notes += map(Note, recorded.notes)
-            self.drawn[run.name] = drawn(recorded.trajectory)
-            if run.bound is not None:
-                row |= measured(run, recorded)
-        elif kind == SINGLE:
-            notes.append(Note(
-                "no trajectory was kept: no figure of weather, commands and volumes shows it"
-            ))
-        if self.assumptions.band != NEAR_TARGET:
-            row["near_target_hours"] = None
-            if recorded is not None:
-                happened = recorded.trajectory
-                spacing = float(np.diff(happened.time).max())
-                if run.bound is None and spacing > 1.5 * run.site.tau:
-                    notes.append(Note(
-                        f"the time near the target is unknown: only samples every {spacing:g} s "
-                        "were kept"
-                    ))
-                else:
-                    row["near_target_hours"] = near_hours(run.site, happened, self.assumptions.band)
-        return replace(run, row=row, notes=tuple(notes))
-
-    def _grouped(self, runs: list[ReportedRun]) -> pl.DataFrame:
-        """Return the table: names and results of the runs, and their window, place and case."""
-        rows = []
-        for run in runs:
-            settings = self.settings[run.row["controller"]]
-            label = settings.label(run)
-            place = self.controllers.index(run.row["controller"])
-            rows.append({
-                **run.row, "tau": run.site.tau, "initial_layer": run.site.initial_layer,
-                "roof_m2": run.site.a2, "cistern_size_m3": run.site.a1 * run.site.z_o,
-                "label": label,
-                "setting": settings.label(run, full=True),
-                "rank": _SETTINGS * place + settings.labels.index(label),
-                "skill rank": _SKILLS.get(run.row["skill"], len(_SKILLS)), "ended": run.ended,
-            })
-        table = pl.DataFrame(rows, schema=_SCHEMA)
-        col, season = pl.col, pl.col("kind") == SEASONS
-        table = table.with_columns(_derived(self.assumptions)).with_columns(
-            start=pl.when(season).then("begins").otherwise("start"),
-            weather=pl.when(season).then(pl.lit("")).otherwise("weather"),
-            forecast=pl.when(season).then("kind of forecast")
-            .when(col("kind") == SEEDS).then("model").otherwise("forecast"),
-            year=pl.when(season).then("year"),
-            index=pl.row_index(),
-        )
-        first = col("index").min()
-        table = table.with_columns(
-            window=pl.when(season).then(first.over("kind", *_SEASON))
-            .otherwise(first.over("kind", *_WINDOW)),
-        ).with_columns(place=first.over("window", "from"))
-        # Only their names distinguish several runs of a controller without parameters in a place.
-        several = pl.len().over("place", "controller") > 1
-        nameless = (col("kind") == SINGLE) & (col("setting") == "") & several
-        return table.with_columns(
-            pl.when(nameless).then("run").otherwise(key).alias(key) for key in ("label", "setting")
-        ).with_columns(
-            case=pl.when(col("kind") == SINGLE).then("index").otherwise(
-                first.over("place", "controller", "setting", "forecast", "skill")
-            ),
-        )
-
-    def _cases(self) -> pl.DataFrame:
-        """Return the means of each case's runs: over the seeds of each year, then over years."""
-        table, col = self.table, pl.col
-        yearly = table.group_by("case", "year", maintain_order=True).agg(
-            col(_NUMBERS).mean(), col("bound_m3").first(), seeds=col("seed").n_unique(),
-        )
-        means = yearly.group_by("case", maintain_order=True).agg(
-            col(_NUMBERS).mean(),
-            bound_m3=pl.when((col("bound_m3").fill_null(0) > 0).all()).then(
-                col("bound_m3").mean()
-            ),
-            years=pl.len(), seeds=col("seeds").min(), runs=col("seeds").sum(),
-            worst_year=col("year").sort_by(TOTAL).last(), worst_year_m3=col(TOTAL).max(),
-        )
-        names = table.with_columns(
-            all_years=col("year").n_unique().over("place"),
-            all_seeds=col("seed").n_unique().over("place", "forecast", "skill"),
-        ).group_by("case", maintain_order=True).agg(
-            col(
-                "run", "kind", "window", "place", *_FACTS[SINGLE], "from", "controller", "label",
-                "setting", "rank", "skill", "skill rank", "ended", "hours", "roof_m2",
-                "cistern_size_m3", "all_years", "all_seeds",
-            ).first(),
-            totals=col(TOTAL), worst_m3=col(TOTAL).max(),
-        )
-        worst = [
-            self._deviations[case].worst_weeks() if kind == SEASONS
-            else worst_tenth(np.array(totals))
-            for case, kind, totals in names.select("case", "kind", "totals").iter_rows()
+    def __init__(self, sources: Sources, assumptions: Assumptions) -> None:
+        self.runs, self.failed = sources.runs, sources.failed
+        self.configuration, self.assumptions = sources.configuration, assumptions
+        groups: dict[str, dict[str, dict[str, list[ReportedRun]]]] = {}
+        for run in self.runs:
+            window, initial, case = (run.row[key] for key in ("window", "initial", "case"))
+            cases = groups.setdefault(window, {}).setdefault(initial, {})
+            cases.setdefault(case, []).append(run)
+        self.cases = [
+            _case(runs, assumptions) for window in groups.values() for cases in window.values()
+            for runs in cases.values()
         ]
-        return names.with_columns(worst_tenth_m3=pl.Series(worst, dtype=pl.Float64)).join(
-            means, on="case", maintain_order="left"
-        ).with_columns(
-            ratio=col(TOTAL) / col("bound_m3"),
-            missing=col("all_years") * col("all_seeds") - col("runs"),
-        ).sort("place", "rank", "skill rank", "case")
+        for place in self.places():
+            _compare(place)
 
-    @cached_property
-    def _deviations(self) -> dict[int, Deviations]:
-        """Deviations of each case that is a season of several years."""
-        deviations: dict[int, Deviations] = {}
-        seasons = self.table.filter(kind=SEASONS).sort(
-            "year", pl.col("seed").str.len_chars(), "seed"
-        )
-        for (case, year), runs in seasons.group_by("case", "year", maintain_order=True):
-            of = deviations.setdefault(case, Deviations())
-            of.totals[year] = runs[TOTAL].to_numpy()
-            of.weeks[year] = np.array(runs["season"].to_list())
-        return deviations
+    def windows(self) -> list[list[Case]]:
+        """Return the cases of each window."""
+        return [list(cases) for _, cases in groupby(self.cases, lambda case: case.place[0])]
 
-    # --- windows and headings --------------------------------------------------------------------
+    def places(self) -> list[list[Case]]:
+        """Return the cases of each window and initial state."""
+        return [list(cases) for _, cases in groupby(self.cases, lambda case: case.place)]
 
-    def of(self, kind: str) -> list[Row]:
-        """Return the cases of a kind."""
-        return self.cases.filter(kind=kind).to_dicts()
+    @property
+    def seasons(self) -> list[Case]:
+        """The cases that are seasons of several years."""
+        return [case for case in self.cases if case.deviations is not None]
 
-    @cached_property
-    def single(self) -> list[Row]:
-        """The runs that are cases of their own, in the given order."""
-        return self.table.filter(kind=SINGLE).to_dicts()
-
-    def windows(self, kind: str = SINGLE) -> list[Row]:
-        """Return the first run of each window of a kind."""
-        return self.table.filter(kind=kind).group_by("window", maintain_order=True).first(
-        ).to_dicts()
-
-    def differing_facts(self, kind: str = SINGLE) -> list[str]:
-        """Return the facts that differ between windows, for use as columns and in titles."""
-        return differing([facts(row) for row in self.windows(kind)])
-
-    @cached_property
-    def initials(self) -> list[str]:
-        """Names of the initial states of the runs that are cases of their own."""
-        return list(dict.fromkeys(row["from"] for row in self.single))
-
-    def heading(self, row: Row, names: Sequence[str] = ()) -> str:
-        """Name the window of a run; with ``names``, by these facts only."""
-        return heading(row, self.differing_facts(row["kind"]), names)
-
-    def title(self, text: str, row: Row) -> str:
-        """Return a figure's title, with the window if there are several."""
-        return f"{text}: {self.heading(row)}" if len(self.windows()) > 1 else text
-
-    def best(self) -> list[Row]:
-        """Return the run of each controller with the smallest deviation, place by place.
-
-        Only single runs count. If all of them are equal, there is no setting.
-        """
-        def order(row: Row) -> tuple[int, ...]:
-            return row["window"], self.initials.index(row["from"]), row["rank"] // _SETTINGS
-
-        best = []
-        for _, group in groupby(sorted(self.of(SINGLE), key=order), key=order):
-            first, *others = sorted(group, key=lambda row: (row[TOTAL], row["case"]))
-            alike = others and first[TOTAL] == others[-1][TOTAL]
-            best.append({**first, "setting": ""} if alike else first)
-        return best
-
-    # --- seasons of several years ----------------------------------------------------------------
-
-    @cached_property
+    @property
     def sizing(self) -> bool:
         """Whether the seasons are of several sites that differ only in size."""
-        sites = [asdict(self.runs[row["run"]].site) for row in self.of(SEASONS)]
+        sites = [asdict(case.runs[0].site) for case in self.seasons]
         sizes = {(site["a2"], site["a1"] * site["z_o"]) for site in sites}
         return len(sizes) > 1 and set(differing(sites)) <= _BY_SIZE
 
-    @cached_property
-    def with_forecast_errors(self) -> set[str]:
-        """The controllers that ran seasons with imperfect forecasts.
 
-        Other controllers, such as on/off, may use no forecast: they are shown with any of these.
-        """
-        return {row["controller"] for row in self.of(SEASONS) if row["forecast"] != PERFECT}
-
-    @cached_property
-    def plain_onoff(self) -> list[Row]:
-        """Of each place, the on/off controller that fills to the target, as in the paper.
-
-        Of several with different shares of the flow, it has the smallest mean deviation:
-        with ticks of some seconds, full flow overshoots the target, which no site would accept.
-        """
-        (level,) = (known.default for known in OnOff.parameters if known.name == "level")
-        return lowest(
-            row for row in self.of(SEASONS) if row["controller"] == "onoff"
-            and self.runs[row["run"]].parameters.get("level", level) == level
-        )
-
-    @cached_property
-    def smallest(self) -> list[Row]:
-        """Of each place, the cases with the smallest mean deviation that is possible on a site.
-
-        Controllers with perfect forecasts do not count, unless no forecasts here have errors, nor
-        do cases that lack years or seeds.
-        """
-        complete = (row for row in self.of(SEASONS) if not row["missing"])
-        return lowest(
-            row for row in complete if not self.with_forecast_errors or row["forecast"] != PERFECT
-            or not (row["controller"] in self.with_forecast_errors
-                    or "horizon" in self.runs[row["run"]].parameters)
-        )
-
-    @cached_property
-    def relative_to_onoff(self) -> list[Row]:
-        """The seasons' cases compared with plain on/off.
-
-        ``has`` is the :class:`.intervals.Comparison`, ``than`` the row of plain on/off.
-        """
-        return self._relative_to(self.plain_onoff)
-
-    @cached_property
-    def relative_to_best(self) -> list[Row]:
-        """The same compared with the case of smallest deviation, if that is not plain on/off."""
-        plain = [row["case"] for row in self.plain_onoff]
-        known = {row["place"] for row in self.smallest if row["case"] in plain}
-        return self._relative_to([row for row in self.smallest if row["place"] not in known])
-
-    def _relative_to(self, references: Sequence[Row]) -> list[Row]:
-        others, compared = {row["place"]: row for row in reversed(references)}, []
-        for row in self.of(SEASONS):
-            than = others.get(row["place"], row)
-            has = compare(self._deviations[row["case"]], self._deviations[than["case"]])
-            if than["case"] != row["case"] and has is not None:
-                compared.append({**row, "than": than, "has": has})
-        return compared
-
-    def years(self, row: Row) -> list[tuple[int, np.ndarray[Any, Any]]]:
-        """Return each year of a season's case, and the total deviation of each seed in it (m3)."""
-        return list(self._deviations[row["case"]].totals.items())
+def _case(runs: list[ReportedRun], assumptions: Assumptions) -> Case:
+    """Return the case of some runs."""
+    years: dict[int, list[Row]] = {}
+    season = runs[0].row["season"]
+    for run in runs:
+        year = datetime.fromisoformat(run.row["start"]).year if season else 0
+        years.setdefault(year, []).append(run.row | _derived(run, assumptions))
+    row = {**runs[0].row, **_means(list(years.values()))}
+    case = Case(runs, row, {year: [row[TOTAL] for row in rows] for year, rows in years.items()})
+    if season:
+        whole = int(row["hours"] // 168)
+        case.deviations = Deviations()
+        for year, rows in years.items():
+            case.deviations.totals[year] = np.array(case.totals[year])
+            case.deviations.weeks[year] = np.array(
+                [weeks(row["weekly_deviation_m3"])[:whole] for row in rows]
+            )
+    return case
 
 
-def who(row: Row) -> str:
-    """Name the controller of a case, with its setting if it has one."""
-    return f"{controller_name(row['controller'])} {row['setting']}".strip()
+def _means(years: Sequence[Sequence[Row]]) -> Row:
+    """Return the mean of each result over the runs of each year, then over the years.
 
-
-def unique(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
-    """Return names of runs; a name that several runs have is followed by the run's own."""
-    return [
-        f"{name} ({row['run']})" if names.count(name) > 1 else name
-        for row, name in zip(rows, names, strict=True)
-    ]
-
-
-def facts(row: Row) -> Row:
-    """Return the facts that a run shares with the runs that it is compared with."""
-    return {name: row[name] for name in _FACTS[row["kind"]]}
-
-
-def by_place(rows: Iterable[Row]) -> list[list[Row]]:
-    """Return the cases of each place, which must be adjacent."""
-    return [list(group) for _, group in groupby(rows, key=lambda row: row["place"])]
-
-
-def lowest(rows: Iterable[Row]) -> list[Row]:
-    """Return from each place the case with the smallest total deviation, or several that are equal.
-
-    Cases that lack years or seeds come after all others: they may lack the worst.
+    The ratio to the minimum possible deviation is of the means, and known if all minima are.
     """
-    found: list[Row] = []
-    for here in by_place(rows):
-        order = [(row["missing"], row[TOTAL]) for row in here]
-        found += [row for row, key in zip(here, order, strict=True) if key == min(order)]
-    return found
+    means: Row = {}
+    for name in _AVERAGED:
+        known = [[row[name] for row in rows if row.get(name) is not None] for rows in years]
+        yearly = [fmean(values) for values in known if values]
+        means[name] = fmean(yearly) if yearly else None
+    bounds = [row.get("bound_m3") for rows in years for row in rows]
+    means["ratio"] = means[TOTAL] / means["bound_m3"] if all(bounds) else None
+    return means
 
 
-def _kinds(rows: Sequence[Row]) -> list[str]:
-    """Return the kind of each run: single, one of many seeds, or of a season of several years."""
-    season = pl.col("season").is_not_null() & (pl.col("year").n_unique().over(
-        "site", "evapotranspiration", "begins", "hours", "sensor and pump errors", "from",
-        pl.col("season").is_not_null(),
-    ) > 1)
-    of_season = pl.when(season).then(pl.lit(SEASONS))
-    table = pl.DataFrame(rows, schema=_SCHEMA).with_columns(kind=of_season)
-    # All initial states of a window are of one kind.
-    seeds = (pl.col("seed") != "") & (pl.col("seed").n_unique().over(
-        "site", "weather", "start", "hours", "evapotranspiration", "model",
-        "sensor and pump errors", "skill", "kind",
-    ) > 1)
-    alone = pl.when(seeds).then(pl.lit(SEEDS)).otherwise(pl.lit(SINGLE))
-    return table.select(pl.col("kind").fill_null(alone))["kind"].to_list()
+_AVERAGED = (
+    *(metric.name for metric in METRICS), "bound_m3", "frost_hours", "frost_pumped_m3",
+    "cistern_change_m3", "cistern_residual_m3", "roof_change_m3", "roof_residual_m3",
+    "near_percent", "energy_cost", "water_value",
+)
 
 
-def _derived(assumptions: Assumptions) -> list[pl.Expr]:
+def _derived(run: ReportedRun, assumptions: Assumptions) -> Row:
     """Return what is derived from the results: changes of storage, mass balance errors and money.
 
     The mass balance error, the change of storage that the flows do not explain, is rounding in a
     simulation. On a site it is all that was not measured.
     """
-    col = pl.col
-    cistern = col("final_cistern_m3") - col("cistern_m3")
-    layer = (col("final_layer_m3") - col("initial_layer")).fill_null(0)
-    roof = col("final_roof_m3") - col("roof_m3") + layer
-    into_cistern = (
-        col("rain_cistern_m3") - col("pumped_m3") - col("outflow_m3") + col("mains_m3").fill_null(0)
+    row, site = run.row, run.site
+    derived: Row = {}
+    for tank, flows in FLOWS.items():
+        change = _sum(row, {f"final_{tank}_m3": 1, f"{tank}_m3": -1})
+        if tank == "roof" and change is not None and row.get("final_layer_m3") is not None:
+            change += row["final_layer_m3"] - site.initial_layer
+        explained = _sum(row, {name: sign for name, sign in flows.items() if name != "mains_m3"})
+        if tank == "cistern" and explained is not None:
+            explained += row.get("mains_m3") or 0.0
+        derived[f"{tank}_change_m3"] = change
+        derived[f"{tank}_residual_m3"] = (
+            None if change is None or explained is None else change - explained
+        )
+    near, pumped, energy = (
+        row.get(name) for name in ("near_target_hours", "pumped_m3", "electric_energy_kwh")
     )
-    into_roof = (
-        col("rain_roof_m3") + col("pumped_m3") - col("evapotranspiration_m3") - col("drainage_m3")
-    )
-    return [
-        cistern.alias("cistern_change_m3"),
-        roof.alias("roof_change_m3"),
-        (cistern - into_cistern).alias("cistern_residual_m3"),
-        (roof - into_roof).alias("roof_residual_m3"),
-        (col("electric_energy_kwh") * assumptions.energy_price).alias("energy_cost"),
-        (col("pumped_m3") * assumptions.water_price).alias("water_value"),
-        (col(TOTAL) / pl.when(col("bound_m3") > 0).then("bound_m3")).alias("ratio"),
-        # The last sample is treated as one tick.
-        (col("near_target_hours") / (col("hours") + col("tau") / 3600)).alias("near_share"),
+    # The last sample is treated as one tick.
+    hours = row["hours"] + site.tau / 3600
+    derived["near_percent"] = None if near is None else 100 * near / hours
+    derived["energy_cost"] = None if energy is None else energy * assumptions.energy_price
+    derived["water_value"] = None if pumped is None else pumped * assumptions.water_price
+    return derived
+
+
+def _sum(row: Row, terms: Mapping[str, int]) -> float | None:
+    """Return a sum of results; None if one of them is missing."""
+    if any(row.get(name) is None for name in terms):
+        return None
+    return float(sum(sign * row[name] for name, sign in terms.items()))
+
+
+def _compare(place: Sequence[Case]) -> None:
+    """Compare the seasons of a place with the on/off controller that fills to the target.
+
+    That is the paper's. Of several with different shares of the flow it is the one in the most
+    years with the smallest mean deviation: with ticks of some seconds, full flow overshoots the
+    target, which no site would accept.
+    """
+    (level,) = (known.default for known in OnOff.parameters if known.name == "level")
+    plain = [
+        case for case in place if case.deviations is not None
+        and case.row["controller"] == "onoff"
+        and float(case.row.get("parameter:level") or level) == level
     ]
+    if not plain:
+        return
+    other = min(plain, key=lambda case: (-len(case.runs), case.row[TOTAL]))
+    assert other.deviations is not None
+    for case in place:
+        if case is not other and case.deviations is not None:
+            case.relative = compare(case.deviations, other.deviations)

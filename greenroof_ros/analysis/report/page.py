@@ -13,10 +13,9 @@ from markupsafe import Markup
 
 from greenroof_ros.analysis.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.analysis.report.groups import Report
-from greenroof_ros.analysis.report.tables import incident_tables, make_tables
-from greenroof_ros.analysis.report.words import LEADING, cautions, make_warnings, sentences
+from greenroof_ros.analysis.report.tables import Table, make_notes, make_tables
 from greenroof_ros.experiment.summary import versions, versions_text
-from greenroof_ros.model.site import site_parameters
+from greenroof_ros.model.site import Site, site_parameters
 
 
 def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:
@@ -36,7 +35,7 @@ def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:
     )
     return environment.get_template("page.html").render({
         "figures": figures, "versions": versions_text(versions()), "library": _library(),
-        "payload": payload(figures), **values,
+        "payload": payload(figures), "folded": False, **values,
     })
 
 
@@ -49,21 +48,29 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
     """
     drawing = ("altair", "vl-convert-python", "rosbags", "polars")
     used = {name: metadata.version(name) for name in drawing}
-    used["vega"] = vl_convert.get_vega_version()
-    by_name = {figure.name: figure for figure in figures}
+    alarms = [
+        {**({"run": run.name} if len(report.runs) > 1 else {}), **alarm}
+        for run in report.runs for alarm in run.alarms
+    ]
     return page_of(
         __package__, figures,
         report=report,
         tables=make_tables(report),
-        warnings=make_warnings(report),
-        incidents=incident_tables(report),
-        lead=sentences(report),
-        leading=next((by_name[name] for name in LEADING if name in by_name), None),
-        cautions=cautions(report),
-        sites={run.row["site"]: run.site for run in report.runs.values()},
-        parameters=site_parameters(),
+        notes=make_notes(report),
+        alarms=alarms,
+        sites={run.row["site"]: _parameters(run.site) for run in report.runs},
+        texts=("", "from", "window", "ended", "part", "until", "cause", "error", "unit", "meaning"),
+        folded=True, warnings=(),
         versions=versions_text(versions() | used),
     )
+
+
+def _parameters(site: Site) -> Table:
+    """Return the parameters that a site has as a table."""
+    return [
+        {"symbol": known.name, "value": str(value), "unit": known.unit, "meaning": known.meaning}
+        for known in site_parameters() if (value := getattr(site, known.name)) is not None
+    ]
 
 
 # Scripts and JSON are not HTML: each is escaped here in its own way.
@@ -79,14 +86,15 @@ def payload(figures: Sequence[Figure]) -> Markup:
     """Return the figures of a page and their data as JSON."""
     panels = [
         {
-            "id": f"{figure.name}-panel-{number}",
-            "figure": figure.name,
-            "specification": panel.specification(),
+            "id": f"{figure.name}-panel-{number}", "figure": figure.name,
+            "specification": panel.sized("container").to_dict(),
         }
-        for figure in figures
-        for number, panel in enumerate(figure.panels, start=1)
+        for figure in figures for number, panel in enumerate(figure.panels, start=1)
     ]
-    data = {name: _columns(rows) for figure in figures for name, rows in figure.data.items()}
+    data = {
+        figure.name: {name: _columns(rows) for name, rows in figure.data.items()}
+        for figure in figures
+    }
     text = json.dumps(
         {"config": CONFIG, "panels": panels, "data": data},
         allow_nan=False, separators=(",", ":"), ensure_ascii=False,

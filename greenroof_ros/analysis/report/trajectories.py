@@ -1,14 +1,16 @@
-"""Figures over time: commands and volumes of runs, the weather, and the chart of simulations."""
+"""Figures over time: water, commands and flows, and forecasts; and the chart of simulations."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 import altair as alt
+import numpy as np
+from numpy.typing import NDArray
 
-from greenroof_ros.analysis.report.bags import Drawn, drawn
 from greenroof_ros.analysis.report.drawing import (
     CONFIG,
     Figure,
@@ -19,12 +21,13 @@ from greenroof_ros.analysis.report.drawing import (
     series_panel,
     short,
 )
-from greenroof_ros.analysis.report.groups import SKY, Report, unique, who
-from greenroof_ros.analysis.report.run import Row, controller_name
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.trajectory import Trajectory
+
+MOST_POINTS = 500
+"""of a drawn line, about"""
 
 _GREY = "#555555"
 # Runs longer than this (h) have no times of day on their axis.
@@ -38,6 +41,101 @@ _WIDTH, _HEIGHT, _RAIN_HEIGHT = 640, 130, 70
 _EXTENT = 44
 
 
+class Drawn(NamedTuple):
+    """A run with the curves that are drawn."""
+
+    site: Site
+    start: datetime
+    """time of the first sample"""
+    hours: float
+    """length (h)"""
+    curves: dict[str, list[tuple[float, float]]]
+    """time (s) and value of about :data:`MOST_POINTS` samples, by attribute of the trajectory"""
+
+
+def drawn(site: Site, trajectory: Trajectory) -> Drawn:
+    """Return a run with the curves that are drawn."""
+    curves = {}
+    for name in (*_QUANTITIES, "precipitation"):
+        values = getattr(trajectory, name)
+        if name not in ("cistern", "roof"):
+            # The run ends at the last sample: its flows never held, so draw the values before it.
+            values = np.append(values[:-1], values[-2:-1])
+        index = thin(values)
+        times = trajectory.time[index].tolist()
+        curves[name] = list(zip(times, values[index].tolist(), strict=True))
+    hours = float(trajectory.time[-1]) / 3600 if len(trajectory.time) else 0.0
+    return Drawn(site, trajectory.start, hours, curves)
+
+
+def thin(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.intp]:
+    """Return the samples to draw: the first, the last, and the smallest and largest of each bucket.
+
+    Args:
+        values: shape (n,).
+        most: number of samples to keep, about; all are kept if there are no more than this.
+    """
+    count = len(values)
+    if count <= most:
+        return np.arange(count)
+    edges = np.linspace(0, count, (most - 2) // 2 + 1).astype(np.intp)
+    indices = {0, count - 1}
+    for low, high in itertools.pairwise(edges):
+        indices.add(int(low + np.argmin(values[low:high])))
+        indices.add(int(low + np.argmax(values[low:high])))
+    return np.array(sorted(indices), dtype=np.intp)
+
+
+class _Quantity(NamedTuple):
+    """A quantity that is drawn over time."""
+
+    title: str
+    axis: str
+    factor: Callable[[Site], float] = lambda site: 1000.0
+    """from the unit of the curves to that of the axis"""
+
+
+_QUANTITIES = {
+    "roof": _Quantity("Roof", "roof level (mm)", lambda site: 1000 / site.a2),
+    "cistern": _Quantity("Cistern", "cistern level (m)", lambda site: 1 / site.a1),
+    "command": _Quantity("Command", "command (1)", lambda site: 1.0),
+    "pump_flow": _Quantity("Pump flow", "pump flow (L/s)"),
+    "outflow": _Quantity("Outflow to the sewer", "outflow (L/s)"),
+}
+_FIGURES = {
+    "water": ("Water", ("roof", "cistern")),
+    "flows": ("Commands and flows", ("command", "pump_flow", "outflow")),
+}
+
+
+def _lines(
+    quantity: str, runs: Mapping[str, Drawn], start: datetime
+) -> tuple[Rows, alt.Y, list[alt.Chart]]:
+    """Return the points of a quantity's curves, its axis, and its reference levels.
+
+    The sites' reference levels are drawn if all runs have the same.
+
+    Args:
+        quantity: to draw.
+        runs: by the names of their lines.
+        start: of the axis of time.
+    """
+    known = _QUANTITIES[quantity]
+    rows: Rows = [
+        {"controller": name, **point} for name, run in runs.items()
+        for point in _points(run, start, quantity, known.factor(run.site))
+    ]
+    sites = [run.site for run in runs.values()]
+    levels = {
+        site.z_veg if quantity == "roof" else (site.z_o, site.suction_level, site.low_outlet_level)
+        for site in sites
+    }
+    return rows, *_axis(
+        sites[0] if len(levels) == 1 else None, quantity, known.axis,
+        [row["v"] for row in rows if row["v"] is not None], known.factor(sites[0]),
+    )
+
+
 def overlaid(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatChart:
     """Return the chart of simulations: rain, roof level, cistern and pump, with a line for each.
 
@@ -47,43 +145,28 @@ def overlaid(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatC
     Raises:
         ConfigurationError: they begin at different times.
     """
-    names, sites = list(simulations), [site for site, _ in simulations.values()]
-    runs = [drawn(trajectory) for _, trajectory in simulations.values()]
-    lengths = [float(trajectory.time[-1]) for _, trajectory in simulations.values()]
-    start = runs[0].start
-    for name, run in zip(names, runs, strict=True):
+    runs = {name: drawn(*simulation) for name, simulation in simulations.items()}
+    first, start = next((name, run.start) for name, run in runs.items())
+    for name, run in runs.items():
         if run.start != start:
             raise ConfigurationError(
-                f"begins at {to_minutes(run.start)}, but {names[0]} at {to_minutes(start)}: one "
+                f"begins at {to_minutes(run.start)}, but {first} at {to_minutes(start)}: one "
                 "chart is of one time", key=name,
             )
-    x = _time(start, max(lengths) / 3600)
-    rain, top = _rain(runs[lengths.index(max(lengths))])
-    down = alt.Scale(domain=[0, top], reverse=True)
-    charts: list[Any] = [_rained(alt.InlineData(rain), x.title(None), down).properties(
-        width=_WIDTH, height=_RAIN_HEIGHT)]
-    series = distinct("controller", names, "")
+    longest = max(runs.values(), key=lambda run: run.hours)
+    x = _time(start, longest.hours)
+    charts: list[Any] = [
+        _rained(longest, x.title(None)).properties(width=_WIDTH, height=_RAIN_HEIGHT)
+    ]
+    series = distinct("controller", list(runs), "")
     legend = alt.Legend(symbolType="stroke", symbolSize=600, columns=4)
     for channel in series.values():
-        channel.legend = legend if len(names) > 1 else None
-    for quantity, axis, factors, levels in (
-        ("roof", "roof level (mm)", [1000 / site.a2 for site in sites],
-         {site.z_veg for site in sites}),
-        ("cistern", "cistern level (m)", [1 / site.a1 for site in sites],
-         {(site.z_o, site.suction_level, site.low_outlet_level) for site in sites}),
-        ("pump_flow", "pump flow (L/s)", [1000.0] * len(sites), {0.0}),
-    ):
-        rows: Rows = [
-            {"controller": name, **row}
-            for name, run, factor in zip(names, runs, factors, strict=True)
-            for row in _points(run, start, quantity, factor)
-        ]
-        y, references = _axis(
-            sites[0], quantity, axis, [row["v"] for row in rows], factors[0], len(levels) == 1
-        )
+        channel.legend = legend if len(runs) > 1 else None
+    for quantity in ("roof", "cistern", "pump_flow"):
+        rows, y, references = _lines(quantity, runs, start)
         lines = alt.Chart(alt.InlineData(rows)).mark_line(clip=True, strokeWidth=1.6).encode(
-            x=x if quantity == "pump_flow" else x.title(None), y=y,
-            **series, tooltip=pointed("controller:N", _WHEN, ("v:Q", axis)),
+            x=x if quantity == "pump_flow" else x.title(None), y=y, **series,
+            tooltip=pointed("controller:N", _WHEN, ("v:Q", _QUANTITIES[quantity].axis)),
         )
         charts.append(alt.layer(*references, lines).properties(width=_WIDTH, height=_HEIGHT))
     chart: alt.VConcatChart = alt.vconcat(*charts, spacing=10).resolve_scale(
@@ -92,70 +175,76 @@ def overlaid(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatC
     return chart
 
 
-def trajectories(report: Report, rows: Sequence[Row], number: int) -> Figure:
-    """Return the figure of command, flow and volumes over time (paper: Figs. 6-9).
-
-    Controllers with a run each share a panel for each quantity; if one of them has several runs,
-    each controller has its own.
+def figures_over_time(
+    runs: Mapping[str, Drawn], name: str, title: str
+) -> list[Figure]:
+    """Return the figures of water, and of commands and flows (paper: Figs. 4 and 6-9).
 
     Args:
-        report: all results.
-        rows: runs of a window from the same initial state.
-        number: of the window.
+        runs: of one window, by the names of their lines.
+        name: end of the figures' names.
+        title: end of their titles.
     """
-    site, first = report.runs[rows[0]["run"]].site, rows[0]
-    ordered = sorted(rows, key=lambda row: row["rank"])
-    by_controller = {
-        name: own for name in report.controllers
-        if (own := [row for row in ordered if row["controller"] == name])
-    }
-    together = len(by_controller) == len(rows)
-    groups = {"": ordered} if together else by_controller
-    start = report.drawn[first["run"]].start
-    x = _time(start, first["hours"])
-    panels, data = [], {}
-    index = report.initials.index(first["from"]) + 1
-    for quantity, title, axis in (
-        ("command", "command", "command (1)"),
-        ("pump_flow", "pump flow", "pump flow (L/s)"),
-        ("cistern", "cistern", "cistern, x1 (m³)"),
-        ("roof", "green roof", "green roof, x2 (m³)"),
-    ):
-        curves = {row["run"]: _points(
-            report.drawn[row["run"]], start, quantity, 1000.0 if quantity == "pump_flow" else 1.0
-        ) for row in rows}
-        y, references = _axis(
-            site, quantity, axis, [point["v"] for curve in curves.values() for point in curve]
-        )
-        for controller, own in groups.items():
-            dataset = "-".join(filter(None, (quantity, str(number), str(index), controller)))
-            labels = unique(own, [who(row) if together else row["label"] for row in own])
-            data[dataset] = [
-                {"setting": label, **point}
-                for label, row in zip(labels, own, strict=True) for point in curves[row["run"]]
-            ]
-            named = "" if together else report.settings[controller].title
-            lines = alt.Chart(alt.NamedData(dataset)).mark_line(clip=True, strokeWidth=1.8).encode(
-                x=x, y=y,
-                tooltip=pointed(("setting:N", named or "controller"), _WHEN, ("v:Q", axis)),
+    first = next(iter(runs.values()))
+    x = _time(first.start, max(run.hours for run in runs.values()))
+    figures = []
+    for kind, (what, quantities) in _FIGURES.items():
+        panels, data = [], {}
+        if kind == "water":
+            panels.append(Panel(_rained(first, x), "Rain"))
+        for quantity in quantities:
+            dataset, known = f"{quantity}-{name}", _QUANTITIES[quantity]
+            data[dataset], y, references = _lines(quantity, runs, first.start)
+            lines = alt.Chart(alt.NamedData(dataset)).mark_line(clip=True, strokeWidth=1.6).encode(
+                x=x, y=y, tooltip=pointed("controller:N", _WHEN, ("v:Q", known.axis))
             )
             panels.append(series_panel(
-                lines, "setting", labels, f"{controller_name(controller)}: {title}"
-                if controller else title.capitalize(),
-                legend=named, zoom=True, below=[
-                    *(_incidents(report, own, start) if quantity in _LEAST_POWER else []),
-                    *references,
-                ],
+                lines, "controller", list(runs), known.title, below=references,
+                zoom=True,
             ))
+        figures.append(Figure(f"{kind}-{name}", f"{what}{title}", "", tuple(panels), 3, data))
+    return figures
+
+
+def forecast_figure(
+    forecasts: Sequence[tuple[float, float]], run: Drawn, trajectory: Trajectory, name: str,
+    title: str,
+) -> Figure:
+    """Return the figure of the rain forecast for the next hour, and of what fell in that hour.
+
+    Args:
+        forecasts: time of each (s since the start), and its rain in the hour after it (m).
+        run: the run.
+        trajectory: of the same run.
+        name: end of the figure's name.
+        title: end of its title.
+    """
+    steps = np.append(np.diff(trajectory.time), 0.0)
+    fallen = np.concatenate([[0.0], np.cumsum(steps * trajectory.precipitation)[:-1]])
+    issued = np.array([time for time, _ in forecasts])
+    came = np.interp(issued + 3600, trajectory.time, fallen) - np.interp(
+        issued, trajectory.time, fallen
+    )
+    came[issued + 3600 > trajectory.time[-1]] = np.nan
+    origin = _origin(run.start)
+    dataset = f"forecast-{name}"
+    rows: Rows = [
+        {"controller": series, "t": origin + 1000 * time, "v": short(1000 * value)}
+        for series, values in (("forecast", [rain for _, rain in forecasts]), ("fell", came))
+        for time, value in zip(issued.tolist(), values, strict=True)
+    ]
+    lines = alt.Chart(alt.NamedData(dataset)).mark_line(clip=True, strokeWidth=1.6).encode(
+        x=_time(run.start, run.hours), y=alt.Y("v:Q", title="rain in the next hour (mm)"),
+        tooltip=pointed("controller:N", _WHEN, ("v:Q", "mm")),
+    )
+    names = ["forecast", "fell"]
+    panel = series_panel(lines, "controller", names, "Rain in the next hour", zoom=True)
     return Figure(
-        f"trajectories-{number}-{index}",
-        report.title(f"Command, flow and volumes from {first['from']}", first),
-        "Red: incidents" if any(report.runs[row["run"]].incidents for row in rows) else "",
-        tuple(panels), 2 if together else len(groups), data,
+        f"forecast-{name}", f"Forecast{title}", "The mean of an ensemble's members", (panel,), 1,
+        {dataset: rows},
     )
 
 
-_UTC = alt.Scale(type="utc")
 _WHEN = alt.Tooltip(
     "t:T", title="time", timeUnit="utcyearmonthdatehoursminutesseconds", format="%Y-%m-%d %H:%M:%S"
 )
@@ -202,63 +291,34 @@ def _time(start: datetime, hours: float) -> alt.X:
     )
 
 
-def _incidents(report: Report, rows: Sequence[Row], start: datetime) -> list[alt.Chart]:
-    """Return the incidents of some runs as areas; one that is not over lasts to the run's end."""
-    areas = []
-    for row in rows:
-        run, began = report.runs[row["run"]], report.drawn[row["run"]].start
-        origin = _origin(began.astimezone(start.tzinfo))
-        for incident in run.incidents:
-            low, high = (
-                tick * run.site.tau if tick is not None
-                else (datetime.fromisoformat(time) - began).total_seconds() if time is not None
-                else row["hours"] * 3600
-                for tick, time in ((incident.began_tick, incident.began),
-                                   (incident.ended_tick, incident.ended))
-            )
-            areas.append({
-                "from": origin + 1000 * low, "to": origin + 1000 * high, "cause": incident.cause,
-                "part": incident.subject, "run": row["run"],
-            })
-    return [
-        alt.Chart(alt.InlineData(areas)).mark_rect(color="#a30000", opacity=0.2, clip=True).encode(
-            x=alt.X("from:T", scale=_UTC), x2=alt.X2("to:T"),
-            tooltip=pointed("run:N", "part:N", "cause:N"),
-        )
-    ] if areas else []
-
-
 def _axis(
-    site: Site, quantity: str, title: str, values: Sequence[float], factor: float = 1.0,
-    referenced: bool = True,
+    site: Site | None, quantity: str, title: str, values: Sequence[float], factor: float
 ) -> tuple[alt.Y, list[alt.Chart]]:
     """Return a quantity's axis, the same in all panels, and its reference levels with their names.
 
     Args:
-        site: with the levels.
+        site: with the tanks' reference levels; None for none.
         quantity: of the curves.
         title: of the axis.
-        values: all that are drawn, in the axis' unit.
+        values: all that are drawn, in the axis' unit; there may be none.
         factor: from the volume in a tank (m3) to the axis' unit.
-        referenced: whether all curves have the tanks' reference levels.
     """
-    low, high = min(values), max(values)
+    low, high = min(values, default=0.0), max(values, default=0.0)
     scale: dict[str, Any] = {"nice": False}
     axis = alt.Axis()
     if quantity in _LEAST_POWER:
         least = _LEAST_POWER[quantity]
         scale |= {"type": "symlog", "constant": 10.0**least}
         axis = alt.Axis(values=[0.0, *(10.0**power for power in range(least, 10))], format=".12~g")
+    references: dict[str, float] = {}
     if quantity == "command":
         # On the logarithmic axis this leaves room for the text above the line.
         top = max(2.5 * high, 0.002)
         domain, references = [0.0, top], {_FULL_FLOW: 1.0} if top > 1.5 else {}
-    elif quantity == "pump_flow":
-        domain, references = [0.0, 1.3 * high or 1.0], {}  # from 0, or no power of ten may be in it
+    elif quantity in ("pump_flow", "outflow"):
+        domain = [0.0, 1.3 * high or 1.0]  # from 0, or no power of ten may be in it
     else:
-        domain, references = _around(
-            site if referenced else None, quantity, low, high, factor
-        )
+        domain, references = _around(site, quantity, low, high, factor)
     scaled = alt.Scale(domain=domain, **scale)
     return (
         alt.Y("v:Q", title=title, scale=scaled, axis=axis),
@@ -320,64 +380,14 @@ def _reference_layers(
     return layers
 
 
-def _rain(run: Drawn) -> tuple[Rows, float]:
-    """Return the rain of a run, and the end of its axis (mm/h)."""
+def _rained(run: Drawn, x: alt.X) -> alt.Chart:
+    """Return the area of rain of a run, from above as in hydrology."""
     rows = _points(run, run.start, "precipitation", 3.6e6)
-    return rows, 1.05 * max(row["v"] for row in rows) or 1.0
-
-
-def _rained(data: Any, x: alt.X, scale: alt.Scale) -> alt.Chart:
-    """Return the area of rain."""
-    chart: alt.Chart = alt.Chart(data).mark_area(
+    top = 1.05 * max((row["v"] for row in rows if row["v"] is not None), default=0.0) or 1.0
+    chart: alt.Chart = alt.Chart(alt.InlineData(rows)).mark_area(
         interpolate="step-after", line={"color": "#0072B2"}, color="#56B4E9", clip=True
     ).encode(
-        x=x, y=alt.Y("v:Q", title="rain (mm/h)", scale=scale),
-        tooltip=pointed(_WHEN, ("v:Q", "mm/h")),
+        x=x, tooltip=pointed(_WHEN, ("v:Q", "mm/h")),
+        y=alt.Y("v:Q", title="rain (mm/h)", scale=alt.Scale(domain=[0, top], reverse=True)),
     )
     return chart
-
-
-def weather(report: Report, rows: Sequence[Row], number: int) -> Figure:
-    """Return the figure of rain and evapotranspiration over time (paper: Fig. 4).
-
-    Args:
-        report: all results.
-        rows: runs of one site with the same weather, one for each method of evapotranspiration.
-        number: of the figure.
-    """
-    runs = {row["evapotranspiration"]: report.drawn[row["run"]] for row in rows}
-    run = next(iter(runs.values()))
-    start, frozen, origin = run.start, run.frost, _origin(run.start)
-    area = report.runs[rows[0]["run"]].site.a2
-    rain, top = _rain(run)
-    evaporation: Rows = [
-        {"method": method, **point} for method, each in runs.items()
-        for point in _points(each, start, "evapotranspiration", 8.64e7 / area)
-    ]
-    x = _time(start, rows[0]["hours"])
-    frost = [
-        alt.Chart(alt.InlineData([
-            {"from": origin + low * 1000, "to": origin + high * 1000} for low, high in frozen
-        ])).mark_rect(color="#999999", opacity=0.3).encode(
-            x=alt.X("from:T", scale=_UTC), x2=alt.X2("to:T")
-        )
-    ] if frozen else []
-    rained = _rained(alt.NamedData(f"rain-{number}"), x, alt.Scale(domain=[0, top]))
-    evaporated = alt.Chart(alt.NamedData(f"evapotranspiration-{number}")).mark_line(
-        interpolate="step-after", clip=True
-    ).encode(
-        x=x, y=alt.Y("v:Q", title="evapotranspiration (mm/day)", scale=alt.Scale(zero=True)),
-        tooltip=pointed("method:N", _WHEN, ("v:Q", "mm/day")),
-    )
-    return Figure(
-        f"weather-{number}",
-        f"Weather: {report.heading(rows[0], SKY)}",
-        "Grey: frost" if frozen else "",
-        (
-            Panel(alt.layer(*frost, rained), "Rain", zoom=True),
-            series_panel(evaporated, "method", list(runs), "Evapotranspiration", legend="method",
-                         below=frost, zoom=True),
-        ),
-        2,
-        {f"rain-{number}": rain, f"evapotranspiration-{number}": evaporation},
-    )

@@ -15,6 +15,7 @@ from typing import Any
 
 from greenroof_ros.analysis.study.case_run import Outcome, write_inputs
 from greenroof_ros.analysis.study.grid import Case, contents
+from greenroof_ros.analysis.study.names import Names
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import naming, replace_text
 from greenroof_ros.common.processes import LockedError, acquire_file_lock
@@ -166,13 +167,14 @@ class StudyStore:
             The rows of ``results.csv``.
         """
         parameters = list(dict.fromkeys(name for case in self.cases for name in case.parameters))
-        rows, timings = [], []
+        rows, timings, names = [], [], Names(self.cases)
         for case in self.cases:
             run, error = {"run": case.identity}, self.failures.get(case.identity)
             outcome, bound = self.outcomes.get(case.identity), self.bounds.get(case.problem)
             results = {} if outcome is None else outcome.results
             rows.append({
                 **run,
+                **names.columns(case),
                 **case.columns(),
                 **parameter_columns({name: case.parameters.get(name) for name in parameters}),
                 "status": "done" if outcome else "not run" if error is None else "failed",

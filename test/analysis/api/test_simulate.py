@@ -267,17 +267,18 @@ def test_a_saved_run_is_read_by_the_report(tmp_path: Path) -> None:
     result = gr.simulate("onoff", level=0.9, hours=1)
     assert result.save(tmp_path / "mine") == tmp_path / "mine"
     refusal(result.save, tmp_path / "mine", match="is never overwritten")
-    (run,) = find_runs([tmp_path / "mine"], None).runs
-    assert run.load is not None
-    assert (run.row["controller"], run.parameters["level"], run.own) == ("onoff", 0.9, True)
+    (run,) = find_runs([tmp_path / "mine"]).runs
+    assert (run.row["controller"], run.row["parameter:level"]) == ("onoff", 0.9)
     assert run.row["total_deviation_m3"] == result.metrics["total_deviation_m3"]
-    assert run.load().trajectory.roof.tolist() == result.trajectory["roof_m3"].to_list()
+    trajectory = run.trajectory()
+    assert trajectory is not None
+    assert trajectory.roof.tolist() == result.trajectory["roof_m3"].to_list()
     assert gr.read_bag(tmp_path / "mine").equals(result.trajectory)
     done = run_command(
         "report", "mine", "--output", "report", cwd=tmp_path, env=environment(0),
     )
     assert done.returncode == 0, done.stderr
-    assert "on/off" in (tmp_path / "report" / "report.html").read_text()
+    assert "onoff" in (tmp_path / "report" / "report.html").read_text()
 
 
 @pytest.mark.parametrize("kept", [(), ("--trajectory",)])
@@ -286,9 +287,9 @@ def test_the_commands_run_is_read_by_the_report(tmp_path: Path, kept: tuple[str,
     options = ("--controller", "onoff", "--hours", "0.3", "--trajectory-every", "10")
     of_command(tmp_path, *options[:4], *(("--trajectory", *options[4:]) if kept else ()))
     expected = gr.simulate("onoff", hours=0.3)
-    (run,) = find_runs([tmp_path / "out"], None).runs
+    (run,) = find_runs([tmp_path / "out"]).runs
     assert run.row["total_deviation_m3"] == expected.metrics["total_deviation_m3"]
-    assert (run.row["from"], run.row["length"]) == ("low-low", "0.3 h")
+    assert (run.row["initial"], run.row["hours"]) == ("low-low", pytest.approx(0.3))
     if kept:
         frame = gr.read_bag(tmp_path / "out")
         assert frame.equals(expected.trajectory[::10])

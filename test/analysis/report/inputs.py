@@ -24,9 +24,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from greenroof_ros.analysis.report.drawing import Figure
 from greenroof_ros.analysis.report.figures import make_figures
-from greenroof_ros.analysis.report.groups import Report
+from greenroof_ros.analysis.report.groups import Assumptions, Report
 from greenroof_ros.analysis.report.page import render
-from greenroof_ros.analysis.report.run import Assumptions
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.closed_loop import closed_loop, record
@@ -89,6 +88,7 @@ def write_study(
     configuration.mkdir(parents=True)
     shutil.copy(CONFIG / "site.yaml", configuration / "site.yaml")
     (configuration / "study.json").write_text('{"versions": {"greenroof_ros": "0.2.0"}}')
+    runs = [(grouped(row), trajectory) for row, trajectory in runs]
     header = dict.fromkeys(["run", *(key for row, _ in runs for key in row), "error"])
     with (directory / "results.csv").open("w", newline="") as stream:
         writer = csv.DictWriter(stream, header, restval="")
@@ -102,6 +102,17 @@ def write_study(
                     trajectory.to_parquet()
                 )
     return directory
+
+
+def grouped(row: dict[str, Any]) -> dict[str, Any]:
+    """Return a row with its columns of a group, unless it has them."""
+    given = [f"{key.partition(':')[2]} {value}" for key, value in row.items()
+             if key.startswith("parameter:") and value not in (None, "")]
+    skill = [f"skill {row['forecast_skill']}"] if row.get("forecast_skill") else []
+    return {
+        "window": f"{row['site']} {row['start']} {row['hours']} {row['evapotranspiration']}",
+        "case": " ".join([row["controller"], *given, *skill]), "season": "", **row,
+    }
 
 
 def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
@@ -126,14 +137,17 @@ def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def report_of(*paths: Path, **assumptions: Any) -> Report:
+PRICES = Assumptions(energy_price=0.1, water_price=4.0, currency="EUR")
+
+
+def report_of(*paths: Path) -> Report:
     """Read and judge the runs under these paths."""
-    return Report(find_runs(list(paths), None), Assumptions(**assumptions))
+    return Report(find_runs(list(paths)), PRICES)
 
 
-def study_of(directory: Path, *rows: dict[str, Any], **assumptions: Any) -> Report:
+def study_of(directory: Path, *rows: dict[str, Any]) -> Report:
     """Return the report of a study without trajectories."""
-    return report_of(write_study(directory, [(row, None) for row in rows]), **assumptions)
+    return report_of(write_study(directory, [(row, None) for row in rows]))
 
 
 def page_of(source: Path | Report, *further: Path) -> str:

@@ -56,6 +56,13 @@ def with_cell(column: str, text: str) -> Callable[[Path], Any]:
     return make
 
 
+def with_season(at: Path) -> None:
+    """Write a study with a season of 16 days that has the deviation of one week."""
+    row = simulate("onoff", "0.5", "low-low", "0.01").row
+    weeks = {"hours": 384.0, "season": "May", "weekly_deviation_m3": "1.5"}
+    write_study(at, [({**row, **weeks}, None)])
+
+
 def cut_bag(at: Path) -> None:
     """Write a bag with a truncated file."""
     os.truncate(small_bag(at) / "in.mcap", 300)
@@ -86,7 +93,7 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     "status-after-an-error-of-two-lines": (
         study(
             lambda text: text.replace(",done,,", ',done,"a\nb",')
-            + text.splitlines()[1].replace(",done,", ",lost,") + "\n"
+            + text.splitlines()[1].replace(",done,", ",lost,").replace("001,", "002,") + "\n"
         ),
         "results.csv, line 4: status = 'lost': must be done, failed or not run",
     ),
@@ -94,24 +101,20 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     "run-outside": (replaced("\n001,", "\n../001,"), "line 2: run = '../001'"),
     "a-row-twice": (
         study(lambda text: text + text.splitlines()[1] + "\n"),
-        "results.csv, line 3: run = '001': must be in one row; an earlier row has the same run",
+        "results.csv, line 3: run = '001': must be the name of a directory under runs/, in one row",
     ),
     "a-column-twice": (
         study(lambda text: text.replace("near_target_hours", "hours", 1)),
-        "results.csv, line 1: hours: is the name of 2 columns",
+        "results.csv, line 1: hours: is the name of several columns",
     ),
-    "near-target-below-0": (with_cell("near_target_hours", "-4"), "near_target_hours = '-4': must"),
-    "near-target-longer-than-the-run": (
-        with_cell("near_target_hours", "400"),
-        "line 2: near_target_hours = '400': must be from 0 to the run's hours and a tick",
+    "bound-below-0": (with_cell("bound_m3", "-1"), "bound_m3 = '-1': must be a number, 0 or more"),
+    "a-week": (with_cell("weekly_deviation_m3", "1.5 x"), "weekly_deviation_m3 = '1.5 x': must be"),
+    "a-season-without-weeks": (
+        with_season, "season = 'May': must be empty, or weekly_deviation_m3 must have all weeks"
     ),
-    "bound-below-0": (with_cell("bound_m3", "-1"), "line 2: bound_m3 = '-1': must be 0 or more"),
-    "week-not-finite": (
-        with_cell("weekly_deviation_m3", "1.5 nan"), "line 2: weekly_deviation_m3 = '1.5 nan'",
-    ),
-    "week-below-0": (
-        with_cell("weekly_deviation_m3", "1.5 -2"),
-        "weekly_deviation_m3 = '1.5 -2': must be numbers, 0 or more, with spaces between",
+    "an-old-table": (
+        study(lambda text: text.replace(",season,", ",of,")),
+        "results.csv, line 1: has no column season; repeat the command greenroof study",
     ),
 }
 

@@ -6,7 +6,6 @@ import dataclasses
 import json
 import math
 import os
-import re
 import shutil
 import struct
 import subprocess
@@ -38,18 +37,18 @@ from inputs import (
     write_study,
 )
 from mcap.reader import make_reader
-from paper import paper_run
 from places import CHECKOUT, CONFIG
 from refusals import refusal
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from greenroof_ros.analysis.report.bags import read_recording
+from greenroof_ros.analysis.report.run import Row
 from greenroof_ros.analysis.report.sources import find_runs
-from greenroof_ros.analysis.report.tables import incident_tables
+from greenroof_ros.analysis.report.tables import make_notes, make_tables
 from greenroof_ros.commands.recover import recover
-from greenroof_ros.commands.report import _show
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
+from greenroof_ros.model.site import edited
 from greenroof_ros.recording.bag_writer import BagWriter
 from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
 
@@ -94,22 +93,31 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path) -> None:
     write_bag(tmp_path / "plain", plain, StoragePlugin.SQLITE3)
     write_bag(tmp_path / "spaced", spaced)
     report = report_of(tmp_path / "plain", tmp_path / "spaced")
-    for row in report.single:
+    for row in (run.row for run in report.runs):
         trajectory, notes = loaded(tmp_path / row["run"])
-        assert trajectory.start == START and notes == ()
+        assert trajectory.start == START and notes == []
         for name in (TOTAL, "pumped_m3", "rain_m3", "drainage_m3", "final_cistern_m3"):
             assert row[name] == pytest.approx(example.row[name], rel=1e-12), name
-        assert (row["controller"], row["from"]) == ("unknown", "as recorded")
-    assert "No site file came with the bag: the site is the paper" in page_of(report)
+        assert (row["controller"], row["initial"]) == ("unknown", "as recorded")
+    assert "no site file came with the bag: the site is the paper" in page_of(report)
+    assert len(report.windows()) == 2  # foreign bags are not compared
     both = write_bag(tmp_path / "both", {**plain, **spaced})
     refusal(report_of, both, match=r"of one graph, but has .* /, /site1")
 
 
-def loaded(path: Path) -> tuple[Trajectory, tuple[str, ...]]:
-    """Return what happened in the run under a path."""
-    load = find_runs([path], None).runs[0].load
-    assert load is not None
-    return load()
+def loaded(path: Path) -> tuple[Trajectory, list[str]]:
+    """Return the trajectory of the bag under a path, and the notes on it."""
+    recording = read_recording(path)
+    assert recording.trajectory is not None
+    return recording.trajectory, [
+        note for note in recording.notes if "no site file" not in note and "in UTC" not in note
+    ]
+
+
+def row_of_run(path: Path) -> Row:
+    """Return the row of the only run under a path."""
+    (run,) = find_runs([path]).runs
+    return run.row
 
 
 def test_a_real_sites_bag(tmp_path: Path) -> None:
@@ -146,12 +154,11 @@ def test_a_real_sites_bag(tmp_path: Path) -> None:
         "/weather/evapotranspiration", "/cistern/outflow", "/roof/drainage", "/weather/frost"
     }
     assert "2021-07-07T07:00:30+00:00 to 2021-07-07T09:00:30+00:00 (2 h)" in gap
-    (row,) = report_of(tmp_path / "bag").single
-    assert row["pumped_m3"] == pytest.approx(0.004 * (1 + 540))
+    assert row_of_run(tmp_path / "bag")["pumped_m3"] == pytest.approx(0.004 * (1 + 540))
     stamps = [15 * number * MINUTE for number in range(8)]
     write_bag(tmp_path / "regular", dict.fromkeys(TOPICS, (stamps, [1e-6] * 8)))
     trajectory, notes = loaded(tmp_path / "regular")
-    assert trajectory.pump_flow.tolist() == [1e-6] * 8 and notes == ()
+    assert trajectory.pump_flow.tolist() == [1e-6] * 8 and notes == []
 
 
 # --- bags of `ros2 bag record` without simulated time ---------------------------------------------
@@ -216,7 +223,7 @@ def test_a_bag_with_arrival_times_has_the_times_of_its_clock(
     if single:
         (bag,) = bag.rename(tmp_path / "other").glob("*.mcap")
         bag = bag.rename(tmp_path / "run.mcap")
-    (row,) = report_of(bag).single
+    row = row_of_run(bag)
     assert row["hours"] == pytest.approx(600 / 3600, abs=1e-12)
     assert row["pumped_m3"] == pytest.approx(0.004 * 600)
     trajectory, _ = loaded(bag)
@@ -294,34 +301,17 @@ def test_the_limits_are_the_sites(tmp_path: Path) -> None:
 
 
 def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
-    """From its summary: with sensor errors the bag's roof differs from the true one.
-
-    It then has no bound, because its first reading was not the true volume.
-    """
+    """From its summary: with sensor errors the bag's roof differs from the true one."""
     example = simulate("onoff", "2", "low-low", "0.05")
-    path = ended_run(tmp_path / "run", example=example)
-    (row,) = report_of(path).single
-    assert row["bound_m3"] == pytest.approx(
-        clairvoyant_bound(paper_run("--initial", "low-low", "--hours", "0.05")).bound_m3, rel=1e-9
-    )
-    assert row["ratio"] == pytest.approx(example.row[TOTAL] / row["bound_m3"], rel=1e-9)
     results = {name: example.row[name] for name in (TOTAL, "pumped_m3", "final_roof_m3")}
     off = dataclasses.replace(example.trajectory, roof=example.trajectory.roof + 0.5)
     report = report_of(ended_run(
         tmp_path / "noisy", example=example._replace(trajectory=off), **results,
         sensor_pump_errors={"roof_offset": 0.005},
     ))
-    (row,) = report.single
+    row = report.cases[0].row
     assert {name: row[name] for name in results} == results
-    assert row["bound_m3"] is None
-    sensor = "what a sensor reads (roof offset 0.005 m); the results are of the true level"
-    text = page_of(report)
-    assert sensor in text and "over the minimum possible" not in text
-    # Nor if the rain in the bag is not that in the file.
-    rain = example.trajectory.precipitation + 1e-7
-    wet = dataclasses.replace(example.trajectory, precipitation=rain)
-    (row,) = report_of(ended_run(tmp_path / "wet", example=example._replace(trajectory=wet))).single
-    assert row["bound_m3"] is None
+    assert ["noisy: 0.005"] in make_notes(report).values()
 
 
 def test_notes_of_a_run_directory(tmp_path: Path) -> None:
@@ -333,32 +323,25 @@ def test_notes_of_a_run_directory(tmp_path: Path) -> None:
         weather_notes=["rain was moved an hour back"],
         suspicious=["79.2 mm at 2015-12-29T02:00-05:00"],
     )
-    text = page_of(path)
-    for note in (
-        "solver found no solution in 3 ticks.",
-        "A forecast ends at 2021-07-31T23:00-05:00; later values are assumed.",
-        "A tank ran empty in 4 ticks, and what left it was limited.",
-        "Rain was moved an hour back.",
-        "1 hours of the weather from 2021-07-07 02:00-05:00 were missing and filled in. "
-        "<details><summary>which</summary>dew point: 2021-07-20T13:00-05:00</details>",
-        "Suspicious, and not changed: 79.2 mm at 2015-12-29T02:00-05:00.",
-    ):
-        assert note in text
+    notes = make_notes(report_of(path)).values()
+    assert {runs[0].partition(": ")[2] for runs in notes} == {
+        "4", "3", "1", "2021-07-31T23:00-05:00", "rain was moved an hour back",
+        "79.2 mm at 2015-12-29T02:00-05:00",
+    }
 
 
-@pytest.mark.parametrize("file", ["summary.json", "configuration/parameters.yaml"])
-def test_foreign_labels_leave_the_numbers(tmp_path: Path, file: str) -> None:
+def test_a_foreign_summary_leaves_the_numbers(tmp_path: Path) -> None:
     """A bad file next to a good bag does not matter: the directory's name is the label."""
     small_bag(tmp_path / "run" / "bag")
     (tmp_path / "run" / "configuration").mkdir()
     for text in ("{", "[1]", "", '{"name": "x"}', '{"controller": 5}', "[" * 100_000):
-        (tmp_path / "run" / file).write_text(text)
-        report = report_of(tmp_path / "run")
-        (row,), (run,) = report.single, report.runs.values()
-        assert (row["run"], row["controller"], row["from"]) == ("run", "unknown", "as recorded")
-        reason = f"{file} next to the bag is damaged or foreign"
-        assert any(note.text.startswith(reason) for note in run.notes), text
-        assert row["pumped_m3"] == pytest.approx(0.002)
+        (tmp_path / "run" / "summary.json").write_text(text)
+        (run,) = find_runs([tmp_path / "run"]).runs
+        labels = [run.row[key] for key in ("run", "controller", "initial")]
+        assert labels == ["run", "unknown", "as recorded"]
+        reason = "summary.json next to the bag is damaged or foreign"
+        assert any(note.startswith(reason) for note in run.notes), text
+        assert run.row["pumped_m3"] == pytest.approx(0.002)
 
 
 def test_names_distinguish_paths(tmp_path: Path) -> None:
@@ -367,7 +350,7 @@ def test_names_distinguish_paths(tmp_path: Path) -> None:
     for path in paths:
         path.parent.mkdir(parents=True, exist_ok=True)
         small_bag(path)
-    names = [run.name for run in find_runs([paths[0].parent, *paths[1:3], paths[4]], None).runs]
+    names = [run.name for run in find_runs([paths[0].parent, *paths[1:3], paths[4]]).runs]
     assert names == ["mon", "bag", "deep", "one"]
     for first, second in (paths[:2], paths[2:4]):
         reason = refusal(report_of, first, second, match=f"have one name, {first.name}: give each")
@@ -376,7 +359,7 @@ def test_names_distinguish_paths(tmp_path: Path) -> None:
     studies = [write_study(tmp_path / place / "study", [(row, None)]) for place in ("a", "b")]
     refusal(report_of, *studies, match="a/study and .*b/study have one name, study")
     studies[1] = studies[1].rename(tmp_path / "other")
-    assert [run.name for run in find_runs(studies, None).runs] == ["study/001", "other/001"]
+    assert [run.name for run in find_runs(studies).runs] == ["study/001", "other/001"]
     again = tmp_path / "mon" / ".." / "mon" / "bag"
     refusal(report_of, paths[0], again, match="mon/../mon/bag have one name, bag: give each path")
 
@@ -418,23 +401,21 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
     assert summary["refused"] == {"/pump/flow": 13}  # in ticks 0 to 120
     assert summary["pumped_m3"] == pytest.approx(108 * 0.001, rel=1e-12)
     assert summary["pump_starts"] == 12
-    report = report_of(tmp_path / "run")
-    (row,), (run,) = report.single, report.runs.values()
-    assert (row["controller"], row["from"], row["site"]) == ("onoff", "low-low", "site.yaml")
+    (run,) = find_runs([tmp_path / "run"]).runs
+    row = run.row
+    assert (row["controller"], row["initial"], row["site"]) == ("onoff", "low-low", "site.yaml")
     (note,) = run.notes
-    assert note.text.startswith("13 of 121 values of /pump/flow were refused")
-    assert row["bound_m3"] == pytest.approx(
-        clairvoyant_bound(paper_run("--hours", str(120 / 3600))).bound_m3, rel=1e-9
-    )
-    (tmp_path / "run" / "summary.json").write_text('{"controller": "on')  # as after a crash
-    crashed = report_of(tmp_path / "run")
-    (worked_out,) = crashed.single
-    assert crashed.runs["run"].parameters == run.parameters
-    assert (worked_out["controller"], worked_out["from"]) == ("onoff", "57.69 / 2.419 m3")
-    for name in row:
-        if name in summary and isinstance(row[name], float) and worked_out[name] is not None:
-            assert worked_out[name] == pytest.approx(summary[name], rel=1e-12, abs=1e-15), name
-    assert worked_out["roof_residual_m3"] == pytest.approx(0, abs=1e-12)
+    assert note.startswith("13 of 121 values of /pump/flow were refused")
+    killed = {key: summary[key] for key in list(summary)[: list(summary).index("frost_hours")]}
+    (tmp_path / "run" / "summary.json").write_text(json.dumps({**killed, "status": "running"}))
+    worked_out = row_of_run(tmp_path / "run")
+    for name in ("total_deviation_m3", "rain_m3", "drainage_m3", "final_roof_m3"):
+        assert worked_out[name] == pytest.approx(summary[name], rel=1e-12, abs=1e-15), name
+    # What was forecast is in its bag, and is drawn.
+    figures = figures_of(report_of(tmp_path / "run"))
+    assert list(figures) == ["water-1", "flows-1", "forecast-1-1", "balance-1"]
+    (rows,) = figures["forecast-1-1"].data.values()
+    assert {row["v"] for row in rows if row["controller"] == "forecast"} == {0.0}
 
 
 def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:
@@ -456,120 +437,60 @@ def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:
     }
 
 
-# --- how runs ended, and their incidents ---------------------------------------------------------
+# --- how runs ended, and their alarms -----------------------------------------------------------
 
 
 def test_a_changed_parameter(tmp_path: Path) -> None:
-    """It is shown in the setting, wherever that appears, and as a warning; no axis has it."""
-    changes = [
-        {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.00001},
-        {"tick": 3660, "parameter": "weight", "before": 0.00001, "value": 0.1},
+    """It is noted; runs of one window are named by what differs, or by their directories."""
+    changes = [{"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.00001}]
+    paths = [
+        ended_run(tmp_path / "run", parameter_changes=changes, parameter_change_count=3000),
+        ended_run(tmp_path / "other"),
+        ended_run(tmp_path / "third", example=simulate("mpc", "0.01", "low-low")),
     ]
-    path = ended_run(tmp_path / "run", parameter_changes=changes)
-    other = ended_run(tmp_path / "other")
-    became = "0.001 -> 0.00001 at 00:05 -> 0.1 at 01:01"
-    text = page_of(path).replace("&gt;", ">")
-    assert f"weight was changed in the run: {became} (tick 300, 3660)." in text
-    assert f">MPC weight {became}<" in text
-    both = report_of(path, other)
-    assert len(both.windows()) == 1  # each has a copy of the same site
-    rows = figures_of(both)["trajectories-1-1"].data["command-1-1-mpc"]
-    assert {row["setting"] for row in rows} == {"0.001", became}
-    newest = [
-        {"tick": tick, "parameter": "weight", "before": tick - 1.0, "value": float(tick)}
-        for tick in range(60, 110)
+    both = report_of(*paths)
+    (window,) = both.windows()  # each has a copy of the same site
+    assert [case.label for case in window] == [
+        "mpc weight 0.001 (run)", "mpc weight 0.001 (other)", "mpc weight 0.01"
     ]
-    path = ended_run(tmp_path / "many", parameter_changes=newest, parameter_change_count=3000)
-    text = page_of(path).replace("&gt;", ">")
-    assert ">MPC weight 0.001 -> ... -> 99 -> 100 at 00:01 -> " in text
-    assert "2990 earlier changes of its parameters are left out" in text
-    limit = {"tick": 60, "parameter": "max_command", "before": None, "value": 1.0}
-    path = ended_run(tmp_path / "limited", parameter_changes=[limit])
-    assert report_of(path).single[0]["setting"] == "max_command none -> 1 at 00:01"
+    notes = make_notes(both)
+    assert notes["weight was changed from 0.001 to 1e-05 at tick 300"] == ["run"]
+    assert notes["2999 earlier changes of parameters are not listed"] == ["run"]
+    # Another site is another window.
+    site = paths[1] / "configuration" / "site.yaml"
+    site.write_text(edited(site, {"a2": 50.0}))
+    assert len(report_of(*paths).windows()) == 2
 
 
-LOSS = {
-    "number": 1, "node": "pump", "part": "drive", "cause": "no connection to the drive",
-    "began": "2026-11-21T02:25:12.500+00:00", "began_tick": 120,
-    "ended": "2026-11-21T02:25:20.300+00:00", "ended_tick": 588,
-}
-STILL_LOST = {
-    **LOSS, "number": 2, "node": "mpc", "part": "process", "cause": "ended (SIGKILL)",
-    "began_tick": 600, "ended": None, "ended_tick": None,
-}
-
-
-def incidents_of(*paths: Path) -> list[list[str]]:
-    """Return the cells of the table of incidents."""
-    (table,) = incident_tables(report_of(*paths))
-    return [[cell.text for cell in row] for row in table.rows]
-
-
-def test_how_runs_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It stands above all results, in the warnings, in each run's rows, and on the terminal.
+def test_how_runs_ended(tmp_path: Path) -> None:
+    """It stands above all results, and in each run's rows.
 
     A run without data is refused with the reason it failed; next to others it is listed.
     """
     reason = "node weather ended (SIGKILL); its last lines:\n  none"
     broken = ended_run(tmp_path / "broken", "failed", last_tick=72, reason=reason)
-    lossy = ended_run(tmp_path / "lossy", incidents=[LOSS, STILL_LOST])
+    done = ended_run(tmp_path / "done")
     nothing = ended_run(tmp_path / "nothing", "failed", reason="no start within 30 s")
     shutil.rmtree(nothing / "bag")
     silent = ended_run(tmp_path / "silent", "interrupted", last_tick=0)
     shutil.rmtree(silent / "bag")
     small_bag(silent / "bag", roof_level=[], cistern_level=[], pump_command=[], pump_flow=[])
-    refusal(report_of, nothing, match="the first: nothing failed: no start within 30 s; no bag")
+    refusal(report_of, nothing, match="the first: nothing failed: no start within 30 s; .*no bag")
     refusal(report_of, silent, match="the first: silent was interrupted at tick 0 of 720")
-
     ending = (
         "failed at tick 72 of 720 (00:01:12): node weather ended (SIGKILL); its last lines: none"
     )
-    lead = page_of(broken).partition('<section id="results">')[0]
-    assert f"<strong>Caution:</strong> this run {ending}: all results are for the rec" in lead
-    report = report_of(lossy, broken, nothing, silent)
+    report = report_of(done, broken, nothing, silent)
+    assert [run["run"] for run in report.failed] == ["nothing", "silent"]
+    assert make_notes(report)[f"{ending}: all results are of the recorded part only"] == ["broken"]
+    assert [row["ended"] for row in make_tables(report)["Results"]] == ["done", ending]
     text = page_of(report)
-    box = text.partition('class="cautions"')[2].partition("</p>")[0]
-    for words in (
-        "1 of 2 runs are not complete", "2 runs failed or did not run", 'href="#warnings"',
-        "2 incidents in 1 of 2 runs: something was lost",
-    ):
-        assert words in box
-    for warning, run in (
-        (f"F{ending[1:]}; all results", "broken"), ("Done, with 2 incidents: something", "lossy")
-    ):
-        assert f"</summary>{run}</details>" in text.partition(warning)[2].partition("</li>")[0]
-    for ended in ("failed at tick 72", "done, with 2 incidents"):
-        assert len(re.findall(f'class="text( short)? warning">{ended}</td>', text)) >= 2
-    assert '<th scope="row">nothing</th><td>mpc</td><td>failed: no start within 30 s' in text
-    _show(report)
-    printed = " ".join(capsys.readouterr().out.split())
-    assert "lossy: done, with 2 incidents; the report lists them" in printed
-    assert f"broken {ending}; all results are for the recorded part" in printed
-    assert incidents_of(lossy, broken) == [
-        ["1", "lossy", "pump: drive", "00:02:00 (tick 120)", "00:09:48 (tick 588)", "7.8",
-         "no connection to the drive"],
-        ["2", "lossy", "mpc", "00:10:00 (tick 600)", "not over", "unknown", "ended (SIGKILL)"],
-    ]
+    assert "2 of 4 runs failed or did not run" in text.partition("</header>")[0]
+    assert text.count(f">{ending}<") == len(make_tables(report))
 
 
-def test_incidents_of_a_run_whose_bringup_was_killed(tmp_path: Path) -> None:
-    """They are in a separate file; the summary has none, or does not exist."""
-    path = ended_run(tmp_path / "run", "running", incidents=[])
-    lines = [json.dumps({**LOSS, "ended": None, "ended_tick": None}), json.dumps(LOSS), ""]
-    (path / "incidents.jsonl").write_text("\n".join(lines))
-    (cells,) = incidents_of(path)
-    assert cells[3] == "00:09:48 (tick 588)"
-    text = page_of(path)
-    assert "from low-low: not ended, with 1 incident." in text
-    assert "this run has not ended, or bringup was killed" in text
-    (path / "summary.json").unlink()
-    assert incidents_of(path) == [cells]
-    (path / "incidents.jsonl").write_text(f"{{}}\n{json.dumps(LOSS)}\n")
-    assert "Incidents.jsonl next to the bag is damaged, and not used: line 1:" in page_of(path)
-
-
-def test_incidents_of_a_live_site(tmp_path: Path) -> None:
-    """From its summary, in local standard time; its site is the one it ran with.
+def test_a_live_site(tmp_path: Path) -> None:
+    """Its alarms, in local standard time; its site is the one it ran with.
 
     An impossible sensor value is left out; it did not act as 0 as in a simulation.
     """
@@ -580,16 +501,26 @@ def test_incidents_of_a_live_site(tmp_path: Path) -> None:
     (path / "summary.json").write_text(json.dumps({
         "status": "done", "controller": "onoff", "parameters": {"fraction": 1.0},
         "forecast": "/var/forecast.csv", "drive_at": "/dev/ttyUSB0",
-        "incidents": [{**LOSS, "number": 300, "began_tick": None, "ended_tick": None}],
     }))
+    loss = {
+        "number": 300, "node": "pump", "part": "drive", "cause": "no connection to the drive",
+        "began": "2026-11-21T02:25:12.500+00:00", "ended": None,
+    }
+    again = {**loss, "number": 301}
+    lines = [json.dumps(loss), json.dumps({**loss, "ended": "2026-11-21T02:25:20.300+00:00"}),
+             json.dumps(again), ""]
+    (path / "incidents.jsonl").write_text("\n".join(lines))
     assert set(loaded(path)[0].command.tolist()) == {0.1}
-    text = page_of(path)
-    assert "done, with 300 incidents." in text and "damaged or foreign" not in text
-    assert "A run of on/off (fraction 1): my_site.yaml" in text
-    assert incidents_of(path) == [[
-        "300", "pump: drive", "2026-11-20 21:25:12-05:00", "2026-11-20 21:25:20-05:00", "7.8",
-        "no connection to the drive",
-    ]]
+    (run,) = report_of(path).runs
+    assert (run.row["case"], run.row["site"]) == ("onoff", "my_site.yaml")
+    assert [list(alarm.values()) for alarm in run.alarms] == [
+        ["pump: drive", "2026-11-20 21:25:12-05:00", "2026-11-20 21:25:20-05:00",
+         "no connection to the drive"],
+        ["pump: drive", "2026-11-20 21:25:12-05:00", "not over", "no connection to the drive"],
+    ]
+    assert "2026-11-20 21:25:20-05:00" in page_of(path)
+    (path / "incidents.jsonl").write_text(f"{{}}\n{json.dumps(loss)}\n")
+    assert "alarms next to the bag are damaged, and not used" in page_of(path)
 
 
 # --- damaged bags --------------------------------------------------------------------------------
@@ -629,7 +560,7 @@ def test_what_recover_makes_of_a_damaged_bag_is_reported(
     assert bool(recover(run).losses) == ("data" in damage)
     trajectory, _ = loaded(run)
     assert len(trajectory.time) == 145 - 16 * ("data" in damage)
-    assert "Bag-recovered is what greenroof recover found whole in run" in page_of(report_of(run))
+    assert "bag-recovered is what greenroof recover found whole" in page_of(report_of(run))
     later = time.time() + 60
     os.utime(run / "bag" / "bag_0.mcap", (later, later))
     refusal(report_of, run, match=f"remove .*bag-recovered, and greenroof recover {run} makes a n")

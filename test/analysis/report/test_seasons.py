@@ -8,19 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.stats
-from inputs import figures_of, page_of, report_of, study_of
+from inputs import figures_of, report_of, study_of
 from studies import record, run_here
 
 from greenroof_ros.analysis.report.drawing import Figure
-from greenroof_ros.analysis.report.groups import SEASONS, Report
+from greenroof_ros.analysis.report.groups import TOTAL, Case, Report
 from greenroof_ros.analysis.report.intervals import Comparison, Deviations, compare, worst_tenth
-from greenroof_ros.analysis.report.tables import make_tables
-from greenroof_ros.analysis.report.words import cautions, sentences
+from greenroof_ros.analysis.report.tables import make_notes, make_tables
 from greenroof_ros.model.site import edited
 
 YEARS = range(2015, 2026)
 ONOFF = {year: 100.0 + 10 * (year - 2015) for year in YEARS}
-TOTAL = "total_deviation_m3"
 
 
 def rows(controller: str, seed: int | None, totals: dict[int, float]) -> list[dict[str, Any]]:
@@ -35,6 +33,8 @@ def rows(controller: str, seed: int | None, totals: dict[int, float]) -> list[di
             "initial": "low-low", "cistern_m3": 57.7, "roof_m3": 2.4, "status": "done",
             TOTAL: total, "near_target_hours": 96.0, "saved_m3": 2.0 + (seed or 0),
             "outflow_m3": 1.0, "bound_m3": 50.0,
+            "window": "May", "season": "from 01 May",
+            "case": f"{controller} {forecast['forecast']}",
             "weekly_deviation_m3": f"{total / 8} {3 * total / 8} {total / 2}",
         }
         for year, total in totals.items()
@@ -139,6 +139,12 @@ def test_intervals_of_another_library() -> None:
 # --- a study's cases -----------------------------------------------------------------------------
 
 
+def case_of(report: Report, controller: str) -> Case:
+    """Return the only case of a controller."""
+    (case,) = (case for case in report.cases if case.row["controller"] == controller)
+    return case
+
+
 def test_means_by_hand(tmp_path: Path) -> None:
     """Over years, in each over its seeds; the worst year; the worst tenth of all whole weeks."""
     lower = {year: total - 20 for year, total in ONOFF.items()}
@@ -147,167 +153,56 @@ def test_means_by_hand(tmp_path: Path) -> None:
     report = study_of(
         tmp_path / "study", *onoff, *rows("mpc", 1, ONOFF), *rows("mpc", 2, lower)
     )
-    case = next(row for row in report.of(SEASONS) if row["controller"] == "mpc")
-    assert case[TOTAL] == pytest.approx(150 - 10)
-    assert (case["worst_year"], case["worst_year_m3"]) == (2025, 190)
-    assert (case["seeds"], case["years"], case["forecast"]) == (2, 11, "errors skill real")
-    assert case["saved_m3"] == pytest.approx(3.5)
-    assert case["ratio"] == pytest.approx(140 / 50)
+    case = case_of(report, "mpc")
+    assert case.row[TOTAL] == pytest.approx(150 - 10)
+    assert case.row["saved_m3"] == pytest.approx(3.5)
+    assert case.row["ratio"] == pytest.approx(140 / 50)
     # 44 whole weeks: the worst 4.4 are the second weeks of 2025, 2024, 2025 less 20, 2023, and four
     # tenths of the next, 2024 less 20 or 2022.
-    assert case["worst_tenth_m3"] == pytest.approx(
-        3 / 8 * (200 + 190 + 180 + 180 + 0.4 * 170) / 4.4
-    )
-    text = page_of(report)
-    for expected in (
-        "Means of a season", "2015 to 2025", "11 of 11", "errors skill real", ">25.0<",
-        "Deviation relative to on/off",
-    ):
-        assert expected in text
-    # Only a run that is a case of its own lacks its trajectory.
-    assert "No trajectory" not in text and not report.single
+    worst = 3 / 8 * (200 + 190 + 180 + 180 + 0.4 * 170) / 4.4
+    assert case.worst_tenth == pytest.approx(worst)
+    tables = make_tables(report)
+    spread = tables["Over seeds and years"][1]
+    assert (spread["runs"], spread["years"]) == ("22", "11")
+    assert spread["worst year"] == "2025: 190.00 m³"
+    (compared,) = tables["Deviation relative to on/off"]
+    assert compared["years with less"] == "11 of 11"
     # The mean is over years with a storm; without one there is no number.
-    table = make_tables(report)[1]
-    place = table.header.index("rain kept above 10 mm in 24 h")
-    assert [row[place].text for row in table.rows] == ["none", "62.5%"]  # mpc first
+    kept = "rain kept above 10 mm in 24 h"
+    assert [row[kept] for row in tables["Plants, rain and frost"]] == ["62.5%", "none"]
+    assert not make_notes(report)
 
 
 def test_reference_is_plain_onoff(tmp_path: Path) -> None:
-    """On/off to a lower level is compared with on/off to the target, by the best setting."""
+    """On/off to a lower level is compared with on/off to the target, by the best setting.
+
+    A setting that lacks its worst years is not the best.
+    """
     lower, full, tenth = (
-        [{**row, "parameter:fraction": fraction, "parameter:level": level}
+        [{**row, "parameter:fraction": fraction, "parameter:level": level,
+          "case": f"onoff {fraction} {level}"}
          for row in rows("onoff", None, {year: total + more for year, total in ONOFF.items()})]
         for fraction, level, more in ((0.1, 0.9, -30), (1.0, 1.0, 15), (0.1, 1.0, 0))
     )
     report = study_of(tmp_path / "a", *lower, *full, *tenth, *rows("mpc", None, ONOFF))
-    ratios = {
-        row["setting"] if row["controller"] == "onoff" else "mpc": row["has"].mean.value
-        for row in report.relative_to_onoff
-    }
-    assert ratios == pytest.approx(
-        {"fraction 0.1, level 0.9": 0.8, "fraction 1, level 1": 1.1, "mpc": 1}
-    )
-    table = make_tables(report)[-2]
-    assert {row[table.header.index("over")].text for row in table.rows} == {
-        "on/off fraction 0.1, level 1 perfect"
-    }
-    assert not study_of(tmp_path / "b", *lower, *rows("mpc", None, ONOFF)).relative_to_onoff
-
-
-def minimum(report: Report) -> list[tuple[str, str]]:
-    """Return the controller with the smallest deviation, and its forecasts."""
-    return [(row["controller"], row["forecast"]) for row in report.smallest]
-
-
-def test_the_minimum_that_a_site_could_have(tmp_path: Path) -> None:
-    """The best with imperfect forecasts or none; a table compares the others with it.
-
-    A controller with only perfect forecasts is in each panel of the figure. If the study has a
-    controller only with perfect forecasts, its horizon shows that it uses them.
-    """
-    lower, lowest = ({year: total - more for year, total in ONOFF.items()} for more in (20, 30))
-    onoff, looking = rows("onoff", None, ONOFF), rows("lookahead", 1, lower)
-    report = study_of(
-        tmp_path / "a", *onoff, *rows("mpc", None, ONOFF), *looking,
-        *rows("lookahead", None, lowest),
-    )
-    assert minimum(report) == [("lookahead", "errors skill real")]
-    assert [(row["controller"], row["has"].mean.value > 1) for row in report.relative_to_best] == [
-        ("mpc", True), ("onoff", True), ("lookahead", False)
-    ]
-    (*_, table) = make_tables(report)
-    assert table.name.startswith("Deviation relative to the controller with the smallest deviation")
-    figure = figures_of(report)["seasons"]
-    assert [panel.title[-1] for panel in figure.panels] == [
-        "forecasts: perfect", "forecasts: errors skill real"
-    ]
-    assert [
-        {row["series"]: row["v"] for row in of_panel if row["year"] == 2015}
-        for of_panel in figure.data.values()
-    ] == [{"on/off": 100, "MPC": 100, "lookahead": shown} for shown in (70, 80)]
-
-    perfect = rows("mpc", None, lowest)
-    assert minimum(study_of(tmp_path / "b", *onoff, *looking, *perfect)) == [("mpc", "perfect")]
-    planning = [{**row, "parameter:horizon": 48} for row in perfect]
-    report = study_of(tmp_path / "c", *onoff, *looking, *planning)
-    assert minimum(report) == [("lookahead", "errors skill real")]
-    # All perfect: the minimum of all; if that is plain on/off itself, no table repeats it.
-    assert minimum(study_of(tmp_path / "d", *onoff, *perfect)) == [("mpc", "perfect")]
-    report = study_of(tmp_path / "e", *rows("onoff", None, lower), *rows("mpc", None, ONOFF))
-    assert [table.name for table in make_tables(report)][-1] == "Deviation relative to on/off"
-
-
-def failed(run: dict[str, Any]) -> dict[str, Any]:
-    """Return the row of a run that failed."""
-    return {**run, "status": "failed", "error": "no solution", TOTAL: "", "weekly_deviation_m3": ""}
-
-
-def test_who_failed_in_the_worst_years_is_not_the_minimum(tmp_path: Path) -> None:
-    """Two percent more in every year is more, also without the two worst years or their seeds.
-
-    Without those years lookahead's mean is 122.4 m3, with them the on/off controller's is 130 m3.
-    Its comparison with on/off is in the five years of both.
-    """
-    seven = {year: ONOFF[year] for year in range(2015, 2022)}
-    more = {year: 1.02 * total for year, total in seven.items()}
-    onoff = rows("onoff", None, seven)
+    assert {
+        case.label: case.relative.mean.value
+        for case in report.cases if case.relative is not None
+    } == pytest.approx({"onoff 0.1 0.9": 0.8, "onoff 1.0 1.0": 1.1, "mpc perfect": 1})
+    figure = figures_of(report)["relative"]
+    assert [row["v"] for row in figure.data["relative-1"]] == pytest.approx([0.8, 1.1, 1])
+    report = study_of(tmp_path / "b", *lower, *rows("mpc", None, ONOFF))
+    assert all(case.relative is None for case in report.cases)
     five = [
-        failed(row) if row["weather"] > "2020" else row for row in rows("lookahead", None, more)
+        {**row, "status": "failed", "error": "no solution", TOTAL: "", "weekly_deviation_m3": ""}
+        if row["weather"] > "2020" else row for row in tenth
     ]
-    report = study_of(tmp_path / "a", *onoff, *five)
-    assert minimum(report) == [("onoff", "perfect")] and not report.relative_to_best
-    assert "deviation of a season was 130.00 m³, 2.6 times the minimum possible (on/off, " \
-        in sentences(report)[1]
-    (compared,) = report.relative_to_onoff
-    assert compared["has"].mean.value == pytest.approx(1.02) and compared["has"].years == 5
-    assert "lookahead ran in 5 of 7 years: its mean is of other years" in cautions(report)
-
-    # The same for the worse of two seeds in these years, and for the on/off controller's settings.
-    better, worse = (
-        {year: share * total for year, total in seven.items()} for share in (0.8, 1.24)
-    )
-    seeds = rows("lookahead", 1, better) + [
-        failed(row) if row["weather"] > "2020" else row for row in rows("lookahead", 2, worse)
-    ]
-    half, full = ([{**row, "parameter:fraction": fraction} for row in runs] for fraction, runs in (
-        (0.5, [{**row, "controller": "onoff"} for row in five]), (1.0, onoff),
-    ))
-    report = study_of(tmp_path / "b", *half, *full, *seeds)
-    (case,) = (row for row in report.of(SEASONS) if row["controller"] == "lookahead")
-    assert case[TOTAL] == pytest.approx((1.02 * 600 + 0.8 * 310) / 7)  # less than 130
-    assert minimum(report) == [("onoff", "perfect")]
-    assert {row["setting"] for row in report.plain_onoff} == {"fraction 1"}
-    assert cautions(report)[-2:] == [
-        "on/off fraction 0.5 ran in 5 of 7 years: its mean is of other years",
-        "lookahead (forecast errors skill real) ran with as few as 1 of 2 seeds: its mean is of "
-        "other seeds",
-    ]
-    (table, *_) = make_tables(report)
-    place = table.header.index("fewest seeds in a year")
-    assert [row[place].text for row in table.rows] == ["1"] * 3
-
-    # If no controller has all years, none is called the best; on/off is still compared with.
-    report = study_of(tmp_path / "c", failed(onoff[0]), *onoff[1:], *five)
-    assert not report.smallest and len(report.relative_to_onoff) == 1
-    assert "it is open which has the smallest mean deviation" in sentences(report)[1]
-    many = [{**row, "controller": f"mine_{n}"} for n in range(4) for row in five]
-    assert cautions(study_of(tmp_path / "d", *onoff, *many))[-1] == (
-        "1 more controllers or settings lack years or seeds"
-    )
-
-
-def test_a_tie_between_seasons_names_all(tmp_path: Path) -> None:
-    """As between single runs; of more than three seasons it is treated as shared."""
-    report = study_of(tmp_path / "a", *rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF))
-    assert "(MPC, forecast perfect, and on/off, forecast perfect)" in sentences(report)[1]
-    assert not report.relative_to_best  # on/off is among them
-    report = study_of(tmp_path / "b", *(
-        {**row, "initial": "custom", "cistern_m3": volume,
-         TOTAL: row[TOTAL] + (volume > 2 and row["controller"] == "mpc")}
-        for volume in (1.0, 2.0, 3.0, 4.0)
-        for row in (*rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF))
-    ))
-    assert sentences(report)[1].endswith("was shared in 2 and with on/off in 2.")
+    report = study_of(tmp_path / "c", *full, *five, *rows("mpc", None, ONOFF))
+    mpc = case_of(report, "mpc").relative
+    assert mpc is not None and mpc.years == 11 and mpc.mean.value == pytest.approx(150 / 165)
+    assert make_tables(report)["Over seeds and years"][1]["runs"] == "5, 6 failed ⚠"
+    (few,) = make_notes(report).values()
+    assert few == ["onoff 0.1 1.0: 5"]
 
 
 # --- from the grid to the figures ----------------------------------------------------------------
@@ -340,9 +235,8 @@ def seasons(directory: Path, text: str) -> tuple[Report, dict[str, Figure]]:
     record(directory, (2015, 2016))
     run_here(directory, text)
     report = report_of(directory / "out")
-    assert not report.single
-    years = {tuple(year for year, _ in report.years(row)) for row in report.of(SEASONS)}
-    assert years == {(2015, 2016)}
+    assert report.seasons == report.cases
+    assert {tuple(case.totals) for case in report.cases} == {(2015, 2016)}
     figures = figures_of(report)
     for name, figure in figures.items():
         figure.save(directory)
@@ -353,29 +247,31 @@ def seasons(directory: Path, text: str) -> tuple[Report, dict[str, Figure]]:
 def test_a_study_of_seasons(tmp_path: Path) -> None:
     """A case has the seeds of its forecasts, and a season its whole weeks."""
     report, figures = seasons(tmp_path / "record", SEASONS_GRID)
-    assert list(figures) == ["seasons", "season-comparisons"]
-    cases = report.of(SEASONS)
-    assert all(row["ratio"] > 1 for row in cases)
-    for weeks, total in report.table.select("season", TOTAL).iter_rows():
-        assert len(weeks) == 1 and 0 < weeks[0] < total
-    assert {row["seeds"] for row in cases} == {1, 2}
+    assert list(figures) == ["deviation-1", "relative", "balance-1"]
+    for case in report.cases:
+        assert case.row["ratio"] > 1 and case.deviations is not None
+        for year, weeks in case.deviations.weeks.items():
+            assert weeks.shape == (len(case.totals[year]), 1)
+            assert (weeks[:, 0] > 0).all() and (weeks[:, 0] < case.totals[year]).all()
+    assert [(case.label, len(case.runs)) for case in report.cases] == [
+        ("mpc, forecast errors skill real", 4), ("onoff, forecast perfect", 2)
+    ]
 
 
 def test_a_study_of_sizes(tmp_path: Path) -> None:
     """The same roof: what its cistern does not hold comes from the mains."""
     report, figures = seasons(tmp_path / "record", SIZES)
-    assert list(figures) == ["sizing"]
-    small, _, large, full = report.of(SEASONS)
-    assert {row["series"] for row in figures["sizing"].data["sizing-1"]} == {
-        "on/off, from site", "on/off, from full",
+    assert list(figures) == ["sizing", "balance-1", "balance-2"]
+    small, _, large, _ = report.cases
+    assert {row["case"] for row in figures["sizing"].data["sizing-1"]} == {
+        "onoff, from site", "onoff, from full",
     }
-    assert f"{full['saved_m3']:.4g} m³ a season with a cistern of 24" in sentences(report)[1]
-    assert small["outflow_m3"] > large["outflow_m3"] >= 0
-    for row in (small, large):
-        assert row["saved_m3"] == pytest.approx(row["pumped_m3"] - row["mains_m3"])
+    assert small.row["outflow_m3"] > large.row["outflow_m3"] >= 0
+    for case in (small, large):
+        assert case.row["saved_m3"] == pytest.approx(case.row["pumped_m3"] - case.row["mains_m3"])
     # A roof of half the area is another size, too; a difference in anything else is not.
     study = tmp_path / "record" / "out"
-    site = study / "configuration" / small["site"]
+    site = study / "configuration" / small.row["site"]
     site.write_text(edited(site, {"a2": 34.4}))
     assert len(figures_of(report_of(study))["sizing"].panels) == 2 * 2
     site.write_text(edited(site, {"pump_efficiency": 0.7}))

@@ -268,7 +268,7 @@ def test_gaps_of_a_window(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     july = july.replace("hours: 0.25", "hours: 0.02\n    gaps: fill")
     done = run_here(tmp_path, f"{july}bound_block: 0\n")
     rows = done.write_tables()
-    show(done.cases, rows, done.directory)
+    show(rows, done.directory)
     assert "NOTE: 6 of 6 runs had missing hours of weather filled in" in capsys.readouterr().out
     for row in rows:
         assert (row["gaps"], row["evapotranspiration"], row["rain_m3"]) == ("fill", "fao56", 0)

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Hashable, Iterable
 from pathlib import Path
 
 import pytest
 from paper import site_file
-from studies import WEATHER, archive, rows_of, run_here
+from studies import WEATHER, archive, grid, record, rows_of, run_here
 
 from greenroof_ros.analysis.report.figures import make_figures
-from greenroof_ros.analysis.report.groups import Report
-from greenroof_ros.analysis.report.run import Assumptions
+from greenroof_ros.analysis.report.groups import Assumptions, Report
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.analysis.report.tables import make_tables
-from greenroof_ros.commands.study import Names, show
+from greenroof_ros.analysis.study.grid import read_grid
+from greenroof_ros.analysis.study.names import Names
+from greenroof_ros.commands.study import show
 
 # Windows, forecasts, errors and settings: files with one name in two folders, and numbers that
 # differ in late digits.
@@ -38,7 +38,7 @@ controllers:
   mpc: {weight: [0.001, 0.0010000001], max_command: 1.0, site: north/site.yaml}
   onoff: {fraction: 0.5}
 """
-WINDOWS = 2 * (2 + 1 + 1 + 1 + 3) * 2  # without the windows of many seeds
+WINDOWS = 2 * (2 + 1 + 1 + 1)
 RUNS = (2 + 1 + 1 + 1 + 3 + 4) * 2 * (3 + 1)
 
 
@@ -62,18 +62,6 @@ def distinct(labels: Iterable[Hashable], count: int | None = None) -> None:
     assert there and (count is None or len(there) == count)
 
 
-def judged(*paths: Path) -> Report:
-    """Read and judge runs."""
-    return Report(find_runs(list(paths), None), Assumptions())
-
-
-# The cells that are names in the rows of a figure's data: by the start of the data's name.
-NAMES = {
-    "balance": ("run", "term"), "forecast": ("series", "skill", "amount"),
-    **dict.fromkeys(("total", "time", "energy", "pump-starts"), ("setting",)),
-}
-
-
 def test_no_name_occurs_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -82,68 +70,61 @@ def test_no_name_occurs_twice(
     store = run_here(tmp_path, VARIED)
     rows = rows_of(tmp_path / "out" / "results.csv")
     columns = list(rows[0])
-    given = columns[1 : columns.index("status")]
+    given = columns[4 : columns.index("status")]
     distinct((tuple(row[column] for column in given) for row in rows), RUNS)
     assert {row["site"] for row in rows} == {"site.yaml", "south-site.yaml"}
     assert {row["weather"] for row in rows} == {"storm.csv", "south-storm.csv"}
     distinct(map(Names(store.cases).name, store.cases), RUNS)
+    assert {row["season"] for row in rows} == {""}
+    assert len({row["window"] for row in rows}) == WINDOWS
+    # Only seeds share a case.
+    cases: dict[tuple[str, ...], set[str]] = {}
+    for row in rows:
+        key = row["window"], row["initial"], row["case"]
+        cases.setdefault(key, set()).add(row["forecast_seed"])
+    assert sum(map(len, cases.values())) == RUNS
+    assert {frozenset(seeds) for seeds in cases.values()} == {frozenset([""]), frozenset("12")}
 
     monkeypatch.setenv("COLUMNS", "400")
-    show(store.cases, store.write_tables(), store.directory)
+    show(store.write_tables(), store.directory)
     printed = capsys.readouterr().out.split("Mean deviation")[1:]
     # Titles wrap.
-    distinct((" ".join(table.partition("┏")[0].split()) for table in printed), 2 * 5)
+    distinct((" ".join(table.partition("┏")[0].split()) for table in printed), WINDOWS)
     for table in printed:
-        lines = [line.split("│")[1:3] for line in table.splitlines() if line.startswith("│")]
-        distinct(map(tuple, lines))
+        distinct(line.split("│")[1] for line in table.splitlines() if line.startswith("│"))
 
-    report = judged(tmp_path / "out")
-    tables = make_tables(report)
-    distinct((table.name for table in tables), 9)
-    for table in tables:
-        named = [
-            place for place, name in enumerate(table.header)
-            if name not in ("run", "seeds") and not name.endswith(")")
-        ]
-        distinct(tuple(row[place].text for place in named) for row in table.rows)
-    distinct(map(report.heading, report.windows()), WINDOWS)
-
+    report = Report(find_runs([tmp_path / "out"]), Assumptions(0.1, 4.0, "CAD"))
+    for table in make_tables(report).values():
+        distinct((row["window"], row["case"], row["from"]) for row in table)
     figures = list(make_figures(report))
     distinct(figure.title for figure in figures)
+    distinct(figure.name for figure in figures)
     for figure in figures:
-        distinct(str(panel.title) for panel in figure.panels)
-        for dataset, drawn in figure.data.items():
-            if dataset.startswith(("command", "pump_flow", "cistern", "roof")):  # one curve a run
-                shown = {row["setting"] for row in drawn}
-                assert len(shown) == (2 if dataset.endswith("mpc") else 1)
-            for name in filter(dataset.startswith, NAMES):
-                distinct(tuple(row[key] for key in NAMES[name]) for row in drawn)
+        for rows in figure.data.values():
+            assert {row.get("case", row.get("controller")) for row in rows} <= {
+                case.label for case in report.cases
+            }
 
 
-def test_two_studies_that_use_one_name_for_two_things(tmp_path: Path) -> None:
-    """Site, weather, forecasts and a state with equal names differ: the study's name is added."""
-    text = """
-site: site.yaml
-weather: {file: storm.csv, start: 2021-07-07T02:00, hours: 0.01, forecast: archive.csv}
-initial: [low-low, {name: dry, cistern: 40.0, roof: 0.5}]
-controllers: {onoff: }
-"""
-    write_inputs(tmp_path)
-    for folder, roof in (("north", "0.5"), ("south", "0.6")):
-        place = tmp_path / folder
-        run_here(place, text.replace("roof: 0.5", f"roof: {roof}"))
-        place.joinpath("out").rename(place.with_name(f"of-{folder}"))
-    both = judged(tmp_path / "of-north", tmp_path / "of-south")
-    named = [
-        [window[fact] for fact in ("site", "weather", "forecast")] for window in both.windows()
-    ]
-    assert named == [
-        [f"{name} (of-{folder})" for name in ("site.yaml", "storm.csv", "archive.csv")]
-        for folder in ("north", "south")
-    ]
-    assert both.initials == ["low-low", "dry (of-north)", "dry (of-south)"]
-    # What is equal in both is compared.
-    shutil.copytree(tmp_path / "of-north", tmp_path / "again")
-    again = judged(tmp_path / "of-north", tmp_path / "again")
-    assert len(again.windows()) == 1
-    assert again.initials == ["low-low", "dry"]
+def test_the_seasons_of_several_years(tmp_path: Path) -> None:
+    """A season of a week or more in two years is one window; of one year it has its own start."""
+    record(tmp_path / "record", (2015, 2016))
+    grid(tmp_path / "record", """
+site: {file: site.yaml, tau: 600.0}
+weather:
+  - {file: "{year}_*.csv", start: "{year}-05-01T00:00", year: [2015, 2016], hours: [168, 24],
+     evapotranspiration: fao56}
+  - {file: "2015_*.csv", start: 2015-05-02T00:00, hours: 168, evapotranspiration: fao56}
+bound_block: 0
+forecast: {model: errors, skill: real, seed: [1, 2]}
+initial: low-low
+controllers: {onoff: {forecast: perfect}, mpc: }
+""")
+    cases = read_grid(tmp_path / "record" / "grid.yaml")
+    names = [Names(cases).columns(case) for case in cases]
+    assert {name["season"] for name in names} == {"from 01 May 00:00", ""}
+    assert len({name["window"] for name in names}) == 1 + 2 + 1
+    seasons = [name["case"] for name in names if name["season"]]
+    assert {case: seasons.count(case) for case in seasons} == {
+        "onoff, forecast perfect": 2, "mpc, forecast errors skill real": 4,
+    }

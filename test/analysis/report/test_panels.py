@@ -1,0 +1,153 @@
+"""Panels of any values: none, one, constant, missing or not finite; and what is drawn of many."""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+from typing import Any
+
+import altair as alt
+import numpy as np
+import pytest
+from inputs import NAMES, START, figures_of, simulate, study_of, trajectory_of
+from paper import PAPER_SITE
+
+import greenroof_ros as gr
+from greenroof_ros.analysis.report.drawing import Figure, Panel, series_panel, short, value_axis
+from greenroof_ros.analysis.report.groups import TOTAL
+from greenroof_ros.analysis.report.trajectories import (
+    MOST_POINTS,
+    drawn,
+    figures_over_time,
+    forecast_figure,
+    overlaid,
+    thin,
+)
+from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.recording.trajectory import Trajectory
+
+
+def size(directory: Path, figure: Figure) -> tuple[int, int]:
+    """Draw a figure to its files, and return width and height of the picture (px)."""
+    figure.save(directory)
+    assert (directory / f"{figure.name}.svg").read_text().startswith("<svg")
+    picture = (directory / f"{figure.name}.png").read_bytes()
+    width, height = struct.unpack(">II", picture[16:24])
+    return width // 2, height // 2
+
+
+VALUES: dict[str, list[float]] = {
+    "none": [], "one": [0.5], "zeros": [0.0] * 3, "constant": [2.0] * 3,
+    "missing": [math.nan] * 3, "some missing": [1.0, math.nan, 3.0], "endless": [1.0, math.inf],
+}
+
+
+@pytest.mark.parametrize("values", VALUES.values(), ids=VALUES.keys())
+def test_figures_of_any_values(tmp_path: Path, values: list[float]) -> None:
+    """Every figure over time is drawn: a run in which it neither rained nor pumped, for one."""
+    length = len(values)
+    trajectory = Trajectory(start=START, **{
+        **{name: np.array(values) for name in NAMES}, "time": np.arange(length, dtype=float),
+    })
+    run = drawn(PAPER_SITE, trajectory)
+    figures = figures_over_time({"mpc": run}, "1", "")
+    assert [figure.name for figure in figures] == ["water-1", "flows-1"]
+    if length and np.isfinite(values).all():
+        figures.append(forecast_figure([(0.0, values[0])], run, trajectory, "1", ""))
+    for figure in figures:
+        width, height = size(tmp_path, figure)
+        assert width > 400 and height > 200
+    assert len(overlaid({"mpc": (PAPER_SITE, trajectory)}).vconcat) == 4
+
+
+@pytest.mark.parametrize("values", VALUES.values(), ids=VALUES.keys())
+def test_a_panel_of_any_values(tmp_path: Path, values: list[float]) -> None:
+    """The builder that all pages share."""
+    rows: list[dict[str, Any]] = [
+        {"x": place, "v": short(value), "series": "a"} for place, value in enumerate(values)
+    ]
+    lines = alt.Chart(alt.NamedData("rows")).mark_line().encode(
+        x=alt.X("x:Q"), y=alt.Y("v:Q", **value_axis(values))
+    )
+    panels = [
+        series_panel(lines, "series", ["a"] if values else [], "title", zoom=True) for _ in "ab"
+    ]
+    size(tmp_path, Figure("figure", "title", "", tuple(panels), 2, {"rows": rows}))
+
+
+@pytest.mark.parametrize("value", ["", "0.0"])
+def test_results_that_are_missing_or_0(tmp_path: Path, value: str) -> None:
+    """All metrics but the deviation; the total is 0 for both runs."""
+    row = simulate("onoff", "0.5", "low-low", "0.01").row
+    results = {metric.name: value for metric in METRICS}
+    rows = [
+        {**row, **results, TOTAL: 0.0, "case": case, "bound_m3": value} for case in ("a", "b")
+    ]
+    figures = figures_of(study_of(tmp_path / "study", *rows))
+    assert list(figures) == ["deviation-1", "balance-1"]
+    for figure in figures.values():
+        size(tmp_path, figure)
+
+
+@pytest.mark.parametrize(("values", "kind", "domain"), [
+    ([7152, 9582, 9599, 9780], None, (6942, 9990)),  # about the values, not from 0
+    ([9.0, 10.0, 0.5], None, (0, 10.76)),  # not below 0
+    ([49929.66] * 3, None, (45935, 53925)),  # no height of 0
+    ([], None, (0, 1)),
+    ([None, math.nan, 0.0], None, (0, 1)),
+    ([7152, 9582, 9599, 500_000], "log", (6502, 550_000)),
+    ([0, 1, 2, 500], "symlog", (0, 750)),  # starts of a pump
+])
+def test_a_large_value_flattens_no_panel(
+    values: list[float], kind: str | None, domain: tuple[float, float]
+) -> None:
+    """Linear, unless half of the values would share a tenth of the axis."""
+    scale = value_axis(values)["scale"].to_dict()
+    assert scale.get("type") == kind
+    assert scale["domain"] == pytest.approx(domain, rel=1e-3)
+
+
+def test_thinning_keeps_extremes() -> None:
+    """A peak of one sample among 43,200 is drawn, and so are both ends."""
+    values = np.sin(np.arange(43_200) / 1000)
+    values[12_345], values[20_001] = 7.0, -7.0
+    index = thin(values)
+    assert len(index) <= MOST_POINTS + 2
+    assert {0, 12_345, 20_001, 43_199} <= set(index.tolist())
+
+
+def test_figures_fit_a_page(tmp_path: Path) -> None:
+    """Five controllers with long names in one panel for each quantity; at most 1400 px wide."""
+    names = ("onoff", "mpc", "lookahead", "anticipating_onoff", "examples.rain_wait:RainWait")
+    runs = {
+        f"{name} with a setting": drawn(result.run.site, result.ticks)
+        for name in names for result in [gr.simulate(name, hours=0.2)]
+    }
+    for figure in figures_over_time(runs, "1", ""):
+        assert size(tmp_path, figure)[0] <= 1400
+        for panel in figure.panels[1:]:
+            assert isinstance(panel, Panel)
+            rows = next(
+                rows for name, rows in figure.data.items() if name in str(panel.chart.to_dict())
+            )
+            assert {row["controller"] for row in rows} == set(runs)
+
+
+def test_what_was_forecast_and_what_fell(tmp_path: Path) -> None:
+    """By hand: 2 mm/h fall for half an hour; what fell is unknown in the last hour."""
+    rate = 2e-3 / 3600
+    trajectory = trajectory_of(
+        np.arange(0, 7201, 60.0), precipitation=[rate] * 30 + [0.0] * 91, roof=3.0, cistern=50.0
+    )
+    figure = forecast_figure(
+        [(0.0, 1.5e-3), (900.0, 0.0), (6000.0, 0.0)], drawn(PAPER_SITE, trajectory), trajectory,
+        "1-1", "",
+    )
+    (rows,) = figure.data.values()
+    drawn_rows = [(row["controller"], row["v"]) for row in rows]
+    assert drawn_rows[:3] == [("forecast", 1.5), ("forecast", 0.0), ("forecast", 0.0)]
+    assert drawn_rows[3:] == [
+        ("fell", pytest.approx(1.0)), ("fell", pytest.approx(0.5)), ("fell", None)
+    ]
+    size(tmp_path, figure)
