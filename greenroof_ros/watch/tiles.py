@@ -197,37 +197,20 @@ def _commanded(share: float | None) -> str:
 
 
 def _state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
-    """Return the pump's state and the reason; in a plain simulation, by the plant's rules."""
+    """Return the pump's state and the reason; in a plain simulation, by its flow and command."""
     if report is not None:
         return report.state, report.why
-    pumped, command = store.newest.get(_FLOW), store.newest.get(_COMMAND)
-    share, site = None if command is None else command.value, store.site
-    why = _why_off(store, share)
-    if pumped is None or pumped.value is None:
-        if share is None:
-            return "unknown", "neither flow nor command is known"
-        if store.mode == "live":
-            return "unknown", "its node is not responding"
-        return ("off", why) if share == 0 or why else ("running", "")
-    if pumps_run(site, pumped.value):
+    if store.mode == "live":
+        return "unknown", "its node is not responding"
+    pumped, share = (
+        None if newest is None else newest.value
+        for newest in (store.newest.get(_FLOW), store.newest.get(_COMMAND))
+    )
+    if pumped is None:
+        return "unknown", ""
+    if pumps_run(store.site, pumped):
         return "running", ""
-    return "off", why or "it rests between two runs"
-
-
-def _why_off(store: GraphStore, share: float | None) -> str:
-    """Return why a simulated pump stands; empty if nothing known explains it."""
-    site, level, stored = store.site, store.present_value(_ROOF), store.present_value(_CISTERN)
-    if store.present_value(_FROST):
-        return "there is frost"
-    if _quiet(store):
-        return "it is in quiet hours"
-    if share == 0:
-        return "nothing is commanded"
-    if level is not None and level >= site.z_veg:
-        return "the roof has reached its target"
-    if stored is not None and stored < site.suction_level:
-        return "the cistern is below the suction level"
-    return "no command is known" if share is None else ""
+    return "off", "nothing is commanded" if share == 0 else ""
 
 
 def _quiet(store: GraphStore) -> bool:

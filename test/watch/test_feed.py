@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from bag_topics import MPC_TOPICS
 from graphs import Process, bag_file, wait_for
@@ -21,6 +22,7 @@ from peers import Peer, in_domain
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_msgs.msg import Float64
 
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED
 from greenroof_ros.watch import feed
@@ -199,6 +201,43 @@ def test_a_live_site_after_a_run_has_nothing_of_it(domain: int) -> None:
         began = time.monotonic()
     assert time.monotonic() - began < 15
     assert not [thread for thread in threading.enumerate() if thread.name == "graph"]
+
+
+def test_the_past_of_a_live_site_survives_a_restart(
+    domain: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """If its file is damaged, the charts start empty, with a line; a run's past is not kept."""
+    file = tmp_path / "state" / "past.npz"
+
+    def watch(*, live: bool = True) -> list[float]:
+        """Watch until a level has come, and return the values of its line."""
+        watched = Kept()
+        with in_domain(domain), Feed(watched, past_file=file):
+            peer = Peer(domain, "sensor")
+            reports = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+            levels = peer.node.create_publisher(Float64, LEVEL, 10)
+            said = node("controller") if live else node("plant", run_length=100, tick=5)
+
+            def came() -> bool:
+                reports.publish(DiagnosticArray(status=[said]))
+                levels.publish(Float64(data=0.04))
+                return bool(watched.messages[LEVEL]) or watched.mode == "simulated"
+
+            wait_for(came, 60, "a level")
+            peer.close()
+        values: list[float] = watched.past["roof"].rows["last"].tolist()
+        return values
+
+    assert watch(live=False) == [] and not file.exists()
+    assert len(watch()) == 1
+    before = file.read_bytes()
+    assert len(watch()) in (1, 2) and file.read_bytes() != before
+    with np.load(file) as saved:
+        assert saved["roof"]["changed"][0] < saved["roof"]["ended"][-1]  # both watches
+    file.write_bytes(before[:-100])
+    capfd.readouterr()
+    assert len(watch()) == 1
+    assert f"the charts start empty: {file} cannot be read" in capfd.readouterr().err
 
 
 class Broken(Kept):

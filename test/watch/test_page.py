@@ -438,9 +438,9 @@ OPACITY = """([key, from, to, high, low, ink]) => {
 BLUE = [0, 114, 178]
 
 
-@pytest.mark.parametrize("width", [400, 1400])
-def test_a_short_run_of_the_pump_is_seen_at_any_width(open_page: Open, width: int) -> None:
+def test_a_short_run_of_the_pump_is_seen(open_page: Open) -> None:
     """Runs of 10 s in twelve hours, where a pixel has minutes; blocks are three tenths opaque."""
+    width = 400
     watched = store("ended", SITE)
     seconds, runs = np.arange(0, 12 * 3600, 10), np.arange(3600, 12 * 3600, 5010)
     flow = np.where(np.isin(seconds, runs), 8e-3, 0.0)
@@ -457,16 +457,15 @@ def test_a_short_run_of_the_pump_is_seen_at_any_width(open_page: Open, width: in
     assert page.evaluate(OPACITY, ["pump", *at, 470, 20, BLUE]) == 0
 
 
-@pytest.mark.parametrize("width", [1400, 1210, 800, 400])
-def test_no_value_is_wider_than_its_tile(open_page: Open, width: int) -> None:
-    page = open_page(site_watched())
-    page.set_viewport_size({"width": width, "height": 900})
+def test_no_value_is_wider_than_its_tile(ended_run: tuple[GraphStore, Any]) -> None:
+    _, page = ended_run
     until_shown(page, ".tile[data-key=cistern] .value", "1408 mm")
-    beyond = page.locator(".value").evaluate_all(
-        "(values) => values.map((value) => value.scrollWidth - value.clientWidth)"
-    )
-    assert beyond == [0] * 5
-    assert overflow(page) == 0
+    for width in (800, 400, 1210, 1400):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.locator(".value").evaluate_all(
+            "(values) => values.map((value) => value.scrollWidth - value.clientWidth)"
+        ) == [0] * 5
+        wait_for(lambda: overflow(page) == 0, 60, "a page that fits")
 
 
 def test_pointer_and_keyboard_read_values(ended_run: tuple[GraphStore, Any]) -> None:
@@ -786,9 +785,7 @@ def _fail(*_: Any) -> Any:
     raise ZeroDivisionError("a bug")
 
 
-@pytest.mark.parametrize("broken", [
-    "tiles.rain", "tiles.pump", "document.document", "server.document", "server.series",
-])
+@pytest.mark.parametrize("broken", ["tiles.rain", "server.document", "server.series"])
 def test_a_fresh_page_has_its_stop_if_a_part_cannot_be_shown(
     browser: Any, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
@@ -806,7 +803,7 @@ def test_a_fresh_page_has_its_stop_if_a_part_cannot_be_shown(
         page.close()
 
 
-@pytest.mark.parametrize("key", ["rain", "summary", "controller"])
+@pytest.mark.parametrize("key", ["rain", "summary"])
 def test_a_tile_that_the_browser_cannot_show_hides_no_other(
     browser: Any, monkeypatch: pytest.MonkeyPatch, key: str
 ) -> None:
@@ -825,5 +822,5 @@ def test_a_tile_that_the_browser_cannot_show_hides_no_other(
         page.wait_for_selector("[data-key=pump] .value", timeout=LONG_MS)
         page.wait_for_selector("#notes li:has-text('This browser cannot show')", timeout=LONG_MS)
         assert page.is_visible("#stop-button")
-        assert "mm" in page.inner_text("[data-key=roof] .value")
+        assert page.inner_text("[data-key=roof] h2").startswith("Roof level")
         page.close()
