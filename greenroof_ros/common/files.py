@@ -9,7 +9,7 @@ import hashlib
 import os
 import re
 from collections.abc import Callable, Container, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -220,6 +220,20 @@ def read_ros_parameters(path: Path) -> YamlMapping:
     content = read_yaml(path, _plain_to_rcl)
     check(content)
     return content
+
+
+def check_private(file: Path) -> None:
+    """Check that only one user may read or change a file with a secret, or that there is none.
+
+    Raises:
+        ConfigurationError: other users may, too.
+    """
+    with suppress(OSError):  # reading it reports the error
+        if file.stat().st_mode & 0o077:
+            raise ConfigurationError(
+                "other users may read or change it: protect it with chmod 600, and replace the "
+                "secret in it if someone may have read it", file=file,
+            )
 
 
 def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import read_yaml
+from greenroof_ros.common.files import check_private, read_yaml
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -40,7 +40,7 @@ class Broker:
         host: name or address.
         port: TCP port.
         tls: whether the connection is encrypted and the broker's certificate is checked.
-        login: file with ``username`` and ``password``; None for no login.
+        login: file with ``username`` and ``password``, of one user only; None for no login.
         authority: file of trusted certificates (PEM); None for the system's.
     """
 
@@ -177,6 +177,7 @@ def make_client(
 
 
 def _read_login(file: Path) -> tuple[str, str]:
+    check_private(file)
     login = read_yaml(file)
     for name in ("username", "password"):
         if not isinstance(login.get(name), str):

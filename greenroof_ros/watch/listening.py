@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import check_private
 
 LOOPBACK = "127.0.0.1"
 # The ports to try unless one is asked for: the first free one is used.
@@ -121,16 +122,10 @@ def read_token(file: Path) -> str:
             made.write(f"{new_token()}\n")
             made.flush()
             os.fsync(made.fileno())
-        with file.open(encoding="ascii", errors="replace") as stream:
-            mode = os.fstat(stream.fileno()).st_mode
-            token = stream.read().strip()
+        check_private(file)
+        token = file.read_text(encoding="ascii", errors="replace").strip()
     except OSError as error:
         raise refuse(f"cannot be used: {error.strerror}") from error
-    if mode & 0o077:
-        raise refuse(
-            "other users may read or change it: remove it, and the next start makes a new token; "
-            "or protect it with chmod 600, if no one has read it"
-        )
     if not _TOKEN.fullmatch(token):
         raise refuse(
             "must hold a token of at least 32 letters, digits, - or _; remove it, and the next "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from brokers import mosquitto, needs_mosquitto
 from graphs import wait_for
 from refusals import refusal
@@ -21,6 +22,22 @@ def test_an_address_names_broker_and_topic() -> None:
         refusal(parse_broker, wrong, "broker", match=r"broker = .*: must be mqtt://HOST")
     for wrong in ("mqtt://h", "mqtt://h/", "mqtt://h/a/#", "mqtt://h/+/b"):
         refusal(parse_topic, wrong, "address", match=r"address = .*: must be mqtt://HOST")
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o602])
+def test_a_login_that_others_may_know_is_refused(mode: int, tmp_path: Path) -> None:
+    """As the page's token; it is the login of bridge, sensors and relay alike."""
+    pytest.importorskip("paho.mqtt")
+    file = tmp_path / "login.yaml"
+    file.write_text("username: roof\npassword: secret\n")
+    broker = parse_broker("mqtt://h", "broker", str(file))
+    file.chmod(mode)
+    message = refusal(
+        make_client, broker, "roof", int, print, match="other users may read or change it"
+    )
+    assert str(file) in message and "secret\n" not in message
+    file.chmod(0o600)
+    make_client(broker, "roof", int, print).disconnect()
 
 
 @needs_mosquitto

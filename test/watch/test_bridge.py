@@ -251,6 +251,7 @@ def test_it_logs_in_and_reports_once_why_it_cannot(domain: int, tmp_path: Path) 
     words, login = tmp_path / "words", tmp_path / "login.yaml"
     subprocess.run(["mosquitto_passwd", "-b", "-c", words, "roof", "secret"], check=True)
     login.write_text("username: roof\npassword: secret\n")
+    login.chmod(0o600)
     with mosquitto(
         tmp_path, "allow_anonymous false", f"password_file {words}", "user root"
     ) as broker:

@@ -180,7 +180,10 @@ class MqttSensor(Sensor):
     )
     available: str = entry("topic that reports whether the sensor is online", default="")
     online: str = entry("what that topic reports when it is", default="online")
-    login: str = entry("file with username and password, an absolute path", default="")
+    login: str = entry(
+        "file with username and password, an absolute path; no other user may read it (chmod 600)",
+        default="",
+    )
     authority: str = entry(
         "file of trusted certificates (PEM), an absolute path; left out: the system's", default="",
     )

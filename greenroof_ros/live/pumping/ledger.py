@@ -15,14 +15,16 @@ space is allocated when it is made, so a hold or a fault can be saved even if th
 (except on file systems that never write in place: btrfs, zfs). Each line begins with its checksum
 and is one page long. A kill does not tear a page, but a power cut may. Then the other line is
 intact, but the torn one may have had a hold or a fault: this is unknown. So it is if the file
-cannot be read, has other keys than this version's, or is missing while another file shows that it
-existed. The file is made under another name and renamed once.
+cannot be read, is of a later format, or is missing while another file shows that it existed. Keys
+that this version does not know are ignored, and some may be missing. The file is made under another
+name and renamed once.
 
 The disk thread writes, so a slow disk does not delay the control of the pump. A lock on a file
 next to it lets only one ledger write: the record of a second one would erase a hold or a fault.
 
-A day is 24 h of the ledger's clock, which starts at its first step and counts the site's time
-(steady clock, or simulated). Downtime is added by the system clock, unless that was set back.
+Use is counted in slots of half an hour, over the last 24 h of the ledger's clock, which starts at
+its first step and counts the steady clock. Downtime is added by the system clock, unless that was
+set back. The oldest slot counts whole until all of it is more than 24 h old.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ import os
 import stat
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from functools import partial
@@ -48,12 +51,16 @@ from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import to_people
 
 DAY_S = 86_400.0
+# Length of a slot (s), and how many the last 24 h touch.
+_SLOT_S, _SLOTS = 1800.0, 49
 MOST = 1e11
 """No number of the record is larger; as a time, it is in the year 5138."""
 # Length of a line (bytes): a page, and a block of most disks.
 _LINE = 4096
-# Most bytes of a text and of an owner, and most starts, that fit in a line with any content.
+# Most bytes of a text and of an owner in JSON, and most starts, so that all fit in a line.
 _TEXT, _OWNER, _STARTS = 350, 40, 100
+# The format of the file. A later one has another meaning of a key, not only further keys.
+_VERSION = 1
 # What is next to the file while it is made; another version moved a broken file away.
 _NEW, _LEFTOVERS = ".new", (".new", ".broken")
 # Starts to remember: no pump may start more often in the hour that counts.
@@ -76,8 +83,8 @@ class PumpRecord:
         fault: the latched fault; empty if there is none.
         fault_code: code of its interlock.
         elapsed: time since the ledger's first step (s).
-        day_run: how long the pump was on in the present day (s).
-        day_volume: volume that it pumped in the present day (m3).
+        use: how long the pump was on (s), and what it pumped (m3), in each of the last slots of
+            ``elapsed``; the present slot is the last.
         starts: times of its last starts (s, as ``elapsed``); the file keeps the last hundred.
         on: whether it was on when this was written.
         written_at: time of writing by the system clock (s since 1970).
@@ -90,8 +97,7 @@ class PumpRecord:
     fault: str = ""
     fault_code: str = ""
     elapsed: float = 0.0
-    day_run: float = 0.0
-    day_volume: float = 0.0
+    use: tuple[tuple[float, float], ...] = ()
     starts: tuple[float, ...] = ()
     on: bool = False
     written_at: float = 0.0
@@ -102,9 +108,22 @@ class PumpRecord:
         return self.hold_owner, self.hold_reason, self.hold_until
 
     @property
-    def day_elapsed(self) -> float:
-        """Elapsed time of the present day (s)."""
-        return self.elapsed % DAY_S
+    def day_run(self) -> float:
+        """How long the pump was on in the last 24 h (s)."""
+        return math.fsum(run for run, _ in self.use)
+
+    @property
+    def day_volume(self) -> float:
+        """What it pumped in the last 24 h (m3)."""
+        return math.fsum(volume for _, volume in self.use)
+
+    def clears_in(self, *, run: float = math.inf, volume: float = math.inf) -> float:
+        """Return how long to wait (s) until the use of 24 h is below both limits (s, m3)."""
+        left = self
+        while left.day_run >= run or left.day_volume >= volume:
+            left = replace(left, use=left.use[1:])
+        last_out = self.elapsed // _SLOT_S - len(left.use)  # the slot that must leave last
+        return max(0.0, (last_out + _SLOTS) * _SLOT_S - self.elapsed) if left != self else 0.0
 
 
 class Ledger:
@@ -240,10 +259,9 @@ class Ledger:
     def count(self, dt: float, run: float, volume: float) -> None:
         """Count elapsed time (s), the pump's time on in it (s), and the pumped volume (m3)."""
         self._advance(dt)
-        self.record = replace(
-            self.record,
-            day_run=self.record.day_run + run, day_volume=self.record.day_volume + volume,
-        )
+        *earlier, (before_run, before_volume) = self.record.use or ((0.0, 0.0),)
+        present = before_run + run, before_volume + volume
+        self.record = replace(self.record, use=(*earlier, present))
         # Without use nothing needs writing, unless the file could not be written.
         if run or volume or self.problem:
             self._unsaved += dt
@@ -283,9 +301,9 @@ class Ledger:
 
     def _advance(self, elapsed: float) -> None:
         before, now = self.record.elapsed, self.record.elapsed + elapsed
-        if now // DAY_S > before // DAY_S:
-            self.record = replace(self.record, day_run=0.0, day_volume=0.0)
-        self.record = replace(self.record, elapsed=now)
+        new = min(int(now // _SLOT_S - before // _SLOT_S), _SLOTS)
+        use = (*self.record.use, *[(0.0, 0.0)] * new)[-_SLOTS:]
+        self.record = replace(self.record, elapsed=now, use=use)
 
     def _save(self) -> None:
         """Queue the record for writing, after any write in progress."""
@@ -335,22 +353,36 @@ def _line(sequence: int, record: PumpRecord) -> bytes:
 
     def short(text: str, most: int = _TEXT) -> str:
         printable = "".join(letter if letter.isprintable() else " " for letter in text[:most])
-        return printable.encode()[:most].decode(errors="ignore")
+        while len(json.dumps(printable, ensure_ascii=False).encode()) > most + 2:  # its quotes
+            printable = printable[:-1]
+        return printable
 
     record = replace(
         record, hold_owner=short(record.hold_owner, _OWNER), hold_reason=short(record.hold_reason),
         unknown=short(record.unknown), fault=short(record.fault),
     )
-    content = {"sequence": sequence, **asdict(record)}
+    content = {"version": _VERSION, "sequence": sequence, **asdict(record)}
+    content["use"] = [tuple(map(_rounded_up, slot)) for slot in record.use]
     content["starts"] = [round(start, 1) for start in record.starts[-_STARTS:]]
-    text = json.dumps(content, ensure_ascii=False).encode()
+    text = json.dumps(content, ensure_ascii=False, separators=(",", ":")).encode()
     line = b"%08x " % zlib.crc32(text) + text
     assert len(line) < _LINE
     return line.ljust(_LINE - 1) + b"\n"
 
 
+def _rounded_up(value: float) -> float:
+    """Return the next number of four digits, so that a line has room for any use."""
+    if value == 0:
+        return 0
+    unit = 10.0 ** (math.floor(math.log10(value)) - 3)
+    return float(f"{math.ceil(value / unit * (1 - 1e-12)) * unit:.4g}")
+
+
 def _create(file: Path, record: PumpRecord) -> None:
     """Write the file under another name, then rename it, which replaces a broken one at once.
+
+    What is left of a failed attempt would keep the pump off at the next start. So it is removed,
+    unless it shows that a hold or a fault is forgotten then.
 
     Raises:
         OSError: for instance, there is no room.
@@ -359,11 +391,17 @@ def _create(file: Path, record: PumpRecord) -> None:
         raise FileExistsError(errno.EEXIST, "it exists but is not a file")
     file.parent.mkdir(parents=True, exist_ok=True)
     new_file = file.with_name(file.name + _NEW)
-    with new_file.open("wb") as stream:
-        stream.write(_line(1, record) + _line(2, record))
-        stream.flush()
-        os.fsync(stream.fileno())
-    new_file.replace(file)
+    try:
+        with new_file.open("wb") as stream:
+            stream.write(_line(1, record) + _line(2, record))
+            stream.flush()
+            os.fsync(stream.fileno())
+        new_file.replace(file)
+    except OSError:
+        if not (record.hold_owner or record.fault or record.unknown):
+            with suppress(OSError):
+                new_file.unlink()
+        raise
     directory = os.open(file.parent, os.O_RDONLY)
     try:
         os.fsync(directory)
@@ -434,7 +472,7 @@ def _parse(line: bytes, number: int) -> tuple[int, PumpRecord]:
     """Return a line's sequence number and record.
 
     Raises:
-        ValueError: the line is broken, or from a version with other keys.
+        ValueError: the line is broken, or of a later format.
     """
     checksum, _, text = line.rstrip().partition(b" ")
     if checksum != b"%08x" % zlib.crc32(text):
@@ -445,18 +483,29 @@ def _parse(line: bytes, number: int) -> tuple[int, PumpRecord]:
         content = None
     if not isinstance(content, dict):
         raise ValueError("it must be a table of keys")
-    if wrong := sorted(content.keys() ^ _KINDS.keys()):
-        has = "no" if wrong[0] in _KINDS else "an unknown key"
-        raise ValueError(f"it has {has} {wrong[0]}, as if another version had written it")
+    if content.get("version", _VERSION) != _VERSION:
+        raise ValueError(f"it is of format {content['version']}, and this version knows {_VERSION}")
+    if "use" not in content:  # of a version that counted fixed days
+        content["use"] = [[content.get("day_run", 0.0), content.get("day_volume", 0.0)]]
     for name, (kind, is_right) in _KINDS.items():
-        if not is_right(content[name]):
+        if name not in content and name in _REQUIRED:
+            raise ValueError(f"it has no {name}")
+        if name in content and not is_right(content[name]):
             raise ValueError(f"{name} must be {kind}")
     sequence = content.pop("sequence")
     if (sequence + 1) % 2 != number:
         raise ValueError("its sequence belongs to the other line")
-    return sequence, PumpRecord(**content | {"starts": tuple(content["starts"])})
+    known = {name: value for name, value in content.items() if name in _KINDS}
+    starts, use = tuple(known.get("starts", ())), tuple(map(tuple, known["use"]))
+    return sequence, PumpRecord(**known | {"starts": starts, "use": use})
 
 
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(each in _NUMBER for each in value)
+
+
+# Without these keys it would be unknown whether the pump may run; others have harmless defaults.
+_REQUIRED = {"sequence", "hold_owner", "unknown", "fault", "elapsed", "on"}
 _TEXT_KIND = "text", lambda value: isinstance(value, str)
 _NUMBER = Range(0.0, MOST)
 # What each key of a line must be, and the check of it.
@@ -464,8 +513,10 @@ _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "sequence": ("a whole number above 0", lambda value: type(value) is int and value > 0),
     "hold_until": ("a number or null", lambda value: value is None or value in _NUMBER),
     **dict.fromkeys(("hold_owner", "hold_reason", "unknown", "fault", "fault_code"), _TEXT_KIND),
-    **dict.fromkeys(
-        ("elapsed", "day_run", "day_volume", "written_at"), (str(_NUMBER), _NUMBER.__contains__)
+    **dict.fromkeys(("elapsed", "written_at"), (str(_NUMBER), _NUMBER.__contains__)),
+    "use": (
+        f"at most {_SLOTS} pairs of numbers", lambda value: isinstance(value, list)
+        and len(value) <= _SLOTS and all(_is_pair(each) for each in value),
     ),
     "starts": (
         "a list of numbers",

@@ -85,11 +85,11 @@ class PumpSettings:
         1.0, DAY_S, unit="s",
     )
     greatest_run_per_day: float = entry(
-        "most time on in 24 h; default: a fifth of the flow delivers the day's volume in it",
+        "most time on in any 24 h; default: a fifth of the flow delivers the day's volume in it",
         1.0, DAY_S, unit="s",
     )
     greatest_volume_per_day: float = entry(
-        "most pumped in 24 h; default: 1.5 times an empty roof's filling and 10 mm for the plants",
+        "most pumped in any 24 h; default: 1.5 times an empty roof's filling and 10 mm for plants",
         1e-6, 1e9, unit="m3",
     )
     suction_hysteresis: float = entry(
@@ -246,15 +246,15 @@ class PumpLimits:
             self._rests_for = 0.0
         if self._rests_for > 0:
             yield Diagnosis.of("longest_run", longest=settings.greatest_run, rest=self._rests_for)
-        again = DAY_S - record.day_elapsed
         if record.day_volume >= settings.greatest_volume_per_day:
             yield Diagnosis.of(
                 "daily_volume", volume=record.day_volume, limit=settings.greatest_volume_per_day,
-                again=again,
+                again=record.clears_in(volume=settings.greatest_volume_per_day),
             )
         if record.day_run >= settings.greatest_run_per_day:
             yield Diagnosis.of(
-                "daily_run", run=record.day_run, limit=settings.greatest_run_per_day, again=again
+                "daily_run", run=record.day_run, limit=settings.greatest_run_per_day,
+                again=record.clears_in(run=settings.greatest_run_per_day),
             )
 
 

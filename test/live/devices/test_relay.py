@@ -383,6 +383,7 @@ def test_addresses_and_logins(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="has no broker to log in to"):
         read_endpoint(find_drive_file("abb_acs880"), "tcp://127.0.0.1", "at", "login.yaml")
     (tmp_path / "login.yaml").write_text("username: roof\n")
+    (tmp_path / "login.yaml").chmod(0o600)
     wrong = read_endpoint(file, "mqtt://127.0.0.1/roof", "at", str(tmp_path / "login.yaml"))
     with pytest.raises(ConfigurationError, match=r"login.yaml.*password: must be text"):
         DriveExchange(wrong)

@@ -52,8 +52,8 @@ CAUSES: dict[str, dict[str, Any]] = {
     "frost": {"change": {"frost": True}},
     "quiet_hours": {"site": AT_NIGHT, "change": {"time_ns": 23 * 3600 * 10**9}},
     "longest_run": {"settings": settings_for(PAPER_SITE, greatest_run=60.0)},
-    "daily_volume": {"record": {"day_volume": 1e6}},
-    "daily_run": {"record": {"day_run": 86_400.0}},
+    "daily_volume": {"record": {"use": ((0.0, 1e6),)}},
+    "daily_run": {"record": {"use": ((86_400.0, 0.0),)}},
     "command_unknown": {"command": None},
     "drive_speed_unknown": {"change": {"speed": None}},
     "drive_not_ready": {"change": {"drive_ready": False}},
@@ -87,7 +87,7 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
     assert decision.why.startswith(decision.interlocks[code].sentence)
     rig.change, rig.stuck_speed, rig.arriving, rig.leaving = {}, None, 1.0, 1.0
     rig.ledger.record = replace(
-        rig.ledger.record, hold_owner="", day_run=0.0, day_volume=0.0,
+        rig.ledger.record, hold_owner="", use=(),
     )
     rig.run(10, 0.0)  # the pump comes to rest, which ends a run that was too long
     decision = rig.run(45, 0.5)

@@ -98,16 +98,16 @@ def test_dry_run_with_hysteresis() -> None:
 
 
 def test_volume_per_day() -> None:
-    """Frozen controller and frozen roof sensor: 1 m3, and again a day later."""
+    """Frozen controller and frozen roof sensor: 1 m3, and again when that slot is a day old."""
     limits = settings_for(PAPER_SITE, greatest_volume_per_day=1.0)
     rig = Rig(x2=0.0, settings=limits)
     rig.run(600, 1.0)
     assert rig.decisions[-1].state == "held"
     assert rig.decisions[-1].why.startswith("1.0")
-    assert "the limit is 1 m3, and the pump may run again in 1431 min" in rig.decisions[-1].why
+    assert "the limit is 1 m3, and the pump may run again in 1460 min" in rig.decisions[-1].why
     # Beyond it: a step at maximum flow, and what flows while the pump comes to rest.
     assert 1.0 <= rig.delivered <= 1.03
-    rig.ledger.count(86_400 - 600 - 10, 0.0, 0.0)
+    rig.ledger.count(1800 + 86_400 - 600 - 10, 0.0, 0.0)
     assert rig.run(8, 1.0).state == "held"
     assert rig.run(4, 1.0).speed is not None
 
