@@ -225,8 +225,9 @@ class PumpControl:
         levels_known = observed.cistern_level is not None and observed.roof_level is not None
         self._blind_for = 0.0 if levels_known and self._delivery.has_mean else self._blind_for + dt
         command, missing = observed.command, list[Diagnosis]()
-        if command is None:
+        if command is None or not 0 <= command < math.inf:
             missing.append(Diagnosis.of("command_unknown"))
+            command = None
         elif command > 1:
             warnings.append(Diagnosis.of("limited", "above", command=command))
             command = 1.0

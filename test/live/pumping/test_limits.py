@@ -104,7 +104,7 @@ def test_volume_per_day() -> None:
     rig.run(600, 1.0)
     assert rig.decisions[-1].state == "held"
     assert rig.decisions[-1].why.startswith("1.0")
-    assert "the limit is 1 m3, and the pump may run again in 1460 min" in rig.decisions[-1].why
+    assert "the limit is 1 m3, and the pump may run again in 1461 min" in rig.decisions[-1].why
     # Beyond it: a step at maximum flow, and what flows while the pump comes to rest.
     assert 1.0 <= rig.delivered <= 1.03
     rig.ledger.count(1800 + 86_400 - 600 - 10, 0.0, 0.0)
