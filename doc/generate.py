@@ -35,12 +35,12 @@ from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
 from greenroof_ros.analysis.calibration.checks import CHECKS
+from greenroof_ros.common.alarms import Alarm
 from greenroof_ros.common.conditions import Interlock, read_conditions, read_interlocks
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic, read_topics, roles
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
-from greenroof_ros.experiment.incidents import Incident
 from greenroof_ros.forecast.skill import Climate, Errors
 from greenroof_ros.formats.records import NEARLY, QUANTITIES
 from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
@@ -443,9 +443,9 @@ def _json_words(text: str) -> str:
     return text.rstrip(".")
 
 
-def incident() -> str:
-    """Return the keys of an incident."""
-    described = inspect.cleandoc(Incident.__doc__ or "").partition("Attributes:\n")[2]
+def alarm() -> str:
+    """Return the keys of an alarm."""
+    described = inspect.cleandoc(Alarm.__doc__ or "").partition("Attributes:\n")[2]
     pairs = (line.strip().partition(": ") for line in described.splitlines())
     return markdown(("key", "meaning"), (
         (f"`{name}`", _json_words(text)) for name, _, text in pairs
@@ -611,7 +611,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "conditions": conditions,
     "checks": checks,
     "plausible values": plausible_values,
-    "incident": incident,
+    "alarm": alarm,
     "commands": commands,
     "command groups": command_groups,
     "nodes": nodes,

@@ -63,8 +63,11 @@ class Condition:
     advice: str
     sentence: str | Mapping[str, str] = ""
     by_role: Mapping[str, str] = field(default_factory=dict)
+    lasts: float = 0.0
     late: bool = False
     no_data: bool = False
+    explained_by: tuple[str, ...] = ()
+    stops_pump: bool = False
     by_hand: bool = False
     interlock: Interlock | None = None
 

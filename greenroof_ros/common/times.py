@@ -114,6 +114,11 @@ def to_people(time: datetime) -> str:
     return time.isoformat(" ", "seconds" if time.second else "minutes")
 
 
+def iso(seconds: float) -> str:
+    """Return a time (s since 1970) in UTC, ISO 8601, to the millisecond."""
+    return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="milliseconds")
+
+
 def hours_minutes(seconds: float) -> str:
     """Write a time since the start of a run in whole minutes: ``00:05``."""
     minutes = int(seconds) // 60

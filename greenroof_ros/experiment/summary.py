@@ -65,8 +65,6 @@ def build_unfinished(
     refused: Mapping[str, int] | None = None,
     parameter_changes: Sequence[Mapping[str, Any]] = (),
     parameter_change_count: int = 0,
-    incidents: Sequence[Mapping[str, Any]] = (),
-    incident_count: int = 0,
 ) -> dict[str, Any]:
     """Assemble the summary of an unfinished run: without metrics, which are of whole runs.
 
@@ -78,8 +76,6 @@ def build_unfinished(
         refused: number of values refused until then, by topic.
         parameter_changes: the newest parameters changed until then, with their tick.
         parameter_change_count: number of all changes.
-        incidents: the newest losses during the run.
-        incident_count: number of all losses.
     """
     repeats_from = run.forecast.repeats_from
     choice = run.forecast_choice
@@ -109,8 +105,6 @@ def build_unfinished(
         "refused": dict(refused or {}),
         "parameter_changes": list(parameter_changes),
         "parameter_change_count": parameter_change_count,
-        "incidents": list(incidents),
-        "incident_count": incident_count,
         "versions": versions(),
     }
 

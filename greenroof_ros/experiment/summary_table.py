@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime, timedelta
-from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.common.times import hours_minutes, to_minutes
-from greenroof_ros.experiment.incidents import Incident, with_incidents
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.place import place_text
@@ -88,10 +86,6 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
             f"{_limit(change['before'])} -> {_limit(change['value'])} at "
             f"{hours_minutes(tick * summary['tau_s'])} (tick {tick})",
         )
-    left_out = summary["incident_count"] - len(summary["incidents"])
-    if left_out:
-        yield "INCIDENT", f"{left_out} times", "before the newest incidents, which follow"
-    yield from map(_incident_row, summary["incidents"], repeat(summary["tau_s"]))
     if summary["frost_hours"]:
         yield (
             "FROST", f"{summary['frost_hours']:.1f} h",
@@ -153,25 +147,6 @@ def _listed(values: Mapping[str, Any]) -> str:
     )
 
 
-def _incident_row(incident: Mapping[str, Any], tau: float) -> tuple[str, str, str]:
-    """Return the row of an incident.
-
-    Args:
-        incident: from the summary.
-        tau: duration of a tick (s).
-    """
-    failure = Incident(**incident)
-    assert failure.began_tick is not None
-    until = "to the end"
-    if failure.ended_tick is not None:
-        until = (
-            f"to {hours_minutes(failure.ended_tick * tau)}, "
-            f"{failure.seconds:.1f} s of wall time"
-        )
-    began = hours_minutes(failure.began_tick * tau)
-    return ("INCIDENT", failure.node, f"from {began} {until}: {failure.cause}")
-
-
 def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
     """Print a summary: as a table with the run's directory, or as JSON alone."""
     if as_json:
@@ -180,5 +155,6 @@ def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
         console = Console()
         print_notes(console, summary)
         console.print(grid("Result", rows(summary)))
-        done = with_incidents(summary["status"], summary["incident_count"])
-        console.print(f"{done}; written to {directory}", soft_wrap=True, highlight=False)
+        console.print(
+            f"{summary['status']}; written to {directory}", soft_wrap=True, highlight=False
+        )

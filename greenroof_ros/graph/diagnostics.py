@@ -7,7 +7,6 @@ import os
 import socket
 import time
 from collections.abc import Sequence
-from datetime import datetime, timezone
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -16,6 +15,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.times import iso
 from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.states import STARTING
 
@@ -103,8 +103,3 @@ class NodeDiagnostics:
     def flush(self, seconds: float) -> None:
         """Wait for at most this long (s) until all readers have all reports."""
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))
-
-
-def iso(seconds: float) -> str:
-    """Return a time (s since 1970) in ISO 8601."""
-    return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="seconds")

@@ -312,7 +312,9 @@ class LiveControllerNode(LiveNode):
         values, case = {"problem": problem}, "bad" if needs else "without"
         if needs and self._stand_in_since:
             case, values["since"] = "onoff", self._stand_in_since
-        bad = (self._evapotranspiration if self._rain.good else self._rain).problem
+        forecast = self._evapotranspiration if self._rain.good else self._rain
+        bad = forecast.problem
+        values["topic"] = forecast.publishers.full_name
         self.reports.diagnose(
             "forecast", Diagnosis.of("no_forecast", case, **values), level=WARN,
             cause=bad.code if bad else "",

@@ -11,7 +11,8 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from greenroof_ros.common.conditions import Diagnosis, Value
-from greenroof_ros.graph.diagnostics import NodeDiagnostics, iso
+from greenroof_ros.common.times import iso
+from greenroof_ros.graph.diagnostics import NodeDiagnostics
 from greenroof_ros.live.supervisor_socket import supervisor_socket
 
 # The levels of a diagnosis, as ROS tools know them.
@@ -21,7 +22,6 @@ ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 _PUBLISH_S = 1.0
 # How long the end of a node waits for the supervisor at most (s).
 _FLUSH_S = 1.0
-_LEVELS = {OK: "OK", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,7 @@ class PartStatus:
         code: for programs; empty if all is well.
         cause: the code of the cause; empty if unknown.
         since: when the present code began, by the system clock (s since 1970).
+        began: likewise, by the steady clock (s).
         values: what the sentence is made of.
     """
 
@@ -42,12 +43,25 @@ class PartStatus:
     code: str
     cause: str
     since: float
+    began: float
     values: Mapping[str, Value] = field(default_factory=dict)
 
-    def for_programs(self) -> dict[str, str]:
-        """Return its code, the start of that code (ISO 8601), and its cause; each can be empty."""
-        since = iso(self.since) if self.code else ""
-        return {"code": self.code, "since": since, "cause": self.cause}
+    def for_programs(self, numbers: Mapping[str, float | None]) -> dict[str, str]:
+        """Return its values for programs, without those that are unknown.
+
+        They are what its sentence is made of, its code, the start of that code (ISO 8601), how long
+        it has lasted (s), its cause, and the numbers of the part.
+        """
+        values = {
+            key: f"{value:.6g}" if isinstance(value, (float, int)) else str(value)
+            for key, value in {**self.values, **numbers}.items() if value is not None
+        }
+        if self.code:
+            age = time.monotonic() - self.began
+            values |= {"code": self.code, "since": iso(self.since), "age_s": f"{age:.1f}"}
+        if self.cause:
+            values["cause"] = self.cause
+        return {key: value for key, value in values.items() if value}
 
 
 class LiveDiagnostics(NodeDiagnostics):
@@ -89,10 +103,13 @@ class LiveDiagnostics(NodeDiagnostics):
         before = self.diagnoses.get(part)
         if problem is None:
             problem, level = Diagnosis("", well), OK
-        same_code = before is not None and before.code == problem.code
+        since, began = time.time(), time.monotonic()
+        if before is not None and (before.code, _fault(before.values)) == (
+            problem.code, _fault(problem.values)
+        ):
+            since, began = before.since, before.began
         diagnosis = self.diagnoses[part] = PartStatus(
-            level, problem.sentence, problem.code, cause,
-            before.since if before is not None and same_code else time.time(), problem.values,
+            level, problem.sentence, problem.code, cause, since, began, problem.values,
         )
         if not log or diagnosis == before:
             return
@@ -113,6 +130,10 @@ class LiveDiagnostics(NodeDiagnostics):
         """
         self.urgent = False
         status, values = self.status(values)
+        programs = {
+            part: diagnosis.for_programs(self.numbers.get(part, {}))
+            for part, diagnosis in self.diagnoses.items()
+        }
         now = time.monotonic()
         published = self.state, status.level, values.get("code"), *(
             (part, diagnosis.level, diagnosis.code) for part, diagnosis in self.diagnoses.items()
@@ -123,14 +144,16 @@ class LiveDiagnostics(NodeDiagnostics):
                 DiagnosticStatus(
                     level=diagnosis.level, name=f"{status.name}: {part}",
                     message=diagnosis.message, hardware_id=self.hardware or self.machine,
-                    values=_values(diagnosis, self.numbers.get(part, {})),
+                    values=[
+                        KeyValue(key=key, value=value) for key, value in programs[part].items()
+                    ],
                 )
                 for part, diagnosis in self.diagnoses.items()
             )])
         diagnoses = {
             part: {
-                "level": _LEVELS[diagnosis.level], "message": diagnosis.message,
-                **diagnosis.for_programs(),
+                "level": diagnosis.level[0], "message": diagnosis.message,
+                "values": programs[part],
             }
             for part, diagnosis in self.diagnoses.items()
         }
@@ -144,11 +167,6 @@ class LiveDiagnostics(NodeDiagnostics):
         supervisor_socket().flush(_FLUSH_S)
 
 
-def _values(diagnosis: PartStatus, numbers: Mapping[str, float | None]) -> list[KeyValue]:
-    """Return the values in the status of a part: its numbers, code, start and cause."""
-    values = {
-        key: f"{value:.6g}" if isinstance(value, (float, int)) else str(value)
-        for key, value in {**diagnosis.values, **numbers}.items() if value is not None
-    }
-    values |= diagnosis.for_programs()
-    return [KeyValue(key=key, value=value) for key, value in values.items() if value]
+def _fault(values: Mapping[str, Value]) -> Value | None:
+    """Return a device's own fault or warning: with another one, the same code begins anew."""
+    return values.get("fault", values.get("warning"))

@@ -55,9 +55,15 @@ class PumpReports:
         self._reports.numbers |= self._numbers(decision)
         first = next(iter(decision.interlocks.values()), None)
         wrong = first is not None and first.code != "quiet_hours"  # these are as intended
+        level, shown = ERROR if decision.state == "fault" else WARN if wrong else OK, first
+        if decision.state != "fault" and not decision.at_rest:
+            # What the pump does matters more than why it should be off.
+            if decision.reported_speed is None:
+                level, shown = ERROR, Diagnosis("stands_unknown")
+            elif "hold" in decision.interlocks:
+                shown = Diagnosis("stop_not_followed")
         diagnose(
-            "pump", first and replace(first, text=str(state)), str(state),
-            ERROR if decision.state == "fault" else WARN if wrong else OK,
+            "pump", shown and replace(shown, text=str(state)), str(state), level,
             self._cause(first.code) if first else "", log=False,
         )
         diagnose("limits", joined(decision.warnings), "nothing limits the pump", WARN, log=False)
@@ -142,17 +148,17 @@ class PumpReports:
                 )
             return
         self._reports.hardware = snapshot.identity
-        trouble = "; ".join(filter(None, (snapshot.problem, status.warning)))
+        warning = "; ".join(filter(None, (snapshot.problem, status.warning)))
         level, problem = WARN, None
         if status.fault:
             level, problem = ERROR, drive_fault(status.fault, status.runs_on)
         elif not status.remote:
-            more = {"problem": trouble} if trouble else {}
+            more = {"problem": warning} if warning else {}
             problem = Diagnosis.of("drive_local", "local", *more, **more)
         elif snapshot.second_master:
             problem = snapshot.second_master
-        elif trouble:
-            problem = Diagnosis.of("drive_warning", warning=trouble)
+        elif warning:
+            problem = Diagnosis.of("drive_warning", warning=warning)
         self._reports.diagnose("drive", problem, f"connected to {snapshot.identity}", level)
         self._diagnose_timeout(snapshot)
 

@@ -14,8 +14,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
+from greenroof_ros.common.alarm_log import with_alarms
+from greenroof_ros.common.alarms import WARN, Judge, advise
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
-from greenroof_ros.common.conditions import Diagnosis, read_conditions
 from greenroof_ros.common.disk import DISK, LatestWriter
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.files import naming
@@ -29,31 +30,24 @@ from greenroof_ros.common.processes import (
     scratch_directory,
 )
 from greenroof_ros.common.standard_error import print_line
+from greenroof_ros.common.states import PUMP, DriveState, PumpState
+from greenroof_ros.common.times import iso
 from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary
-from greenroof_ros.experiment.incidents import (
-    INCIDENTS,
-    PROCESS,
-    IncidentLog,
-    parts_in,
-    wall_time,
-    with_incidents,
-)
 from greenroof_ros.experiment.parameter_file import node_parameter_files
 from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other_nodes
-from greenroof_ros.graph.states import PUMP, DriveState, PumpState
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
+from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.model.site import edited
 
 # How often systemd is notified (s), and how far each notice extends the start timeout (us).
 _NOTIFY_S = 1.0
 _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
-# How long the list of what is missing must be unchanged before it is printed (s), and how long
-# after the start something that has not come yet is treated as late, not as lost (s).
-_LISTED_S, _LATE_S = 1.0, 60.0
+# How long the list of what is missing must be unchanged before it is printed (s).
+_LISTED_S = 1.0
 # How long to wait at the end for the summary to be written (s).
 _WRITTEN_S = 5.0
 # States of the pump node in which it cannot run its drive yet.
@@ -87,15 +81,16 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         _fit_bag(site, state / "bag")
         nodes = list(site.nodes(state, configuration))
         parameters = _write_configuration(site, user_files, nodes, configuration)
-        record, start = _SiteRecord(site, state), _StartReport(arguments.namespace)
-        start.update({}, "the nodes are starting")
+        record = _SiteRecord(site, state, arguments.namespace, nodes)
+        start = _StartReport()
+        start.update(record.alarms.judge, {}, "the nodes are starting")
         names = modules.keys() | {"plant", *controller_names()}
         refuse_other_nodes(arguments.namespace, names, signals.check)
         DISK.do(partial(_keep_configuration, configuration, state / "configuration"))
         supervisor = LiveSupervisor(
             state / "log", parameters, arguments.namespace,
             site.drive.stopper() if site.drive is not None else None,
-            record.log.fail, silence_s=arguments.peer_limit, restarts=arguments.restarts,
+            record.alarms.fail, silence_s=arguments.peer_limit, restarts=arguments.restarts,
         )
         try:
             record.write(summary.RUNNING)
@@ -126,8 +121,8 @@ def _supervise(
             signals.check()  # before update(): a node stopped by a service manager has not failed
             supervisor.update()
             unready = supervisor.unready
-            record.update(supervisor, starting=start.late)
-            start.update(supervisor.last, unready)
+            record.update(supervisor.last)
+            start.update(record.alarms.judge, supervisor.last, unready)
             if not ready and not unready:
                 ready = True
                 print_line("all nodes are here")
@@ -149,7 +144,7 @@ def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exceptio
         record.write(summary.DONE, str(error))
         record.wait()
         print_line(f"{error}: the pump and the nodes are stopped")
-        print_line(with_incidents("done", record.log.count) + record.log.numbers)
+        print_line(with_alarms("done", record.alarms.log.count))
         return EXIT_DONE
     reason, last_lines, code = str(error), "", EXIT_FAILED
     if isinstance(error, NodeFailed):
@@ -168,51 +163,43 @@ def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exceptio
 class _StartReport:
     """During the start, lists what keeps the site from pumping, each with what to do about it.
 
-    It lists what would become an incident if it lasted, except warnings; a mere consequence only
-    if no cause with the same effect on the pump is there. It is printed when its codes change (the
-    messages contain numbers). The start ends when nothing is missing; later losses are incidents.
+    It lists what is missing or wrong, except warnings; a mere consequence only if it stops the pump
+    and its cause does not. It is printed when its codes change (the messages contain numbers). The
+    start ends when nothing is missing; later losses are alarms.
     """
 
-    def __init__(self, namespace: str) -> None:
-        """Begin the start of a graph; its namespace is such as ``/site1``, or empty for none."""
-        self._namespace = namespace
+    def __init__(self) -> None:
+        """Begin the start."""
         self._finished = False
-        self._late_until = time.monotonic() + _LATE_S
         # What is missing, by node, part and code: as last printed; as last seen, and since when.
         self._printed: list[tuple[str, ...]] | None = None
         self._last_missing: tuple[list[tuple[str, ...]], float] = ([], -math.inf)
 
-    @property
-    def late(self) -> bool:
-        """Whether something that has not come yet is only late, not lost.
-
-        Also when nothing is missing that the pump needs: a gauge may report once a minute.
-        """
-        return time.monotonic() < self._late_until
-
-    def update(self, reports: Mapping[str, Mapping[str, Any]], unready: str) -> None:
+    def update(self, judge: Judge, reports: Mapping[str, Mapping[str, Any]], unready: str) -> None:
         """Print what is missing if that has changed, and the end of the start.
 
         Args:
+            judge: what is wrong now.
             reports: the last report of each node.
             unready: which nodes are not ready, and why; empty if all are.
         """
         if self._finished:
             return
-        lost_parts = [
-            part for part in parts_in(reports) if part.is_lost and part.diagnosis["level"] != "WARN"
-        ]
-        causes = {part.rule.stops_pump for part in lost_parts if not part.rule.follows}
-        missing: dict[tuple[str, ...], str] = {
-            (part.node, part.name, part.diagnosis["code"]): f"  {part.node}: {part.name}: "
-            f"{part.diagnosis['message']}. {self._advice(part.node, part.diagnosis['code'])}"
-            for part in lost_parts if not (part.rule.follows and part.rule.stops_pump in causes)
+        wrong = {
+            name: diagnosis for name, diagnosis in judge.diagnoses.items()
+            if diagnosis.level != WARN
         }
+        missing: dict[tuple[str, ...], str] = {}
+        for name, diagnosis in wrong.items():
+            cause = judge.diagnoses.get(judge.causes.get(name, ""))
+            if cause is None or (diagnosis.stops_pump and not cause.stops_pump):
+                advice = advise(diagnosis.code, diagnosis.role, name.partition(": ")[0])
+                missing[name, diagnosis.code] = f"  {name}: {diagnosis.sentence}. {advice}"
         pump, levels = reports.get(PUMP, {}), levels_of(reports)
         why = unready or (
             pump.get("drive_state") in _NOT_READY and f"the pump is kept off: {_pump_of(pump)}"
         )
-        stopped = any(part.rule.stops_pump for part in lost_parts)
+        stopped = any(diagnosis.stops_pump for diagnosis in wrong.values())
         if why and not stopped:
             missing[why,] = f"  {why}"
         self._finished = not (stopped or why or None in _levels(reports).values())
@@ -228,28 +215,21 @@ class _StartReport:
         if self._finished:
             print_line(f"running: {levels}")
 
-    def _advice(self, node: str, code: str) -> str:
-        """Return what to do about a code; a node of another version may send an unknown one."""
-        condition = read_conditions().get(code)
-        return condition.advise(f"{self._namespace}/{node}") if condition else "Read its message."
-
 
 class _SiteRecord:
-    """The record of a site since its start: ``summary.json``, incidents and warnings.
+    """The record of a site since its start: ``summary.json``, alarms and warnings.
 
     The disk thread writes the files, so a full or hung disk stops nothing else.
 
     Attributes:
-        log: the log of incidents.
+        alarms: the site's alarms.
     """
 
-    def __init__(self, site: LiveSite, state: Path) -> None:
+    def __init__(
+        self, site: LiveSite, state: Path, namespace: str, processes: Sequence[NodeStart]
+    ) -> None:
         """Read how the site last ended, and print it unless it had been asked to stop."""
-        self.log = IncidentLog(print_line, state / INCIDENTS)
-        try:
-            self.log.resume()
-        except (OSError, ValueError) as error:
-            print_line(f"warning: {error}; the incidents of earlier starts are not shown")
+        self.alarms = SiteAlarms(state, namespace, processes, print_line)
         self._state = state
         self._written = 0
         self._warnings: set[str] = set()
@@ -260,7 +240,7 @@ class _SiteRecord:
                 f"{getattr(error, 'strerror', None) or error}"
             ),
         )
-        self._started_at = wall_time()
+        self._started_at = iso(time.time())
         self._last_time = before = _last_time(state)
         self._setting = {
             "controller": site.controller.name,
@@ -278,28 +258,23 @@ class _SiteRecord:
                 end = "bringup was killed, or the power failed"
             print_line(f"the last time, since {before['began']}, {end}")
 
-    def update(self, supervisor: LiveSupervisor, *, starting: bool) -> None:
-        """Find what was lost or has come back since the last call; print and record it."""
-        for node in supervisor.ready:
-            self.log.end(node, PROCESS)
-        hangs = Diagnosis.of("disk_hangs", directory=str(self._state))
-        disk = {
-            "level": "ERROR" if DISK.late else "OK", "code": hangs.code if DISK.late else "",
-            "message": hangs.sentence,
-        }
-        report = {"diagnoses": {"disk": disk}}
-        self.log.update({**supervisor.last, "bringup": report}, starting=starting)
-        if self.log.changes != self._written:
+    def update(self, reports: Mapping[str, Mapping[str, Any]]) -> None:
+        """Judge the last report of each node; print and record what has changed."""
+        self.alarms.update(reports)
+        if self.alarms.log.changes != self._written:
             self.write(summary.RUNNING)
         self._warn({
-            f"{node}: {text}"
-            for node, report in supervisor.last.items() for text in report["warnings"]
+            f"{node}: {text}" for node, report in reports.items() for text in report["warnings"]
         })
 
     def _warn(self, of_nodes: set[str]) -> None:
         """Print each new warning of the nodes, or about files not written."""
         warnings = {self._summary.problem} if self._summary.problem else set()
-        if DISK.refused and not DISK.late:
+        if DISK.late:
+            warnings.add(
+                f"{self._state}: the disk does not respond; logs and summary wait in memory"
+            )
+        elif DISK.refused:
             warnings.add(
                 f"{self._state}: {DISK.refused} pieces of logs did not fit in memory since the "
                 "start, and are lost"
@@ -310,15 +285,16 @@ class _SiteRecord:
 
     def write(self, status: str, reason: str | None = None) -> None:
         """Write the summary with a status of :mod:`greenroof_ros.experiment.summary`."""
-        self._written = self.log.changes
+        log = self.alarms.log
+        self._written = log.changes
         self._summary.write({
             "status": status,
             "reason": reason,
             "began": self._started_at,
-            "ended": None if status == summary.RUNNING else wall_time(),
+            "ended": None if status == summary.RUNNING else iso(time.time()),
             "last_time": self._last_time,
-            "incident_count": self.log.count,
-            "incidents": self.log.as_dicts(),
+            "alarm_count": log.count,
+            "alarms": log.as_records(),
             **self._setting,
         })
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
-from greenroof_ros.graph.states import STATES
+from greenroof_ros.common.states import STATES
 
 # Environment variable with the file descriptor of a process's end of the socket to its supervisor.
 # Its nodes write their reports to it, one JSON object per line, with the keys "node" (the node's
@@ -34,16 +34,20 @@ def _is_list(value: object) -> bool:
     return isinstance(value, list) and all(map(_is_text, value))
 
 
-def _is_diagnosis(value: object) -> bool:
-    """Whether it is the status of a part: ``live_diagnostics.PartStatus``."""
-    keys = ("level", "message", "code", "cause", "since")
-    return isinstance(value, dict) and all(_is_text(value.get(key)) for key in keys)
+def _is_status(value: object) -> bool:
+    """Whether it is the status of a part, as on /diagnostics."""
+    if not isinstance(value, dict) or not isinstance(values := value.get("values"), dict):
+        return False
+    texts = value.get("message"), *values.values()
+    return value.get("level") in range(4) and all(map(_is_text, texts))
 
 
 # Checks of the types that readers of a report rely on.
 _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
-    **dict.fromkeys(("node", "pump_state", "pump_why", "failure", "fault", "unknown",
-                     "drive_state"), _is_text),
+    **dict.fromkeys((
+        "node", "role", "process", "pump_state", "pump_why", "failure", "fault", "unknown",
+        "drive_state",
+    ), _is_text),
     **dict.fromkeys(("cistern_level", "roof_level", "command", "flow", "speed"), _is_number),
     **dict.fromkeys(("warnings", "waiting"), _is_list),
     "stands": lambda value: isinstance(value, bool),
@@ -52,7 +56,7 @@ _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
     "tick": lambda value: type(value) is int,
     "refused": lambda value: isinstance(value, dict)
     and all(type(count) is int for count in value.values()),
-    "diagnoses": lambda value: isinstance(value, dict) and all(map(_is_diagnosis, value.values())),
+    "diagnoses": lambda value: isinstance(value, dict) and all(map(_is_status, value.values())),
 }
 
 

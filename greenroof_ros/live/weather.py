@@ -225,11 +225,11 @@ class LiveWeatherNode(LiveNode):
         self._front[0] = outlook.issued.timestamp()
         age = (now - outlook.issued).total_seconds()
         self.reports.numbers["forecast"] = {"issued_ago_s": age}
-        issued, trouble = to_people(outlook.issued), Diagnosis.if_any("forecast_short", short)
+        issued, wrong = to_people(outlook.issued), Diagnosis.if_any("forecast_short", short)
         if problem:
-            trouble = Diagnosis.of("forecast_unreadable", issued=issued, why=problem)
+            wrong = Diagnosis.of("forecast_unreadable", issued=issued, why=problem)
         self.reports.diagnose(
-            "forecast", trouble, f"the newest forecast was issued at {issued}", WARN
+            "forecast", wrong, f"the newest forecast was issued at {issued}", WARN
         )
         return outlook
 
@@ -272,7 +272,9 @@ class LiveWeatherNode(LiveNode):
         ):
             well = problem.sentence
         elif problem is not None:
-            bad = Diagnosis.of("gauge_bad", problem=problem, instead=instead)
+            bad = Diagnosis.of(
+                "gauge_bad", problem=problem, instead=instead, topic=gauge.publishers.full_name
+            )
         self.reports.diagnose(part, bad, well, WARN, problem.code if problem else "")
 
 

@@ -128,8 +128,8 @@ def _heading(store: GraphStore) -> str:
 
 def _notes(store: GraphStore, hidden: int) -> list[str]:
     notes = [*store.notes]
-    if missing := store.alarms.missing:
-        listed = [f"{name}: {trouble.what}." for name, trouble in missing.items()]
+    if missing := store.alarms.judge.missing:
+        listed = [f"{name}: {diagnosis.sentence}." for name, diagnosis in missing.items()]
         notes[:0] = ["The site is starting. Not there yet:", *map(words.plain, listed)]
     if hidden:
         notes.append(f"{hidden} more alarms are not shown.")
@@ -156,7 +156,7 @@ def _word(alarms: int, warnings: int, following: int) -> str:
 
 
 def _starts(store: GraphStore) -> str:
-    return " The site is starting." if store.alarms.missing else ""
+    return " The site is starting." if store.alarms.judge.missing else ""
 
 
 def _level(shown: dict[str, Tile]) -> str:
@@ -208,7 +208,7 @@ def _pump_clause(pump: Tile) -> str:
 
 def _advice(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     """Return what to do if there is no alarm; if something is not as wanted, what happens next."""
-    if store.alarms.missing:
+    if store.alarms.judge.missing:
         return "Nothing to do: the site is starting. What is still missing is listed below."
     roof, pump = shown["roof"]["state"], shown["pump"]
     if store.mode == "none":

@@ -11,30 +11,31 @@ import math
 import re
 import socket
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.conditions import (
-    LATCHED,
-    Diagnosis,
-    Value,
-    read_conditions,
-    read_interlocks,
+from greenroof_ros.common.alarms import (
+    ERROR,
+    OK,
+    SILENT_S,
+    STALE,
+    WARN,
+    NodeReport,
+    PartReport,
+    StatusDiagnosis,
+    is_starting,
+    observed,
 )
-from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, STARTING, STATES
+from greenroof_ros.common.states import ENDED, FINISHED, PLANT, PUMP, STATES
 from greenroof_ros.watch.wire import WireStatus
 from greenroof_ros.watch.words import plain, sentence
 
-OK, WARN, ERROR, STALE = range(4)
-# After this silence (s) a node is treated as not responding: it reports at least once a second, so
-# it may miss two reports. Other devices, which may be slower, may miss four.
-SILENT_S, _FOREIGN_SILENT_S = 3.5, 5.0
+# Other devices may be slower than this package's nodes: after this silence (s) they are lost.
+_FOREIGN_SILENT_S = 5.0
 # A silent node may be replaced by another process; after this time (s) it is gone.
 _GONE_S = 10.0
-# A node that waits for others for longer than this (s) is an alarm: a start takes seconds.
-_WAITS_S = 5.0
 # The time over which the speed of a simulation is measured, at least and at most (s).
 _SPEED_S, _SPEED_MOST_S = 1.0, 3.0
 # Limits to what a hostile sender can fill, besides the limits of :mod:`.wire`: nodes, parts of
@@ -43,96 +44,12 @@ _NODES, _PARTS, _FOREIGN, _NAME = 32, 24, 200, 160
 _NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
 # The maximum tick of a run, and the end of the times of a run (ns since 1970): the year 2116.
 _LAST_TICK, _LAST_NS = 2**40, 2**62
-# While all nodes have run for less than this (s), what is missing may still come: the site starts.
-_START_S = 60.0
 # A name that ROS allows for a node; the name becomes part of commands that are advised.
 _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
-_PLANT = "plant"
-_LAST_WORDS = (FINISHED, ENDED)
 
 
-@dataclass(frozen=True)
-class Trouble:
-    """What is wrong at present under the name of a status.
-
-    Attributes:
-        level: WARN, ERROR or STALE.
-        what: a sentence.
-        code: from the table of conditions, or for something observed here, such as ``not_heard``.
-        role: role of the node in the interface; empty for another device.
-        part: part of the node; empty for the node itself.
-        names: topics that it is about, or nodes that are waited for, if known.
-        gist: a drive's fault or a latched fault; with another gist it is another alarm.
-        at_least: whether it may have begun before this process received.
-        was_good: for a part: whether it was good before.
-    """
-
-    level: int
-    what: str
-    code: str = ""
-    role: str = ""
-    part: str = ""
-    names: tuple[str, ...] = ()
-    gist: str = ""
-    at_least: bool = False
-    was_good: bool = False
-
-    @property
-    def is_missing(self) -> bool:
-        """Whether it may still come, if the site is starting; what was good before is lost."""
-        condition = read_conditions().get(self.code)
-        return bool(self.role) and condition is not None and condition.late and not self.was_good
-
-
-@dataclass
-class _PartStatus:
-    """A part of a node, or another device, as last received."""
-
-    level: int
-    message: str
-    code: str
-    received_at: float  # wall time (s)
-    first: bool  # whether the device, or the node of the part, was received only once by then
-    good: bool = False  # whether it was ever OK
-    topics: tuple[str, ...] = ()  # that it is about
-    gist: str = ""  # of a drive's fault or warning: with another one it is another alarm
-
-
-@dataclass
-class Node:
-    """A process of this package, as last received; times are of the steady clock (s).
-
-    Attributes:
-        name: fully qualified.
-        role: as in the interface.
-        process: the operating-system process: its machine and number.
-        state: one of :mod:`greenroof_ros.live.supervisor_socket`.
-        values: what else it reports; a number that is not finite is None.
-        began: when it was first received.
-        received_at: when it was last received.
-        since: when it entered its state.
-        first: whether it was received only once so far.
-        refused_at: when its count of refused values last grew.
-        refused: the topics of those values.
-    """
-
-    name: str
-    role: str
-    process: str
-    state: str
-    values: dict[str, Any]
-    began: float
-    received_at: float
-    since: float
-    first: bool = True
-    parts: dict[str, _PartStatus] = field(default_factory=dict)
-    refused_at: float = -math.inf
-    refused: tuple[str, ...] = ()
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether it has reported its end."""
-        return self.state in _LAST_WORDS
+class Node(NodeReport):
+    """A process of this package, with what the page reads in its values."""
 
     @property
     def hold(self) -> str:
@@ -150,17 +67,13 @@ class Node:
         values = self.values
         return values.get("stands") is not True and "speed" in values and values["speed"] is None
 
-    def is_online(self, wall: float) -> bool:
-        """Return whether its reports arrive now."""
-        return not self.has_ended and wall - self.received_at <= SILENT_S
-
     def is_present(self, wall: float) -> bool:
         """Return whether a report has arrived within 10 s."""
         return not self.has_ended and wall - self.received_at < _GONE_S
 
     def code_of(self, part: str) -> str:
         """Return the code that a part reports; empty for none."""
-        return self.parts[part].code if part in self.parts else ""
+        return self.parts[part].values.get("code", "") if part in self.parts else ""
 
     def text(self, key: str) -> str:
         """Return a text that it reports; empty if it does not."""
@@ -190,7 +103,7 @@ class Registry:
         self._nodes: dict[tuple[str, str], Node] = {}  # by name and process
         self._latest: dict[str, Node] = {}  # by name: the process received last
         self._by_role: dict[str, Node] = {}  # by role: the node that has it
-        self._foreign: dict[str, _PartStatus] = {}
+        self._foreign: dict[str, PartReport] = {}
         self._ticks: deque[tuple[float, int]] = deque()
 
     # --- receiving ------------------------------------------------------------------------------
@@ -203,12 +116,15 @@ class Registry:
             and (name.rpartition("/")[0] or "/") == self._namespace
         )
 
-    def receive(self, wall: float, statuses: Sequence[WireStatus], *, stamp_ns: int = 0) -> None:
+    def receive(
+        self, wall: float, statuses: Sequence[WireStatus], *, now: float = 0.0, stamp_ns: int = 0
+    ) -> None:
         """Receive the statuses of one or more messages; no content raises an exception.
 
         Args:
             wall: now (steady clock, s).
             statuses: the statuses.
+            now: the graph's time, by which alarms are dated (s since 1970).
             stamp_ns: time stamp of the message, in a simulation the tick's time (ns since 1970).
         """
         if len(self._foreign) >= _FOREIGN:
@@ -222,8 +138,10 @@ class Registry:
             values = self._values_of(name, status)
             if values is None:
                 self._receive_other(wall, name, status)
-            elif (node := self._receive_node(wall, name, status.message, values)) is not None and (
-                self._by_role.get(_PLANT) is node
+            elif (
+                node := self._receive_node(wall, now, name, status.message, values)
+            ) is not None and (
+                self._by_role.get(PLANT) is node
             ):
                 self._receive_plant(wall, node, stamp_ns)
 
@@ -235,16 +153,11 @@ class Registry:
             (self._foreign, name, _FOREIGN) if node is None else (node.parts, part, _PARTS)
         )
         if key in known or len(known) < most:
-            first = key not in known if node is None else node.first
-            good = status.level == OK or (key in known and known[key].good)
-            topics = plain(status.values.get("topics", status.values.get("topic", "")))
             # An unknown level is an error.
-            known[key] = _PartStatus(
-                status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR,
-                sentence(status.message) or "reports nothing",
-                plain(status.values.get("code", ""), _NAME), wall, first, good,
-                tuple(topic.removeprefix(self._namespace.rstrip("/")) for topic in topics.split()),
-                plain(status.values.get("fault", status.values.get("warning", ""))),
+            level = status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR
+            known[key] = PartReport.after(
+                known.get(key), level, sentence(status.message) or "reports nothing",
+                {key: plain(text) for key, text in status.values.items()}, wall,
             )
 
     def _values_of(self, name: str, status: WireStatus) -> dict[str, Any] | None:
@@ -259,7 +172,7 @@ class Registry:
         return values if named else None
 
     def _receive_node(
-        self, wall: float, name: str, state: str, values: dict[str, Any]
+        self, wall: float, now: float, name: str, state: str, values: dict[str, Any]
     ) -> Node | None:
         role, process = (plain(values[key], _NAME) for key in ("role", "process"))
         node = self._nodes.get((name, process))
@@ -268,20 +181,16 @@ class Registry:
                 return None
             node = Node(name, role, process, state, values, wall, wall, wall)
             if name in self._latest:
-                node.first = False
                 self._on_event(f"{name} was started again")
             self._nodes[name, process] = node
             for part in [other for other in self._foreign if other.startswith(f"{name}: ")]:
                 del self._foreign[part]
-        else:
-            before, node.values, node.first = node.values, values, False
-            if state != node.state:
-                node.since = wall
-                # With a run that is over, its nodes finish and then end; that is one event.
-                if state == ENDED and node.state != FINISHED:
-                    self._on_event(f"{name} ended")
-            node.role, node.state, node.received_at = role, state, wall
-            self._compare(wall, node, before)
+        # With a run that is over, its nodes finish and then end; that is one event.
+        elif state == ENDED and not node.has_ended:
+            self._on_event(f"{name} ended")
+        before, node.role = node.values, role
+        node.receive(wall, now, state, values)
+        self._report_changes(node, before)
         self._latest[name] = node
         self._assign_role(wall, node)
         return node
@@ -310,7 +219,7 @@ class Registry:
             if before is node or (before.began > node.began if again else before.is_online(wall)):
                 return
         self._by_role[node.role] = node
-        if node.role == _PLANT and before is not None:
+        if node.role == PLANT and before is not None:
             self.runs += 1
             self.time_ns = 0
             self._ticks.clear()
@@ -319,8 +228,8 @@ class Registry:
                 if not other.is_online(wall):
                     self._remove(other)
 
-    def _compare(self, wall: float, node: Node, before: dict[str, Any]) -> None:
-        """Report changes in a node's values as events; record newly refused values as trouble."""
+    def _report_changes(self, node: Node, before: Mapping[str, Any]) -> None:
+        """Report changes in a node's values as events."""
         values, name = node.values, node.name
         changes, left_out = _new_changes(before, values)
         if left_out:
@@ -336,10 +245,6 @@ class Registry:
             for warning in warnings[:_NEWEST]:
                 if warning not in known:
                     self._on_event(f"{name} warns: {sentence(str(warning))}")
-        counts = _counts(before)
-        grown = [topic for topic, n in _counts(values).items() if n > counts.get(topic, 0)]
-        if grown:
-            node.refused_at, node.refused = wall, tuple(grown[:10])
         hold, fault = node.hold, node.text("fault")
         if _hold_text(before) != hold:
             self._on_event(f"the pump is held: {hold}" if hold else "the hold has ended")
@@ -373,11 +278,8 @@ class Registry:
         return self._by_role.get(role)
 
     def starting(self, wall: float) -> bool:
-        """Return whether the site starts: every node that is online began less than 60 s ago."""
-        up = [node.values.get("up_s") for node in self._latest.values() if node.is_online(wall)]
-        return bool(up) and all(
-            isinstance(seconds, (int, float)) and seconds < _START_S for seconds in up
-        )
+        """Return whether the site starts."""
+        return is_starting([*self._latest.values()], wall)
 
     def factor(self, tau: float) -> float | None:
         """Return the simulated time per wall time over the last seconds; None if unknown."""
@@ -388,7 +290,7 @@ class Registry:
 
     def mode(self, wall: float) -> str:
         """Return the kind of graph: ``none``, ``simulated``, ``live`` or ``ended``."""
-        plant = self._by_role.get(_PLANT)
+        plant = self._by_role.get(PLANT)
         nodes = self._by_role.values()
         here = [node for node in nodes if node.is_present(wall)]
         if plant is not None and plant.is_present(wall):
@@ -442,7 +344,7 @@ class Registry:
 
     def site(self) -> Path | None:
         """Return the site file of the graph, if it is on this machine."""
-        return self._path(_PLANT, "site") or self._path("controller", "site")
+        return self._path(PLANT, "site") or self._path("controller", "site")
 
     def _path(self, role: str, key: str) -> Path | None:
         node = self._by_role.get(role)
@@ -457,63 +359,35 @@ class Registry:
         except OSError:
             return None
 
-    # --- troubles -------------------------------------------------------------------------------
+    # --- what is wrong ----------------------------------------------------------------------------
 
-    def troubles(self, wall: float) -> dict[str, Trouble]:
+    def diagnoses(self, wall: float) -> dict[str, StatusDiagnosis]:
         """Return all that is wrong now, each by the name of its status."""
-        troubles: dict[str, Trouble] = {}
+        diagnoses: dict[str, StatusDiagnosis] = {}
         for name, part in self._foreign.items():
             silent = wall - part.received_at > _FOREIGN_SILENT_S
             # A device that reported only once may never have meant to report regularly.
-            if silent and not part.first and not self._has_ended(name, part):
-                silence = _observed(STALE, "", "not_heard", time=_FOREIGN_SILENT_S)
-                troubles[name] = replace(silence, code="")
+            if silent and part.again and not self._has_ended(name, part):
+                silence = observed(STALE, "", "not_heard", "silent", time=_FOREIGN_SILENT_S)
+                diagnoses[name] = replace(silence, code="")
             elif part.level != OK and not silent:
-                troubles[name] = Trouble(part.level, part.message, at_least=part.first)
+                diagnoses[name] = part.diagnosis()
         for node in self._latest.values():
-            troubles.update(self._troubles_of(node, wall))
-        return troubles
+            diagnoses.update(node.diagnoses(wall))
+            twin = self._rival(node, wall, "name")
+            if twin is not None:
+                older, newer = sorted((node, twin), key=lambda process: process.began)
+                diagnoses[node.name] = observed(
+                    ERROR, node.role, "two_processes", older=older.process, newer=newer.process
+                )
+        return diagnoses
 
-    def _has_ended(self, name: str, part: _PartStatus) -> bool:
+    def _has_ended(self, name: str, part: PartReport) -> bool:
         """Return whether a node outside this graph, or a node with this part, reported its end."""
         node = self._foreign.get(name.partition(": ")[0])
-        if node is None or node.message not in _LAST_WORDS:
+        if node is None or node.sentence not in (FINISHED, ENDED):
             return False
         return part.received_at <= node.received_at
-
-    def _troubles_of(self, node: Node, wall: float) -> Iterator[tuple[str, Trouble]]:
-        name, role = node.name, node.role
-        if node.has_ended:
-            if failure := node.text("failure"):
-                yield name, replace(
-                    _observed(ERROR, role, "node_failed", failure=failure), at_least=node.first
-                )
-            return
-        silent = wall - node.received_at > SILENT_S
-        not_heard = _observed(STALE, role, "not_heard", time=SILENT_S)
-        twin = self._rival(node, wall, "name")
-        waiting = node.values.get("waiting")
-        if silent:
-            yield name, not_heard
-        elif twin is not None:
-            older, newer = sorted((node, twin), key=lambda process: process.began)
-            yield name, _observed(
-                ERROR, role, "two_processes", older=older.process, newer=newer.process
-            )
-        elif node.state == STARTING and wall - node.since > _WAITS_S and isinstance(waiting, list):
-            who = tuple(map(str, waiting[:10]))
-            yield name, replace(
-                _observed(WARN, role, "waits", peers=plain(", ".join(who))), names=who
-            )
-        if wall - node.refused_at <= SILENT_S:
-            refused = _observed(WARN, role, "values_refused", topics=plain(", ".join(node.refused)))
-            yield f"{name}: refused", replace(refused, part="refused", names=node.refused)
-        for part, reported in node.parts.items():
-            # The last troubles of a silent node stay.
-            if not silent and wall - reported.received_at > SILENT_S:
-                yield f"{name}: {part}", replace(not_heard, part=part)
-            elif reported.level != OK:
-                yield f"{name}: {part}", _trouble_of_part(node, part, reported)
 
 
 def _hold_text(values: Mapping[str, Any]) -> str:
@@ -521,31 +395,6 @@ def _hold_text(values: Mapping[str, Any]) -> str:
     hold = values.get("hold")
     text = hold.get("said") if isinstance(hold, dict) else None
     return text if isinstance(text, str) else ""
-
-
-def _observed(level: int, role: str, code: str, **values: Value) -> Trouble:
-    """Return a trouble that is observed here."""
-    return Trouble(level, Diagnosis.of(code, **values).sentence, code, role)
-
-
-def _trouble_of_part(node: Node, part: str, reported: _PartStatus) -> Trouble:
-    """Return the trouble that a part of a node reports."""
-    level, code, gist = reported.level, reported.code, ""
-    if (node.role, part) == (PUMP, PUMP):
-        gist = node.text("fault")
-        interlock = read_interlocks().get(code)
-        latched = interlock is not None and interlock.kind == LATCHED
-        if node.may_turn:
-            level = ERROR  # it may flood the roof, regardless of the command
-            code = code if latched else "stands_unknown"
-        elif node.hold and node.values.get("stands") is False and not latched:
-            code = "stop_not_followed"
-    elif code in ("drive_fault", "drive_warning"):
-        gist = reported.gist
-    return Trouble(
-        level, reported.message, code, node.role, part, reported.topics, gist, reported.first,
-        reported.good,
-    )
 
 
 def _read_value(text: str) -> Any:
@@ -559,13 +408,6 @@ def _read_value(text: str) -> Any:
         parse_float=lambda digits: value if math.isfinite(value := float(digits)) else None,
         parse_constant=lambda _: None,
     )
-
-
-def _counts(values: Mapping[str, Any]) -> dict[str, int]:
-    """Return how many values of each topic a node has refused so far."""
-    refused = values.get("refused")
-    counts = refused.items() if isinstance(refused, dict) else ()
-    return {topic: count for topic, count in counts if isinstance(count, int)}
 
 
 def _new_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[list[Any], int]:

@@ -35,8 +35,8 @@ from ros_rig import FORECASTS, OK, USUAL_EVAPOTRANSPIRATION, Site, newest, write
 from rosbags.highlevel import AnyReader
 from simulators import Simulator, serial_line
 
+from greenroof_ros.common.alarm_log import read_alarms
 from greenroof_ros.common.files import read_yaml
-from greenroof_ros.experiment.incidents import read_incidents
 
 EXTERNAL = (
     "--controller", "mpc", "--sensors", "external", "--pump", "external", "--weather", "external",
@@ -80,8 +80,8 @@ def test_a_site_is_kept_up_and_systemd_told(
 ) -> None:
     """Ready when the sensors are there, alive all the time.
 
-    The start does not wait for a forecast that is too old: on/off pumps, and the loss is one
-    incident until it ends.
+    The start does not wait for a forecast that is too old: on/off pumps, and the loss is an alarm
+    until it ends.
     """
     systemd = Systemd(tmp_path / "notify")
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
@@ -97,7 +97,7 @@ def test_a_site_is_kept_up_and_systemd_told(
     )
     with live(domain, tmp_path, *options) as process:
         site.until(lambda: systemd.times("EXTEND_TIMEOUT_USEC=30000000"), 60, "the start")
-        for missing in ("  mpc: inputs: /cistern/level has not come", "  weather: forecast: "):
+        for missing in ("  /mpc: inputs: /cistern/level has not", "  /weather: forecast: "):
             site.until(lambda missing=missing: missing in process.stderr(), 60, missing)
         assert "READY=1" not in systemd.lines()
         assert not any(value for _, value in commands)
@@ -107,11 +107,11 @@ def test_a_site_is_kept_up_and_systemd_told(
         # Only the levels: command and pump state may still be of other moments.
         running = "\nrunning: cistern 2.400 m, roof 0.0300 m\n"
         site.until(lambda: running in process.stderr(), 90, "the end of the start")
-        first_line = "incident 1: weather: since the start: the newest forecast, issued at "
-        site.until(lambda: first_line in process.stderr(), 60, "the incident")
+        first_line = ": /weather: forecast: the newest forecast, issued at "
+        site.until(lambda: first_line in process.stderr(), 60, "the alarm")
         write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
         site.until(lambda: 0 < newest(commands) <= 0.4, 60, "mpc")
-        site.until(lambda: "incident 1 is over, after " in process.stderr(), 60, "its end")
+        site.until(lambda: " s: /weather: forecast\n" in process.stderr(), 60, "its end")
         for number in range(55):
             weight = Parameter("weight", value=1.0 + number).to_parameter_msg()
             site.play()  # the calls take seconds on a busy machine
@@ -128,14 +128,15 @@ def test_a_site_is_kept_up_and_systemd_told(
     assert any(line.startswith("STATUS=cistern") for line in systemd.lines())
     summary = summary_of(tmp_path / "run")
     assert (summary["status"], summary["reason"]) == ("done", "interrupted by SIGTERM")
-    (incident,) = summary["incidents"]
-    assert (incident["node"], incident["part"]) == ("weather", "forecast")
-    assert incident["began"] < incident["ended"]
+    alarms = {(alarm["node"], alarm["part"]): alarm for alarm in summary["alarms"]}
+    lost, consequence = alarms["/weather", "forecast"], alarms["/mpc", "forecast"]
+    assert lost["since"] < lost["ended"] and not lost["follows"]
+    assert (lost["code"], consequence["level"]) == ("forecast_missing", "warn")
     printed = process.stderr()
     assert "all nodes are here" in printed
-    # No warning for a normal start, nor for a return, although its inputs first have to recover.
-    assert "warning" not in printed
-    assert printed.endswith("are stopped\ndone, with 1 incident\n")
+    # Nothing for a normal start, nor for a return, although its inputs first have to recover.
+    assert len(alarms) == 2
+    assert printed.endswith("are stopped\ndone, with 1 alarm\n")
     with AnyReader([tmp_path / "run" / "bag"]) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections if c.msgcount}
         stamps = [stamp / 1e9 for _, stamp, _ in reader.messages()]
@@ -184,16 +185,17 @@ def test_a_live_site_with_drive_and_sensors(
 
     with live(domain, tmp_path, *options, code=1) as process:
         for reason in (
-            "  roof_sensor: sensor: tcp://127.0.0.1:", ", device 1: cannot connect. The sensor",
+            "/roof_sensor: sensor: tcp://127.0.0.1:", ", device 1: cannot connect. The sensor",
             "is older than 2 h. There is no forecast for now, so the roof is watered by its level",
         ):
             process.until_printed(reason)
         # It lists neither consequences of these nor a drive that is there.
         lacking = {line.partition(":")[0] for line in missing().splitlines()}
-        assert lacking <= {"  cistern_sensor", "  roof_sensor", "  weather"}
+        nodes = "cistern_sensor", "roof_sensor", "weather"
+        assert lacking <= {f"  /site1/{node}" for node in nodes}
         write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
-        wait_for(lambda: "  weather: " not in missing(), 60, "the forecast")
-        assert "  roof_sensor: " in missing()
+        wait_for(lambda: "/weather: " not in missing(), 60, "the forecast")
+        assert "/roof_sensor: " in missing()
         hardware.begin()
         site.until(lambda: hardware.speed() > 0.9, 60, "the pump")
         assert levels[0] == pytest.approx(0.0457 / 1.3, abs=1e-3)  # the paper's low roof
@@ -218,7 +220,7 @@ def test_both_level_sensors_on_one_serial_line(
 ) -> None:
     """The pump stops while their process is dead, and for one that is silent next to the other.
 
-    A dead process is one incident and one restart, and the sensor that answers is never lost.
+    A dead process is one restart, and the sensor that answers is never lost.
     """
     options = hardware.be_a_site()
     with serial_line() as ends:
@@ -237,17 +239,22 @@ def test_both_level_sensors_on_one_serial_line(
                 with suspended(process.process.pid):
                     os.kill(process.nodes()["sensors"], signal.SIGKILL)
                     wait_for(lambda: hardware.speed() == 0, 60, "a pump that stands")
-                process.until_printed("incident 1: sensors: ended (SIGKILL); starts again in 1 s")
+                process.until_printed(": /roof_sensor: ended (SIGKILL); starts again in 1 s")
                 hardware.until_it_pumps()
-                process.until_printed("incident 1 is over")
+                process.until_printed(" s: /roof_sensor\n")
                 tanks.inject("roof_silent")
-                process.until_printed(f"roof_sensor: {ends[1]}, device 2: reading register 0: no ")
+                process.until_printed(f"sensor: {ends[1]}, device 2: reading register 0: no ")
                 wait_for(lambda: hardware.speed() == 0, 60, "a pump that stands")
                 tanks.inject("none")
                 hardware.until_it_pumps()
-    nodes = [incident["node"] for incident in summary_of(tmp_path / "run")["incidents"]]
-    assert nodes.count("sensors") == 1 and "roof_sensor" in nodes
-    assert "cistern_sensor" not in nodes
+    codes = [
+        (alarm["node"], alarm["code"]) for alarm in summary_of(tmp_path / "run")["alarms"]
+        if alarm["node"].endswith("sensor")
+    ]
+    assert sorted(codes) == [
+        ("/cistern_sensor", "not_heard"), ("/roof_sensor", "not_heard"),
+        ("/roof_sensor", "sensor_lost"),
+    ]
 
 
 def test_its_status_is_an_alarm_while_a_dead_pump_node_is_not_replaced(
@@ -292,15 +299,15 @@ def documents(port: int) -> tuple[list[dict[str, Any]], Stream]:
 
 
 @needs_mosquitto
-def test_a_start_with_slow_gauges_is_no_incident(
+def test_a_start_with_slow_gauges_is_no_alarm(
     domain: int, tmp_path: Path, hardware: Hardware
 ) -> None:
-    """What has not come yet is listed until it comes; no alarm, event or incident is left of it.
+    """What has not come yet is listed until it comes; no alarm or event is left of it.
 
     Rain gauge and thermometer publish every 12 s, a fifth of their ``max_age``; nothing is
     shortened. The page is open from before the start until each gauge has published again. A drive
     simulator that a busy machine lets answer too late (``drive_lost``) is not what is tested here.
-    For what does not come within the first minute see test_alarms.py.
+    For what does not come within the first minute see common/test_alarms.py.
     """
     (port,) = free_ports(1)
     page = Process(domain, "watch", "--port", str(port), cwd=tmp_path)
@@ -338,7 +345,8 @@ def test_a_start_with_slow_gauges_is_no_incident(
     assert not alarms
     if not any("drive_lost" in str(document["alarms"]) for document in while_up):
         assert while_up[-1]["events"] == []
-        assert summary_of(tmp_path / "run")["incidents"] == []
+        codes = [alarm["code"] for alarm in summary_of(tmp_path / "run")["alarms"]]
+        assert codes == ["drive_file_unverified"]
         assert process.stderr().endswith("are stopped\ndone\n")
 
 
@@ -367,7 +375,7 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
             hang(False)
             wait_for(
                 lambda: any(
-                    incident.part == "disk" and incident.ended for incident in read_incidents(run)
+                    alarm.part == "recording" and alarm.ended for alarm in read_alarms(run)
                 ), 60, "the end of the hang",
             )
             began = time.monotonic()
@@ -378,9 +386,9 @@ def test_a_disk_that_hangs_and_a_terminal_at_ctrl_s_stop_no_pump(
     # The site's tick is 1 s; a busy machine leaves out a few.
     assert stamps == sorted(set(stamps)) and max(b - a for a, b in pairwise(stamps)) < 5
     assert HANG_S / 2 < sum(hung < stamp < hung + HANG_S for stamp in stamps) < HANG_S + 2
-    incidents = {(incident["node"], incident["part"]) for incident in summary["incidents"]}
-    assert incidents >= {("bringup", "disk"), ("recorder", "recording")}
-    assert not any(part == "process" for _, part in incidents)
+    alarms = {(alarm["node"], alarm["code"]) for alarm in summary["alarms"]}
+    assert ("/recorder", "not_recorded") in alarms
+    assert not any(code in ("not_heard", "node_failed") for _, code in alarms)
 
 
 def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
@@ -424,7 +432,7 @@ def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
         with live(domain, tmp_path, *options) as process:
             process.until_printed("has room for 0 MB of it, less than --bag-limit 10000", 60)
             process.until_printed("the configuration of this start is not kept", 60)
-            process.until_printed("recorder: nothing is recorded: ", 60)
+            process.until_printed("/recorder: recording: nothing is recorded: ", 60)
             for restart in (True, False):
                 site.until(lambda: f":{here[1]}" in device(), 60, "the sensor of this start")
                 site.until(lambda: evapotranspiration, 60, "the evapotranspiration")
@@ -461,7 +469,7 @@ def test_a_site_whose_configuration_cannot_be_written_does_not_start(
 
 
 def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> None:
-    """On/off pumps as soon as a thermometer shows that there is no frost; without incidents."""
+    """On/off pumps as soon as a thermometer shows that there is no frost; without alarms."""
     commands, rain = site.listen("/pump/command"), site.listen("/weather/precipitation")
     evapotranspiration = site.listen("/weather/evapotranspiration")
     (tmp_path / "nodes.yaml").write_text(f"{QUICK}    gauge_limit: 1.0\n")
@@ -471,7 +479,7 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
     )
     with live(domain, tmp_path, *options) as process:
         site.values = dict(LEVELS)
-        frost = "  weather: frost: the temperature is unknown, so there may be frost (no"
+        frost = "  /weather: frost: the temperature is unknown, so there may be frost (no"
         site.until(lambda: frost in process.stderr(), 60, "what is missing")
         assert "/gauge/temperature" in process.stderr()
         site.until(lambda: len(commands) > 4, 60, "commands")
@@ -483,7 +491,7 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
         site.until(lambda: "running: cistern 2.400 m" in process.stderr(), 60, "the end of it")
         assert "/weather: forecast" not in site.diagnoses
     summary = summary_of(tmp_path / "run")
-    assert (summary["status"], summary["incidents"]) == ("done", [])
+    assert (summary["status"], summary["alarms"]) == ("done", [])
     assert summary["forecast"] is None
     assert "forecast:" not in process.stderr()
 

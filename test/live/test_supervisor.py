@@ -19,8 +19,8 @@ from graphs import alive, wait_for
 from places import CHECKOUT
 
 from greenroof_ros.common.disk import DISK
-from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.live import supervisor
+from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.site_run import _StartReport, values_of
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.live.supervisor_socket import SOCKET, SupervisorSocket, read_report
@@ -344,22 +344,23 @@ _STRANGE = [
         for key in ("diagnoses", "warnings", "waiting", "refused", "pump", "stands", "command",
                     "cistern_level", "roof_level", "tick", "failure")
         for value in (None, 7, "x", [1], {"x": [1]}, {"x": ["OK"]}, {"x": "y"}, [["OK", "well"]],
-                      {"drive": {"level": "ERROR", "message": "x", "code": 7}})
+                      {"drive": {"level": 2, "message": "x", "values": {"code": 7}}})
     ),
 ]
 
 
-def test_what_a_node_of_another_version_reports() -> None:
+def test_what_a_node_of_another_version_reports(tmp_path: Path) -> None:
     """Readers continue, and show what can be read."""
     shown: list[str] = []
-    log, start = IncidentLog(shown.append), _StartReport("")
+    alarms = SiteAlarms(tmp_path, "", [NodeStart("pump", "small_node")], shown.append)
+    start = _StartReport()
     for strange in _STRANGE:
         report = read_report(json.dumps(strange).encode())
         last = {} if report is None else {"pump": report}
         assert bool(last) == (isinstance(strange, dict) and strange.get("state") == "ready")
-        start.update(last, "")
+        alarms.update(last)
+        start.update(alarms.judge, last, "")
         values_of(last)
-        log.update(last)
     for line in (b"", b"{", b"\xff", b"[" * 100_000):
         assert read_report(line) is None
     assert not shown

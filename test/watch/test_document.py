@@ -540,10 +540,12 @@ def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
     assert "it is unknown what the pump does" in document["tiles"]["summary"]["sentence"]
 
 
-def with_pump(graph: GraphStore, state: str, **said: Any) -> dict[str, Any]:
+def with_pump(
+    graph: GraphStore, state: str, level: int = WARN, code: str = "drive_lost", **said: Any
+) -> dict[str, Any]:
     """Return the document after this report of the pump node, with its part and another warning."""
     graph.add_statuses(100.0, node(
-        "/pump", "pump", ("pump", WARN, state, "drive_lost"), ("limits", WARN, "3 m3", "limited"),
+        "/pump", "pump", ("pump", level, state, code), ("limits", WARN, "3 m3", "limited"),
         **pump_report(state), **said,
     ))
     return shown(graph)
@@ -555,7 +557,8 @@ LOST = "off: no connection to the drive; it is unknown whether the pump is stopp
 def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
     """Placeholders on its topics are not shown: neither off nor 0.0 L/min."""
     document = with_pump(
-        watched("live", pump_command=1.0), LOST, stands=False, speed=None, flow=None
+        watched("live", pump_command=1.0), LOST, ERROR, "stands_unknown", stands=False, speed=None,
+        flow=None,
     )
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
     assert (tile["value"], tile["state"], tile["alarm"]) == ("unknown", "unknown", True)

@@ -83,26 +83,28 @@ _LOST = _pump("drive_lost")
 
 def _process(node: str, fault: str) -> Expected:
     """Return what must follow from a fault of a live site's process."""
-    failed = (node, "node_failed")
+    # A node that ends as it is asked to is no alarm, and is started again.
+    nodes = ("cistern_sensor", "roof_sensor") if node == "sensors" else (node,)
+    lost = () if fault == "term" else tuple((name, "not_heard") for name in nodes)
     if fault == "stop short":
         return _RUNS_ON
     if node == "recorder":
-        return Expected(stops=False, signs=(failed,), watch=12.0)
+        return Expected(stops=False, signs=lost, watch=12.0)
     if node == "bringup":  # the other processes do without it, until they are asked to end
         return Expected(stops=False, watch=12.0) if fault == "stop long" else Expected(
             recovery="ends")
     if node == "pump":
-        return Expected(bound="step" if fault == "term" else "drive", signs=(failed,))
+        return Expected(bound="step" if fault == "term" else "drive", signs=lost)
     if node == "weather":  # it is started again before frost is unknown
-        return Expected(stops=False, bound="supervised", signs=(failed,))
+        return Expected(stops=False, bound="supervised", signs=lost)
     if node == "sensors":  # after the first failures it is started again before levels are unknown
         unknown = fault == "stop long"
         return Expected(stops=unknown or None, bound="level", signs=(
-            failed, *(_level("cistern") if unknown else ())))
+            *lost, *(_level("cistern") if unknown else ())))
     # A controller that ends is started again, perhaps before the pump node misses its commands.
     lapses = fault == "stop long"
     return Expected(stops=lapses or None, bound="command", signs=(
-        failed, *(_pump("command_unknown") if lapses else ())))
+        *lost, *(_pump("command_unknown") if lapses else ())))
 
 
 def _processes() -> Iterator[Case]:

@@ -125,7 +125,7 @@ def last_message(file: Path) -> float:
 
 def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
     expected = case.expected
-    began, incidents = time.monotonic(), rig.incidents()
+    began, alarms = time.monotonic(), rig.alarms()
     recorded = newest_file(rig.output / "bag") if isinstance(rig, SiteRig) else None
     clock, printed = time.time(), len(rig.main.stderr())
     with ExitStack() as undo:
@@ -138,12 +138,12 @@ def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
         else:
             time.sleep(max(0.0, began + expected.watch - time.monotonic()))
         since = 0.0 if case.fault == "from the start" else began
-        _signs(rig, case, since, incidents, outcome)
+        _signs(rig, case, since, alarms, outcome)
         if case.fault == "unstoppable":
             outcome.to_safe = time.monotonic() - began
         if expected.stops is False and rig.truth.minimum(began, time.monotonic()) < _MIN_SPEED:
             outcome.fail(f"the pump stopped, but should have run on: {_reported(rig, began)}")
-        if shown := rig.signs(began, incidents).intersection(expected.never):
+        if shown := rig.signs(began, alarms).intersection(expected.never):
             outcome.fail(f"shown without a reason: {shown}")
         if expected.recovery == "ends":  # the fault stays until then
             _ends(rig, case, outcome)
@@ -151,7 +151,7 @@ def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
             outcome.fail(f"bringup did not print {expected.names}")
     if expected.recovery != "ends":
         _recover(rig, case, outcome)
-    outcome.signs = sorted(rig.signs(began, incidents))
+    outcome.signs = sorted(rig.signs(began, alarms))
     if recorded and case.target == "recorder" and case.fault in ("kill", "term", "stop long"):
         outcome.lost = max(0.0, clock - (last_message(recorded) or recorded.stat().st_mtime))
         if outcome.lost > _LOST_S:
@@ -181,7 +181,7 @@ def _until_at_rest(rig: Rig, case: Case, began: float, outcome: Outcome) -> None
 
 
 def _signs(
-    rig: Rig, case: Case, began: float, incidents: int, outcome: Outcome
+    rig: Rig, case: Case, began: float, alarms: int, outcome: Outcome
 ) -> None:
     """Check that all signs of a fault are shown."""
     assert outcome.bound is not None
@@ -192,10 +192,10 @@ def _signs(
         until += _LISTED_S
     elif case.fault == "state file":
         until += _RECOVERY_S  # the node reads it when it is started again
-    while missing := set(case.expected.signs) - rig.signs(began, incidents):
+    while missing := set(case.expected.signs) - rig.signs(began, alarms):
         if time.monotonic() > until:
             outcome.fail(
-                f"not shown: {missing}, but {sorted(rig.signs(began, incidents))}; messages: "
+                f"not shown: {missing}, but {sorted(rig.signs(began, alarms))}; messages: "
                 f"{_reported(rig, began)}, {rig.main.stderr()[-400:]!r}"
             )
             return

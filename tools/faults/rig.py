@@ -29,7 +29,7 @@ from places import CONFIG, guarding
 from pump_rig import settings_for
 from ros_rig import write_forecast
 
-from greenroof_ros.experiment.incidents import read_incidents
+from greenroof_ros.common.alarm_log import read_alarms
 from greenroof_ros.live.devices.modbus_line import Address, parse_address
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
@@ -139,7 +139,7 @@ class Rig:
         watcher: the campaign's node in the graph.
         truth: the true state of the drive.
         watchers: all that listen for the campaign: `watcher`, and a case's own in another domain.
-        output: directory of bringup's summary and incidents, if there is a bringup.
+        output: directory of bringup's summary and alarms, if there is a bringup.
         lines: lines to the level sensors that can fail, by tank.
     """
 
@@ -244,11 +244,10 @@ class Rig:
                 )
             time.sleep(0.02)
 
-    def signs(self, since: float, incidents: int = 0) -> set[Sign]:
-        """Return the signs since a time on /diagnostics, and in incidents from a number on."""
+    def signs(self, since: float, alarms: int = 0) -> set[Sign]:
+        """Return the signs on /diagnostics since a time, and of alarms from a number on."""
         return self._reported(since) | {
-            (incident.subject, incident.code)
-            for incident in read_incidents(self.output)[incidents:]
+            (alarm.name.lstrip("/"), alarm.code) for alarm in read_alarms(self.output)[alarms:]
         }
 
     def _reported(self, since: float) -> set[Sign]:
@@ -258,9 +257,9 @@ class Rig:
             if at >= since or watcher is not self.watcher
         }
 
-    def incidents(self) -> int:
-        """Return the number of incidents so far."""
-        return len(read_incidents(self.output))
+    def alarms(self) -> int:
+        """Return the number of recorded alarms so far."""
+        return len(read_alarms(self.output))
 
     def __enter__(self) -> Rig:
         return self

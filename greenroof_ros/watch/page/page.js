@@ -178,7 +178,7 @@ const fillAlarm = (row, alarm) => {
   setText(what, alarm.what);
   setText(todo, alarm.do);
   setText(row.querySelector(".word"), alarm.over === null ? WORDS[alarm.level] : "Over");
-  const since = `${alarm.since_at_least ? "since before" : "since"} ${alarm.since_text}`;
+  const since = `since ${alarm.since_text}`;
   const when = alarm.over === null ? since : `${since}, over at ${alarm.over_text}`;
   const follows = alarm.follows ? `; follows from ${alarm.follows}` : "";
   const seen = alarm.acknowledged ? "; acknowledged" : "";

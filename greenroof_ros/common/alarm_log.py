@@ -1,0 +1,186 @@
+"""The record of a site's alarms, ``alarms.jsonl``, and how it is read."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.alarms import Alarm, Change
+from greenroof_ros.common.disk import DISK
+from greenroof_ros.common.times import iso
+
+# The file's name in the directory of a site, next to the bag, and its name once it is full.
+ALARMS = "alarms.jsonl"
+_OLDER = f"{ALARMS}.1"
+# Size at which the file is renamed, replacing the one before: over a thousand alarms (bytes).
+_FULL = 1_000_000
+# Number kept in memory and in the summary; all are counted.
+_NEWEST = 200
+_TIMES = "since", "ended"
+
+
+def to_record(alarm: Alarm) -> dict[str, Any]:
+    """Return an alarm as it is in the file and in a summary."""
+    record = {**asdict(alarm), "about": list(alarm.about)}
+    for key in _TIMES:
+        if record[key] is not None:
+            record[key] = iso(record[key])
+    return record
+
+
+def _from_record(record: Mapping[str, Any]) -> Alarm:
+    """Return the alarm of a record.
+
+    Raises:
+        ValueError: it is not an alarm's.
+        TypeError: likewise.
+    """
+    times = {
+        key: None if record.get(key) is None else datetime.fromisoformat(record[key]).timestamp()
+        for key in _TIMES
+    }
+    return Alarm(**{**record, **times, "about": tuple(record.get("about", ()))})
+
+
+def read_alarms(directory: Path, summary: Mapping[str, Any] | None = None) -> list[Alarm]:
+    """Return the newest recorded alarms of a live site, in order of number.
+
+    Each line of the file is an alarm as it was known when the line was written; the last line with
+    a number counts. Of each file, the last 2 MB are read.
+
+    Args:
+        directory: of the site.
+        summary: its content, which is used if there is no file: the disk may have been full.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: something in it is not an alarm. An incomplete last line, cut by a crash, is
+            ignored.
+    """
+    alarms: dict[int, Alarm] = {}
+    for path in (directory / _OLDER, directory / ALARMS):
+        if path.exists():
+            alarms |= {alarm.number: alarm for alarm in _read(path)}
+    if not alarms and summary is not None:
+        try:
+            alarms = {a.number: a for a in map(_from_record, summary.get("alarms", ()))}
+        except (AttributeError, TypeError) as error:
+            raise ValueError(f"its summary has something else than alarms ({error})") from error
+    return sorted(alarms.values(), key=lambda alarm: alarm.number)
+
+
+def _read(path: Path) -> Iterator[Alarm]:
+    """Yield the alarm of each of the last lines of a file."""
+    with path.open("rb") as stream:
+        skipped = max(0, path.stat().st_size - 2 * _FULL)
+        stream.seek(skipped)
+        if skipped:
+            stream.readline()  # the rest of a line
+        *lines, _cut = stream.read().split(b"\n")
+    for index, line in enumerate(lines, start=1):
+        try:
+            yield _from_record(json.loads(line))
+        except (ValueError, TypeError, AttributeError) as error:
+            place = f"line {index} of its last 2 MB" if skipped else f"line {index}"
+            raise ValueError(f"{path}, {place}: is not an alarm ({error})") from error
+
+
+class AlarmLog:
+    """Prints each change of an alarm, and stores it at once.
+
+    Attributes:
+        last_number: number of the last alarm of earlier starts.
+        count: number of alarms since, without warnings and what followed from others.
+        changes: how often something has changed.
+    """
+
+    def __init__(self, print_line: Callable[[str], None], file: Path) -> None:
+        """Continue the file of earlier starts; an alarm that lasted then ends now.
+
+        Args:
+            print_line: prints a line for people.
+            file: where the disk thread stores each change.
+        """
+        self.last_number = self.count = self.changes = 0
+        self._print_line, self._file = print_line, file
+        self._newest: dict[int, Alarm] = {}
+        self._lasting: dict[int, Alarm] = {}
+        try:
+            self._resume()
+        except (OSError, ValueError) as error:
+            print_line(f"warning: {error}; the alarms of earlier starts are not shown")
+
+    def _resume(self) -> None:
+        if self._file.exists():
+            _drop_cut_line(self._file)
+        began = time.time()
+        for alarm in read_alarms(self._file.parent):
+            self.last_number = alarm.number
+            if alarm.ended is None:
+                self._store(replace(alarm, ended=began))
+
+    def as_records(self) -> list[dict[str, Any]]:
+        """Return the newest alarms for a summary."""
+        return [to_record(alarm) for alarm in self._newest.values()]
+
+    def add(self, changes: Iterable[Change]) -> None:
+        """Print and store changes of alarms; of a new level or cause, nothing is printed."""
+        for what, alarm in changes:
+            title = f"{'alarm' if alarm.is_serious else 'warning'} {alarm.number}"
+            if what == "begins":
+                self.count += alarm.is_serious and not alarm.follows
+                follows = f" (follows from {alarm.follows})" if alarm.follows else ""
+                self._print_line(f"{title}: {alarm.name}: {alarm.sentence}{follows}")
+            elif what == "returns":
+                self._print_line(f"{title} is back: {alarm.name}: {alarm.sentence}")
+            elif what == "ends":
+                self._print_line(f"{title} is over, after {alarm.seconds:.1f} s: {alarm.name}")
+            if what == "begins" or alarm.number in self._newest:
+                self._newest[alarm.number] = alarm
+            if len(self._newest) > _NEWEST:
+                del self._newest[next(iter(self._newest))]
+            self._lasting.pop(alarm.number, None)
+            if alarm.ended is None:
+                self._lasting[alarm.number] = alarm
+            self.changes += 1
+            self._store(alarm)
+
+    def _store(self, alarm: Alarm) -> None:
+        DISK.do(partial(self._write, alarm, tuple(self._lasting.values())))
+
+    def _write(self, alarm: Alarm, lasting: Sequence[Alarm]) -> None:
+        """Write an alarm on the disk thread; if the file is full, begin a new one.
+
+        A new file begins with what still lasts, so that this is never lost. A full disk stops
+        nothing: the summary has the alarm, too.
+        """
+        written = [alarm]
+        try:
+            if self._file.exists() and self._file.stat().st_size >= _FULL:
+                self._file.replace(self._file.with_name(_OLDER))
+                written = [*lasting, alarm]
+            with self._file.open("a", encoding="utf-8") as stream:
+                stream.writelines(f"{json.dumps(to_record(entry))}\n" for entry in written)
+        except OSError as error:
+            self._print_line(f"warning: {self._file}: {error.strerror}")
+
+
+def _drop_cut_line(file: Path) -> None:
+    """Remove the end of a file after its last complete line, which a crash has cut."""
+    with file.open("rb+") as stream:
+        start = max(0, file.stat().st_size - _FULL)
+        stream.seek(start)
+        stream.truncate(start + stream.read().rfind(b"\n") + 1)
+
+
+def with_alarms(text: str, count: int) -> str:
+    """Return how a site ended, with the number of alarms, if any."""
+    if count == 0:
+        return text
+    return f"{text}, with {count} alarm{'s' if count > 1 else ''}"

@@ -1,0 +1,558 @@
+"""The judge of what nodes report: alarms, each with its beginning, its end and its cause.
+
+This module alone decides what is an alarm, by the table of conditions. It is given reports, and
+returns alarms. The supervisor of a live site gives it the reports on its sockets; page, status and
+bridge give it those on /diagnostics. A node sends the same report by both ways, with the code of
+what is wrong, when that began and how long it has lasted. So each place has the same alarms: the
+same node, part and code since the same time. The supervisor prints and records them
+(:mod:`greenroof_ros.common.alarm_log`), beside the bag, and the bag has the reports themselves:
+nothing needs to publish alarms, and a dead supervisor hides none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from typing import Any, NamedTuple
+
+from greenroof_ros.common.conditions import Condition, Diagnosis, Value, read_conditions
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.states import ENDED, FINISHED, PUMP, STARTING
+
+OK, WARN, ERROR, STALE = range(4)
+LEVELS = "ok", "warn", "error", "stale"
+# After this silence (s) a node does not respond: it reports at least once a second, so it may miss
+# two reports.
+SILENT_S = 3.5
+# An alarm that comes back within this time (s) is the same one.
+_AGAIN_S = 10.0
+# While all nodes have run for less than this (s), the site starts: what is late may still come.
+_START_S = 60.0
+# How far the beginning of a diagnosis may be ahead of the graph's time (s).
+_AHEAD_S = 60.0
+# How many alarms that are over are kept, and how many names a diagnosis is about.
+_MAX_OVER, _MAX_ABOUT = 20, 10
+# What is done in a terminal of the site's machine, for a person at the pump.
+_RESET = "greenroof reset, in a terminal of its machine"
+
+OTHER = "There is no advice for this; read the log of the node that reports it."
+FOREIGN = "Reported by another device or program, not by the green roof: see its instructions."
+"""Advice for unknown codes, and for other devices, about which nothing is known here."""
+
+
+@dataclass(frozen=True)
+class StatusDiagnosis:
+    """What is wrong now, by one status.
+
+    Attributes:
+        level: WARN, ERROR or STALE.
+        sentence: for people.
+        code: of the condition; another device may have none.
+        role: role of the node in the interface; empty for another device.
+        about: the topics that it is about, or the nodes that are waited for.
+        fault: a device's own fault or warning; with another one it is another alarm.
+        since: when it began (s since 1970); None if that is not reported.
+        age_s: how long it had lasted when it was reported (steady clock, s).
+        was_good: for a part: whether it was good before.
+    """
+
+    level: int
+    sentence: str
+    code: str = ""
+    role: str = ""
+    about: tuple[str, ...] = ()
+    fault: str = ""
+    since: float | None = None
+    age_s: float = 0.0
+    was_good: bool = False
+
+    @property
+    def identity(self) -> tuple[str, str]:
+        """With another one, it is another alarm under the same name; numbers in words change."""
+        return self.code, self.fault
+
+    @property
+    def condition(self) -> Condition | None:
+        """Its row of the table; None for another device, or an unknown code."""
+        return read_conditions().get(self.code) if self.role else None
+
+    @property
+    def stops_pump(self) -> bool:
+        """Whether no pump starts while it lasts."""
+        condition = self.condition
+        return condition is not None and self.level != WARN and (
+            condition.stops_pump or condition.interlock is not None
+        )
+
+
+def observed(level: int, role: str, code: str, *cases: str, **values: Value) -> StatusDiagnosis:
+    """Return a diagnosis that a receiver of reports makes itself."""
+    return StatusDiagnosis(level, Diagnosis.of(code, *cases, **values).sentence, code, role)
+
+
+def advise(code: str, role: str, node: str) -> str:
+    """Return what to do about a condition.
+
+    Args:
+        code: of the condition.
+        role: role of the node in the interface; empty for another device.
+        node: its full name, for the commands that the advice names.
+    """
+    if not role:
+        return FOREIGN
+    condition = read_conditions().get(code)
+    return OTHER if condition is None else condition.advise(node, role, reset=_RESET)
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """Something that was wrong, as people are told; so it is in ``alarms.jsonl``, too.
+
+    Attributes:
+        number: 1, 2, ... in the order of their beginning.
+        node: full name of the node that reports it, or that does not respond.
+        part: part of the node; empty for the node itself.
+        role: role of the node in the interface; empty for another device.
+        code: of the condition.
+        level: ``error``, ``stale`` (no report) or, for a warning, ``warn``.
+        sentence: in words, as last reported.
+        since: when it began, as its node reports (s since 1970; in a file UTC, ISO 8601).
+        ended: when it ended, likewise; None while it lasts.
+        seconds: how long it lasted, by the steady clock; None while it lasts, or if unknown.
+        follows: node and part of the alarm that causes it; empty if there is none.
+        about: the topics that it is about, or the nodes that are waited for.
+        fault: a device's own fault or warning.
+    """
+
+    number: int
+    node: str
+    part: str
+    role: str
+    code: str
+    level: str
+    sentence: str
+    since: float
+    ended: float | None = None
+    seconds: float | None = None
+    follows: str = ""
+    about: tuple[str, ...] = ()
+    fault: str = ""
+
+    @property
+    def name(self) -> str:
+        """The name of its status on /diagnostics."""
+        return f"{self.node}: {self.part}" if self.part else self.node
+
+    @property
+    def is_serious(self) -> bool:
+        """Whether it is treated as an alarm, not a warning; other devices cause only warnings."""
+        return bool(self.role) and self.level != LEVELS[WARN]
+
+    @property
+    def is_known(self) -> bool:
+        """Whether its advice is about its code."""
+        return bool(self.role) and self.code in read_conditions()
+
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        return advise(self.code, self.role, self.node)
+
+
+@dataclass
+class PartReport:
+    """A part of a node, or another device, as last received.
+
+    Attributes:
+        level: OK, WARN, ERROR or STALE.
+        sentence: for people.
+        values: with the code, its beginning and its age, and what the sentence is made of.
+        received_at: steady clock (s).
+        was_good: whether it was ever OK.
+        again: whether it was received more than once.
+    """
+
+    level: int
+    sentence: str
+    values: Mapping[str, str]
+    received_at: float
+    was_good: bool
+    again: bool
+
+    @classmethod
+    def after(
+        cls, before: PartReport | None, level: int, sentence: str, values: Mapping[str, str],
+        wall: float,
+    ) -> PartReport:
+        """Return the report that follows one; see the attributes."""
+        good = level == OK or (before is not None and before.was_good)
+        return cls(level, sentence, values, wall, good, before is not None)
+
+    def diagnosis(self, role: str = "", namespace: str = "") -> StatusDiagnosis:
+        """Return its diagnosis; the topics in it lose the namespace."""
+        text = self.values.get
+        about = text("topics") or text("topic", "")
+        return StatusDiagnosis(
+            self.level, self.sentence, text("code", ""), role,
+            tuple(topic.removeprefix(namespace) for topic in about.split()[:_MAX_ABOUT]),
+            text("fault") or text("warning", ""), _time(text("since", "")),
+            _number(text("age_s", "")), self.was_good,
+        )
+
+
+@dataclass
+class NodeReport:
+    """A process of this package, as last received.
+
+    Attributes:
+        name: full name of the node.
+        role: as in the interface.
+        process: the operating-system process: its machine and number.
+        state: one of :mod:`greenroof_ros.common.states`.
+        values: what else it reports.
+        began: when it was first received; this and the next two by the steady clock (s).
+        received_at: when it was last received.
+        since: when it entered its state.
+        heard: when it was last received, in the graph's time (s since 1970).
+        parts: its parts, by name.
+        refused_at: when its count of refused values last grew (steady clock, s).
+        refused: the topics of those values.
+        ended: how its process ended, in words, if that is known from elsewhere.
+    """
+
+    name: str
+    role: str
+    process: str
+    state: str
+    values: Mapping[str, Any]
+    began: float
+    received_at: float
+    since: float
+    heard: float = 0.0
+    parts: dict[str, PartReport] = field(default_factory=dict)
+    refused_at: float = -math.inf
+    refused: tuple[str, ...] = ()
+    ended: str = ""
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it has reported its end."""
+        return self.state in (FINISHED, ENDED)
+
+    def is_online(self, wall: float) -> bool:
+        """Return whether its reports arrive now."""
+        return not self.has_ended and not self.ended and wall - self.received_at <= SILENT_S
+
+    def receive(self, wall: float, now: float, state: str, values: Mapping[str, Any]) -> None:
+        """Receive its own status; see the attributes."""
+        if state != self.state:
+            self.since = wall
+        known, counts = _counts(self.values), _counts(values)
+        if grown := [topic for topic, n in counts.items() if n > known.get(topic, 0)]:
+            self.refused_at, self.refused = wall, tuple(grown[:_MAX_ABOUT])
+        self.state, self.values, self.received_at, self.heard = state, values, wall, now
+        self.ended = ""
+
+    def receive_part(
+        self, part: str, wall: float, level: int, sentence: str, values: Mapping[str, str]
+    ) -> None:
+        """Receive the status of a part."""
+        self.parts[part] = PartReport.after(self.parts.get(part), level, sentence, values, wall)
+
+    def diagnoses(self, wall: float) -> Iterator[tuple[str, StatusDiagnosis]]:
+        """Yield what is wrong with it and its parts, each by the name of its status."""
+        if self.has_ended:
+            failure = self.values.get("failure")
+            if isinstance(failure, str) and failure:
+                failed = observed(ERROR, self.role, "node_failed", failure=failure)
+                sentence = self.ended or failed.sentence
+                yield self.name, replace(failed, sentence=sentence, since=self.heard)
+            return
+        online = self.is_online(wall)
+        lost = replace(
+            observed(STALE, self.role, "not_heard", "ended", why=self.ended) if self.ended
+            else observed(STALE, self.role, "not_heard", "silent", time=SILENT_S),
+            since=self.heard,
+        )
+        waiting = self.values.get("waiting")
+        if not online:
+            yield self.name, lost
+        elif self.state == STARTING and isinstance(waiting, list):
+            peers = tuple(map(str, waiting[:_MAX_ABOUT]))
+            waits = observed(WARN, self.role, "waits", peers=", ".join(peers))
+            yield self.name, replace(waits, about=peers, age_s=wall - self.since)
+        if wall - self.refused_at <= SILENT_S:
+            topics = ", ".join(self.refused)
+            refused = observed(WARN, self.role, "values_refused", topics=topics)
+            yield f"{self.name}: refused", replace(refused, about=self.refused)
+        namespace = self.name.rpartition("/")[0]
+        for part, report in self.parts.items():
+            # What was wrong when a silent node last reported stays.
+            if online and self.received_at - report.received_at > SILENT_S:
+                yield f"{self.name}: {part}", lost
+            elif report.level != OK:
+                yield f"{self.name}: {part}", report.diagnosis(self.role, namespace)
+
+
+def _counts(values: Mapping[str, Any]) -> dict[str, int]:
+    """Return how many values of each topic a node has refused so far."""
+    refused = values.get("refused")
+    counts = refused.items() if isinstance(refused, dict) else ()
+    return {topic: count for topic, count in counts if isinstance(count, int)}
+
+
+def _time(text: str) -> float | None:
+    """Return a time in ISO 8601 (s since 1970); None if it is none."""
+    try:
+        return datetime.fromisoformat(text).timestamp()
+    except (ValueError, OverflowError, OSError):
+        return None
+
+
+def _number(text: str) -> float:
+    """Return a number of seconds; 0 if it is none."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        return 0.0
+    return seconds if 0 <= seconds < 1e9 else 0.0
+
+
+def is_starting(nodes: Sequence[NodeReport], wall: float) -> bool:
+    """Return whether the site starts: every node that is online began less than 60 s ago."""
+    up = [node.values.get("up_s") for node in nodes if node.is_online(wall)]
+    return bool(up) and all(isinstance(age, (int, float)) and age < _START_S for age in up)
+
+
+# --- the judge ------------------------------------------------------------------------------------
+
+
+class Change(NamedTuple):
+    """A change of an alarm.
+
+    Attributes:
+        what: ``begins``, ``changes`` (its level or cause), ``ends`` or ``returns``.
+        alarm: the alarm, after it.
+    """
+
+    what: str
+    alarm: Alarm
+
+
+class _Lasting(NamedTuple):
+    """A present diagnosis: what it is, and since when by the steady clock and in graph time (s)."""
+
+    identity: tuple[str, str]
+    began: float
+    since: float
+
+
+class Judge:
+    """Makes alarms from diagnoses. Times called ``wall`` are of the steady clock (s).
+
+    Attributes:
+        alarms: the present alarms and the newest that are over, by the names of their statuses.
+        diagnoses: what was wrong at the last update, likewise.
+        causes: the diagnosis from which each other one follows, likewise.
+        missing: what is not there yet while the site starts, likewise.
+    """
+
+    def __init__(self, number: int = 0) -> None:
+        """Start without alarms, after those up to a number."""
+        self.alarms: dict[str, Alarm] = {}
+        self.diagnoses: Mapping[str, StatusDiagnosis] = {}
+        self.causes: dict[str, str] = {}
+        self.missing: dict[str, StatusDiagnosis] = {}
+        self._number = number
+        self._lasting: dict[str, _Lasting] = {}
+        # When the alarms began, and when those ended that are over (steady clock, s).
+        self._began: dict[str, float] = {}
+        self._ended: dict[str, float] = {}
+
+    @property
+    def present(self) -> dict[str, Alarm]:
+        """The present alarms, by name."""
+        return {name: alarm for name, alarm in self.alarms.items() if alarm.ended is None}
+
+    @property
+    def over(self) -> list[Alarm]:
+        """The alarms that are over, the newest first."""
+        ended = sorted(self._ended, key=lambda name: -self._ended[name])
+        return [self.alarms[name] for name in ended]
+
+    def update(
+        self, wall: float, now: float, diagnoses: Mapping[str, StatusDiagnosis], *,
+        starting: bool = False,
+    ) -> list[Change]:
+        """Update the alarms, and return what has changed.
+
+        Args:
+            wall: steady clock (s).
+            now: the graph's time (s since 1970).
+            diagnoses: all that is wrong now, by the names of the statuses.
+            starting: whether the site starts: then what is only late is no alarm.
+        """
+        before, self._lasting = self._lasting, {}
+        for name, diagnosis in diagnoses.items():
+            lasting = before.get(name)
+            if lasting is None or lasting.identity != diagnosis.identity:
+                since = diagnosis.since
+                if since is None or since > now + _AHEAD_S:
+                    since = now
+                lasting = _Lasting(diagnosis.identity, wall - diagnosis.age_s, since)
+            self._lasting[name] = lasting
+        older_first = sorted(diagnoses, key=lambda name: self._lasting[name].began)
+        self.diagnoses = diagnoses
+        self.causes = find_causes({
+            name: diagnoses[name] for name in older_first if diagnoses[name].role
+        })
+        self.missing = {
+            name: diagnosis for name, diagnosis in diagnoses.items()
+            if starting and self._may_come(name, diagnosis)
+        }
+        changes = [*self._end(wall, now, diagnoses)]
+        # Causes first: what follows from something that is no alarm yet is none, either.
+        for name in sorted(diagnoses, key=lambda name: name in self.causes):
+            if name not in self.missing:
+                changes += self._judge(wall, name, diagnoses[name], self.causes.get(name, ""))
+        for alarm in self.over[_MAX_OVER:]:
+            del self.alarms[alarm.name], self._ended[alarm.name]
+        return changes
+
+    def _may_come(self, name: str, diagnosis: StatusDiagnosis) -> bool:
+        condition = diagnosis.condition
+        late = condition is not None and condition.late and not diagnosis.was_good
+        return late and not self._is_present(name)
+
+    def _is_present(self, name: str) -> bool:
+        return name in self.alarms and name not in self._ended
+
+    def _end(
+        self, wall: float, now: float, diagnoses: Mapping[str, StatusDiagnosis]
+    ) -> Iterator[Change]:
+        """End the alarms whose diagnosis is gone, or is another one."""
+        for name, alarm in self.present.items():
+            diagnosis = diagnoses.get(name)
+            if diagnosis is None or diagnosis.identity != (alarm.code, alarm.fault):
+                seconds = round(wall - self._began[name], 1)
+                self.alarms[name] = replace(alarm, ended=now, seconds=seconds)
+                self._ended[name] = wall
+                yield Change("ends", self.alarms[name])
+
+    def _judge(
+        self, wall: float, name: str, diagnosis: StatusDiagnosis, cause: str
+    ) -> Iterator[Change]:
+        """Begin or continue the alarm of a diagnosis, if it is one by now."""
+        lasting, before = self._lasting[name], self.alarms.get(name)
+        news: dict[str, Any] = {
+            "level": LEVELS[diagnosis.level], "sentence": diagnosis.sentence,
+            "about": diagnosis.about, "follows": cause if self._is_present(cause) else "",
+        }
+        if before is not None and (before.code, before.fault) == diagnosis.identity and (
+            wall - self._ended.get(name, wall) <= _AGAIN_S
+        ):
+            alarm = self.alarms[name] = replace(before, ended=None, seconds=None, **news)
+            if self._ended.pop(name, None) is not None:
+                yield Change("returns", alarm)
+            elif (alarm.level, alarm.follows) != (before.level, before.follows):
+                yield Change("changes", alarm)
+            return
+        condition = diagnosis.condition
+        lasts = condition.lasts if condition is not None else 0.0
+        # What follows from something that is no alarm yet is none, either.
+        waits = cause and not news["follows"] and self._lasting[cause].began <= lasting.began
+        if waits or wall - lasting.began < lasts:
+            return
+        self._number += 1
+        node, _, part = name.partition(": ")
+        self._ended.pop(name, None)
+        self._began[name] = lasting.began
+        self.alarms[name] = Alarm(
+            self._number, node, part, diagnosis.role, diagnosis.code, fault=diagnosis.fault,
+            since=lasting.since, **news,
+        )
+        yield Change("begins", self.alarms[name])
+
+
+# --- causes ---------------------------------------------------------------------------------------
+
+
+def find_causes(diagnoses: Mapping[str, StatusDiagnosis]) -> dict[str, str]:
+    """Return the name of the root cause of each diagnosis that follows from another one.
+
+    The pump's state follows from the part that reports more about its reason. Missing input of a
+    node follows from what is wrong with the publisher. An error does not follow from a warning, and
+    a state of the pump that needs a person at it follows from nothing: advice on its cause would
+    hide that.
+
+    Args:
+        diagnoses: of the graph's own nodes, by the names of their statuses, the older ones first.
+    """
+    causes: dict[str, str] = {}
+    for name, diagnosis in diagnoses.items():
+        for other in _candidates(name, diagnosis, diagnoses):
+            first = causes.get(other, other)
+            group = [name, *(follower for follower, cause in causes.items() if cause == name)]
+            worse = diagnoses[first].level == WARN and any(
+                diagnoses[follower].level == ERROR for follower in group
+            )
+            if first != name and not worse:
+                causes.update(dict.fromkeys(group, first))
+                break
+    return causes
+
+
+def _candidates(
+    name: str, diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
+) -> Iterator[str]:
+    """Yield the diagnoses that may cause this one, the likeliest first."""
+    node, _, part = name.partition(": ")
+    condition = diagnosis.condition
+    if condition is not None and condition.needs_operator and part == PUMP:
+        return
+    if part and node in diagnoses:  # the node as a whole, such as a silent node
+        yield node
+    if condition is None:
+        return
+    if not part:
+        yield from _awaited(node, diagnosis, diagnoses)
+    elif condition.no_data:
+        yield from _publishers(diagnosis, diagnoses)
+    more: Sequence[str] = condition.explained_by
+    if condition.interlock is not None:
+        more = condition.interlock.parts if part == PUMP else ()
+    yield from (name for name in (f"{node}: {part}" for part in more) if name in diagnoses)
+    if part == "inputs":
+        # A part of the pump node that stops the pump because of that input reports more.
+        yield from (
+            name for name, other in diagnoses.items()
+            if other.role == PUMP and not name.endswith((": inputs", ": refused"))
+            and {*other.about} & {*diagnosis.about}
+        )
+
+
+def _awaited(
+    node: str, diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
+) -> Iterator[str]:
+    """Yield nodes wrong as a whole that are waited for."""
+    for name, other in diagnoses.items():
+        waited_for = {name.rpartition("/")[2], other.role} & {*diagnosis.about}
+        if name != node and ": " not in name and waited_for:
+            yield name
+
+
+def _publishers(
+    diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
+) -> Iterator[str]:
+    """Yield what is wrong with the nodes that publish the topics: first as a whole, then parts."""
+    interface, roles = read_topics(), set[str]()
+    for topic in interface.keys() & {*diagnosis.about}:
+        roles.update(interface[topic].publishers, interface[topic].live_publishers)
+    roles.discard(diagnosis.role)
+    names = [
+        name for name, other in diagnoses.items()
+        if other.role in roles and not name.endswith((": inputs", ": refused"))
+    ]
+    yield from sorted(names, key=lambda name: ": " in name)

@@ -1,0 +1,98 @@
+"""The alarms of a live site, by the reports of its nodes to the supervisor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.alarm_log import ALARMS, AlarmLog
+from greenroof_ros.common.alarms import Judge, NodeReport, is_starting
+from greenroof_ros.common.interface import read_live_topics
+from greenroof_ros.common.states import STARTING
+from greenroof_ros.live.supervisor import NodeStart
+
+# A gap between two updates that is longer means that this process was paused (s): what it has not
+# read yet is no silence of the nodes.
+_PAUSE_S = 1.0
+
+
+class SiteAlarms:
+    """Judges the reports of a site's nodes, and prints and records the alarms.
+
+    A node whose process has ended is lost at once here, and to an observer of /diagnostics when it
+    has been silent for a while: both have the same alarm, since its last report.
+
+    Attributes:
+        log: what is printed and recorded.
+        judge: what is wrong now.
+    """
+
+    def __init__(
+        self, state: Path, namespace: str, processes: Iterable[NodeStart],
+        print_line: Callable[[str], None],
+    ) -> None:
+        """Continue the record in the directory of a site.
+
+        Args:
+            state: the directory.
+            namespace: of the nodes, such as ``/site1``; empty for none.
+            processes: the processes of the site.
+            print_line: prints a line for people.
+        """
+        self.log = AlarmLog(print_line, state / ALARMS)
+        self.judge = Judge(self.log.last_number)
+        self._namespace = namespace
+        self._processes = {process.name: process.nodes for process in processes}
+        self._print_line = print_line
+        self._nodes: dict[str, NodeReport] = {}
+        self._newest: dict[str, Mapping[str, Any]] = {}
+        self._updated_at = time.monotonic()
+
+    def fail(self, process: str, text: str) -> None:
+        """Print that a process has failed, and how; the next update makes it an alarm."""
+        self._print_line(f"{process}: {text}")
+        now = time.monotonic()
+        for name in self._processes[process]:
+            known = self._nodes.setdefault(name, NodeReport(
+                f"{self._namespace}/{name}", _role_of(name), "", STARTING, {}, now, now, now,
+                time.time(),
+            ))
+            known.ended = text
+
+    def update(self, reports: Mapping[str, Mapping[str, Any]]) -> None:
+        """Judge the last report of each node; after a pause of this process, not before the next.
+
+        Args:
+            reports: by the names of the nodes. A report that was there before is not received
+                again.
+        """
+        wall, now = time.monotonic(), time.time()
+        for name, report in reports.items():
+            if self._newest.get(name) is not report:
+                self._newest[name] = report
+                self._receive(name, report, wall, now)
+        paused, self._updated_at = wall - self._updated_at > _PAUSE_S, wall
+        if paused:
+            return
+        nodes = list(self._nodes.values())
+        diagnoses = {name: it for node in nodes for name, it in node.diagnoses(wall)}
+        self.log.add(self.judge.update(wall, now, diagnoses, starting=is_starting(nodes, wall)))
+
+    def _receive(self, name: str, report: Mapping[str, Any], wall: float, now: float) -> None:
+        process, node = report.get("process", ""), self._nodes.get(name)
+        if node is None or node.process != process:
+            node = self._nodes[name] = NodeReport(
+                f"{self._namespace}/{name}", report.get("role", ""), process, report["state"],
+                report, wall, wall, wall,
+            )
+        node.receive(wall, now, report["state"], report)
+        for part, status in report.get("diagnoses", {}).items():
+            node.receive_part(part, wall, status["level"], status["message"], status["values"])
+
+
+def _role_of(name: str) -> str:
+    """Return the role of a node that has never reported."""
+    roles = {role for topic in read_live_topics().values() for role in topic.publishers}
+    return name if name in roles else "controller"

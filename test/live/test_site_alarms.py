@@ -1,0 +1,137 @@
+"""The supervisor and the page judge the same reports alike."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from greenroof_ros.common.alarm_log import ALARMS, read_alarms
+from greenroof_ros.common.disk import DISK
+from greenroof_ros.common.times import iso
+from greenroof_ros.live.site_alarms import SiteAlarms
+from greenroof_ros.live.supervisor import NodeStart
+from greenroof_ros.live.supervisor_socket import read_report
+from greenroof_ros.watch.alarms import Alarms
+from greenroof_ros.watch.wire import WireStatus
+
+NOON = 1_800_000_000.0
+OK, WARN, ERROR, STALE = range(4)
+# What each part of a node reports from a time on (s): level and code. One bad answer of the roof's
+# sensor is no alarm, nor is a forecast that comes while the site starts.
+SCRIPT: dict[str, dict[str, list[tuple[float, int, str]]]] = {
+    "cistern_sensor": {"sensor": [(0, OK, ""), (10, ERROR, "sensor_lost"), (30, OK, "")]},
+    "roof_sensor": {"sensor": [(0, OK, ""), (11, ERROR, "sensor_lost"), (13, OK, "")]},
+    "weather": {"forecast": [(0, ERROR, "forecast_missing"), (25, OK, "")]},
+    "pump": {
+        "levels": [(0, OK, ""), (15, ERROR, "input_silent"), (31, ERROR, "input_recovering"),
+                   (41, OK, "")],
+        "pump": [(0, OK, ""), (15, WARN, "cistern_level_unknown"), (41, OK, ""),
+                 (90, ERROR, "drive_fault")],
+        "drive": [(0, WARN, "drive_awaited"), (6, OK, ""), (90, ERROR, "drive_fault")],
+    },
+}
+TOPICS = {"levels": "/cistern/level"}
+# The process of the weather node dies and is started again (s).
+DIES, RETURNS = 60.0, 70.0
+
+
+def reports_at(seconds: float) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+    """Return the values of each node that reports, and the statuses of its parts."""
+    reports = {}
+    for node, parts in SCRIPT.items():
+        if node == "weather" and DIES <= seconds < RETURNS:
+            continue
+        statuses = {}
+        for part, steps in parts.items():
+            began, level, code = next(step for step in reversed(steps) if step[0] <= seconds)
+            values = {}
+            if code:
+                values = {
+                    "code": code, "since": iso(NOON + began), "age_s": f"{seconds - began:.1f}",
+                }
+                values |= {"topic": TOPICS[part]} if part in TOPICS else {}
+            statuses[part] = {"level": level, "message": code or "well", "values": values}
+        again = node == "weather" and seconds >= RETURNS
+        reports[node] = {
+            "role": node, "process": f"host {2 if again else 1}", "up_s": seconds + 31,
+        }, statuses
+    return reports
+
+
+def test_console_record_summary_and_page_have_the_same_alarms(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page receives once a second; one that begins late has what still lasts, since then."""
+    now, printed = 0.0, list[str]()
+    monkeypatch.setattr(time, "monotonic", lambda: 1000.0 + now)
+    monkeypatch.setattr(time, "time", lambda: NOON + now)
+    site = SiteAlarms(
+        tmp_path, "/site1", [NodeStart(node, "module") for node in SCRIPT], printed.append
+    )
+    pages = {0.0: Alarms("/site1"), 32.0: Alarms("/site1"), 62.0: Alarms("/site1")}
+    of_pages: dict[float, dict[tuple[str, str], float]] = {begins: {} for begins in pages}
+    received: dict[str, Any] = {}
+    for step in range(480):
+        now = step / 4
+        said = reports_at(now)
+        for node, (values, statuses) in said.items():
+            line = {"node": node, "state": "ready", **values, "diagnoses": statuses}
+            received[node] = read_report(json.dumps(line).encode())
+        if now == DIES:
+            del received["weather"]
+            site.fail("weather", "ended (SIGKILL); starts again in 10 s")
+        site.update(received)
+        for begins, page in pages.items():
+            if now < begins:
+                continue
+            if now % 1 == 0:
+                page.receive(now, NOON + now, [
+                    status for node, (values, statuses) in said.items() for status in (
+                        WireStatus(f"/site1/{node}", OK, "ready", {
+                            key: json.dumps(value) for key, value in values.items()
+                        }),
+                        *(WireStatus(f"/site1/{node}: {part}", *status.values())
+                          for part, status in statuses.items()),
+                    )
+                ])
+            page.update(now, NOON + now)
+            of_pages[begins] |= {
+                (row["id"], row["code"]): row["since"] for row in page.rows() if not row["over"]
+            }
+    assert DISK.wait(60)
+    expected = {
+        ("/site1/cistern_sensor: sensor", "sensor_lost"): 10.0,
+        ("/site1/pump: levels", "input_silent"): 15.0,
+        ("/site1/pump: pump", "cistern_level_unknown"): 15.0,
+        ("/site1/weather", "not_heard"): 59.75,
+        ("/site1/pump: drive", "drive_fault"): 90.0,
+        ("/site1/pump: pump", "drive_fault"): 90.0,
+    }
+    recorded = read_alarms(tmp_path)
+    assert {(alarm.name, alarm.code): alarm.since - NOON for alarm in recorded} == expected
+    records = site.log.as_records()
+    assert [record["number"] for record in records] == list(range(1, len(expected) + 1))
+    assert records == [
+        json.loads(line) for line in {
+            json.loads(line)["number"]: line
+            for line in (tmp_path / ALARMS).read_text().splitlines()
+        }.values()
+    ]
+    begun = [line for line in printed if line.startswith(("alarm", "warning"))
+             and " is over" not in line]
+    assert [line.split(": ")[1] for line in begun] == [alarm.node for alarm in recorded]
+    late = [name for name in expected if name[1] == "drive_fault"]
+    for begins, names in (
+        (0.0, [*expected]),
+        (32.0, [*late, ("/site1/pump: pump", "cistern_level_unknown"),
+                ("/site1/weather", "not_heard")]),
+        (62.0, late),
+    ):
+        assert of_pages[begins].keys() == {*names}
+        for name in names:
+            since = of_pages[begins][name] - NOON
+            assert since == pytest.approx(expected[name], abs=1.0), (begins, name)
