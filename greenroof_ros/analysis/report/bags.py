@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from greenroof_ros.analysis.report.run import About, Row, read_about
+from greenroof_ros.common.alarm_log import read_alarms
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file, file_digest
 from greenroof_ros.common.times import to_people
-from greenroof_ros.experiment.incidents import read_incidents
 from greenroof_ros.experiment.summary import site_file_of
 from greenroof_ros.model.metrics import Samples, totals_of
 from greenroof_ros.model.plant import mains_flow
@@ -134,11 +134,11 @@ def read_recording(path: Path, site_file: Path | None = None) -> Recording:
     try:
         alarms = [
             {
-                "part": alarm.subject, "from": _moment(alarm.began, zone),
+                "part": alarm.name, "from": _moment(alarm.since, zone),
                 "until": "not over" if alarm.ended is None else _moment(alarm.ended, zone),
-                "cause": alarm.cause,
+                "level": alarm.level, "what": alarm.sentence, "follows from": alarm.follows,
             }
-            for alarm in read_incidents(run)
+            for alarm in read_alarms(run)
         ]
     except (OSError, ValueError) as error:
         notes.append(f"the alarms next to the bag are damaged, and not used: {error}")
@@ -149,8 +149,8 @@ def read_recording(path: Path, site_file: Path | None = None) -> Recording:
     )
 
 
-def _moment(wall_time: str, zone: Any) -> str:
-    return to_people(datetime.fromisoformat(wall_time).astimezone(zone).replace(microsecond=0))
+def _moment(seconds: float, zone: Any) -> str:
+    return to_people(datetime.fromtimestamp(seconds, zone).replace(microsecond=0))
 
 
 def row_of(recording: Recording, name: str) -> tuple[Row, tuple[object, ...]]:

@@ -503,23 +503,25 @@ def test_a_live_site(tmp_path: Path) -> None:
         "forecast": "/var/forecast.csv", "drive_at": "/dev/ttyUSB0",
     }))
     loss = {
-        "number": 300, "node": "pump", "part": "drive", "cause": "no connection to the drive",
-        "began": "2026-11-21T02:25:12.500+00:00", "ended": None,
+        "number": 300, "node": "/pump", "part": "drive", "role": "pump", "code": "drive_lost",
+        "level": "error", "sentence": "no connection to the drive",
+        "since": "2026-11-21T02:25:12.500+00:00", "ended": None,
     }
     again = {**loss, "number": 301}
     lines = [json.dumps(loss), json.dumps({**loss, "ended": "2026-11-21T02:25:20.300+00:00"}),
              json.dumps(again), ""]
-    (path / "incidents.jsonl").write_text("\n".join(lines))
+    (path / "alarms.jsonl").write_text("\n".join(lines))
     assert set(loaded(path)[0].command.tolist()) == {0.1}
     (run,) = report_of(path).runs
     assert (run.row["case"], run.row["site"]) == ("onoff", "my_site.yaml")
     assert [list(alarm.values()) for alarm in run.alarms] == [
-        ["pump: drive", "2026-11-20 21:25:12-05:00", "2026-11-20 21:25:20-05:00",
-         "no connection to the drive"],
-        ["pump: drive", "2026-11-20 21:25:12-05:00", "not over", "no connection to the drive"],
+        ["/pump: drive", "2026-11-20 21:25:12-05:00", "2026-11-20 21:25:20-05:00", "error",
+         "no connection to the drive", ""],
+        ["/pump: drive", "2026-11-20 21:25:12-05:00", "not over", "error",
+         "no connection to the drive", ""],
     ]
     assert "2026-11-20 21:25:20-05:00" in page_of(path)
-    (path / "incidents.jsonl").write_text(f"{{}}\n{json.dumps(loss)}\n")
+    (path / "alarms.jsonl").write_text(f"{{}}\n{json.dumps(loss)}\n")
     assert "alarms next to the bag are damaged, and not used" in page_of(path)
 
 
