@@ -12,13 +12,13 @@ from typing import Any
 from greenroof_ros.bringup.watchdog import Watchdog
 from greenroof_ros.common.command_line import EXIT_FAILED, exit_code
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.states import RECORDER
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.graph.messages import LockstepError, describe
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
-from greenroof_ros.graph.states import RECORDER
 from greenroof_ros.nodes.controller import ControllerNode
 from greenroof_ros.nodes.plant import PlantNode
 from greenroof_ros.nodes.recorder import RecorderNode

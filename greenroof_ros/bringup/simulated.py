@@ -18,6 +18,7 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.standard_error import LINES, print_line
+from greenroof_ros.common.states import RECORDER
 from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.options import (
@@ -31,7 +32,6 @@ from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other_nodes
-from greenroof_ros.graph.states import RECORDER
 from greenroof_ros.recording.bag_reader import count_ticks
 
 if TYPE_CHECKING:

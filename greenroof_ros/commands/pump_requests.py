@@ -18,9 +18,9 @@ from greenroof_ros.common.command_line import (
     command,
     within,
 )
+from greenroof_ros.common.states import PUMP
 from greenroof_ros.common.times import parse_time, to_people
 from greenroof_ros.graph.domain import importing_ros
-from greenroof_ros.graph.states import PUMP
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
 from greenroof_ros.watch.registry import Registry

@@ -15,9 +15,9 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.states import STARTING
 from greenroof_ros.common.times import iso
 from greenroof_ros.graph.messages import qos_profile
-from greenroof_ros.graph.states import STARTING
 
 # The longest value on /diagnostics (characters): observers read no value above 20,000, such as the
 # weeks of a run of decades.

@@ -18,6 +18,7 @@ from rclpy.qos import QoSProfile
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import Topic
+from greenroof_ros.common.states import ENDED, STARTING
 from greenroof_ros.graph.diagnostics import NodeDiagnostics
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import (
@@ -29,7 +30,6 @@ from greenroof_ros.graph.messages import (
 )
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.graph.rclpy_internals import raw_publish
-from greenroof_ros.graph.states import ENDED, STARTING
 from greenroof_ros.model.site import Site, read_site
 
 # How long an ending node waits for its readers at most (s): a killed reader stays matched.

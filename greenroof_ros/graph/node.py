@@ -18,6 +18,7 @@ from rclpy.time import Time
 
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.interface import Qos, Topic, read_topics
+from greenroof_ros.common.states import FINISHED, PLANT, READY
 from greenroof_ros.graph.diagnostics import NodeDiagnostics
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.inputs import Input
@@ -27,7 +28,6 @@ from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
 from greenroof_ros.graph.peers import Peers
 from greenroof_ros.graph.publishers import Publishers
 from greenroof_ros.graph.rclpy_internals import NoClockSubscription
-from greenroof_ros.graph.states import FINISHED, PLANT, READY
 
 # How often publishers are counted and the node's state is reported (s of wall time): counting takes
 # at least a tenth of a millisecond.

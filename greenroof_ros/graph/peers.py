@@ -10,8 +10,8 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from greenroof_ros.common.interface import Topic
+from greenroof_ros.common.states import ROLES
 from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers, list_nodes
-from greenroof_ros.graph.states import ROLES
 
 
 class Peers:

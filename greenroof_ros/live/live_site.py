@@ -9,6 +9,7 @@ from pathlib import Path
 
 from greenroof_ros.common.command_line import Parser, add_site, refuse, within
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.states import PUMP, RECORDER
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
 from greenroof_ros.experiment.options import (
     add_controller_arguments,
@@ -16,7 +17,6 @@ from greenroof_ros.experiment.options import (
     controller_from_arguments,
 )
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
-from greenroof_ros.graph.states import PUMP, RECORDER
 from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.modbus_line import parse_address
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors

@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_live_topics
+from greenroof_ros.common.states import READY
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.graph_node import GraphNode
@@ -22,7 +23,6 @@ from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
 from greenroof_ros.graph.peers import by_role
 from greenroof_ros.graph.publishers import DISCOVERY_S
 from greenroof_ros.graph.spin import start_receiving
-from greenroof_ros.graph.states import READY
 from greenroof_ros.live.engine import LIMITS, RECOVERY, SampleAndHold
 from greenroof_ros.live.live_diagnostics import LiveDiagnostics
 from greenroof_ros.live.live_input import LiveInput, LivePublishers

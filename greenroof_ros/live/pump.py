@@ -33,9 +33,9 @@ from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import state_directory
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.states import DriveState, PumpState
 from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.states import DriveState, PumpState
 from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.drive_file import LONGEST_RAMP_S, find_drive_file
 from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint

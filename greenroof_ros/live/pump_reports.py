@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from greenroof_ros.common.conditions import Diagnosis, joined, read_interlocks
+from greenroof_ros.common.states import PumpState
 from greenroof_ros.graph.publishers import Publishers
-from greenroof_ros.graph.states import PumpState
 from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
 from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN, LiveDiagnostics
 from greenroof_ros.live.live_input import LiveInput, bad_inputs

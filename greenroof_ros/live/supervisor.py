@@ -29,8 +29,8 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.processes import child_environment
+from greenroof_ros.common.states import PUMP, READY, RECORDER
 from greenroof_ros.graph.domain import LEASE
-from greenroof_ros.graph.states import PUMP, READY, RECORDER
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.live.supervisor_socket import SOCKET, read_report
 

@@ -18,13 +18,13 @@ from rclpy.clock_type import ClockType
 
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.states import PLANT
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.states import PLANT
 from greenroof_ros.model.initial_state import check_volumes, default_state
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant

@@ -11,13 +11,13 @@ from typing import Any
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import recorded_topics
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.states import RECORDER
 from greenroof_ros.controllers.registry import DEFAULT, find_controller
 from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import LockstepError, decode_clock
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare
-from greenroof_ros.graph.states import RECORDER
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import BagWriter
 

@@ -10,7 +10,7 @@ import json
 from typing import Any
 
 from greenroof_ros import __version__
-from greenroof_ros.graph.states import PUMP_STATES
+from greenroof_ros.common.states import PUMP_STATES
 from greenroof_ros.watch.words import display_of
 
 ONLINE, OFFLINE, ON, OFF = "online", "offline", "ON", "OFF"

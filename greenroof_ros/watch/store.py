@@ -16,7 +16,7 @@ import numpy as np
 
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.states import PUMP, PUMP_STATES, PumpState
+from greenroof_ros.common.states import PUMP, PUMP_STATES, PumpState
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.watch import wire, words

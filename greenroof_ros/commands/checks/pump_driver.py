@@ -13,8 +13,8 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from greenroof_ros.commands.checks.node import NodeCheck, require
+from greenroof_ros.common.states import PumpState
 from greenroof_ros.graph.messages import qos_profile
-from greenroof_ros.graph.states import PumpState
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.site import Site
 
