@@ -217,7 +217,10 @@ def balance(cases: Sequence[Case], name: str, title: str) -> Figure:
             chart = alt.Chart(alt.NamedData(dataset)).mark_bar(
                 stroke="white", strokeWidth=0.5
             ).encode(
-                x=alt.X("v:Q", title="in (+) and out (-) (m³)", axis=alt.Axis(tickCount=5)),
+                x=alt.X(
+                    "v:Q", title="in (+) and out (-) (m³)", axis=alt.Axis(tickCount=5),
+                    scale=alt.Scale() if shown else alt.Scale(domain=[0, 1]),
+                ),
                 y=alt.Y("case:N", sort=[case.label for case in here], title=None,
                         axis=alt.Axis(labelLimit=190)),
                 color=alt.Color(

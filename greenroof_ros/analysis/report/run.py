@@ -41,7 +41,7 @@ class About:
 
     row: Row = field(default_factory=lambda: {
         "controller": "unknown", "weather": "as recorded", "evapotranspiration": "unknown",
-        "initial": "as recorded",
+        "initial": "the recorded volumes",
     })
     start: datetime | None = None
     own: bool = False

@@ -109,7 +109,8 @@ def _named(report: Report, case: Case) -> dict[str, str]:
     return {
         "case": case.label, "from": initial,
         **({"window": window} if len(report.windows()) > 1 else {}),
-        **({"ended": case.row.get("ended", "done")} if ended else {}),
+        # The reason, which can be long, is among the notes.
+        **({"ended": case.row.get("ended", "done").partition(": ")[0]} if ended else {}),
     }
 
 

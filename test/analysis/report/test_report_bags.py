@@ -98,7 +98,7 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path) -> None:
         assert trajectory.start == START and notes == []
         for name in (TOTAL, "pumped_m3", "rain_m3", "drainage_m3", "final_cistern_m3"):
             assert row[name] == pytest.approx(example.row[name], rel=1e-12), name
-        assert (row["controller"], row["initial"]) == ("unknown", "as recorded")
+        assert (row["controller"], row["initial"]) == ("unknown", "the recorded volumes")
     assert "no site file came with the bag: the site is the paper" in page_of(report)
     assert len(report.windows()) == 2  # foreign bags are not compared
     both = write_bag(tmp_path / "both", {**plain, **spaced})
@@ -338,7 +338,7 @@ def test_a_foreign_summary_leaves_the_numbers(tmp_path: Path) -> None:
         (tmp_path / "run" / "summary.json").write_text(text)
         (run,) = find_runs([tmp_path / "run"]).runs
         labels = [run.row[key] for key in ("run", "controller", "initial")]
-        assert labels == ["run", "unknown", "as recorded"]
+        assert labels == ["run", "unknown", "the recorded volumes"]
         reason = "summary.json next to the bag is damaged or foreign"
         assert any(note.startswith(reason) for note in run.notes), text
         assert run.row["pumped_m3"] == pytest.approx(0.002)
@@ -480,13 +480,14 @@ def test_how_runs_ended(tmp_path: Path) -> None:
     ending = (
         "failed at tick 72 of 720 (00:01:12): node weather ended (SIGKILL); its last lines: none"
     )
+    short = "failed at tick 72 of 720 (00:01:12)"
     report = report_of(done, broken, nothing, silent)
     assert [run["run"] for run in report.failed] == ["nothing", "silent"]
     assert make_notes(report)[f"{ending}: all results are of the recorded part only"] == ["broken"]
-    assert [row["ended"] for row in make_tables(report)["Results"]] == ["done", ending]
+    assert [row["ended"] for row in make_tables(report)["Results"]] == ["done", short]
     text = page_of(report)
     assert "2 of 4 runs failed or did not run" in text.partition("</header>")[0]
-    assert text.count(f">{ending}<") == len(make_tables(report))
+    assert text.count(f">{short}<") == len(make_tables(report))
 
 
 def test_a_live_site(tmp_path: Path) -> None:
