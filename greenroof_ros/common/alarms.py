@@ -79,6 +79,11 @@ class StatusDiagnosis:
         return read_conditions().get(self.code) if self.role else None
 
     @property
+    def has_lasted(self) -> bool:
+        """Whether it had lasted for as long as an alarm must when it was reported."""
+        return self.condition is None or self.age_s >= self.condition.lasts
+
+    @property
     def stops_pump(self) -> bool:
         """Whether no pump starts while it lasts."""
         condition = self.condition

@@ -192,7 +192,8 @@ class _StartReport:
         missing: dict[tuple[str, ...], str] = {}
         for name, diagnosis in wrong.items():
             cause = judge.diagnoses.get(judge.causes.get(name, ""))
-            if cause is None or (diagnosis.stops_pump and not cause.stops_pump):
+            own = cause is None or (diagnosis.stops_pump and not cause.stops_pump)
+            if own and diagnosis.has_lasted:
                 advice = advise(diagnosis.code, diagnosis.role, name.partition(": ")[0])
                 missing[name, diagnosis.code] = f"  {name}: {diagnosis.sentence}. {advice}"
         pump, levels = reports.get(PUMP, {}), levels_of(reports)
