@@ -18,7 +18,6 @@ YEARS = range(2015, 2026)
 SEASON_HOURS = 184 * 24
 ZONE = timezone(timedelta(hours=-5))
 
-DAYS = (1, 2, 3, 5)
 # Lengths of the sums (h), and for each the minimum sum that is an event (mm).
 SUMS = {1: 1.0, 6: 2.0, 12: 3.0, 24: 5.0}
 NAMES = ("r", "POD", "FAR", "bias")

@@ -13,7 +13,7 @@ from disks import full_pipe
 from graphs import wait_for
 from places import CHECKOUT
 
-from greenroof_ros.common.standard_error import Lines, ProgressLines
+from greenroof_ros.common.standard_error import Lines
 from greenroof_ros.experiment.progress import RunProgress
 
 TOO_LONG_S = 60
@@ -55,17 +55,17 @@ def test_the_end_of_a_process(full: bool) -> None:
     assert printed == (b"" if full else b"line 0\nline 1\nline 2\n")
 
 
-def test_a_line_every_ten_seconds(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """With progress every second for 35 s, only the lines at 10, 20 and 30 s are printed."""
-    now = 1000.0
+def test_a_line_every_ten_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With progress every second for 35 s, there are lines at 10, 20 and 30 s, and no bar."""
+    now, printed = 1000.0, io.StringIO()
     monkeypatch.setattr(time, "monotonic", lambda: now)
-    lines = ProgressLines()
+    progress = RunProgress(100, 60.0, printed)
     for second in range(36):
         now = 1000.0 + second
-        lines.update(f"{second} s")
-    assert capsys.readouterr().err == "10 s\n20 s\n30 s\n"
+        progress.show(second, 3.0, 0.04, 0.5)
+    assert [line.split(", command 0.500")[0] for line in printed.getvalue().splitlines()] == [
+        f"00:{second}:00 ({second} %): cistern 3.000 m, roof 0.0400 m" for second in (10, 20, 30)
+    ]
 
 
 def _empty(reading: int) -> bytes:

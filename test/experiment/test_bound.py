@@ -8,7 +8,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from hypothesis import assume, example, given, settings
@@ -63,7 +62,7 @@ HOURS = st.lists(
 DROUGHT = [(0.0, 50.0, False)] * 2
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     site=st.just(PAPER_SITE) | sites() | measured_sites(),
     hours=HOURS,
@@ -102,7 +101,7 @@ def test_no_run_is_below(
         assert fine.bound_m3 <= cost + slack
 
 
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(
     site=st.just(PAPER_SITE) | measured_sites(), hours=HOURS, cistern=st.floats(0, 5),
     roof=st.floats(0, 1.5),
@@ -133,7 +132,6 @@ def test_in_frost_the_bound_is_the_run(
 @pytest.mark.parametrize(
     ("base", "tau", "start", "gap", "recursion", "ahead"),
     [
-        ("site.yaml", 1.0, "2021-07-07T02:00", 4e-5, 1.00002, 1.001),
         ("site.yaml", 1.0, "2021-07-08T05:00", 4e-5, 1.00002, 1.001),
         # Drizzle while a roof with a measured soil is filled, and a storm.
         ("site_neubrandenburg.yaml", 10.0, "2021-07-07T02:00", 0.02, 0.9995, 1.001),
@@ -231,20 +229,6 @@ def test_wrong_options(
     """Exit code 2, and a message that names what is wrong."""
     assert call(monkeypatch, *options.split()) == 2
     assert options.split()[0] in capsys.readouterr().err
-
-
-def test_no_optimum(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The solver's own message, and exit code 1."""
-    monkeypatch.setattr(
-        "scipy.optimize.linprog",
-        lambda *_, **__: SimpleNamespace(status=4, message="numbers too large"),
-    )
-    assert call(monkeypatch, "--hours", "0.1") == 1
-    captured = capsys.readouterr()
-    assert "numbers too large" in captured.err
-    assert captured.out == ""
 
 
 def test_a_slow_one_reports_it(

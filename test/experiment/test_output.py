@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -31,15 +30,6 @@ def test_a_summary_that_cannot_be_printed(tmp_path: Path) -> None:
     done = run_in_shell("$SIMULATE --json >/dev/full", tmp_path)
     assert (done.returncode, done.stderr) == (1, "error: No space left on device\n")
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["status"] == "done"
-
-
-def test_progress_in_a_pipe(tmp_path: Path) -> None:
-    """A line every ten seconds, and no bar: 36 s at three times real time take twelve."""
-    done = run_in_shell("$SIMULATE --speed 3", tmp_path)
-    (line,) = done.stderr.splitlines()
-    assert re.fullmatch(
-        r"00:00:3\d \(8\d %\): cistern .* m, roof .* m, command .*, 3x real time", line
-    )
 
 
 @pytest.mark.parametrize(

@@ -199,32 +199,3 @@ def test_the_pump_runs_in_the_examples(line: str, monkeypatch: pytest.MonkeyPatc
 
 def test_there_are_examples() -> None:
     assert len(examples()) >= 5
-
-
-def test_a_rain_gauge_is_enough_for_a_bound_and_a_study(tmp_path: Path) -> None:
-    """Both state what is assumed without temperature."""
-    (tmp_path / "gauge.csv").write_text("time,rain [mm]\n" + "".join(
-        f"2021-07-07T{hour:02}:00-05:00,{hour % 3}\n" for hour in range(24)
-    ))
-    env = {**os.environ, "COLUMNS": "200"}
-    bound = run_command(
-        "bound", "--weather", "gauge.csv", "--start", "2021-07-07T02:00", "--hours", "1", "--json",
-        cwd=tmp_path, env=env,
-    )
-    assert bound.returncode == 0, bound.stderr
-    notes = json.loads(bound.stdout)["weather_notes"]
-    assert [note.partition(",")[0] for note in notes] == [
-        "there is no temperature", "evapotranspiration is the site's monthly means",
-    ]
-    (tmp_path / "grid.yaml").write_text(
-        "site: site.yaml\ninitial: low-low\ncontrollers: {onoff: {}}\n"
-        "weather: [{file: gauge.csv, start: '2021-07-07T02:00', hours: 1}]\n"
-    )
-    study = run_command(
-        "study", "grid.yaml", "--output", "study", "--no-trajectories", "--jobs", "1",
-        cwd=tmp_path, env=env,
-    )
-    assert study.returncode == 0, study.stderr
-    results = (tmp_path / "study" / "results.csv").read_text()
-    assert all(note in results for note in notes)
-    assert ",monthly," in results

@@ -82,16 +82,6 @@ def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -
     forecast.at(SIX + (timedelta(0) if later < timedelta(0) else timedelta(hours=1)))
 
 
-@pytest.mark.parametrize(("limit", "words"), [
-    (40.0, "40 s"), (1600.0, "27 min"), (3600.0, "60 min"), (5400.0, "1.5 h"), (86400.0, "24 h"),
-])
-def test_an_age_is_written_as_people_say_it(file: Path, limit: float, words: str) -> None:
-    """Not as ``0.444444 h``."""
-    write(file, SIX, [0.0] * 48)
-    with pytest.raises(NoForecastError, match=f"is older than {words}$"):
-        live(file, limit=limit).at(SIX + timedelta(seconds=limit + 1))
-
-
 # The hours of an issue, its age (h), a horizon (h), and the sentence about it.
 SHORT = {
     "a day for five": (
@@ -186,13 +176,13 @@ def archive(path: Path, issues: int, first: datetime, member_hours: str = "120 3
 
 
 def test_a_large_archive_costs_no_more_than_its_newest_issue(file: Path) -> None:
-    """73 MB, of 300 issues: only the last is read, in a fraction of a second and 150 MB.
+    """24 MB, of 100 issues: only the last is read, in a fraction of a second and 100 MB.
 
-    A mistake in it is still found at its line: 2 + 299 x 3600 lines come before it.
+    A mistake in it is still found at its line: 2 + 99 x 3600 lines come before it.
     """
     now = datetime.now(UTC).replace(minute=0, second=0, microsecond=0)
-    archive(file, 300, now - timedelta(hours=299))
-    assert file.stat().st_size > 70e6
+    archive(file, 100, now - timedelta(hours=99))
+    assert file.stat().st_size > 20e6
     forecasts = ForecastFile(file)
     tracemalloc.start()
     began = time.thread_time()
@@ -201,11 +191,11 @@ def test_a_large_archive_costs_no_more_than_its_newest_issue(file: Path) -> None
     tracemalloc.stop()
     (issue,) = forecasts.issues
     assert (issue.issued, issue.rain.shape) == (now, (30, 120))
-    assert most < 150e6 and took < 10
+    assert most < 100e6 and took < 5
     with file.open("a") as stream:
         stream.write(f"{now.isoformat()},{now.isoformat()},0,wet,2.0,12.0\n")
     assert not forecasts.update()
-    assert f"{file}, line {2 + 300 * 3600 + 1}" in forecasts.problem, forecasts.problem
+    assert f"{file}, line {2 + 100 * 3600 + 1}" in forecasts.problem, forecasts.problem
 
 
 def test_later_issues_are_kept_and_earlier_ones_are_not_read(file: Path) -> None:

@@ -154,26 +154,6 @@ def test_july_2021() -> None:
     assert 3.5 < weather.evapotranspiration.mean() < 5.5
 
 
-def test_rain_is_of_the_hour_before_its_time() -> None:
-    """Shown by the service's own weather at each full hour, in two Julys.
-
-    Rain is reported most often at both ends of an hour with rain: at the time of a wet row and an
-    hour before it, and less often an hour further away on either side.
-    """
-    raining = np.zeros(4)  # from two hours before a wet row to one after it
-    for year in (2021, 2022):
-        file = DATA / f"en_climate_hourly_07-{year}.csv"
-        assert read_weather([file], TORONTO).rain_late == 1
-        with file.open(encoding="utf-8-sig") as stream:
-            rows = list(csv.DictReader(stream))
-        reason = [row["Weather"] or "" for row in rows]
-        rains = np.array(["Rain" in text or "Drizzle" in text for text in reason])
-        for hour in range(2, len(rows) - 1):
-            if float(rows[hour]["Precip. Amount (mm)"] or 0) > 0:
-                raining += rains[hour - 2 : hour + 2]
-    assert min(raining[1:3]) > 1.2 * max(raining[[0, 3]]) > 20
-
-
 def test_march_2021() -> None:
     """The form of another year, quoted and padded; 203 hours of frost."""
     weather = read_weather([DATA / "en_climate_hourly_03-2021.csv"], TORONTO)

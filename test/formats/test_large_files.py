@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from paper import PAPER_SITE
 from places import CONFIG, DATA
 from refusals import refusal
 from twins import TWIN
@@ -59,21 +58,11 @@ def measured(file: Path) -> object:
 READERS: list[tuple[str, str, Callable[[Path], object], str]] = [
     # The start of a file, the line behind it, how it is read, and why that line is refused.
     (OWN, "2021-07-07T03:00-05:00,0.1,20", weather, "line 3: time = .* must be 2021-07-07T04:00"),
-    (OWN, "yesterday,0.1,20", weather, "line 3: time = 'yesterday': must be a time"),
-    (OWN, "2021-07-07T04:00-05:00,0.1", weather, "line 3: must have 3 cells"),
-    (OWN.replace("rature [degC]", "rature [F]"), "", weather, r"line 1: .* must be \[degC\]"),
     (ISSUES, "2021-07-07T00:00Z,2021-07-07T02:00Z,0,0.1", archive, "line 3: time = .* consecutive"),
-    (ISSUES, "2021-07-06T00:00Z,2021-07-06T00:00Z,0,0.1", archive, "line 3: issued = .* in order"),
-    (ISSUES, "2021-07-07T00:00Z,2021-07-07T01:00Z,x,0.1", archive, "line 3: member = 'x'"),
     (SERVICE, "2021-07-07T05:00,0.1,20,12,9,1001", weather, "line 5: time = .*whole hours later"),
-    (SERVICE, "2021-07-07 noon,0.1,20,12,9,1001", weather, "line 5: time = '2021-07-07 noon'"),
-    (SERVICE.replace("(km/h)", "(ft/s)"), "2021-07-07T06:00,0.1,20,12,9,1001", weather,
-     r"line 3: .*must be in km/h"),
     (PREVIOUS, "2024-03-01T01:30,0.1", archive, "line 3: time = '2024-03-01T01:30'"),
     (ECCC, ECCC.splitlines()[1], weather, "line 3: .* whole hours later"),
     (MEASURED, "2021-06-01T00:00,0,0,20", measured, "line 4: time = .* must be later"),
-    (MEASURED, "2021-06-01T00:10,0,0", measured, "line 4: must have 4 cells"),
-    (MEASURED.replace("temperature", "warmth"), "", measured, "line 1: .* not a known column"),
     ("flow [m3/s],head [m]\n0.001,9\n", "0.002", read_pump_data, "line 3: must have 2 cells"),
 ]
 
@@ -119,30 +108,10 @@ def test_a_file_of_any_kind_that_is_too_large(
     )
 
 
-def test_a_year_of_an_ensemble_in_files_of_a_month(tmp_path: Path) -> None:
-    """What the message advises: 30 members every 6 h, here 2 x 3 days of them, are one archive."""
-    directory = tmp_path / "archive"
-    directory.mkdir()
-    first = np.datetime64("2024-06-01T00:00")
-    for number in range(2):
-        rows = ["issued,time,member,precipitation [mm/h]"]
-        for issue in range(12):
-            issued = first + np.timedelta64(72 * number + 6 * issue, "h")
-            rows += [
-                f"{issued}Z,{issued + np.timedelta64(hour, 'h')}Z,{member},{member / 10}"
-                for member in range(30) for hour in range(24)
-            ]
-        (directory / f"{number}.csv").write_text("\n".join([*rows, ""]))
-    read = read_archive(directory, PAPER_SITE)
-    assert len(read.issues) == 24
-    assert read.members == 30
-    assert read.issues[13].rain[7].tolist() == [0.7] * 24
-
-
 def test_memory_of_a_valid_file(tmp_path: Path) -> None:
-    """20 MB of weather take less than 150 MB more than the program itself; they took 350."""
+    """5 MB of weather take less than 40 MB more than the program itself; they took 90."""
     file = tmp_path / "weather.csv"
-    hours = np.datetime64("1981-01-01T00:00") + np.arange(440_000).astype("timedelta64[h]")
+    hours = np.datetime64("1981-01-01T00:00") + np.arange(110_000).astype("timedelta64[h]")
     file.write_text(OWN.splitlines()[0] + "\n" + "".join(
         f"{hour}-05:00,{hour.astype(int) % 9 / 10},{hour.astype(int) % 300 / 10}\n"
         for hour in hours
@@ -151,8 +120,8 @@ def test_memory_of_a_valid_file(tmp_path: Path) -> None:
         [sys.executable, "-c", _MEMORY, str(file)], capture_output=True, text=True, check=True,
     )
     hours_read, more_mb = map(float, done.stdout.split())
-    assert hours_read == 440_000
-    assert more_mb < 150
+    assert hours_read == 110_000
+    assert more_mb < 40
 
 
 _MEMORY = """

@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import run_command
-from graphs import environment
 from paper import PAPER_SITE
 from places import CONFIG, DATA
 from refusals import refusal
@@ -25,7 +23,6 @@ from greenroof_ros.common.times import parse_time
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import read_weather
-from greenroof_ros.weather.series import WeatherSeries
 
 TORONTO = read_site(CONFIG / "site.yaml")
 BUDVA = replace(PAPER_SITE, latitude=42.28, longitude=18.84, elevation=5.0)
@@ -118,16 +115,6 @@ def test_units(tmp_path: Path, unit: str, theirs: str, quantity: str, expected: 
     assert values[quantity][0] == pytest.approx(expected, rel=1e-12)
 
 
-def test_missing_radiation(tmp_path: Path) -> None:
-    """It is never filled; a run that needs it names the missing hour."""
-    hours = [hour.replace(",120.0", ",") for hour in HOURS]
-    weather = read_weather([write(tmp_path, hours)], TORONTO)
-    site = replace(TORONTO, tau=600.0, M=1)
-    WeatherSeries(weather, site, parse_time("2021-07-07T12:00-05:00"), 12)
-    needed = r"the file lacks solar radiation at 2021-07-07T11:"
-    refusal(WeatherSeries, weather, site, weather.first, 12, match=needed)
-
-
 @pytest.mark.parametrize(
     ("line", "old", "new", "reason"),
     [
@@ -181,21 +168,6 @@ def test_shifted_files_join_without_a_gap(tmp_path: Path) -> None:
     for quantity, series in whole.values.items():
         assert joined.values[quantity].tolist() == series.tolist()
     assert joined.evapotranspiration.tobytes() == whole.evapotranspiration.tobytes()
-
-
-def test_run_reports_what_was_moved(tmp_path: Path) -> None:
-    """In the summary of a run."""
-    write(tmp_path)
-    done = run_command(
-        "simulate", "--controller", "onoff", "--weather", "open-meteo.csv",
-        "--start", "2021-07-07T10:30", "--hours", "1", "--json", cwd=tmp_path, env=environment(0),
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    (note,) = summary["weather_notes"]
-    assert note.startswith("precipitation and solar radiation in the files are for the hour before")
-    # Half an hour of 0.2 mm and half an hour of 0.3 mm on roof (68.8 m2) and inlet (0.2922467 m2).
-    assert summary["rain_m3"] == pytest.approx(0.25e-3 * (68.8 + 0.2922466566), rel=1e-9)
 
 
 # --- previous runs -----------------------------------------------------------------------------
@@ -327,23 +299,15 @@ ROWS = ["2024-03-01 00:00:00,0.0,0.1,0.2,0.3,0.4", "2024-03-01 01:00:00,0.0,0.1,
 WRONG = {
     "cut.json": ('{"latitude": 42.25,\n"long', ", line 2: is not valid JSON: "),
     "deep.json": ("[" * 200_000, ": is JSON nested too deeply to be an answer"),
-    "several.json": ("[{}, {}]", ": must be for one place; download places separately"),
     "refusal.json": (
         '{"error": true, "reason": "Daily API request limit exceeded."}',
         ": is not a forecast but the service's refusal: Daily API request limit exceeded.",
     ),
+    "days.json": ('{"daily": {"time": ["2021-07-07"]}}', ": has no hourly values, only daily; "),
     "daily.json": ('{"hourly": null}', ": hourly: must be a mapping, as in hourly answers"),
-    "huge.json": (  # too large for a float, both as an integer and as a decimal
-        run_of(precipitation=[10**400] * 6),
-        f": hourly.precipitation[0] = '1{'0' * 400}': must be a number from 0 to 500 mm, or empty",
-    ),
     "hole_2024060112.json": (
         run_of(precipitation=[0.0, None, None, 1.0, 1.0, 1.0]),
         ": has no precipitation after its run, 2024-06-01T12:00",
-    ),
-    "models.json": (
-        run_of(precipitation_gem_global=[0.0] * 6),
-        ": 'precipitation_gem_global (mm)': must be precipitation, precipitation_pr",
     ),
     "temperature.csv": (
         "\n".join([HEAD.replace("precipitation", "temperature_2m"), *ROWS, ""]),
@@ -351,10 +315,6 @@ WRONG = {
     ),
     "unnamed.json": (run_of(), ": its name must end in the run that it holds, such as 2024060112"),
     "other_2024060118.json": (run_of(), ": must have the hour after its run, 2024-06-01T18:00"),
-    "many_2024060112.json": (
-        run_of(**{f"precipitation_member{number:02}": [0.0] * 6 for number in range(1, 101)}),
-        ": the issue of 2024-06-01T12:00+00:00 has 101 members; at most 100 are allowed",
-    ),
     "history_2024010100.csv": (
         "\n".join(["time,precipitation", *(
             f"{parse_time('2024-01-01T00:00Z') + hour * HOUR},0.0" for hour in range(37 * 24)

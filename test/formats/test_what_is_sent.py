@@ -22,10 +22,9 @@ from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.formats.reading import read_archive, read_records
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.reading import read_weather
-from greenroof_ros.weather.series import Weather, WeatherSeries, on_the_hours
+from greenroof_ros.weather.series import Weather, on_the_hours
 
 TORONTO = read_site(CONFIG / "site.yaml")
-BUDVA = replace(PAPER_SITE, latitude=42.28, longitude=18.84, elevation=5.0)
 JULY = DATA / "en_climate_hourly_07-2021.csv"
 HOUR = timedelta(hours=1)
 
@@ -314,22 +313,6 @@ def test_with_temperature_but_not_all_that_fao56_needs(
         assert read.frost is not None
 
 
-@pytest.mark.parametrize("name", ["wind_speed_10m", "dew_point_2m", "temperature_2m"])
-def test_without_a_column(tmp_path: Path, name: str) -> None:
-    """The same as a column without a value."""
-    lacking = weather(tmp_path, **{name: [None] * 72})
-    file = tmp_path / "weather.json"
-    content = json.loads(file.read_text())
-    del content["hourly"][name]
-    file.write_text(json.dumps(content))
-    read = read_weather([file], TORONTO)
-    assert read.evapotranspiration.tobytes() == lacking.evapotranspiration.tobytes()
-    assert read.notes[-1] == lacking.notes[-1]
-    file = tmp_path / "own.csv"
-    file.write_text("time,precipitation [mm/h]\n2021-07-07T00:00Z,0.5\n")
-    assert read_weather([file], TORONTO).evapotranspiration == pytest.approx([4.02])
-
-
 def test_humidity_in_place_of_the_dew_point(tmp_path: Path) -> None:
     """At 100 % the dew point is the temperature."""
     read = weather(tmp_path, dew_point_2m=[None] * 72, relative_humidity_2m=[100] * 71 + [101])
@@ -386,13 +369,6 @@ def test_forms_of_the_services_csv(tmp_path: Path, form: str) -> None:
     file.write_text(("\r\n" if form == "carriage returns" else "\n").join(lines), "utf-8-sig")
     (issue,) = read_archive(file, TORONTO).issues
     assert issue.rain.tolist() == [[hour / 10 for hour in range(1, 24)]]
-
-
-def test_no_hourly_section(tmp_path: Path) -> None:
-    """JSON with only days reports it."""
-    file = tmp_path / "gem_2021070700.json"
-    file.write_text('{"daily": {"time": ["2021-07-07"], "precipitation_sum": [1.0]}}')
-    refusal(read_archive, file, TORONTO, match="has no hourly values, only daily; download hourly")
 
 
 def test_names_before_2023(tmp_path: Path) -> None:
@@ -470,7 +446,7 @@ FRENCH = {
 }
 
 
-@pytest.mark.parametrize("form", ["as downloaded", "decimal commas", "semicolons", "before 2021"])
+@pytest.mark.parametrize("form", ["decimal commas", "semicolons", "before 2021"])
 def test_french_and_older_names(tmp_path: Path, form: str) -> None:
     """The same values as in the English file."""
     with JULY.open(encoding="utf-8-sig") as stream:
@@ -478,7 +454,7 @@ def test_french_and_older_names(tmp_path: Path, form: str) -> None:
     names = [FRENCH.get(name, name) for name in header]
     if form == "before 2021":
         names = [name.replace(" (LST)", "") for name in header]
-    elif form != "as downloaded":
+    else:
         rows = [[cell.replace(".", ",") for cell in row] for row in rows]
     file = tmp_path / "fr_climat_horaires.csv"
     with file.open("w", encoding="utf-8-sig", newline="") as stream:
@@ -532,15 +508,6 @@ def test_semicolons_decimal_commas_and_rows_left_out(tmp_path: Path) -> None:
     )
     file.write_text(file.read_text().replace("T04", "T01"))
     refusal(read_weather, [file], TORONTO, match="row with empty cells, or none")
-    text = "time,precipitation [mm/h],own evapotranspiration [mm/day]\n" + "".join(
-        f"2021-07-{day:02}T{hour:02}:00Z,0,{'' if (day, hour // 8) == (2, 1) else 2}\n"
-        for day in (1, 2, 3) for hour in range(24)
-    )
-    file.write_text(text)
-    long = read_weather([file], TORONTO)
-    site = replace(TORONTO, tau=600.0, M=1)
-    reason = refusal(WeatherSeries, long, site, long.first, 300)
-    assert "evapotranspiration is missing at 2021-07-02T08:00+00:00 to" in reason
 
 
 @pytest.mark.parametrize(
@@ -694,24 +661,6 @@ def test_an_answer_with_unixtime(tmp_path: Path, offset: int) -> None:
     assert read.first.utcoffset() == timedelta(seconds=offset)
     for quantity, series in same.values.items():
         np.testing.assert_array_equal(read.values[quantity], series)
-
-
-@pytest.mark.parametrize("section", ["", "time,temperature_2m_max (°C)\n1625616000,22\n"
-                                         "1625702400,23\n\n"])
-def test_a_csv_with_unixtime(tmp_path: Path, section: str) -> None:
-    """As from the service's page, also behind the section of days."""
-    file = tmp_path / "weather.csv"
-    rows = "".join(f"{1625634000 + 3600 * hour},0.1,20,12,9,1001\n" for hour in range(30))
-    file.write_text(
-        "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation\n"
-        f"43.62,-79.42,77.0,-14400,America/Toronto,EDT\n\n{section}"
-        "time,precipitation (mm),temperature_2m (°C),dew_point_2m (°C),wind_speed_10m (km/h),"
-        f"surface_pressure (hPa)\n{rows}"
-    )
-    read = read_records(file, TORONTO)
-    # The rain of the hour before the first time.
-    assert read.first == parse_time("2021-07-07T04:00Z")
-    assert read.values["precipitation"][:30].tolist() == [0.1] * 30
 
 
 @pytest.mark.parametrize("zero", ["", ".0"])

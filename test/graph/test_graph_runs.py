@@ -7,7 +7,6 @@ import json
 import struct
 import subprocess
 import sys
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -27,7 +26,6 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.site import read_site
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
@@ -116,29 +114,6 @@ def test_same_bits_at_a_wet_site(domain: int, tmp_path: Path) -> None:
     assert float(rows[-1]["drainage_layer_m3"]) == summary["final_layer_m3"] > 0
     assert summary["outflow_m3"] > 3 and summary["rain_cistern_m3"] > 0.01
     assert summary["pumped_m3"] > 0
-
-
-def test_same_bits_with_the_record_of_a_rain_gauge(domain: int, tmp_path: Path) -> None:
-    """Rows of ten minutes, without temperature, from July's mean evapotranspiration to August's."""
-    first = datetime.fromisoformat("2021-07-30T00:00-05:00")
-    rows = []
-    for row in range(4 * 144):
-        time = first + timedelta(minutes=10 * row)
-        rows.append(f"{time.isoformat()},{row % 7 / 10}")
-    (tmp_path / "gauge.csv").write_text("\n".join(["time,rain [mm]", *rows]))
-    options = (
-        "--controller", "onoff", "--weather", str(tmp_path / "gauge.csv"),
-        "--start", "2021-07-31T23:54", "--hours", "0.2",
-    )
-    summary = bring_up(domain, tmp_path, *options)
-    simulate(domain, tmp_path, *options)
-    ticks = assert_same(tmp_path)
-    assert summary["evapotranspiration_method"] == "monthly"
-    area = read_site(shared_directory() / "config" / "site.yaml").a2
-    before, after = (
-        float(ticks[at]["evapotranspiration_m3_per_s"]) * 86400 * 1000 / area for at in (0, -1)
-    )
-    assert (before, after) == (pytest.approx(4.02), pytest.approx(3.51))  # the site file's
 
 
 def with_frost(directory: Path, hour: str) -> str:

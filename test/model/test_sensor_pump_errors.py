@@ -6,12 +6,9 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import run_command
-from graphs import environment
 from paper import PAPER_SITE, paper_run
 
 from greenroof_ros.experiment.closed_loop import closed_loop
@@ -140,15 +137,3 @@ def test_the_controller_sees_the_reading_and_the_sums_the_truth() -> None:
     total = sum(abs(tick.x2 - site.x2_star) for tick in ticks)
     assert metrics["total_deviation_m3"] == pytest.approx(total, rel=1e-12)
     assert metrics["final_roof_m3"] == ticks[-1].x2
-
-
-def test_wrong_parameters_of_the_node(domain: int, tmp_path: Path) -> None:
-    """Exit code 2, one clear message."""
-    pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    done = run_command(
-        "nodes.plant", "--ros-args", "-p", "pump:=external", "-p", "minimum_off:=5.0",
-        cwd=tmp_path, env=environment(domain),
-    )
-    assert done.returncode == 2, done.stderr
-    assert "must be set in the pump driver" in done.stderr
-    assert "Traceback" not in done.stderr

@@ -114,7 +114,6 @@ ROOF: dict[str, object] = {"z_cap": 20.64, **MEASURED}
 MAINS: dict[str, object] = {"mains_level": 1.0, "mains_flow": 0.001}
 LOW: dict[str, object] = {"low_outlet_level": 1.0, "low_outlet_radius": 0.02}
 OWN: dict[str, object] = {"initial_cistern": 50.0, "initial_roof": 2.0}
-LAYER: dict[str, object] = {"drainage_storage": 0.01, "drainage_time": 600.0}
 CLIMATE = "monthly_evapotranspiration"
 TWELVE = "twelve numbers in brackets, January to December, each a number from 0 to 20"
 
@@ -124,9 +123,7 @@ TWELVE = "twelve numbers in brackets, January to December, each a number from 0 
     [
         # Out of range: with a unit, without one, and a whole number.
         (PAPERS, {"a2": "-68.8"}, "a2", "a number greater than 0 and at most 1e+09 m2 (bottom"),
-        (PAPERS, {"a2": "1e10"}, "a2", "a number greater than 0 and at most 1e+09 m2 (bottom"),
         (PAPERS, {"a_hat": "0"}, "a_hat", "a number of at least -1e+09 and less than 0 s2/m5 (co"),
-        (PAPERS, {"k_L": "-1.0e-9"}, "k_L", "a number from 0 to 1e+09 (minor loss coeffi"),
         (PAPERS, {"M": "1001"}, "M", "a whole number from 1 to 1000 ticks (look-ahead"),
         # A value that contradicts another.
         (PAPERS, {"x2_star": 3.145}, "x2_star", "a2 z_veg = 3.14416 m3"),
@@ -136,18 +133,12 @@ TWELVE = "twelve numbers in brackets, January to December, each a number from 0 
         (PAPERS, {"tau": 1.0000000001}, "tau", "a whole number of nanoseconds"),
         (PAPERS, {"z_veg": 0.5, "x2_star": 34.4}, "z_veg", "below z_soil = 0.5 m"),
         (ROOF, {"wilting_point": None}, "field_capacity", "needs wilting_point as well"),
-        (ROOF, {"drainage_time": None}, "drainage_storage", "needs drainage_time as well"),
-        (PAPERS, LAYER, "drainage_storage", "needs field_capacity as well"),
         (ROOF, {"field_capacity": 0.05, "z_cap": 1.72}, "wilting_point", "below field_capacity"),
         (ROOF, {"z_cap": 34.4}, "z_cap", "a2 z_soil field_capacity = 20.64 m3"),
         (ROOF, {"z_veg": 0.3, "x2_star": 20.64}, "z_veg", "below z_cap / a2 = 0.3 m"),
         (ROOF, {"wilting_point": 0.1}, "wilting_point", "below x2_star / (a2 z_soil) = 0.0914"),
-        (MAINS, {"mains_flow": None}, "mains_level", "needs mains_flow as well"),
         (MAINS, {"mains_level": 0.75}, "mains_level", "above z_pump + z_H = 0.75 m"),
-        (MAINS, LOW, "mains_level", "above z_pump + z_H = 0.75 m, below which"),
-        (LOW, {"low_outlet_radius": None}, "low_outlet_level", "needs low_outlet_radius as well"),
         (LOW, {"low_outlet_level": 3.0}, "low_outlet_level", "below z_o = 3 m, the outlet above"),
-        (LOW, {"low_outlet_level": 0.75}, "low_outlet_level", "above z_pump + z_H = 0.75 m"),
         (OWN, {"initial_roof": None}, "initial_cistern", "needs initial_roof as well"),
         (OWN, {"initial_cistern": 401.0}, "initial_cistern", "at most 400 m3, a level of 16 m"),
         (
@@ -157,11 +148,8 @@ TWELVE = "twelve numbers in brackets, January to December, each a number from 0 
             "10.32 m3",
         ),
         (ROOF, {"initial_layer": 5.5}, "initial_layer", "at most what the drainage layer holds"),
-        (PAPERS, {CLIMATE: "2.5"}, CLIMATE, TWELVE),
-        (PAPERS, {CLIMATE: MONTHS[:11]}, CLIMATE, TWELVE),
         (PAPERS, {CLIMATE: [*MONTHS[:11], -0.1]}, CLIMATE, TWELVE),
         (PAPERS, {CLIMATE: [*MONTHS[:11], 20.1]}, CLIMATE, TWELVE),
-        (PAPERS, {CLIMATE: "[true, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"}, CLIMATE, TWELVE),
         (PAPERS, {"quiet_hours": '["22:00-06:00"]'}, "quiet_hours", "needs time_zone as well"),
     ],
 )

@@ -123,7 +123,7 @@ def test_hostile_files_do_no_harm(tmp_path: Path) -> None:
     written, random = (tmp_path / "bag" / "bag_0.mcap").read_bytes(), Random(1)
     (tmp_path / "hostile").mkdir()
     amounts = set()
-    for number in range(100):
+    for number in range(50):
         length = random.choice((len(written), random.randrange(len(written))))
         content = bytearray(written[:length])
         for _ in range(random.choice((1, 8))):
@@ -187,33 +187,11 @@ DAMAGE: dict[str, tuple[Callable[[Path, list[ChunkIndex]], object], list[int], l
     "the length of a chunk": (
         lambda bag, parts: flipped(bag, parts[1].chunk_start_offset + 3, 0), [], [],
     ),
-    "the length of a chunk's data": (
-        lambda bag, parts: flipped(bag, parts[1].chunk_start_offset + 49, 5), SECOND, SECOND,
-    ),
     "both lengths": (
         lambda bag, parts: (
             damaged(bag, parts[1].chunk_start_offset + 1, b"\xff" * 8),
             damaged(bag, parts[1].chunk_start_offset + 49, b"\xff" * 8),
         ), SECOND, SECOND + THIRD_ON,
-    ),
-    "a chunk's head, which becomes one of an empty chunk": (
-        lambda bag, parts: damaged(bag, parts[1].chunk_start_offset + 9, bytes(48)), SECOND, SECOND,
-    ),
-    "a chunk's times": (
-        lambda bag, parts: damaged(bag, parts[1].chunk_start_offset + 9, bytes(16)), [], [],
-    ),
-    "a chunk's kind": (
-        lambda bag, parts: flipped(bag, parts[1].chunk_start_offset, 6), [], SECOND + THIRD_ON,
-    ),
-    "the length of an index behind a chunk": (
-        lambda bag, parts: damaged(
-            bag, parts[1].chunk_start_offset + parts[1].chunk_length + 2, b"\x20"
-        ), [], THIRD_ON,
-    ),
-    "an index behind a chunk, which a reader would follow": (
-        lambda bag, parts: damaged(
-            bag, parts[1].chunk_start_offset + parts[1].chunk_length + 23, b"\xff"
-        ), [], [],
     ),
     "a block of 4 KiB, over some chunks": (
         lambda bag, parts: damaged(bag, parts[2].chunk_start_offset + 50, bytes(4096)),
@@ -221,9 +199,6 @@ DAMAGE: dict[str, tuple[Callable[[Path, list[ChunkIndex]], object], list[int], l
     ),
     "the magic at both ends": (
         lambda bag, parts: (damaged(bag, 0, b"X"), damaged(bag, -1, b"X")), [], [],
-    ),
-    "the metadata": (
-        lambda bag, parts: damaged(bag, 30, b"\xff{[", "metadata.yaml"), [], [],
     ),
 }
 
@@ -259,7 +234,7 @@ def test_a_flipped_bit_costs_a_chunk_at_most(tmp_path: Path) -> None:
     """Wherever it is in a closed file: nothing wrong comes out, and a loss is reported."""
     written, random = write_bag(tmp_path / "whole", 361), Random(0)
     content, amounts = (tmp_path / "whole" / "whole_0.mcap").read_bytes(), set()
-    for number in range(60):
+    for number in range(30):
         bag = tmp_path / f"bag{number}"
         bag.mkdir()
         at = random.randrange(len(content))
@@ -463,7 +438,7 @@ def files_messages(file: Path) -> set[tuple[str, int]]:
 
 
 @pytest.mark.parametrize(
-    "what", ["a chunk", "a file", "half a file", "all but the name", "a loop"]
+    "what", ["a chunk", "a file", "half a file", "a loop"]
 )
 def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, what: str) -> None:
     """An older one, too: ``metadata.yaml`` has its number of messages."""
@@ -478,7 +453,7 @@ def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, what: str) -> None
         file.unlink()
         file.symlink_to("bag_1.mcap")
     else:
-        os.truncate(file, file.stat().st_size // 2 if what == "half a file" else 0)
+        os.truncate(file, file.stat().st_size // 2)
     new, messages, losses = recover(tmp_path)
     restored = read(new)
     there = {(topic, stamp) for topic, stamp, _ in restored}

@@ -14,7 +14,6 @@ from paper import PAPER_SITE, paper_run, weather_of
 from places import CONFIG, DATA
 from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.experiment.run_directory import write_configuration
 from greenroof_ros.model.site import read_site
@@ -355,14 +354,3 @@ def test_long_gaps_have_the_mean_of_the_days_about_them() -> None:
     reason = refusal(WeatherSeries, weather, TORONTO, weather.first + timedelta(days=8), 3600)
     assert "temperature is missing at" in reason
     assert "--gaps" not in reason
-
-
-@pytest.mark.parametrize("name", ["weather.csv", "weather.json"])
-def test_a_weather_file_that_is_too_large_is_refused_at_once(tmp_path: Path, name: str) -> None:
-    """Its size is known before it is read; the message states what to do."""
-    file = tmp_path / name
-    with file.open("w") as stream:
-        stream.write("time,precipitation [mm/h]\nwet\n")
-        stream.truncate(200_000_000)
-    with pytest.raises(ConfigurationError, match=r"has 200 MB .* at most 100 MB: leave out"):
-        read_weather([file], PAPER_SITE)

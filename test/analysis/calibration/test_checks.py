@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -102,13 +101,6 @@ def test_right_records_have_nothing_wrong_and_wrong_ones_have(hours: int) -> Non
     for name, (there, *change, expected) in (OF_A_SEASON if hours else OF_A_MONTH).items():
         alone = seen if "runoff" in there else replace(seen, runoff=None)
         assert expected in failed(changed(alone, *change)), name
-
-
-def test_what_is_reported_of_a_clock() -> None:
-    """The runoff of an hour earlier, or of eight hours later; it follows rain within 10 minutes."""
-    for hours, spans in ((-1, "(50|55|60) min before"), (8, "(480|485|490) min after")):
-        (one,) = check_record(changed(twin(30), "runoff", shifted(hours)), TWIN)
-        assert re.search(spans, one.text)
 
 
 def test_a_column_of_nothing_is_refused() -> None:

@@ -343,16 +343,3 @@ def test_a_reading_just_below_zero_is_zero(file: Path) -> None:
     assert record.runoff == pytest.approx([0.0] * 60 + [0.02] * 60)
     assert record.command == pytest.approx([1.0] * 60 + [0.0] * 60)
     assert len(record.notes) == 3
-
-
-def test_semicolons_and_codes_for_missing_values(file: Path) -> None:
-    """With a note; -0.1 mm of rain is treated as missing, as a gauge does not round below 0."""
-    cells = ["0.1,0.03,0.1"] * ROWS
-    cells[3], cells[5], cells[7] = "-999,0.03,0.1", "0.1,NAN,0.1", "0.1,-9999,0.1"
-    text = text_of(LOGGED, cells).replace(",", ";").replace(".", ",")
-    record = read(file, text)
-    assert np.flatnonzero(np.isnan(record.rain)).tolist() == [3]
-    assert np.flatnonzero(np.isnan(record.level)).tolist() == [5, 7]
-    assert [note.partition(" at ")[0] for note in record.notes] == [
-        "record.csv: rain [mm] of -999", "record.csv: level [m] of -9999",
-    ]

@@ -167,7 +167,7 @@ def test_a_mean_has_the_interval_of_students_t() -> None:
     assert freedom(np.array([[10.0], *[[1.0]] * 5]), groups)[0] < 0.5 * (count - 1)
 
 
-@pytest.mark.parametrize("informative", [2, 3, 26])
+@pytest.mark.parametrize("informative", [3, 26])
 def test_intervals_hold_the_truth_however_few_weeks_have_storms(informative: int) -> None:
     """In 19 of 20 seeded records of 26 weeks; the residuals of other weeks tell hardly anything.
 

@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy import stats
 
 from greenroof_ros.analysis.verification.scores import Tally, crps, rank_counts
-
-Array = NDArray[np.float64]
 
 # Finley's tornado forecasts of 1884 in Wilks (2011, Sect. 8.2), with 28 hits, 72 false alarms and
 # 23 misses; also www.cawcr.gov.au/projects/verification/Finley. And the rain of the WWRP working

@@ -246,7 +246,7 @@ def test_wrong_use(tmp_path: Path, arguments: str) -> None:
 
 
 def test_notes_of_what_was_left_out(tmp_path: Path) -> None:
-    """Of the archive and of the records, on standard error; the rest of many is counted."""
+    """Of the archive and of the records, on standard error."""
     write_gauge(tmp_path / "gauge.csv", [0.1] * 30 + [-999] + [0.1] * 41)
     issues = [
         Issue(FIRST + day * 24 * HOUR, tmp_path, None, np.full((3, 24), 0.2)) for day in range(3)
@@ -275,18 +275,3 @@ def test_notes_of_what_was_left_out(tmp_path: Path) -> None:
         "all issues have 2 members",
     ):
         assert any(part in note for note in notes), (part, notes)
-
-
-def test_many_notes_are_counted(tmp_path: Path) -> None:
-    """An archive of 30 files, each with a value that is left out."""
-    write_gauge(tmp_path / "gauge.csv", [0.1] * 24 * 30)
-    (tmp_path / "archive").mkdir()
-    for day in range(30):
-        text = write_forecasts(
-            [Issue(FIRST + day * 24 * HOUR, tmp_path, None, np.full((1, 24), 0.2))]
-        )
-        (tmp_path / "archive" / f"{day:02}.csv").write_text(text.replace("0.2", "-999", 1))
-    done = run(tmp_path, "verify", "archive", "--weather", "gauge.csv")
-    notes = [line for line in done.stderr.splitlines() if line.startswith("note: ")]
-    assert len(notes) == 21
-    assert notes[-1] == "note: and 40 more of this kind"
