@@ -676,19 +676,17 @@ def drive_simulator(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--boot", type=float, default=3.0)
     parser.add_argument("--timeout", type=float, default=5.0)
     parser.add_argument("--speed", type=float, default=1.0)
-    parser.add_argument("--as-delivered", action="store_true")
     parser.add_argument("--fault", type=fault_of, default=(NONE, DEFAULT))
     add_site(parser)
     given = parser.parse_args()
     path, workbench = find_drive_file(given.drive), local(given.workbench)
-    timeout_s = None if given.as_delivered else given.timeout
     if given.at:
         broker, device = parse_topic(given.at, "--at")
         make = relay_of(read_relay_file(path).make)
-        relay = type(make.__name__, (FaultyRelay, make), {})(device, timeout_s, given.as_delivered)
+        relay = type(make.__name__, (FaultyRelay, make), {})(device, given.timeout)
         bench: Bench = RelayBench(relay, broker, device, given.boot, workbench)
     else:
-        settings = DriveSettings(given.ramp / given.speed, 2.0 / given.speed, timeout_s)
+        settings = DriveSettings(given.ramp / given.speed, 2.0 / given.speed, given.timeout)
         address = Address(line=given.serial) if given.serial else local(given.port)
         drive_bench = DriveBench(
             read_drive_file(path), settings, address, workbench, read_site(given.site)

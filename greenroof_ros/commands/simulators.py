@@ -104,7 +104,7 @@ async def _simulate(run: Run, sensors: Sensors, endpoint: Endpoint) -> None:
     servers: list[Server] = []
     tasks: list[Coroutine[Any, Any, None]] = []
     if isinstance(endpoint, RelayEndpoint):
-        relay = device = relay_of(endpoint.file.make)(endpoint.device, _TIMER_S, False)
+        relay = device = relay_of(endpoint.file.make)(endpoint.device, _TIMER_S)
         tasks.append(RelayOnBroker(relay, endpoint.broker, endpoint.device).run(ended))
     else:
         file, address = endpoint.file, endpoint.address

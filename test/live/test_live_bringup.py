@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shlex
@@ -24,14 +23,13 @@ import pytest
 from brokers import mosquitto, needs_mosquitto
 from commands import run_command
 from disks import disk_that_hangs, fill, full_pipe, small_disk
-from forecast_service import started_service
 from graphs import Process, alive, environment, free_ports, summary_of, wait_for
 from live_rig import QUICK, Hardware, live
 from page_server import Stream
 from places import CONFIG
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from ros_rig import FORECASTS, OK, USUAL_EVAPOTRANSPIRATION, Site, newest, write_forecast
+from ros_rig import FORECASTS, USUAL_EVAPOTRANSPIRATION, Site, newest, write_forecast
 from rosbags.highlevel import AnyReader
 from simulators import Simulator, serial_line
 
@@ -80,8 +78,8 @@ def test_a_site_is_kept_up_and_systemd_told(
 ) -> None:
     """Ready when the sensors are there, alive all the time.
 
-    The start does not wait for a forecast that is too old: on/off pumps, and the loss is an alarm
-    until it ends.
+    The start does not wait for a forecast whose file and directory are missing: on/off pumps, and
+    the loss is an alarm until it ends.
     """
     systemd = Systemd(tmp_path / "notify")
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
@@ -89,11 +87,11 @@ def test_a_site_is_kept_up_and_systemd_told(
     monkeypatch.setenv("HOME", "/proc/nohome")
     commands = site.listen("/pump/command")
     (tmp_path / "nodes.yaml").write_text(QUICK)
-    write_forecast(tmp_path / "forecast.csv", timedelta(days=2000), 0.0, 12.0)
+    file = tmp_path / "from_service" / "forecast.csv"
     options = (
         "--controller", "mpc", "--max-command", "0.4", "--sensors", "external",
-        "--pump", "external",
-        "--forecast", "forecast.csv", "--bag-limit", "50", "--node-parameters", "nodes.yaml",
+        "--pump", "external", "--forecast", "from_service/forecast.csv", "--bag-limit", "50",
+        "--node-parameters", "nodes.yaml",
     )
     with live(domain, tmp_path, *options) as process:
         site.until(lambda: systemd.times("EXTEND_TIMEOUT_USEC=30000000"), 60, "the start")
@@ -107,9 +105,10 @@ def test_a_site_is_kept_up_and_systemd_told(
         # Only the levels: command and pump state may still be of other moments.
         running = "\nrunning: cistern 2.400 m, roof 0.0300 m\n"
         site.until(lambda: running in process.stderr(), 90, "the end of the start")
-        first_line = ": /weather: forecast: the newest forecast, issued at "
+        first_line = f": /weather: forecast: there is no forecast; {file}: cannot be read: No such"
         site.until(lambda: first_line in process.stderr(), 60, "the alarm")
-        write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
+        file.parent.mkdir()
+        write_forecast(file, timedelta(minutes=1), 0.0, 12.0)
         site.until(lambda: 0 < newest(commands) <= 0.4, 60, "mpc")
         site.until(lambda: " s: /weather: forecast\n" in process.stderr(), 60, "its end")
         for number in range(55):
@@ -504,96 +503,6 @@ def test_a_site_that_is_stopped_while_it_starts_ends_with_0(domain: int, tmp_pat
             if not early:
                 process.until_printed("missing:", 60)
         shutil.rmtree(tmp_path / "run")
-
-
-def test_a_forecast_file_that_is_missing_at_the_start(
-    domain: int, tmp_path: Path, site: Site
-) -> None:
-    """The site starts, reports which file is missing, and waters by the level; the file ends that.
-
-    Its directory is missing, too.
-    """
-    commands, file = site.listen("/pump/command"), tmp_path / "from_service" / "forecast.csv"
-    (tmp_path / "nodes.yaml").write_text(QUICK)
-    options = (
-        "--sensors", "external", "--pump", "external", "--controller", "mpc",
-        "--thermometer", "external", "--forecast", "from_service/forecast.csv",
-        "--node-parameters", "nodes.yaml",
-    )
-    with live(domain, tmp_path, *options) as process:
-        site.values = {**LEVELS, "/gauge/temperature": 8.0}
-        missing = f"weather: forecast: there is no forecast; {file}: cannot be read: No such file"
-        site.until(lambda: f"  {missing}" in process.stderr(), 60, "what is missing")
-        site.until(lambda: newest(commands) == 1.0, 60, "a command of on/off")
-        file.parent.mkdir()
-        write_forecast(file, timedelta(minutes=1), 0.0, 12.0)
-        site.until(site.shows("/weather: forecast", OK), 60, "the forecast")
-
-
-def test_a_forecast_service_that_gives_none(domain: int, tmp_path: Path, site: Site) -> None:
-    """Answers of 503 from the start: codes and advice are by what the site has, and need no file.
-
-    Without a thermometer the temperature would come from the service. Then a thermometer recovers,
-    is good, and falls silent.
-    """
-    (tmp_path / "nodes.yaml").write_text(
-        f"{QUICK}    gauge_limit: 2.0\n    issue_limit: 1600.0\n"
-    )
-    commands = site.listen("/pump/command")
-    service = started_service("error")
-    url = f"{service.address}/v1/ensemble"
-    options = (
-        "--sensors", "external", "--pump", "external", "--controller", "mpc",
-        "--forecast", "open-meteo", "--fetch-url", url, "--node-parameters", "nodes.yaml",
-    )
-
-    def code(part: str) -> str:
-        return str(site.watcher.values(f"/weather: {part}").get("code", ""))
-
-    with live(domain, tmp_path, *options) as process:
-        site.values = dict(LEVELS)
-        for words in (
-            "weather: forecast: there is no forecast",
-            "No forecast has come from the service",
-            "weather: frost: the temperature is unknown", "no reading of a thermometer, and no",
-            "The temperature comes with the forecast, which the service has not given",
-        ):
-            site.until(lambda words=words: words in process.stderr(), 60, words)
-        assert code("forecast") == "forecast_service_silent"
-        assert code("frost") == "temperature_not_fetched"
-        assert "503 Service Unavailable: upstream is down" in site.diagnoses[
-            "/weather: forecast service"
-        ].message
-        assert not any(value for _, value in commands)
-        site.values["/gauge/temperature"] = 8.0
-        site.until(lambda: code("frost") == "input_recovering", 60, "the thermometer")
-        site.until(site.shows("/weather: frost", OK), 60, "the temperature")
-        assert code("forecast") == "forecast_service_silent"
-        site.until(lambda: newest(commands) == 1.0, 60, "watering by the level")
-        del site.values["/gauge/temperature"]
-        site.until(lambda: code("frost") == "thermometer_lost", 60, "its loss")
-        site.until(lambda: not newest(commands), 60, "no pumping in a possible frost")
-        (port,) = free_ports(1)
-        page = Process(domain, "watch", "--port", str(port), cwd=tmp_path)
-        wait_for(page.stdout, 60, "the page")
-        shown, stream = documents(port)
-
-        def advice() -> dict[str, str]:
-            return {row["code"]: row["do"] for row in shown[-1]["alarms"]} if shown else {}
-
-        site.until(
-            lambda: {"thermometer_lost", "forecast_service_silent"} <= advice().keys(), 120,
-            "the alarms of the page",
-        )
-        page.process.terminate()
-        stream.close()
-    service.close()
-    assert "Check the thermometer" in advice()["thermometer_lost"]
-    assert "it is asked again automatically" in advice()["forecast_service_silent"]
-    texts = "\n".join([*site.messages, process.stderr(), json.dumps(shown)])
-    assert "newer file" not in texts and "Check the program" not in texts
-    assert "site needs a thermometer" not in texts
-    assert not re.search(r"\d\.\d{3,} (h|min|s)\b", texts)
 
 
 def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:

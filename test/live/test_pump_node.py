@@ -6,19 +6,16 @@ bringup or the drive fails is in the sample of the campaign, test_faults.py.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import signal
 import subprocess
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
-from urllib.request import Request, urlopen
 
 import pytest
 from graphs import Process, free_ports, wait_for
@@ -458,34 +455,6 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     rig.tick_until(0.0, lambda: rig.code("dose") == "dose_ended_early", LATE, "its code")
     assert rig.call(SetBool, "stop", data=False).success
     assert [rig.tick(0.0) for _ in range(20)][10:] == [0.0] * 10
-
-
-def test_a_dose_by_the_page(rig: PumpRig) -> None:
-    """It delivers exactly that volume; for what the page's server refuses see test_server.py."""
-    rig.start(site_file=rig.site("greatest_dose: 0.5"))
-    rig.run()
-    rig.until_at_rest(0.0)
-    watch = Process(rig.domain, "watch", "--allow-release", cwd=rig.cwd)
-    rig.tick_until(0.0, lambda: watch.stdout().strip(), LATE, "the page")
-    url, _, token = watch.stdout().strip().partition("#token=")
-    before = rig.pumped()
-
-    def is_given() -> bool:
-        request = Request(
-            f"{url}dose", json.dumps({"volume": 0.05, "asked_at": time.time()}).encode(),
-            {"X-Greenroof": "1", "Authorization": f"Bearer {token}"},
-        )
-        with ThreadPoolExecutor() as pool:
-            answering = pool.submit(urlopen, request, timeout=300)
-            rig.tick_until(0.0, answering.done, LATE, "an answer")
-            reply = json.load(answering.result())
-        # Otherwise the watcher has not received the pump node yet.
-        assert reply["ok"] or "no pump node" in reply["sentence"], reply
-        return bool(reply["ok"])
-
-    wait_for(is_given, LATE, "a dose")
-    rig.until_at_rest(0.0)
-    assert rig.pumped() - before == pytest.approx(0.05, rel=0.1)
 
 
 def test_a_suspend_lasts_as_long_as_it_does(rig: PumpRig, monkeypatch: pytest.MonkeyPatch) -> None:

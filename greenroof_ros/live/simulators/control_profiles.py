@@ -197,7 +197,7 @@ class CimProfile(SimulatedDrive):
 
     @property
     def _on(self) -> bool:
-        return bool(self.word & 0x0002) if self._remote else self.settings.timeout_s is None
+        return self._remote and bool(self.word & 0x0002)
 
     @property
     def motion(self) -> Motion:

@@ -44,12 +44,12 @@ class DriveSettings:
         ramp_s: from rest to rated speed, and back (s).
         coast_s: from rated speed to rest without torque (s).
         timeout_s: its communication timeout (s), which then stops it, rounded to the steps of
-            its register; None for the factory setting.
+            its register.
     """
 
     ramp_s: float = 5.0
     coast_s: float = 2.0
-    timeout_s: float | None = 5.0
+    timeout_s: float = 5.0
 
 
 class SimulatedDrive(ABC):
@@ -151,7 +151,7 @@ class SimulatedDrive(ABC):
         names = set()
         for timeout in (*self._file.timeout.by_interface.values(), self.timeout):
             when, action = self.DELIVERED
-            if timeout is self.timeout and self.settings.timeout_s is not None:
+            if timeout is self.timeout:
                 register = self._registers[timeout.register]
                 seconds = min(self.settings.timeout_s, register.high)
                 when, action = max(1, round(seconds / register.scale)), next(iter(self.TRIPS), 0)

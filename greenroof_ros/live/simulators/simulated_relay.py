@@ -38,20 +38,18 @@ class SimulatedRelay(ABC):
     """topics that it subscribes to; {} stands for its own topic"""
 
     def __init__(
-        self, device: str, timer_s: float | None, as_delivered: bool,
-        clock: Callable[[], float] = time.monotonic,
+        self, device: str, timer_s: float | None, clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Start as a relay that is off.
 
         Args:
             device: its own topic.
             timer_s: its timer (s); None for off.
-            as_delivered: whether its other settings are the maker's defaults.
             clock: returns the time (s).
         """
         self.on = False
-        self.timer_s, self.on_after_power_up = timer_s, as_delivered
-        self.auto_on = False
+        self.timer_s = timer_s
+        self.on_after_power_up = self.auto_on = False
         self.log: Callable[[str], None] = lambda text: None
         self._device, self._clock = device, clock
         self._off_at = math.inf

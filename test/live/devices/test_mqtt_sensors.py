@@ -5,7 +5,6 @@ Login and encryption are the client's, for sensors, relays and the bridge: see w
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -235,25 +234,6 @@ def test_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
 # --- totals ---------------------------------------------------------------------------------------
 
 
-@contextmanager
-def integral(reader: MqttReader) -> Iterator[list[float]]:
-    """Add up the value over time, as its readers do, each value held until the next."""
-    sums, ended = [0.0], threading.Event()
-
-    def add() -> None:
-        before, value = time.monotonic(), 0.0
-        while not ended.wait(0.005):
-            now = time.monotonic()
-            sums[0] += value * (now - before)
-            before, value = now, reader.snapshot.value or 0.0
-
-    thread = threading.Thread(target=add)
-    thread.start()
-    yield sums
-    ended.set()
-    thread.join()
-
-
 def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mosquitto) -> None:
     """A gauge of 0.2 mm per tip, which publishes its total in mm."""
     with reading(shared, counts=True, scale=0.001, high=0.01) as reader, Talker(shared) as talker:
@@ -280,43 +260,6 @@ def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mos
         assert "a total that rose by 0.8994 m in" in str(after(reader, talker, "900")[0])
         assert "a total that rose by" in str(after(reader, talker, "901")[0])
         assert reader.snapshot.value is None
-
-
-def test_all_water_of_a_total_arrives_through_copies_and_a_restart_of_the_broker(
-    tmp_path: Path
-) -> None:
-    """2.2 mm, each message three times within 0.1 s, two tips at once, and a late copy.
-
-    The broker keeps an old message and is started again in the middle.
-    """
-    gauge: dict[str, object] = {"counts": True, "scale": 0.001, "high": 0.01}
-    with (
-        mosquitto(tmp_path) as broker, reading(broker, **gauge) as reader,
-        integral(reader) as sums,
-    ):
-
-        def say(*totals: str, pause: float = 0.6) -> None:
-            for text in totals:
-                for _ in range(3):
-                    talker.publish(TOPIC, text)
-                    time.sleep(0.04)
-                time.sleep(pause)
-
-        with Talker(broker) as talker:
-            begin(reader, talker, "no JSON")
-            say("17.4", "17.6")
-            say("17.8", "18.0", pause=0.0)
-            say("18.4", "18.2")
-        broker.kill()
-        until(lambda: reader.snapshot.code == "broker_lost" and reader.snapshot.problem, 10)
-        broker.start()
-        until(lambda: "has sent nothing yet" in reader.snapshot.problem, 20)
-        with Talker(broker) as talker:
-            begin(reader, talker, "no JSON")
-            talker.publish(TOPIC, "3.0", retain=True)  # a device that starts at its stored total
-            say("3.0", "3.4", "3.8", "4.2")
-        until(lambda: reader.snapshot.value == 0.0, 30)
-        assert sum(sums) == pytest.approx(1.0e-3 + 1.2e-3, rel=0.02)
 
 
 # --- the file -------------------------------------------------------------------------------------

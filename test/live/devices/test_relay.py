@@ -116,9 +116,10 @@ def bench_of(make: str, directory: Path, *options: str, **special: Any) -> Itera
         yield bench
 
 
-@pytest.fixture(params=MAKES)
-def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
-    with bench_of(request.param, tmp_path) as bench:
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    """A Tasmota: what follows from the exchange is the same for each make."""
+    with bench_of("tasmota", tmp_path) as bench:
         yield bench
 
 
@@ -139,7 +140,7 @@ def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
         bench.speed = 1.0
         wait(lambda: bench.now.status and bench.now.status.speed == 1.0, 5)
         assert bench.now.state is ExchangeState.RUNNING and bench.closed
-        time.sleep(3 * TIMER_S)
+        time.sleep(2 * TIMER_S)
         assert bench.closed and bench.now.errors == 0
         renewals = switched(tap, on=True)
         waits = sorted(later - before for before, later in itertools.pairwise(renewals))
@@ -239,17 +240,17 @@ def test_an_on_that_waits_on_a_stalled_connection_has_an_off_behind_it(bench: Be
         assert any(on < at < on + 0.3 for at in switched(tap, on=False))
 
 
-@pytest.mark.parametrize("fault", ["silence", "garbage", "late"])
-def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench, fault: str) -> None:
+def test_a_relay_that_is_not_understood_is_off_within_its_timer(bench: Bench) -> None:
     """A silent relay still obeys, so the end of the connection switches it off at once."""
     bench.run()
-    bench.relay.inject(fault)
-    took = wait(lambda: not bench.closed, 20)
-    assert took < TIMER_S + SLACK_S
-    wait(lambda: not bench.now.connected, 10)
-    assert re.search("no (valid )?answer to the question", bench.now.problem)
-    bench.relay.inject("none")
-    wait(lambda: bench.closed, 60)
+    for fault in ("silence", "garbage", "late"):
+        bench.relay.inject(fault)
+        took = wait(lambda: not bench.closed, 20)
+        assert took < TIMER_S + SLACK_S, fault
+        wait(lambda: not bench.now.connected, 10)
+        assert re.search("no (valid )?answer to the question", bench.now.problem), fault
+        bench.relay.inject("none")
+        wait(lambda: bench.closed, 60)
 
 
 def test_a_hand_at_its_button_is_noticed_and_answered(bench: Bench) -> None:

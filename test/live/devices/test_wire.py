@@ -31,8 +31,6 @@ from greenroof_ros.live.devices.drive import Drive, DriveStatus
 from greenroof_ros.live.devices.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.live.devices.modbus_line import (
     DriveError,
-    ModbusLine,
-    Serial,
     parse_drive_address,
 )
 
@@ -443,47 +441,27 @@ def test_an_echo_confirms_no_stop(name: str) -> None:
         assert len(wire.requests) > 1  # the stop was written all the same
 
 
-@pytest.mark.parametrize("name", DRIVES)
 @pytest.mark.parametrize("pieces", [
     lambda request: [request[:5], request[5:]],
     lambda request: [bytes([byte]) for byte in request],
     lambda request: [request, request],
     lambda request: [request[:3], request[3:] + request],
-], ids=["halves", "bytes", "twice", "twice, in pieces"])
+    lambda request: request + rtu_server(acs880())(request),
+], ids=["halves", "bytes", "twice", "twice, in pieces", "before the drive's answer"])
 def test_an_echo_is_recognised_in_pieces_and_twice(
-    name: str, pieces: Callable[[bytes], list[bytes]]
+    pieces: Callable[[bytes], bytes | list[bytes]]
 ) -> None:
     with (
         closing(SerialWire(pieces)) as wire, pytest.raises(DriveError, match=ECHO)
     ):
-        talk(name, wire.line, Drive.stop)
-
-
-def test_an_echo_before_the_drives_answer_is_recognised_too() -> None:
-    drive = rtu_server(acs880())
-    with (
-        closing(SerialWire(lambda request: request + drive(request))) as wire,
-        pytest.raises(DriveError, match=ECHO),
-    ):
         talk("abb_acs880", wire.line, Drive.stop)
 
 
-@pytest.mark.parametrize("task", [Drive.stop, Drive.read, Drive.identify, run])
-def test_a_server_that_returns_what_is_sent_is_no_drive(task: Task) -> None:
+def test_a_server_that_returns_what_is_sent_is_no_drive() -> None:
     """Over TCP: a gateway whose serial side echoes, or another service at that port."""
-    with pytest.raises(DriveError, match=ECHO):
-        against(lambda request: [(0.0, request)], task)
-
-
-def test_a_sensor_behind_an_echo_has_no_value() -> None:
-    with closing(SerialWire(lambda request: request)) as wire:
-        line = ModbusLine(
-            parse_drive_address(wire.line, "at"), port=502, device_id=1,
-            serial=Serial(9600, "none", 1, 1), timeout_s=0.3,
-        )
-        line.connect()
-        with closing(line), pytest.raises(DriveError, match=ECHO):
-            line.read(100, 1, inputs=True)
+    for task in (Drive.stop, Drive.read, Drive.identify, run):
+        with pytest.raises(DriveError, match=ECHO):
+            against(lambda request: [(0.0, request)], task)
 
 
 def test_a_connection_without_an_answer_is_reset() -> None:
