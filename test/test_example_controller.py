@@ -46,20 +46,6 @@ def test_simulate_and_graph_agree(domain: int, tmp_path: Path) -> None:
     assert not any(topic.startswith("/controller/") for topic in graph["messages"])
 
 
-def test_a_console_script_finds_a_class_next_to_the_current_directory(tmp_path: Path) -> None:
-    """Its parameter is an option."""
-    (tmp_path / "mine.py").write_text((CHECKOUT / "examples" / "proportional.py").read_text())
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", "from greenroof_ros.commands.simulate import main; main()",
-         "--hours", "0.02", "--json", "--controller", "mine:Proportional", "--gain", "40"],
-        cwd=tmp_path, env=environment(0), capture_output=True, text=True, timeout=120, check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert summary["controller_reference"] == "mine:Proportional"
-    assert summary["parameters"] == {"gain": 40.0}
-
-
 def test_study(tmp_path: Path) -> None:
     """The study's grid and table have it and its parameter next to a controller of this package."""
     section = f"  {EXAMPLE}:\n    gain: [10.0, 20.0]\n  onoff:\n"

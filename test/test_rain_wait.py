@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
-import pytest
-from commands import run_command
-from graphs import bring_up, environment
 from paper import PAPER_SITE, paper_run
 
 import greenroof_ros as gr
@@ -74,17 +68,3 @@ def test_ends_are_set_for_a_class_that_takes_them() -> None:
     own = NextTicks(PAPER_SITE, 1.0)
     gr.simulate(own, hours=0.01)
     assert own.forecast_ends.tolist() == [*range(11)]
-
-
-def test_simulate_and_graph_agree(domain: int, tmp_path: Path) -> None:
-    """In every bit."""
-    pytest.importorskip("rclpy", reason="the graph needs ROS 2")
-    options = ("--controller", EXAMPLE, "--hours", "0.1", "--start", "2021-07-07T03:30")
-    done = run_command(
-        "simulate", "--json", "--output", "alone", *options, cwd=tmp_path, env=environment(0)
-    )
-    alone = json.loads(done.stdout)
-    graph = bring_up(domain, tmp_path, *options)
-    assert alone["pumped_m3"] > 0
-    differing = {key for key in alone if alone[key] != graph[key]}
-    assert differing <= {"wall_s", "times_real_time", "messages", "weather", "site"}

@@ -157,7 +157,7 @@ def test_one_forecast(tiny: Tiny) -> None:
     assert cost_difference(tiny) < 0.5
 
 
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(tiny_problems(members=4), st.sampled_from([0.0, 0.5, 0.6]))
 def test_an_ensemble_that_parts(tiny: Tiny, risk: float) -> None:
     """One level for all, then one for each half, by the mean over all or over the worst."""

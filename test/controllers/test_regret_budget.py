@@ -41,7 +41,7 @@ def a_week(directory: Path, *options: str) -> Run:
 
 @pytest.mark.parametrize(("controller", "strength", "kind"), [
     ("anticipating_onoff", "--fraction", "always rain"),
-    ("lookahead", "--max-command", "always rain"), ("lookahead", "--max-command", TOGETHER),
+    ("lookahead", "--max-command", TOGETHER),
 ])
 def test_an_adversary_costs_at_most_the_budget(
     controller: str, strength: str, kind: str, tmp_path: Path

@@ -39,15 +39,6 @@ def test_tables_and_excerpts_are_the_packages(page: Path) -> None:
     assert generate.renew(text) == text
 
 
-def test_commands_are_introduced_as_their_help_does() -> None:
-    """With paragraphs; and an option's value is not shown as the name of a function."""
-    text = (DOC / "reference" / "commands.md").read_text()
-    assert (
-        "shows the roof.\n\nA site with sensors, at which nothing is simulated"
-    ) in text
-    assert not re.search(r"^- \*\*`--[^*]*\*\* \((parse|\\?_\w+)\)", text, re.MULTILINE)
-
-
 def anchors(path: Path) -> set[str]:
     """Return the anchors of a page's headings, as GitHub and MyST make them."""
     anchors = set()

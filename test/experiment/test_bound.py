@@ -222,15 +222,6 @@ def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
         assert words in shown
 
 
-@pytest.mark.parametrize("options", ["--block 0", "--block 1.5", "--max-command inf"])
-def test_wrong_options(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], options: str
-) -> None:
-    """Exit code 2, and a message that names what is wrong."""
-    assert call(monkeypatch, *options.split()) == 2
-    assert options.split()[0] in capsys.readouterr().err
-
-
 def test_a_slow_one_reports_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,7 +7,6 @@ import os
 import re
 import shlex
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -57,8 +56,6 @@ def table(*lines: str) -> list[list[str]]:
     # from 09:30: half of 6.3, 2.5 + 3.5 + 7.6, and half of 0.5 until 13:30
     (("--controller", "lookahead", "--start", "2021-07-08T07:30", "--hours", "2",
       "--horizon", "4"), "2 h", "4 h", "17.0", "2021-07-08T09:30-05:00"),
-    (("--controller", "anticipating_onoff", "--horizon", "24"), "12 h", "24 h", "21.6",
-     "2021-07-08T08:00-05:00"),
     (("--controller", "mpc", "--hours", "0.0025", "--start", "2021-07-08T09:00"),
      "9 s", "10 s", "0.0", "2021-07-08T09:00-05:00"),
 ])
@@ -75,16 +72,6 @@ def test_a_run_shorter_than_the_look_ahead_reports_it(
 def test_no_such_note_where_it_is_long_enough() -> None:
     assert paper_run("--controller", "lookahead", "--horizon", "12").notes() == []
     assert paper_run("--controller", "mpc").notes() == []
-
-
-def test_no_rain_after_the_run() -> None:
-    (note,) = paper_run(
-        "--controller", "lookahead", "--start", "2021-07-09T13:00", "--hours", "2"
-    ).notes()
-    assert note.endswith(
-        "its end, 2021-07-09T15:00-05:00: no rain in the records, which end at "
-        "2021-07-10T00:00-05:00"
-    )
 
 
 @pytest.mark.parametrize("command", ["simulate", "bound"])
@@ -144,18 +131,6 @@ def test_a_wrong_place_is_refused(tmp_path: Path) -> None:
     file.write_text(f"#\n# latitude: 436, longitude: 7\n{HEADER}2021-07-07T00:00-05:00,0,1\n")
     with pytest.raises(ConfigurationError, match=r"w.csv, line 2: latitude.*-90 to 90 degrees"):
         paper_run("--weather", str(file))
-
-
-def test_a_station_of_environment_canada_has_its_place() -> None:
-    run = paper_run(
-        "--weather", str(CHECKOUT / "test/data/en_climate_hourly_07-2021.csv"),
-        "--start", "2021-07-07T02:00", "--hours", "1",
-    )
-    ((latitude, longitude),) = run.weather.places.values()
-    assert (latitude, longitude) == (43.63, -79.4) and run.notes() == []
-    there = replace(run, site=replace(run.site, latitude=45.5, longitude=-73.6))  # Montreal
-    (note,) = there.notes()
-    assert re.search(r", 50\d km from the site", note)
 
 
 @pytest.mark.parametrize(("here", "there", "distance"), [

@@ -16,7 +16,6 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 from skill_figures import (
     SUMS,
-    begin,
     days_ahead,
     figures,
     season_weather,
@@ -27,9 +26,8 @@ from skill_figures import (
 )
 
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.experiment.run_directory import write_configuration
-from greenroof_ros.forecast.models import ErrorModel, NormalRecords
+from greenroof_ros.forecast.models import ErrorModel
 from greenroof_ros.forecast.skill import SKILLS, read_skill
 
 Array = NDArray[np.float64]
@@ -72,37 +70,6 @@ def test_the_climate_is_torontos(rain: dict[int, Array]) -> None:
         pair = multivariate_normal([0, 0], [[1, rho], [rho, 1]])
         both = np.concatenate([(own[lag:] > 0) & (own[:-lag] > 0) for own in rain.values()])
         assert pair.cdf([-climate.threshold] * 2) == pytest.approx(both.mean(), rel=0.1)
-
-
-def test_what_dry_hours_hide(rain: dict[int, Array]) -> None:
-    """Normal, at most the threshold, correlated like the climate; wet hours are reproduced."""
-    climate = REAL.climate
-    normal = np.array([
-        NormalRecords(climate, season, hours_since_1970(begin(year))).at(np.arange(len(season)))
-        for year, season in rain.items()
-    ])
-    fallen = np.array(list(rain.values()))
-    assert normal[fallen == 0].max() <= climate.threshold
-    assert climate.rain(normal) == pytest.approx(fallen, rel=1e-12)
-    assert normal.mean() == pytest.approx(0, abs=0.05)
-    assert normal.std() == pytest.approx(1, abs=0.03)
-    for apart in (1, 3, 6, 12, 24, 48):
-        product = (normal[:, apart:] * normal[:, :-apart]).mean()
-        assert product == pytest.approx(math.exp(-apart / climate.memory), abs=0.05)
-
-
-def test_where_the_records_begin_does_not_matter(rain: dict[int, Array]) -> None:
-    """A month alone has the same z as in its season, except for three weeks at its ends.
-
-    Missing hours are also drawn, wet or dry.
-    """
-    season, first = rain[2018].copy(), hours_since_1970(begin(2018))
-    season[3000:3003] = np.nan
-    whole = NormalRecords(REAL.climate, season, first)
-    part = NormalRecords(REAL.climate, season[1234:4000], first + 1234)
-    middle = np.arange(600, 2100)
-    assert part.at(middle).tobytes() == whole.at(middle + 1234).tobytes()
-    assert np.isfinite(whole.at(np.arange(len(season)))).all()
 
 
 # --- the skill ---------------------------------------------------------------------------------

@@ -88,11 +88,7 @@ SHORT = {
         24, 0.5, 120.0, r"ends at 2026-07-02 06:00\S*, before the 120 h look-ahead does; the hours "
         r"after it are treated as dry\. .* have 122 h .* not 24 h, or a horizon of at most 22 h$",
     ),
-    "long enough until it is an hour old": (
-        49, 1.5, 48.0, "must have 50 h .* not 49 h, or a horizon of at most 47 h$",
-    ),
     "less than the time for which it is used": (2, 1.0, 6.0, "must have 8 h .* not 2 h$"),
-    "the next ticks at its very end": (1, 0.999, 0.0, "10 s look-ahead .* not 1 h$"),
 }
 
 

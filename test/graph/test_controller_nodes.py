@@ -145,19 +145,3 @@ def test_good_nodes_pass_and_broken_ones_fail_for_what_is_broken(
     monkeypatch.setenv("COLUMNS", "1000")  # one line for a row
     wrong = wrong_verdicts(domain, tmp_path / "once")
     assert not wrong or not wrong_verdicts(domain, tmp_path / "again"), wrong
-
-
-def test_without_a_node_or_with_a_second_graph_it_explains(domain: int, tmp_path: Path) -> None:
-    absent = check(domain, tmp_path, "nowhere", "1")
-    weather = 'node.create_publisher(Float64, "weather/frost", qos)\npublisher = '
-    source = changed(EXAMPLE, "\npublisher = ", "\n" + weather)
-    node = start_node(domain, tmp_path, "taken", source, *in_namespace("taken"))
-    try:
-        second = check(domain, tmp_path, "taken")
-        assert absent.wait(300) == 2
-        assert "no node controller publishes /nowhere/pump/command" in absent.stderr()
-        assert second.wait(300) == 3
-        assert "/taken/weather/frost already has a publisher (controller)" in second.stderr()
-    finally:
-        node.terminate()
-        node.wait(300)

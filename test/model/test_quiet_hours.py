@@ -107,20 +107,14 @@ def test_of_a_site(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "expected"),
     [
-        ("quiet_hours", "22:00-06:00", "must be times of day in brackets"),
         ("quiet_hours", "[22]", "must be times of day in brackets"),
-        ("quiet_hours", '["22-06"]', "must be times of day in brackets"),
         ("quiet_hours", '["24:00-06:00"]', "must be times of day in brackets"),
-        ("quiet_hours", '["22:00-24:30"]', "must be times of day in brackets"),
         ("quiet_hours", '["06:00-06:00"]', "must be times of day in brackets"),
         ("quiet_hours", '["00:00-12:00", "12:00-24:00"]', "and must leave time to pump"),
         ("time_zone", "America/Tornto", "must be the IANA name of a time zone"),
-        ("time_zone", "America", "must be the IANA name of a time zone"),
         ("time_zone", "../secret", "must be the IANA name of a time zone"),
-        ("time_zone", "Asia/Tokyo", "must be the zone of utc_offset, -5 h; its standard time is"),
         ("time_zone", "Etc/GMT-5", "+5 h; in names that begin with Etc/ the sign is reversed"),
         ("time_zone", "America/Halifax", "its standard time is -4 h"),  # -05:00 never, -04:00 now
-        ("time_zone", "UTC", "must be the zone of utc_offset, -5 h; its standard time is +0 h"),
         ("greatest_dose", "0", "must be a number from 0.001 to 1000000"),
     ],
 )

@@ -373,7 +373,7 @@ def test_oldest_files_go_beyond_the_limit(tmp_path: Path) -> None:
         at += 0.25
         bag.write(TOPICS[0], LATE_NS + int(at * 1e9), number(random.random()), at)
         bag.flush_if_due(at)
-        if message % 500 == 499:
+        if message % 1000 == 999:
             size = sum(path.stat().st_size for path in directory.glob("*.mcap"))
             largest = max(largest, size)
             if size > 60_000:

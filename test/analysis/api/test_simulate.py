@@ -42,8 +42,11 @@ def of_command(directory: Path, *options: str) -> dict[str, object]:
 @pytest.mark.parametrize(("controller", "inputs", "options"), [
     ("mpc", {"weight": 0.00001, "initial": "high-low"},
      ("--weight", "0.00001", "--initial", "high-low")),
-    ("onoff", {"level": 0.9, "evapotranspiration": "fao56"},
-     ("--level", "0.9", "--evapotranspiration", "fao56")),
+    ("onoff", {
+        "level": 0.9, "evapotranspiration": "fao56", "site": CONFIG / "site_neubrandenburg.yaml",
+        "start": "2021-07-08T10:00",
+     }, ("--level", "0.9", "--evapotranspiration", "fao56", "--site",
+         str(CONFIG / "site_neubrandenburg.yaml"), "--start", "2021-07-08T10:00")),
     ("anticipating_onoff", {"horizon": 6, "initial": (60.0, 2.0)},
      ("--horizon", "6", "--cistern", "60", "--roof", "2")),
     ("lookahead", {
@@ -174,22 +177,6 @@ def test_sites(tmp_path: Path) -> None:
         assert gr.simulate("onoff", site=site, hours=1).metrics == expected.metrics
     assert str(gr.read_site(time_zone="America/Toronto").time_zone) == "America/Toronto"
     refusal(lambda: gr.read_site(z_vegg=0.04), match="did you mean z_veg")
-
-
-def test_a_measured_soil_has_its_drainage_layer(tmp_path: Path) -> None:
-    """In the trajectory as in the command's file."""
-    site, weather, start = (
-        CONFIG / "site_neubrandenburg.yaml", tmp_path / "storm.csv", "2024-06-01T00:00Z"
-    )
-    weather.write_text("time,precipitation [mm/h],my evapotranspiration [mm/day]\n" + "".join(
-        f"2024-06-01T0{hour}:00Z,{rain},2\n" for hour, rain in enumerate((50.0, 20.0, 0.0))))
-    options = ("--site", str(site), "--weather", str(weather), "--start", start, "--hours", "2")
-    of_command(tmp_path, "--controller", "onoff", "--trajectory", "run.csv", *options)
-    with (tmp_path / "run.csv").open() as stream:
-        expected = [float(row["drainage_layer_m3"]) for row in csv.DictReader(stream)]
-    frame = gr.simulate("onoff", site=site, weather=weather, start=start, hours=2).trajectory
-    assert max(expected) > 0
-    assert frame["drainage_layer_m3"].to_list() == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("inputs", "reason"), [

@@ -126,19 +126,12 @@ def test_missing_rows_and_empty_cells_are_gaps(file: Path) -> None:
 # A text of the file, its replacement, and the message.
 WRONG = {
     "no rain column": (RAIN, "pumped [mm]", "line 1: there must be a column 'rain [mm]'"),
-    "nothing measured": (
-        f"{RUNOFF},{LEVEL}", "pumped [mm],cistern level [m]",
-        "there must be a column 'runoff [mm]' or 'level [m]'",
-    ),
     "nothing for evapotranspiration": (
         MAXIMUM, "pumped [mm]", "there must be a column 'reference evapo"),
     "no unit": (RAIN, "rain", "line 1: 'rain': a column must be named like 'rain [mm]'"),
     "unknown unit": (RAIN, "rain [inch]", "'rain [inch]': the unit of rain must be [mm] or [mm/h]"),
-    "rain in litres": (RAIN, "rain [l]", "line 1: 'rain [l]': the unit of rain must be [mm] or"),
-    "unknown quantity": (RUNOFF, "flow [mm]", "'flow [mm]': is not a known column"),
     "a quantity twice": (RUNOFF, "rain [mm/h]", "there is a column of rain already"),
     "a pump state alone": (RUNOFF, "pump state [1]", "'cistern level [m]', on which"),
-    "no time": ("2021-06-01T00:40", "noon", "line 10: time = 'noon': must be a time such as"),
     "too short": (
         "\n".join(TEXT.splitlines()[40:]), "", "has 39 rows; a record must have at least 100"),
     "rain in micrometres": (
