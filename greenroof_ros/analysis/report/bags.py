@@ -91,15 +91,25 @@ def read_recording(path: Path, site_file: Path | None = None) -> Recording:
         site_file: the site; by default the one next to the bag, or else the paper's.
 
     Raises:
-        ConfigurationError: the bag is damaged or foreign, or there is neither bag nor result.
+        ConfigurationError: the bag is damaged or foreign, or there is neither bag nor result; of a
+            run that was not done it begins with how that ended.
     """
+    about = read_about(run_directory(path))
+    try:
+        return _read_recording(path, site_file, about)
+    except ConfigurationError as error:
+        if about.ending:
+            raise ConfigurationError(f"{about.ending}; {error}") from error
+        raise
+
+
+def _read_recording(path: Path, site_file: Path | None, about: About) -> Recording:
     run, notes = run_directory(path), list[str]()
     own_site = site_file_of(run)
     file = site_file or (own_site if own_site.is_file() else None)
     site = read_site(file or default_site_file())
     if file is None:
         notes.append("no site file came with the bag: the site is the paper's, config/site.yaml")
-    about = read_about(run)
     bag, repair = _closed_and_repair(path, _bag_in(path))
     kept = next((path / name for name in (TRAJECTORY, CSV) if (path / name).is_file()), None)
     trajectory = None

@@ -133,11 +133,10 @@ def find_runs(
             try:
                 recordings[name] = read_recording(path, site_file)
             except ConfigurationError as error:
-                ending = read_about(run_directory(path)).ending
-                if not ending:
+                if not read_about(run_directory(path)).ending:
                     raise
                 sources.failed.append({
-                    "run": name, "case": "", "from": "", "window": "", "error": f"{ending}; {error}"
+                    "run": name, "case": "", "from": "", "window": "", "error": str(error)
                 })
     sources.runs += _of_recordings(recordings)
     if not sources.runs:
