@@ -24,8 +24,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from pymodbus.constants import ExcCodes
-
 from greenroof_ros.common.command_line import add_site, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import parse_topic
@@ -50,7 +48,7 @@ from greenroof_ros.model.site import Site, read_site
 
 DEVICE_ID = 247
 # Registers of the workbench. The parameter of a fault is written before the fault.
-SPEED, FAULT, PARAMETER, POWER_CYCLE, LOCAL, CISTERN_LEVEL = range(6)
+SPEED, FAULT, PARAMETER, LOCAL, CISTERN_LEVEL = range(5)
 SPEED_UNIT = LEVEL_UNIT = 1e-4
 DEFAULT = 0xFFFF  # as a parameter: the fault's default
 NONE = "none"
@@ -206,7 +204,7 @@ class Bench:
 
     def __init__(self, workbench: Address) -> None:
         self.fault = ActiveFault()
-        self.registers = dict.fromkeys(range(6), 0) | {PARAMETER: DEFAULT}
+        self.registers = dict.fromkeys(range(5), 0) | {PARAMETER: DEFAULT}
         self.servers: list[Server] = []
         device = Device(self.read_registers, self._write)
         self._workbench = Server(workbench, {DEVICE_ID: device})
@@ -221,16 +219,12 @@ class Bench:
     def write_register(self, register: int, value: int) -> None:
         self.registers[register] = value
 
-    def inject(self, name: str, parameter: int) -> bool:
-        """Replace the present fault; return whether it can have that parameter."""
-        codes = [DEFAULT, *ExcCodes]
-        if name in ("exception", "refused_writes") and parameter not in codes:
-            return False
+    def inject(self, name: str, parameter: int) -> None:
+        """Replace the present fault."""
         self.fault.name = name
         self.fault.parameter = FAULTS[name] if parameter == DEFAULT else parameter
         self.registers |= {FAULT: NUMBERS[name], PARAMETER: parameter}
         self.log(f"fault {name}")
-        return True
 
     def log(self, text: str) -> None:
         print(f"{time.monotonic() - self._started_at:9.2f} s  {text}", flush=True)
@@ -244,21 +238,17 @@ class Bench:
         print(f"ready: {self.addresses}; workbench {self._workbench.address}, device {DEVICE_ID}",
               flush=True)
         if name != NONE:
-            assert self.inject(name, parameter)
+            self.inject(name, parameter)
         await self.run(ended)
         for server in (*self.servers, self._workbench):
             server.close()
 
-    def _write(self, address: int, values: list[int]) -> ExcCodes | None:
+    def _write(self, address: int, values: list[int]) -> None:
         for register, value in enumerate(values, address):
-            if register == SPEED or register not in self.registers:
-                return ExcCodes.ILLEGAL_ADDRESS
-            if register != FAULT:
+            if register == FAULT:
+                self.inject([*FAULTS][value], self.registers[PARAMETER])
+            else:
                 self.write_register(register, value)
-            elif value >= len(FAULTS) or not self.inject([*FAULTS][value],
-                                                         self.registers[PARAMETER]):
-                return ExcCodes.ILLEGAL_VALUE
-        return None
 
 
 # --- drive ----------------------------------------------------------------------------------------
@@ -393,11 +383,9 @@ class DriveBench(Bench):
         end = self._line.ends[1] if self._line is not None else address
         return f"drive {end}, device {self._device_id}"
 
-    def inject(self, name: str, parameter: int) -> bool:
-        done = super().inject(name, parameter)
-        if done:
-            self.drive.inject(name, self.fault.parameter)
-        return done
+    def inject(self, name: str, parameter: int) -> None:
+        super().inject(name, parameter)
+        self.drive.inject(name, self.fault.parameter)
 
     async def run(self, ended: asyncio.Event) -> None:
         if self._line is not None:
@@ -419,9 +407,6 @@ class DriveBench(Bench):
         return self.registers | {SPEED: round(self.drive.speed / SPEED_UNIT)}
 
     def write_register(self, register: int, value: int) -> None:
-        if register == POWER_CYCLE and value:
-            self.drive.power_cycle()
-            return
         if register == LOCAL:
             self.drive.advance()
             self.drive.local = bool(value)
@@ -471,21 +456,20 @@ class RelayBench(Bench, RelayOnBroker):
         return self.registers | {SPEED: round(self.relay.speed / SPEED_UNIT)}
 
     def write_register(self, register: int, value: int) -> None:
-        if register == POWER_CYCLE and value:
-            self._power_cycle()
-        elif register == LOCAL:
+        if register == LOCAL:
             self.relay.switch(bool(value), self.relay.timer_s)
         else:
             super().write_register(register, value)
 
-    def inject(self, name: str, parameter: int) -> bool:
+    def inject(self, name: str, parameter: int) -> None:
         super().inject(name, parameter)
         relay = self.relay
         relay.advance()
         relay.deaf, relay.welded = name == "deaf", name == "welded"
         match name:
             case "power_cycle":
-                self._power_cycle()
+                self._answers_from = time.monotonic() + self._boot_s
+                relay.power_up()
             case "timer_off":
                 relay.timer_s = None
             case "timer_long":
@@ -494,11 +478,6 @@ class RelayBench(Bench, RelayOnBroker):
                 relay.auto_on = True
             case "power_up_on":
                 relay.on_after_power_up = True
-        return True
-
-    def _power_cycle(self) -> None:
-        self._answers_from = time.monotonic() + self._boot_s
-        self.relay.power_up()
 
     def receive(self, topic: str, payload: bytes) -> None:
         if time.monotonic() < self._answers_from:
@@ -645,9 +624,9 @@ class SiteBench(Bench):
     def addresses(self) -> str:
         return self.site.addresses
 
-    def inject(self, name: str, parameter: int) -> bool:
+    def inject(self, name: str, parameter: int) -> None:
         self.site.began()
-        return super().inject(name, parameter)
+        super().inject(name, parameter)
 
     async def run(self, ended: asyncio.Event) -> None:
         await self.site.run(ended)

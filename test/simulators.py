@@ -76,10 +76,6 @@ class Workbench:
         self._write(rig_simulators.PARAMETER, parameter)
         self._write(rig_simulators.FAULT, rig_simulators.NUMBERS[fault])
 
-    def power_cycle(self) -> None:
-        """Power-cycle the drive."""
-        self._write(rig_simulators.POWER_CYCLE, 1)
-
     def take_over(self, local: bool) -> None:
         """Take over the drive at its panel, or hand it back to the bus."""
         self._write(rig_simulators.LOCAL, int(local))

@@ -191,16 +191,16 @@ PULSE = 0.24e-3 * PAPER_SITE.a2 / 10.0
 # What is well though a level does not change: how long (h), flow, rain, and further arguments.
 WELL: dict[str, tuple[float, Rate, Rate, dict[str, Any]]] = {
     "drizzle that evaporates from an empty roof": (240, nothing, lambda _: 0.2, {"roof": 0.0}),
-    "a shower each day that evaporates": (720, nothing, every(DAY_S, HOUR_S, 3.0), {"roof": 0.0}),
+    "a shower each day that evaporates": (240, nothing, every(DAY_S, HOUR_S, 3.0), {"roof": 0.0}),
     "rain that wets the catchment": (48, nothing, every(9e9, HOUR_S, 0.93), {"site": COLLECTING}),
     "4 mm of a shower on a dry catchment with a first-flush diverter": (
         48, nothing, every(9e9, HOUR_S, 4.0), {"site": COLLECTING},
     ),
     "a shower of 4 mm every second day": (
-        720, nothing, every(2 * DAY_S, HOUR_S, 4.0), {"site": COLLECTING},
+        240, nothing, every(2 * DAY_S, HOUR_S, 4.0), {"site": COLLECTING},
     ),
     "the pump replaces evapotranspiration in pulses": (
-        720, every(4147.0, 10.0, PULSE), nothing,
+        240, every(4147.0, 10.0, PULSE), nothing,
         {"site": replace(PAPER_SITE, mains_level=2.5, mains_flow=1e-3)},
     ),
     "the mains are shut": (

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from paper import PAPER_SITE
 from places import guarding
-from rig_simulators import DriveBench
+from rig_simulators import CISTERN_LEVEL, DriveBench
 from simulators import Simulator, until
 
 from greenroof_ros.live.devices.drive import Drive, DriveEndpoint
@@ -36,7 +36,7 @@ def test_a_drive_that_reports_its_flow_follows_the_sites_curve() -> None:
     bench = DriveBench(file, settings, free, free, PAPER_SITE)
     bench.drive.speed = 0.5
     assert bench.drive.registers()[301] == 15
-    bench.write_register(5, 30_000)
+    bench.write_register(CISTERN_LEVEL, 30_000)
     assert bench.drive.registers()[301] == 42
 
 
