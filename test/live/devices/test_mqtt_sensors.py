@@ -1,6 +1,7 @@
 """Sensors on MQTT, with a real broker: what is treated as a reading, and what is not.
 
 Login and encryption are the client's, for sensors, relays and the bridge: see watch/test_bridge.py.
+Totals are in test_total.py, and with a broker in test_sensor_node.py.
 """
 
 from __future__ import annotations
@@ -229,37 +230,6 @@ def test_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
             assert reader.snapshot.code == "broker_lost"
             broker.start()
             until(lambda: "has sent nothing yet" in reader.snapshot.problem, 20)
-
-
-# --- totals ---------------------------------------------------------------------------------------
-
-
-def test_a_total_is_its_growth_in_a_second_and_a_fall_is_a_new_start(shared: Mosquitto) -> None:
-    """A gauge of 0.2 mm per tip, which publishes its total in mm."""
-    with reading(shared, counts=True, scale=0.001, high=0.01) as reader, Talker(shared) as talker:
-        begin(reader, talker, "no JSON")
-
-        sent = heard = 0.0
-
-        def total(text: str) -> tuple[float | None, float, float]:
-            """Return the rate, and the shortest and longest time since the previous total (s)."""
-            nonlocal sent, heard
-            before = sent, heard
-            sent = time.monotonic()
-            (value,) = after(reader, talker, text)
-            heard = time.monotonic()
-            return value, sent - before[1], heard - before[0]
-
-        for first, second in (("17.4", "17.8"), ("0.2", "0.6")):  # it has started again
-            assert total(first)[0] is None and reader.snapshot.problem == ""
-            time.sleep(0.6)
-            value, shortest, longest = total(second)
-            assert value is not None and 0.4e-3 / longest <= value <= 0.4e-3 / shortest
-            assert total(second)[0] == value  # a copy reports nothing new
-            until(lambda: reader.snapshot.value == 0.0)
-        assert "a total that rose by 0.8994 m in" in str(after(reader, talker, "900")[0])
-        assert "a total that rose by" in str(after(reader, talker, "901")[0])
-        assert reader.snapshot.value is None
 
 
 # --- the file -------------------------------------------------------------------------------------
