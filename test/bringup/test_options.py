@@ -75,7 +75,6 @@ WRONG = {
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
         "show whether there is frost; give it if your own node publishes /gauge/temperature",
     f"{WEATHERED} --forecast no.json": "--forecast = 'no.json': must be a FILE.csv, which is",
-    f"{WEATHERED} --forecast {CHECKOUT}/package.xml": "package.xml': must be a FILE.csv, which is",
     f"{WEATHERED} --weather external --forecast forecast.csv":
         "--forecast = 'forecast.csv': is for the weather node",
     f"{SENSED} --drive no_such_drive --drive-at tcp://127.0.0.1:1": "drive = 'no_such_drive': is",
@@ -84,7 +83,6 @@ WRONG = {
     f"{SENSED} --pump external {DRIVE}":
         "--pump = 'external': leaves the pump to someone else's node",
     f"{SENSED} --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
-    f"{SENSED} --drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
     "run --pump external --minimum-on 60": "minimum on and off times: must be set in the pump",
 }
 
