@@ -70,7 +70,8 @@ study: $(FOR_STUDY)
 # Without ARGS every test, four processes more than there are cores, since graphs mostly wait.
 # Which tests may run side by side is in test/conftest.py. What failed runs once more, one at a
 # time, and with pytest's explanations: a live site's limits are of real time, which a busy machine
-# exceeds. What fails again, fails. Without pytest-xdist a test's name does not end in its group, and none may be left out.
+# exceeds. What fails again, fails. Without pytest-xdist a test's name does not end in its group,
+# and none may be left out.
 FAILED := .pytest_cache/v/cache/lastfailed
 test: $(FOR_TEST)
 ifeq ($(ARGS),)
