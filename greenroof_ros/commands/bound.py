@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
@@ -21,20 +18,6 @@ from greenroof_ros.experiment.summary import setting
 from greenroof_ros.experiment.summary_table import grid, print_notes, setting_rows
 
 _LARGEST_COMMAND = 100.0
-
-_PATIENCE_S = 2.0
-
-
-@contextmanager
-def _note_if_slow(note: str) -> Iterator[None]:
-    """Print a note on standard error if the body takes longer than two seconds."""
-    timer = threading.Timer(_PATIENCE_S, print, (note,), {"file": sys.stderr, "flush": True})
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def _result(
@@ -133,9 +116,8 @@ def main() -> int:
     if arguments.block is not None:
         block = count_ticks(run.site, arguments.block, "--block", unit_s=1.0)
     try:
-        with _note_if_slow(f"solving for {run.steps} ticks ..."):
-            bound = clairvoyant_bound(run, arguments.max_command, block)
-            recursion = recursion_plan(run, arguments.max_command)
+        bound = clairvoyant_bound(run, arguments.max_command, block)
+        recursion = recursion_plan(run, arguments.max_command)
     except NoBoundError as error:
         print(f"error: no bound found; the solver reports: {error}", file=sys.stderr)
         return EXIT_FAILED

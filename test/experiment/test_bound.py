@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -220,14 +219,3 @@ def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
     totals = [f"{result[name]:.2f}" for name in ("bound_m3", "plan_m3", "recursion_m3")]
     for words in (*totals, f"{100 * result['gap']:.4f} %", "HiGHS", "published"):
         assert words in shown
-
-
-def test_a_slow_one_reports_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """On standard error, so standard output has only the JSON."""
-    monkeypatch.setattr(module, "_PATIENCE_S", 0.0)
-    assert call(monkeypatch, "--hours", "0.1", "--json") == 0
-    captured = capsys.readouterr()
-    assert "solving for 360 ticks" in captured.err
-    assert math.isfinite(json.loads(captured.out)["bound_m3"])

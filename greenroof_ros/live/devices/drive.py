@@ -196,10 +196,7 @@ class Drive:
         Raises:
             DriveError: no answer or a wrong one; a fault is active; a state was not reached in
                 time.
-            ValueError: the speed is out of range.
         """
-        if not 0 <= speed <= 1:
-            raise ValueError(f"{speed} is not a share of rated speed (0 to 1)")
         values: dict[str, int] = {}
         if self._fulfils(self.file.status.fault, values):
             raise self.line.error("drive", f"fault: {self._cause(self.file.faults)[1]}")
@@ -425,26 +422,16 @@ class DriveEndpoint:
         """Its communication timeout at this address; None if the drive file has none."""
         return self.file.timeout.guarding(self.address)
 
-    def canonical_name(self) -> str:
-        """Return a name of the place that is the same however the address is written.
+    def lock_name(self) -> str:
+        """Return the name of its lock, which is the same however the address is written.
 
-        May block while the host name is resolved.
+        It is the drive's, or its whole serial line's. May block while the host name is resolved.
 
         Raises:
             OSError: there is no such host, or no name server answers.
         """
-        return f"{self._at()}-{self.file.device_id_at(self.address)}"
-
-    def lock_name(self) -> str:
-        """Return the name of its lock: the drive's, or its whole serial line's.
-
-        Raises:
-            OSError: as in `canonical_name`.
-        """
-        return self._at() if self.address.line else self.canonical_name()
-
-    def _at(self) -> str:
-        return self.address.canonical_name(self.file.tcp.port).strip("/")
+        place = self.address.canonical_name(self.file.tcp.port).strip("/")
+        return place if self.address.line else f"{place}-{self.file.device_id_at(self.address)}"
 
     def connection(self, timeout_s: float = 0.5) -> Drive:
         """Return the drive on a new connection, not yet opened; it must be connected only once.

@@ -63,8 +63,8 @@ class RelayEndpoint:
         """The timer that switches it off if no *on* arrives."""
         return self.file.timer
 
-    def canonical_name(self) -> str:
-        """Return a name of the place that is the same however the address is written.
+    def lock_name(self) -> str:
+        """Return the name of its lock, which is the same however the address is written.
 
         May block while the host name is resolved.
 
@@ -72,14 +72,6 @@ class RelayEndpoint:
             OSError: there is no such host, or no name server answers.
         """
         return f"{Address(self.broker.host).canonical_name(self.broker.port)}-{self.device}"
-
-    def lock_name(self) -> str:
-        """Return the name of its lock.
-
-        Raises:
-            OSError: as in `canonical_name`.
-        """
-        return self.canonical_name()
 
     def connection(self, timeout_s: float = 0.5) -> Relay:
         """Return the relay on a new connection, not yet opened; it must be connected only once.
@@ -267,7 +259,6 @@ class Relay:
         """
         self.file, self.line = endpoint.file, RelayLine(endpoint, timeout_s)
         self.stopped: bool | None = None
-        self._endpoint = endpoint
         # The state it was last switched to, None if unknown; and the state it has reported since
         # *on* was last published, None if it has not answered.
         self._ordered: bool | None = None

@@ -535,9 +535,3 @@ def test_giving_up_in_the_middle_of_a_start() -> None:
               : 06 0000 047E
               : 03 0003 0001 -> 03 02 1270 : not ready
 """, lambda drive: drive.run(0.5, lambda: next(answers)))
-
-
-@pytest.mark.parametrize("speed", [-0.1, 1.01, float("nan")])
-def test_no_speed(speed: float) -> None:
-    with pytest.raises(ValueError, match="not a share"):
-        follow("abb_acs880", "", lambda drive: drive.run(speed))

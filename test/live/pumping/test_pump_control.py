@@ -375,7 +375,7 @@ def test_what_is_not_responding_counts_at_worst() -> None:
 
 
 def test_the_simulated_site_is_followed() -> None:
-    """Ten minutes in the loop: within 1 % of the pure simulation's volume or a minimum pulse."""
+    """With a simulated site: within 1 % of the simulated volume, or a minimum pulse."""
     run = paper_run(
         "--controller", "lookahead", "--horizon", "12", "--hours", str(1 / 6),
         "--initial", "low-low",
