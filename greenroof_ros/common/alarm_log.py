@@ -71,7 +71,7 @@ def read_alarms(directory: Path) -> list[Alarm]:
     if not alarms:
         try:
             records = json.loads((directory / _SUMMARY).read_bytes())["alarms"]
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return []
         try:
             alarms = {alarm.number: alarm for alarm in map(_from_record, records)}

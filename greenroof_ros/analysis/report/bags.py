@@ -121,10 +121,15 @@ def _read_recording(path: Path, site_file: Path | None, about: About) -> Recordi
             zone = timezone(timedelta(hours=site.utc_offset))
         if zone is None:
             notes.append("times are in UTC: no configuration gives the offset")
-        trajectory, further = load_bag(
-            bag, site, zone or timezone.utc, own=about.own, external_pump=about.external_pump,
-            repair=repair,
-        )
+        try:
+            trajectory, further = load_bag(
+                bag, site, zone or timezone.utc, own=about.own, external_pump=about.external_pump,
+                repair=repair,
+            )
+        except ConfigurationError as error:
+            if not about.ending:
+                raise
+            raise ConfigurationError(f"{about.ending}; {error}", file=path) from error
         notes += further
     elif kept is not None:
         trajectory = load_trajectory(kept)
@@ -134,7 +139,7 @@ def _read_recording(path: Path, site_file: Path | None, about: About) -> Recordi
             file=_bag_in(path),
         )
     elif about.ending:
-        raise ConfigurationError("no bag", file=path)
+        raise ConfigurationError(f"{about.ending}; no bag", file=path)
     elif "total_deviation_m3" not in about.row:
         raise ConfigurationError(
             "must be a study (with results.csv), a run (with bag/, or a simulation that is done), "

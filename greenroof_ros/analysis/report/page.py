@@ -59,7 +59,8 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
         notes=make_notes(report),
         alarms=alarms,
         sites={run.row["site"]: _parameters(run.site) for run in report.runs},
-        texts=("", "from", "window", "ended", "part", "until", "cause", "error", "unit", "meaning"),
+        texts=("case", "from", "window", "ended", "until", "level", "what", "follows from", "error",
+               "unit", "meaning"),
         folded=True, warnings=(),
         versions=versions_text(versions() | used),
     )
