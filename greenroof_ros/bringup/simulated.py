@@ -57,8 +57,8 @@ def make_parser() -> Parser:
         "  greenroof run --controller external    # your node runs alongside it; its four rules "
         "are in\n"
         "                                         # greenroof check-controller --help\n\n"
-        "exit codes: 0 done, 1 a node failed, 2 bad usage or configuration, 3 a graph is already "
-        "running, 130 interrupted",
+        "exit codes: 0 done, 1 a node failed, 2 bad usage, configuration or code of "
+        "a controller, 3 a graph is already running, 130 interrupted",
     )
     add_run_arguments(parser)
     output = add_output_arguments(parser)

@@ -41,7 +41,7 @@ def make_parser() -> Parser:
         "  greenroof simulate --controller lookahead --horizon 24 \\\n"
         "      --forecast errors --forecast-skill real --forecast-seed 3\n"
         "  greenroof simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
-        "exit codes: 0 done, 2 bad usage or configuration, 130 interrupted",
+        "exit codes: 0 done, 2 bad usage, configuration or code of a controller, 130 interrupted",
     )
     add_run_arguments(parser)
     group = add_output_arguments(parser)
