@@ -63,7 +63,7 @@ def end_with(process: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-_FLAGS = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC
+_FLAGS = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
 # Length of an address of a Unix socket (bytes), and what the kernel reports of its listener:
 # process, user and group.
 _LONGEST_ADDRESS = 107
@@ -137,7 +137,7 @@ def acquire_file_lock(path: Path) -> FileIO:
         OSError: the file cannot be opened.
     """
     while True:
-        lock = _open(path)
+        lock = FileIO(os.open(path, _FLAGS, 0o600), "r+")
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -152,11 +152,6 @@ def acquire_file_lock(path: Path) -> FileIO:
         lock.truncate(0)
         lock.write(f"{os.getpid()}\n".encode())
     return lock
-
-
-def _open(path: Path) -> FileIO:
-    """Return the file, created if need be."""
-    return FileIO(os.open(path, _FLAGS | os.O_CREAT, 0o600), "r+")
 
 
 IN_MEMORY = "/dev/shm"

@@ -6,7 +6,6 @@ import glob
 import hashlib
 import itertools
 import json
-import math
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -545,13 +544,10 @@ class _Grid:
         if "bound_block" not in self._mapping:
             return None
         seconds = self._number(self._mapping, "bound_block")
-        ticks = seconds / site.tau if math.isfinite(seconds) else -1.0
-        if ticks < 0 or not math.isclose(ticks, round(ticks), rel_tol=1e-9, abs_tol=1e-9):
-            raise self._refuse(
-                self._mapping, "bound_block",
-                f"must be a whole number of ticks of {site.tau:g} s, or 0 for no bound",
-            )
-        return seconds if round(ticks) else 0.0
+        if seconds:
+            with self._at(self._mapping, "bound_block"):
+                count_ticks(site, seconds, "bound_block", unit_s=1.0)
+        return seconds
 
     def _controllers(self, sites: Collection[str]) -> Iterator[_Setting]:
         """Yield each controller with each combination of its parameters.

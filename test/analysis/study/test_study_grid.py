@@ -220,8 +220,10 @@ def test_seconds_of_the_bound(tmp_path: Path) -> None:
     # With larger blocks that are whole multiples it is never higher (Jensen's inequality).
     write_inputs(contents([usual]), tmp_path)
     assert 0 < bound_case(tmp_path, ten) <= bound_case(tmp_path, usual)
-    # Less than a tick is treated as no bound, and causes no division by it.
-    assert read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 1.0e-10\n"))[0].bound_block == 0
+    assert read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 0\n"))[0].bound_block == 0
+    for wrong in ("1.0e-10", "-1", "1.5", ".inf"):
+        file = tmp_path / grid(tmp_path, f"{GRID}bound_block: {wrong}\n")
+        refusal(read_grid, file, match=r"bound_block = .* whole number of ticks")
 
 
 def test_names_of_files(tmp_path: Path) -> None:
