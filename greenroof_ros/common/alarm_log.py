@@ -91,7 +91,7 @@ def _read(path: Path) -> Iterator[Alarm]:
     for index, line in enumerate(lines, start=1):
         try:
             yield _from_record(json.loads(line))
-        except (ValueError, TypeError, AttributeError) as error:
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
             place = f"line {index} of its last 2 MB" if skipped else f"line {index}"
             raise ValueError(f"{path}, {place}: is not an alarm ({error})") from error
 

@@ -143,6 +143,7 @@ class GraphClient:
             self._namespace + offered[1]
             for service, types in self._node.get_service_names_and_types()
             if hold in types and (offered := pattern.fullmatch(service))
+            and self._node.count_services(service)  # listed for this client alone, too
         }
         for name in self._pumps.keys() - found:
             for client in self._pumps.pop(name).values():

@@ -143,8 +143,7 @@ def test_alarms_are_reported_by_code() -> None:
     )
 
 
-# --- next to a run
-# ---------------------------------------------------------------------------------
+# --- next to a run --------------------------------------------------------------------------------
 
 
 @needs_mosquitto
@@ -271,24 +270,18 @@ def test_it_logs_in_and_reports_once_why_it_cannot(domain: int, tmp_path: Path) 
 
 def test_wrong_input_is_one_message(unused_domain: int, tmp_path: Path) -> None:
     """For addresses and logins see test_mqtt.py."""
-    for option, value, message in (
-        ("--prefix", "a/#", "--prefix = 'a/#': must be letters, digits"),
-        ("--authority", "ca.pem", "certificates can be used only with mqtts://"),
-    ):
-        done = run_command(
-            "bridge", "--broker", "mqtt://h", option, value, cwd=tmp_path,
-            env=environment(unused_domain),
-        )
-        assert done.returncode == 2
-        (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
-        assert message in line
-        assert "Traceback" not in done.stderr
+    done = run_command(
+        "bridge", "--broker", "mqtt://h", "--prefix", "a/#", cwd=tmp_path,
+        env=environment(unused_domain),
+    )
+    assert done.returncode == 2
+    (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
+    assert "--prefix = 'a/#': must be letters, digits" in line
+    assert "Traceback" not in done.stderr
 
 
 @needs_mosquitto
-@pytest.mark.parametrize("broken", [
-    "bridge.state_of", "bridge.alarms_of", "bridge.document", "tiles.rain",
-])
+@pytest.mark.parametrize("broken", ["bridge.alarms_of", "bridge.document"])
 def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
     broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -316,8 +309,7 @@ def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
 
         thread = threading.Thread(target=run)
         thread.start()
-        others = {"bridge.state_of": "alarms", "bridge.document": "availability"}
-        other = others.get(broken, "state")
+        other = "availability" if broken == "bridge.document" else "state"
         wait_for(lambda: heard.last(f"greenroof/roof/{other}"), 60, "a message")
         heard.publish("greenroof/roof/stop", "STOP")
         said = ""
@@ -325,9 +317,9 @@ def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
         def answered() -> bool:
             nonlocal said
             said += capfd.readouterr().err
-            return "stop, over MQTT: The watcher is busy" in said
+            return "stop, over MQTT: The watcher is busy" in said and "ZeroDivisionError" in said
 
-        wait_for(answered, 60, "an answer")
+        wait_for(answered, 60, "an answer, and what is wrong")
         assert thread.is_alive()
         ended.set()
         thread.join(30)

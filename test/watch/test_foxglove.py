@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import filecmp
 import json
 import re
 import signal
@@ -18,7 +17,7 @@ from typing import Any
 
 import pytest
 from commands import run_command
-from graphs import Process, alive, bag_file, bring_up, environment, wait_for
+from graphs import Process, alive, bag_file, environment, wait_for
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_watch_command import end, tcp_addresses_of
@@ -133,28 +132,24 @@ def recorded(run: Path, topic: str) -> tuple[str, dict[int, bytes]]:
     return definition, messages
 
 
-@pytest.mark.parametrize("options", [(), ("--namespace", "site1")])
-def test_a_client_receives_the_roofs_level_as_in_the_bag(
-    options: tuple[str, ...], domain: int, tmp_path: Path
-) -> None:
+def test_a_client_receives_the_roofs_level_as_in_the_bag(domain: int, tmp_path: Path) -> None:
     """Each value at its tick's simulated time; Ctrl-C ends the run, and the server with it."""
     run = Process(
         domain, "bringup", "--controller", "onoff", "--hours", "12", "--speed", "20",
-        "--foxglove", "0", "--output", "run", *options, cwd=tmp_path,
+        "--foxglove", "0", "--output", "run", "--namespace", "site1", cwd=tmp_path,
     )
-    namespace = "".join(f"/{name}" for name in options[1:])
     port = port_of(run.stderr)
     children = Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children")
     (server,) = map(int, children.read_text().split())
     assert tcp_addresses_of(server) == {"0100007F"}
-    channel, found = receive(port, namespace + LEVEL, 40)
+    channel, found = receive(port, f"/site1{LEVEL}", 40)
     assert (channel["encoding"], channel["schemaName"], channel["schemaEncoding"]) == (
         "cdr", "std_msgs/msg/Float64", "ros2msg"
     )
     run.process.send_signal(signal.SIGINT)
     assert run.wait(120) == 130
     assert not alive(server)
-    definition, messages = recorded(tmp_path / "run", namespace + LEVEL)
+    definition, messages = recorded(tmp_path / "run", f"/site1{LEVEL}")
     assert channel["schema"] == definition
     values = {time_ns: struct.unpack("<4xd", data)[0] for time_ns, data in messages.items()}
     assert [value for _, value in found] == [values[time_ns] for time_ns, _ in found]
@@ -188,19 +183,8 @@ def test_at_a_live_site_a_value_has_its_time_of_arrival(
     end(viewer)
 
 
-def test_a_run_in_foxglove_is_the_same_run(domain: int, tmp_path: Path) -> None:
-    """With a client that subscribes to everything and never reads."""
-    options = ("--controller", "onoff", "--hours", "0.15")
-    viewer = Process(domain, "watch", "--foxglove", "0", cwd=tmp_path)
-    with deaf_client(port_of(viewer.stdout)):
-        bring_up(domain, tmp_path, *options, "--speed", "60", "--foxglove", "0", output="shown")
-    end(viewer)
-    bring_up(domain, tmp_path, *options, output="alone")
-    assert filecmp.cmp(*(bag_file(tmp_path / name) for name in ("shown", "alone")), shallow=False)
-
-
 def test_a_port_in_use_is_refused(unused_domain: int, tmp_path: Path) -> None:
-    """By both commands, before anything starts."""
+    """By both commands, before anything starts; so is an option of the page."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         for command in ("bringup", "watch"):
@@ -213,11 +197,11 @@ def test_a_port_in_use_is_refused(unused_domain: int, tmp_path: Path) -> None:
                 "Address already in use; choose another\n"
             )
     assert not (tmp_path / "runs").exists()
-
-
-def test_options_of_the_page_are_refused(unused_domain: int, tmp_path: Path) -> None:
     done = run_command(
         "watch", "--foxglove", "--port", "8081", cwd=tmp_path, env=environment(unused_domain)
     )
-    assert done.returncode == 2
-    assert done.stderr == "error: --port: is for the page; omit it, or --foxglove\n"
+    assert (done.returncode, done.stderr) == (
+        2, "error: --port: is for the page; omit it, or --foxglove\n"
+    )
+
+

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import time
 from collections.abc import Callable
 from random import Random
 from typing import Any
@@ -12,12 +11,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.document import document as read_document
-from greenroof_ros.watch.document import series as read_series
-from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.wire import WireStatus
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -137,31 +131,3 @@ def test_hostile_diagnostics_are_cut() -> None:
     assert read is not None and read[1][0].name == "\ufffd\ufffd\ufffd"
 
 
-def test_messages_of_a_live_site_are_shown() -> None:
-    """Level, forecast and plan have the time of their arrival; an empty plan is the same plan."""
-    store = GraphStore()
-    feed = Feed(store)  # not entered: no graph
-    store.mode = "live"
-    began = time.time()
-    ends, rain = growing_steps(12)[1:], np.full(32, 1e-7)
-    plan = np.array([[3600.0, 1e-4, 0.05, 0.0], [7200.0, 0.0, 0.04, 0.0]])
-    for topic, message in {
-        "/roof/level": written("std_msgs/Float64", 0.045),
-        "/forecast/precipitation": written(
-            "std_msgs/Float64MultiArray",
-            *rows_message(np.array([began - 60, *ends, *rain]), (), 1 + len(ends)),
-        ),
-        "/controller/plan": written(
-            "std_msgs/Float64MultiArray", *rows_message(plan.ravel(), (2, 4))
-        ),
-    }.items():
-        feed._on_message(topic, message, None, 0)
-    empty = written("std_msgs/Float64MultiArray", *rows_message(np.empty(0), ()))
-    feed._on_message("/controller/plan", empty, None, 0)
-    series = read_series(store, 12)
-    assert store.forecast is not None
-    assert store.forecast.issued == pytest.approx(began - 60)
-    assert [row[2:] for row in series["plan"]] == [[1e-4, 0.05], [0.0, 0.04]]
-    (level,) = series["lines"]["roof"]
-    assert began <= level[0] <= time.time() and level[1:] == [0.045, 0.045, 0.045]
-    assert read_document(store, 0.0)["tiles"]["roof"]["number"] == 0.045

@@ -53,21 +53,18 @@ def in_plain_python(
     return [*stretches, *([last] if last[0] > stretches[-1][0] else [])]
 
 
-@pytest.mark.parametrize("steps", [False, True])
-@pytest.mark.parametrize(("count", "stretch"), [(5000, STRETCH_NS), (50_000, 25 * STRETCH_NS)])
 @pytest.mark.parametrize("decimals", [9, 0])
-def test_every_extreme_is_in_the_rows(
-    count: int, stretch: int, decimals: int, steps: bool
-) -> None:
+def test_every_extreme_is_in_the_rows(decimals: int) -> None:
     """Also if a value lasts for long, so that many changes of a stretch are equal."""
-    times, values = ticks(count)
+    times, values = ticks(5000)
     values = values.round(decimals)
-    rows = filled(times, values).window(START, int(times[-1]), stretch, steps=steps)
-    assert rows == in_plain_python(times, values, stretch, steps)
+    history = filled(times, values)
+    for stretch, steps in ((STRETCH_NS, False), (STRETCH_NS, True), (25 * STRETCH_NS, True)):
+        rows = history.window(START, int(times[-1]), stretch, steps=steps)
+        assert rows == in_plain_python(times, values, stretch, steps)
 
 
-@pytest.mark.parametrize("noise", [0.0, 1.0])
-@pytest.mark.parametrize("stretch", [STRETCH_NS, 30 * STRETCH_NS])
+@pytest.mark.parametrize(("stretch", "noise"), [(STRETCH_NS, 1.0), (30 * STRETCH_NS, 0.0)])
 def test_a_step_is_where_it_happened(stretch: int, noise: float) -> None:
     """It stays there while values go on, in stretches of 20 s, or of 10 min."""
     history, ran = History(), 787  # s: within a stretch of either length, not the first
@@ -137,15 +134,12 @@ def test_a_restart_keeps_the_past(tmp_path: Path) -> None:
     for _ in range(2):  # it is replaced
         write_histories(file, {"roof": history.rows, "flow": History().rows})
     assert [path.name for path in file.parent.iterdir()] == ["watch.npz"]
+    assert read_histories(tmp_path / "none.npz", ["roof"], START) == {}
     read = read_histories(file, ["roof", "flow", "rain"], START + 400 * SECOND)
     assert read.keys() == {"roof", "flow"} and not len(read["flow"].rows)
     np.testing.assert_array_equal(read["roof"].rows, history.rows[:20])
     read["roof"].add(START + 401 * SECOND, 7.0)
     assert read["roof"].window(START, START + WEEK_NS, STRETCH_NS, steps=False)[-1][3] == 7.0
-
-
-def test_no_file_is_no_past(tmp_path: Path) -> None:
-    assert read_histories(tmp_path / "none.npz", ["roof"], START) == {}
 
 
 def _with(**content: object) -> bytes:
@@ -164,7 +158,7 @@ WHOLE = _with(format=1, roof=ROWS)
 @pytest.mark.parametrize("content", [
     b"", b"a site: 1\n", b"PK\x03\x04", bytes(5000), WHOLE[:len(WHOLE) // 2],
     WHOLE.replace(b"\x93NUMPY", b"\x93NUMPX"), _with(roof=ROWS), _with(format=2, roof=ROWS),
-    _with(format=np.arange(3), roof=ROWS), _with(format=1, roof=np.arange(3.0)),
+    _with(format=1, roof=np.arange(3.0)),
     _with(format=1, roof=ROWS[:4].reshape(2, 2)), _with(format=1, roof=WRONG_TIMES),
     _with(format=1, roof=WRONG_VALUES), _with(format=1, roof=np.array([{}], dtype=object)),
 ], ids=lambda content: f"{len(content)} bytes")

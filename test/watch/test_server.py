@@ -126,37 +126,39 @@ def test_a_request_names_this_host(port: int) -> None:
             assert request(port, "GET", target, host=host).status == status, host
 
 
-@pytest.mark.parametrize(("token", "headers", "status"), [
-    *((None, headers, 200) for headers in (
-        {**ACT, "Origin": "http://localhost"}, {**ACT, "Sec_Fetch_Site": "same-origin"},
-    )),
-    *((None, headers, 403) for headers in (
+@pytest.mark.parametrize(("token", "status", "refused", "right"), [
+    (None, 403, (
         {}, {"X_Greenroof": "0"}, {**ACT, "Origin": "http://evil.example"},
         {**ACT, "Origin": "null"}, {**ACT, "Origin": "http://localhost:1"},
         {**ACT, "Sec_Fetch_Site": "same-site", "Origin": "http://localhost"},
-    )),
-    ("secret", RIGHT, 200), ("secret", ACT, 401),
-    *(("secret", {**ACT, "Authorization": given}, 401) for given in (
+    ), {**ACT, "Origin": "http://localhost", "Sec_Fetch_Site": "same-origin"}),
+    ("secret", 401, (ACT, *({**ACT, "Authorization": given} for given in (
         "Bearer ", "Bearer secrex", "secret", "Bearer secr\xe9t", "Bearer " + "a" * 5000,
-    )),
-], ids=lambda value: str(value)[:60])
+    ))), RIGHT),
+], ids=["without-token", "with-token"])
 def test_only_the_page_itself_acts(
-    token: str | None, headers: dict[str, str], status: int, watched: GraphStore
+    token: str | None, status: int, refused: tuple[dict[str, str], ...], right: dict[str, str],
+    watched: GraphStore,
 ) -> None:
     """With a token nothing is shown without it; the page itself contains no secret."""
     watched.add_statuses(time.monotonic(), [ALARM])
     body = json.dumps({"id": shown(watched)["alarms"][0]["id"]}).encode()
     with served(watched, token) as port:
-        if status != 200:
-            assert request(port, "POST", "/stop", body, **headers).status == status
-        if token or "Sec_Fetch_Site" in headers:
-            with closing(Stream(port, **headers)) as stream:
-                assert f" {status} " in stream.head()
-            assert request(port, "GET", "/").status == 200
-        for said, ok in ((body, status == 200), (b'{"id": "/unknown"}', False)):
-            answer = request(port, "POST", "/acknowledge", said, **headers)
-            assert (answer.status, answer.json()["ok"]) == (status, ok)
-        assert shown(watched)["alarms"][0]["acknowledged"] == (status == 200)
+        for headers in refused:
+            for action in ("/stop", "/acknowledge"):
+                answer = request(port, "POST", action, body, **headers)
+                assert (answer.status, answer.json()["ok"]) == (status, False), headers
+            if token:
+                with closing(Stream(port, **headers)) as stream:
+                    assert f" {status} " in stream.head()
+        assert not shown(watched)["alarms"][0]["acknowledged"]
+        assert request(port, "GET", "/").status == 200
+        with closing(Stream(port, **right)) as stream:
+            assert " 200 " in stream.head()
+        for said, ok in ((b'{"id": "/unknown"}', False), (body, True)):
+            answer = request(port, "POST", "/acknowledge", said, **right)
+            assert (answer.status, answer.json()["ok"]) == (200, ok)
+        assert shown(watched)["alarms"][0]["acknowledged"]
 
 
 def test_a_stop_that_did_not_take_hold_reports_it_and_many_are_one(
@@ -441,25 +443,6 @@ def _is_ended(connection: socket.socket) -> bool:
     lines = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
     port = f":{connection.getsockname()[1]:04X}"
     return not any(remote.endswith(port) and state == "01" for _, _, remote, state, *_ in lines)
-
-
-def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
-    port: int, look: Callable[..., Stream], capfd: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A page then reports that it is not connected: nothing old is shown as present."""
-
-    def fail(store: GraphStore, wall: float) -> None:
-        raise RuntimeError("this document cannot be made")
-
-    events = look().events()
-    assert next(events)[0] == "state"
-    with monkeypatch.context() as broken:
-        broken.setattr(server, "document", fail)
-        assert {name for name, _ in events} <= {"series", "state"}  # until their end
-        assert "this document cannot be made" in capfd.readouterr().err
-        assert_goes_on(port)
-    assert next(look().events())[0] == "state"
 
 
 def _open_files() -> int:

@@ -68,12 +68,18 @@ def cut_bag(at: Path) -> None:
     os.truncate(small_bag(at) / "in.mcap", 300)
 
 
+def unfinished_bag(at: Path) -> None:
+    """Write a bag as it is while it is recorded."""
+    (small_bag(at) / "metadata.yaml").unlink()
+
+
 NEEDED = ("cistern_level", "roof_level", "pump_command", "pump_flow")
 # name: what makes the input "in", the message as a pattern
 WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     "nothing-there": (lambda at: None, "in: does not exist"),
     "a-file": (lambda at: at.write_text("x"), "in: must be a directory"),
     "an-empty-directory": (Path.mkdir, "results.csv.*metadata.yaml"),
+    "unfinished": (unfinished_bag, "in: has no metadata.yaml: .*greenroof recover"),
     "mcap-cut": (cut_bag, "cannot be read as a bag.*greenroof recover"),
     "foreign-topics": (topics("/scan"), "no .*/cistern/level.*/pump/flow.*its topics are: /scan"),
     "a-silent-topic": (bag(pump_flow=[]), "no message of /pump/flow"),
@@ -84,12 +90,10 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "not-a-number": (bag(roof_level=[0.03, float("nan"), 0.03]), "/roof/level.*nan"),
     "no-results": (lambda at: (at / "runs").mkdir(parents=True), "a study without results.csv"),
-    "header-only": (study(lambda text: text.splitlines()[0] + "\n"), "results.csv.*no runs"),
     "another-table": (study(lambda text: "a,b\n1,2\n"), "results.csv, line 1.*no column run, site"),
     "no-finished-run": (replaced(",done,", ",failed,"), "no finished run; 1 failed or did not run"),
     "row-cut": (study(lambda text: text[:-20]), "results.csv, line 2: ends in the middle of a li"),
     "row-too-short": (study(lambda text: text[:-20] + "\n"), "line 2: must have .* cells"),
-    "row-too-long": (study(lambda text: text[:-1] + ",1\n"), "line 2: must have .* cells"),
     "status-after-an-error-of-two-lines": (
         study(
             lambda text: text.replace(",done,,", ',done,"a\nb",')
@@ -103,12 +107,7 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
         study(lambda text: text + text.splitlines()[1] + "\n"),
         "results.csv, line 3: run = '001': must be the name of a directory under runs/, in one row",
     ),
-    "a-column-twice": (
-        study(lambda text: text.replace("near_target_hours", "hours", 1)),
-        "results.csv, line 1: hours: is the name of several columns",
-    ),
     "bound-below-0": (with_cell("bound_m3", "-1"), "bound_m3 = '-1': must be a number, 0 or more"),
-    "a-week": (with_cell("weekly_deviation_m3", "1.5 x"), "weekly_deviation_m3 = '1.5 x': must be"),
     "a-season-without-weeks": (
         with_season, "season = 'May': must be empty, or weekly_deviation_m3 must have all weeks"
     ),
@@ -138,35 +137,26 @@ def test_sites(tmp_path: Path) -> None:
     refusal(find_runs, paths, CONFIG / "site.yaml", match="--site.*has its own sites")
 
 
-COMMANDS = {
-    "": "in: has no metadata.yaml: it is being recorded, or was cut off; greenroof recover in",
-    "--output mine": "--output = 'mine': exists and is not empty: x does not belong to a repor",
-}
-
-
-@pytest.mark.parametrize("options", COMMANDS)
-def test_command(tmp_path: Path, options: str) -> None:
+def test_command(tmp_path: Path) -> None:
     """Exit code 2, one line, no traceback, nothing written."""
     small_bag(tmp_path / "in")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "x").touch()
-    if not options:
-        (tmp_path / "in" / "metadata.yaml").unlink()
     before = sorted(tmp_path.rglob("*"))
-    done = command("in", *options.split(), cwd=tmp_path)
+    done = command("in", "--output", "mine", cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr and done.stdout == ""
     message = done.stderr.partition("error:")[2].strip()
-    assert COMMANDS[options] in message and "\n" not in message
+    assert "--output = 'mine': exists and is not empty: x does not belong to a repor" in message
+    assert "\n" not in message
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("missing", ["altair", "rosbags"])
-def test_without_the_extra(tmp_path: Path, missing: str) -> None:
+def test_without_the_extra(tmp_path: Path) -> None:
     """Without the extra the error states what to install."""
     small_bag(tmp_path / "in")
     code = (
-        f"import sys; sys.modules[{missing!r}] = None; sys.argv[1:] = ['in'];"
+        "import sys; sys.modules['altair'] = None; sys.argv[1:] = ['in'];"
         "from greenroof_ros.commands.report import main; sys.exit(main())"
     )
     done = subprocess.run(

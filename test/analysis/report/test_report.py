@@ -15,7 +15,6 @@ from inputs import (
     Simulated,
     command,
     figures_of,
-    page_of,
     report_of,
     seeded_rows,
     simulate,
@@ -116,7 +115,6 @@ def test_figures_of_a_study(tmp_path: Path, simulated: list[Simulated]) -> None:
 
 @pytest.mark.parametrize(("columns", "site", "published"), [
     ({}, {"latitude": 52.5, "longitude": 13.4}, [None, 9635.5272]),
-    ({"hours": 11.0}, {}, [None, None]),
     ({"start": "2021-07-08T02:00:00-05:00"}, {}, [None, None]),
     ({"evapotranspiration": "fao56"}, {}, [None, None]),
     ({"parameter:level": "0.9"}, {}, [None, None]),
@@ -238,11 +236,3 @@ def test_study(tmp_path: Path) -> None:
     assert {panel["figure"] for panel in payload["panels"]} == names
 
 
-def test_two_studies(tmp_path: Path) -> None:
-    """Each is grouped on its own; runs and windows have the study's name in front."""
-    row = simulate("onoff", "0.5", "low-low", "0.01").row
-    paths = [write_study(tmp_path / name, [(row, None)]) for name in ("north", "south")]
-    report = report_of(*paths)
-    assert [case.place[0].partition("/")[0] for case in report.cases] == ["north", "south"]
-    assert [run.name for run in report.runs] == ["north/001", "south/001"]
-    assert "north/site.yaml" in page_of(report)
