@@ -36,7 +36,7 @@ from who_publishes import WAYS, drawing
 from greenroof_ros.__main__ import COMMANDS, GROUPS
 from greenroof_ros.analysis.calibration.checks import CHECKS
 from greenroof_ros.common.alarms import Alarm
-from greenroof_ros.common.conditions import Interlock, read_conditions, read_interlocks
+from greenroof_ros.common.conditions import LATCHED, Interlock, read_conditions, read_interlocks
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic, read_topics, roles
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
@@ -397,7 +397,8 @@ def interlocks() -> str | None:
         if entry.limit:
             parts.append(f"set by {', '.join(map(limit, entry.limit))}")
         if entry.by or entry.on_page:
-            parts.append(f"cleared by {entry.clears_by}")
+            by = entry.by or ("~/reset" if entry.kind == LATCHED else "itself")
+            parts.append(f"cleared by {by}{' or the page' * entry.on_page}")
         text = re.sub(r"(?<!`)(~/\w+|/pump/\w+)", r"`\1`", "; ".join(parts))
         return f"`{code}`", "", text
 

@@ -15,7 +15,6 @@ from typing import Any
 from greenroof_ros.common.files import read_yaml, shared_directory
 
 LATCHED, INHIBIT, PERMISSIVE = "latched", "inhibit", "permissive"
-_CLEARS = {LATCHED: "~/reset", INHIBIT: "itself", PERMISSIVE: "itself"}
 
 
 @dataclass(frozen=True)
@@ -43,11 +42,6 @@ class Interlock:
     on_page: bool = False
     input: str = ""
     explained_by: tuple[str, ...] = ()
-
-    @property
-    def clears_by(self) -> str:
-        """What clears it."""
-        return (self.by or _CLEARS[self.kind]) + (" or the page" if self.on_page else "")
 
     @property
     def parts(self) -> tuple[str, ...]:
