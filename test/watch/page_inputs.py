@@ -49,23 +49,6 @@ def pump_report(text: str) -> dict[str, str]:
     return {"pump_state": state, "pump_why": why}
 
 
-def silent_sensor() -> list[WireStatus]:
-    """Return what a site's nodes report while the cistern's sensor is silent."""
-    old = ERROR, "/cistern/level is older than 5 s (level_limit)", "input_silent"
-    held = "held: the level of the cistern is unknown"
-    return [
-        *node("/onoff", "controller", ("inputs", *old)),
-        *node(
-            "/pump", "pump", ("pump", WARN, held, "cistern_level_unknown"), ("levels", *old),
-            ("delivery", WARN, "blind for 3 s", "delivery_blind"), **pump_report(held),
-        ),
-        *node("/cistern_sensor", "cistern_sensor", (
-            "sensor", ERROR, "tcp://10.0.0.7:502, device 1: reading register 16: no valid answer "
-            "within 0.5 s", "sensor_lost",
-        )),
-    ]
-
-
 def store(mode: str = "simulated", site: Site = PAPER_SITE) -> GraphStore:
     """Return a store that knows only the site of its graph."""
     graph = GraphStore()
