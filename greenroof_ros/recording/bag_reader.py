@@ -145,8 +145,8 @@ def load_bag(
 
 def read_rain_forecasts(
     bag: Path, start: datetime, most: int = _MOST_FORECASTS
-) -> list[tuple[float, float]]:
-    """Read the forecasts of rain in a bag's directory: of each, the rain in the hour after it.
+) -> list[tuple[float, float, float]]:
+    """Read the forecasts of rain in a bag's directory: of each the rain in its first hour.
 
     If there are many, evenly spread ones are read. A forecast that ends earlier counts until then;
     of an ensemble the members' mean counts.
@@ -157,7 +157,7 @@ def read_rain_forecasts(
         most: number of forecasts to read, about.
 
     Returns:
-        The time of each (s since the start), and its rain (m).
+        The time of each (s since the start), how far it counts (s), and its rain (m).
     """
     if not bag.is_dir():
         return []
@@ -178,7 +178,7 @@ def read_rain_forecasts(
             steps = message.data[front:].reshape(-1, max(len(ends), 1))
             if len(ends):
                 rain = float(steps.mean(axis=0) @ np.diff(ends, prepend=0.0))
-                found.append(((stamp - epoch_ns(start)) / 1e9, rain))
+                found.append(((stamp - epoch_ns(start)) / 1e9, float(ends[-1]), rain))
     return found
 
 

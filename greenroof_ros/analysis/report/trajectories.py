@@ -207,13 +207,13 @@ def figures_over_time(
 
 
 def forecast_figure(
-    forecasts: Sequence[tuple[float, float]], run: Drawn, trajectory: Trajectory, name: str,
+    forecasts: Sequence[tuple[float, float, float]], run: Drawn, trajectory: Trajectory, name: str,
     title: str,
 ) -> Figure:
-    """Return the figure of the rain forecast for the next hour, and of what fell in that hour.
+    """Return the figure of the rain that was forecast, and of what fell in the same time.
 
     Args:
-        forecasts: time of each (s since the start), and its rain in the hour after it (m).
+        forecasts: time of each (s since the start), how far it counts (s), and its rain (m).
         run: the run.
         trajectory: of the same run.
         name: end of the figure's name.
@@ -221,24 +221,24 @@ def forecast_figure(
     """
     steps = np.append(np.diff(trajectory.time), 0.0)
     fallen = np.concatenate([[0.0], np.cumsum(steps * trajectory.precipitation)[:-1]])
-    issued = np.array([time for time, _ in forecasts])
-    came = np.interp(issued + 3600, trajectory.time, fallen) - np.interp(
+    issued, span, rain = np.array(forecasts).T
+    came = np.interp(issued + span, trajectory.time, fallen) - np.interp(
         issued, trajectory.time, fallen
     )
-    came[issued + 3600 > trajectory.time[-1]] = np.nan
+    came[issued + span > trajectory.time[-1]] = np.nan
     origin = _origin(run.start)
     dataset = f"forecast-{name}"
     rows: Rows = [
         {"controller": series, "t": origin + 1000 * time, "v": short(1000 * value)}
-        for series, values in (("forecast", [rain for _, rain in forecasts]), ("fell", came))
-        for time, value in zip(issued.tolist(), values, strict=True)
+        for series, values in (("forecast", rain), ("fell", came))
+        for time, value in zip(issued.tolist(), values.tolist(), strict=True)
     ]
     lines = alt.Chart(alt.NamedData(dataset)).mark_line(clip=True, strokeWidth=1.6).encode(
-        x=_time(run.start, run.hours), y=alt.Y("v:Q", title="rain in the next hour (mm)"),
+        x=_time(run.start, run.hours), y=alt.Y("v:Q", title="rain (mm)"),
         tooltip=pointed("controller:N", _WHEN, ("v:Q", "mm")),
     )
-    names = ["forecast", "fell"]
-    panel = series_panel(lines, "controller", names, "Rain in the next hour", zoom=True)
+    names, length = ["forecast", "fell"], round(float(span.max()))
+    panel = series_panel(lines, "controller", names, f"Rain in the next {length} s", zoom=True)
     return Figure(
         f"forecast-{name}", f"Forecast{title}", "The mean of an ensemble's members", (panel,), 1,
         {dataset: rows},

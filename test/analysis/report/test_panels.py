@@ -52,7 +52,7 @@ def test_figures_of_any_values(tmp_path: Path, values: list[float]) -> None:
     figures = figures_over_time({"mpc": run}, "1", "")
     assert [figure.name for figure in figures] == ["water-1", "flows-1"]
     if length and np.isfinite(values).all():
-        figures.append(forecast_figure([(0.0, values[0])], run, trajectory, "1", ""))
+        figures.append(forecast_figure([(0.0, 3600.0, values[0])], run, trajectory, "1", ""))
     for figure in figures:
         width, height = size(tmp_path, figure)
         assert width > 400 and height > 200
@@ -116,19 +116,19 @@ def test_figures_fit_a_page(tmp_path: Path) -> None:
 
 
 def test_what_was_forecast_and_what_fell(tmp_path: Path) -> None:
-    """By hand: 2 mm/h fall for half an hour; what fell is unknown in the last hour."""
+    """By hand: 2 mm/h fall for half an hour; the second forecast ends after ten minutes."""
     rate = 2e-3 / 3600
     trajectory = trajectory_of(
         np.arange(0, 7201, 60.0), precipitation=[rate] * 30 + [0.0] * 91, roof=3.0, cistern=50.0
     )
     figure = forecast_figure(
-        [(0.0, 1.5e-3), (900.0, 0.0), (6000.0, 0.0)], drawn(PAPER_SITE, trajectory), trajectory,
-        "1-1", "",
+        [(0.0, 3600.0, 1.5e-3), (900.0, 600.0, 0.0), (6000.0, 3600.0, 0.0)],
+        drawn(PAPER_SITE, trajectory), trajectory, "1-1", "",
     )
     (rows,) = figure.data.values()
     drawn_rows = [(row["controller"], row["v"]) for row in rows]
     assert drawn_rows[:3] == [("forecast", 1.5), ("forecast", 0.0), ("forecast", 0.0)]
     assert drawn_rows[3:] == [
-        ("fell", pytest.approx(1.0)), ("fell", pytest.approx(0.5)), ("fell", None)
+        ("fell", pytest.approx(1.0)), ("fell", pytest.approx(1 / 3)), ("fell", None)
     ]
     size(tmp_path, figure)
