@@ -66,9 +66,4 @@ def test_every_module_but_the_graphs_imports_without_ros() -> None:
     rooms -= {"graph", "nodes", "live", "__pycache__"}
     assert rooms >= {"common", "model", "controllers", "experiment", "analysis", "commands"}
     assert {f"greenroof_ros.{name}" for name in rooms} <= imported
-    modules = {
-        "bringup", "commands.simulate", "analysis.study.grid", "model.plant", "controllers.mpc",
-        "experiment.closed_loop", "live.devices.exchange", "live.pumping.limits",
-        "live.simulators.server",
-    }
-    assert {f"greenroof_ros.{name}" for name in modules} <= imported
+    assert "greenroof_ros.live.devices.exchange" in imported

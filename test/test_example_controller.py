@@ -1,4 +1,4 @@
-"""The example of a user-defined controller, through simulate, bringup and study."""
+"""The example of a user-defined controller, in simulate and bringup, and in a study's identity."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pytest
 from graphs import bring_up, environment
-from paper import metrics_of, paper_run
 from places import CHECKOUT, words_of
-from studies import GRID, rows_of
+from studies import GRID
 
 from greenroof_ros.analysis.study.grid import read_grid
 
@@ -44,25 +43,6 @@ def test_simulate_and_graph_agree(domain: int, tmp_path: Path) -> None:
     assert set(graph["messages"].values()) == {TICKS}
     # It uses no solver, so there is no solver topic.
     assert not any(topic.startswith("/controller/") for topic in graph["messages"])
-
-
-def test_study(tmp_path: Path) -> None:
-    """The study's grid and table have it and its parameter next to a controller of this package."""
-    section = f"  {EXAMPLE}:\n    gain: [10.0, 20.0]\n  onoff:\n"
-    grid = GRID[: GRID.index("  mpc:\n")] + section
-    grid = grid.replace("hours: 0.25", "hours: 0.02").replace("[published, fao56]", "published")
-    (tmp_path / "grid.yaml").write_text(grid)
-    run(tmp_path, "study", "grid.yaml", "--output", "study", "--jobs", "1")
-    rows = [row for row in rows_of(tmp_path / "study" / "results.csv")
-            if row["controller"] == "proportional"]
-    assert {row["status"] for row in rows} == {"done"}
-    assert len(rows) == 2 * 2  # initial states, gains
-    ours = metrics_of(paper_run(
-        "--controller", EXAMPLE, "--gain", "10", "--hours", "0.02",
-        "--evapotranspiration", "published",
-    ))
-    mine = next(row for row in rows if row["initial"] == "low-low" and "10.0" in row.values())
-    assert float(mine["total_deviation_m3"]) == ours["total_deviation_m3"]
 
 
 def test_another_state_of_its_code_is_another_run(

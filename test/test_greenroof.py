@@ -87,13 +87,6 @@ def test_version_is_printed(tmp_path: Path) -> None:
     assert "\n  --version " in greenroof(tmp_path, "--help").stdout
 
 
-@pytest.mark.parametrize("name", ["", "simulate", "status"])
-def test_an_abbreviated_option_is_refused(tmp_path: Path, name: str) -> None:
-    """Otherwise an option of a later version could make a call ambiguous that works today."""
-    done = greenroof(tmp_path, *name.split(), "--hel")
-    assert (done.returncode, done.stdout) == (3 if name == "status" else 2, "")
-
-
 @pytest.mark.parametrize(("words", "meant"), [
     ("--vers", "--version"),
     ("run --hour 0.01", "--hours"),
@@ -108,14 +101,6 @@ def test_an_unknown_option_is_refused_with_what_it_means(
     assert (done.returncode, done.stdout) == (2, "")
     option = words.split("--")[-1]
     assert f"unrecognized arguments: --{option}; did you mean {meant}?" in done.stderr
-
-
-def test_a_command_does_what_its_module_does(tmp_path: Path) -> None:
-    """Output, exit code and the error for a wrong option are equal."""
-    assert greenroof(tmp_path, "topics").stdout.startswith("| topic |")
-    wrong = greenroof(tmp_path, "simulate", "--hours", "-1")
-    assert wrong.returncode == 2
-    assert wrong.stderr.splitlines()[-1].startswith("greenroof simulate: error: argument --hours:")
 
 
 def test_run_simulates_and_live_is_a_site(tmp_path: Path) -> None:

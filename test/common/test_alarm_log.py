@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -127,14 +126,3 @@ def test_a_disk_that_is_full_and_a_damaged_file_stop_no_one(tmp_path: Path) -> N
     for other in ("{", "[]", "[" * 100_000):
         (tmp_path / "summary.json").write_text(other)
         assert read_alarms(tmp_path) == []
-
-
-def test_a_file_of_any_size_is_read_in_bounded_memory(tmp_path: Path) -> None:
-    line = to_record(ends().alarm)
-    with (tmp_path / ALARMS).open("w") as stream:
-        stream.writelines(f"{json.dumps(line | {'number': n})}\n" for n in range(1, 200_001))
-    assert (tmp_path / ALARMS).stat().st_size > 40_000_000
-    tracemalloc.start()
-    assert AlarmLog(print, tmp_path / ALARMS).last_number == 200_000
-    assert tracemalloc.get_traced_memory()[1] < 60_000_000
-    tracemalloc.stop()

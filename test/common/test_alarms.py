@@ -173,12 +173,6 @@ TWO = wrong("input_publishers")
         "/cistern_sensor": wrong("not_heard", "cistern_sensor", STALE),
         "/pump: levels": wrong("input_silent", about=("/cistern/level",)),
     }, {"/pump: levels": "/cistern_sensor"}),
-    ({
-        "/rain_gauge: gauge": wrong("broker_lost", "rain_gauge", WARN),
-        "/weather: rain gauge": wrong(
-            "gauge_bad", "weather", WARN, about=("/gauge/precipitation",)
-        ),
-    }, "/rain_gauge: gauge"),
     # Without a forecast there is no temperature.
     ({
         "/weather: forecast": wrong("forecast_service_silent", "weather"),
@@ -211,10 +205,6 @@ TWO = wrong("input_publishers")
         "/mpc: inputs": wrong("input_refused", "controller", about=("/roof/level",)),
     }, {}),
     # A pump that needs a person at it follows from nothing.
-    ({
-        "/pump: drive": wrong("drive_lost"),
-        "/pump: pump": wrong("stands_unknown"),
-    }, {}),
     ({"/pump: drive": wrong("drive_lost"), "/pump: pump": wrong("hold", level=WARN)}, {}),
 ])
 def test_causes(
@@ -327,24 +317,3 @@ def test_every_code_has_advice_for_whoever_stands_at_the_pump(role: str) -> None
     assert "greenroof release --namespace site1" in advise("hold", "pump", "/site1/pump")
     assert advise("hold", "", "/camera") == FOREIGN
     assert advise("of another version", "pump", "/pump") == OTHER
-
-
-def test_every_interlock_has_its_place() -> None:
-    """It needs someone at the pump, a part of the node reports more, or its own text states all."""
-    complete = {"cistern_low", "quiet_hours", "longest_run", "daily_volume", "daily_run"}
-    conditions = read_conditions()
-    assert {
-        code for code, interlock in read_interlocks().items()
-        if not conditions[code].needs_operator and not interlock.parts
-    } == complete
-
-
-def test_the_table_names_only_parts_that_nodes_report() -> None:
-    parts = {
-        "command", "delivery", "drive", "drive timeout", "flow", "forecast", "frost", "inputs",
-        "levels", "state file", "thermometer",
-    }
-    for code, condition in read_conditions().items():
-        assert {*condition.explained_by} <= parts, code
-        if condition.interlock is not None:
-            assert {*condition.interlock.parts} <= parts, code

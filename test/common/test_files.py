@@ -12,7 +12,7 @@ import pytest
 from refusals import refusal
 
 from greenroof_ros.common.command_line import refuse_unwritable
-from greenroof_ros.common.files import read_ros_parameters, read_text, read_yaml
+from greenroof_ros.common.files import read_ros_parameters, read_yaml
 
 VALUES = (
     "on", "off", "yes", "Y", "n", "True", "tRUE", "010", "-010", "08", "0x1F", "0x1p3", "0o17",
@@ -123,15 +123,6 @@ def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
     for read in (read_yaml, read_ros_parameters):
         reason = refusal(read, file)
         assert reason.startswith(str(file)) and words in reason
-
-
-def test_what_is_no_text(tmp_path: Path) -> None:
-    """Such as a spreadsheet that was renamed."""
-    file = tmp_path / "weather.csv"
-    file.write_bytes(b"PK\x03\x04\n\xff\xfe")
-    assert refusal(read_text, file) == (
-        f"{file}, line 2: is not UTF-8 text; save it as CSV in UTF-8"
-    )
 
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:

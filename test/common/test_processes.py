@@ -17,7 +17,6 @@ from greenroof_ros.common.processes import (
     LockedError,
     acquire_name_lock,
     child_environment,
-    notify,
     scratch_directory,
 )
 
@@ -134,21 +133,6 @@ def test_a_lock_is_its_process_alone_until_that_ends(
 
 
 # --- systemd ------------------------------------------------------------------------------------
-
-
-def test_a_datagram_arrives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By an abstract socket (sd_notify(3)); test_live_bringup.py has one in the file system."""
-    name = f"greenroof-test-{tmp_path.name}"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(f"\0{name}")
-        receiver.settimeout(5)
-        monkeypatch.setenv("NOTIFY_SOCKET", f"@{name}")
-        notify("READY=1", "STATUS=all nodes are here")
-        assert receiver.recv(4096) == b"READY=1\nSTATUS=all nodes are here"
-    # During a restart of systemd, or without it, the site runs on.
-    notify("READY=1")
-    monkeypatch.delenv("NOTIFY_SOCKET")
-    notify("READY=1")
 
 
 def test_a_full_socket_stops_no_one(tmp_path: Path) -> None:

@@ -79,14 +79,3 @@ def _empty(reading: int) -> bytes:
         return printed
     finally:
         os.set_blocking(reading, True)
-
-
-def test_warnings_that_keep_changing_do_not_fill_the_memory() -> None:
-    """Each is printed once; of many different ones the last thousand are remembered."""
-    printed = io.StringIO()
-    progress = RunProgress(10, 1.0, printed)
-    for number in range(3000):
-        progress.warn([f"the command {number} is above 1", "the roof is dry"])
-    assert len(progress._warned) == 1000
-    assert printed.getvalue().count("warning: the command") == 3000
-    assert printed.getvalue().count("warning: the roof is dry") <= 4

@@ -42,7 +42,6 @@ BROKEN = [
         "its commands are also valid with each parameter at either end of its range",
         "with gain = 0 command() ret",
     ),
-    (returning("return None"), FINITE, "command() returns None; it must return a float"),
     (
         returning("import random; return command * random.random()"),
         "two instances give the same commands for the same inputs", "for equal inputs",
@@ -55,10 +54,6 @@ BROKEN = [
         returning("precipitation[3]; return command"),
         "a missing or wrong forecast gives a valid command or a ConfigurationError, nothing else",
         "raises IndexError",
-    ),
-    (
-        (HEAD, f'    outputs = {{"/pump/command": "gain"}}\n{HEAD}'), OUTPUTS,
-        "outputs = '/pump/command': is not an output of a controller",
     ),
     (
         (

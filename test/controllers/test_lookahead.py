@@ -355,15 +355,6 @@ def test_a_forecast_that_is_missing_for_a_while_ends_no_wait_for_rain(
     assert controller.command(2.3, 0.03, *wet) == 0.0
 
 
-def test_rain_that_does_not_count_stays_in_the_callers_forecast() -> None:
-    """A forecast can be the cache of its model."""
-    controller, rain = lookahead(waiting_budget=0.0, waiting_share=0.0), rain_in((3, 6), 0.03)
-    forecast = np.array([rain, rain])
-    for _ in range(10):
-        command = controller.command(2.3, 0.03, forecast, DRY)
-    assert command > 0 and forecast.tolist() == [rain, rain]
-
-
 def test_forecasts_of_another_shape_are_refused() -> None:
     """They belong to another horizon."""
     controller = lookahead()
@@ -373,21 +364,6 @@ def test_forecasts_of_another_shape_are_refused() -> None:
     ):
         with pytest.raises(ConfigurationError, match="give weather and controller the same"):
             controller.command(2.3, 0.04, rain, evaporated)
-
-
-@pytest.mark.parametrize("horizon", [0.5, 12.0, 120.0])
-def test_an_ensembles_plan_has_longer_steps(horizon: float) -> None:
-    """Hours or longer, up to the horizon, if it is that long; a single forecast's are shorter."""
-    steps = len(growing_steps(horizon)) - 1
-    ends = []
-    for members in (1, 3):
-        controller = lookahead(horizon=horizon)
-        controller.command(2.3, 0.03, [[0.0] * steps] * members, [0.0] * steps)
-        ends.append(controller.plan[:, 0])
-    assert ends[0].tolist() == growing_steps(horizon)[1:].tolist()
-    assert ends[1][-1] == 3600 * horizon
-    assert np.diff(ends[1], prepend=0.0).min() >= min(3600, 3600 * horizon)
-    assert set(ends[1]) <= set(ends[0])
 
 
 def test_the_order_of_members_does_not_matter() -> None:

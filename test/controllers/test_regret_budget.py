@@ -159,19 +159,3 @@ def test_forecasts_count_again() -> None:
     while budget.judge(50.0, PAPER_SITE.x2_star - 0.1, 1.0):
         seconds += 1
     assert seconds == pytest.approx(10_000, rel=0.01)
-
-
-def test_a_gain_pays_for_a_loss() -> None:
-    """An hour with 1 m3 too much only on the roof of on/off, then the budget and 3600 m3 s."""
-    budget = RegretBudget(PAPER_SITE, 0.01, 0.0)
-    budget._more = 1.0
-    for _ in range(3600):
-        assert not budget.judge(50.0, PAPER_SITE.x2_star, 1.0)
-    assert budget.loss == pytest.approx(-3600)
-    assert budget.onoff_cost == pytest.approx(3600)
-    seconds = 0
-    while not budget.judge(50.0, PAPER_SITE.x2_star - 1.0, 1.0):
-        seconds += 1
-    # On/off is at the target, and filling the roof takes half a m3 for that long.
-    flow = maximum_pump_flow(PAPER_SITE, 50.0)
-    assert seconds == pytest.approx(3600 + 0.01 * EMPTY_HOUR - 0.5 / flow, abs=2)

@@ -75,7 +75,6 @@ def test_columns_have_any_order(tmp_path: Path) -> None:
     [
         ("date" + HEADER[4:], "'date': the first column must be 'time'"),
         (HEADER + ",snow [cm]", "'snow [cm]': is not a known column; choose from precipitatio"),
-        (HEADER + ",temperature", "'temperature': a column must be named like"),
         (HEADER.replace("mm/h]", "cm]"), "'precipitation [cm]': the unit of precipitation must be"),
         (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': there is a"),
         ("time,fao56 evapotranspiration [mm/day]", "there must be a column 'precipitation [mm/h]'"),
@@ -123,8 +122,6 @@ def test_rain_alone(tmp_path: Path) -> None:
     climateless = replace(TORONTO, monthly_evapotranspiration=None)
     refusal(read_weather, [path], climateless, match="has no temperature, .* give the site file mo")
     refusal(read_weather, [path], TORONTO, "fao56", match="has no column .* and no temperature, de")
-    refusal(read_weather, [path], TORONTO, "hargreaves", match="has no temperature, from which har")
-    refusal(read_weather, [path], TORONTO, "published", match="must be fao56, hargreaves, monthly:")
 
 
 def test_a_method_can_be_chosen(tmp_path: Path) -> None:

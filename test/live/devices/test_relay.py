@@ -7,7 +7,6 @@ import itertools
 import json
 import re
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from asking import Asking
 from brokers import Mosquitto, Talker, mosquitto, needs_mosquitto
 from places import CHECKOUT, CONFIG
 from simulators import Simulator
@@ -25,7 +25,6 @@ from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.endpoint import read_endpoint
 from greenroof_ros.live.devices.exchange import (
     DriveExchange,
-    DriveSnapshot,
     ExchangeState,
     stop_drive,
 )
@@ -57,8 +56,8 @@ def switched(tap: Talker, on: bool) -> list[float]:
     ]
 
 
-class Bench:
-    """A relay, a broker, and an exchange that is asked again and again, as by the node."""
+class Bench(Asking):
+    """A relay and a broker."""
 
     def __init__(
         self, make: str, directory: Path, *options: str, broker: tuple[str, ...] = (),
@@ -70,37 +69,17 @@ class Bench:
             "drive_simulator", "--drive", make, "--at", str(self.at), "--workbench", "0",
             "--boot", "0.5", "--timeout", f"{TIMER_S:g}", *options,
         )
-        self.exchange = DriveExchange(self.at, 0.1, **special)
-        self.speed: float | None = None
-        self._ended = threading.Event()
-        self._hand = threading.Thread(target=self._ask, daemon=True)
-        self._hand.start()
-
-    def _ask(self) -> None:
-        while not self._ended.wait(0.05):
-            self.exchange.request_speed(None if self.now.start_failed else self.speed)
-
-    @property
-    def now(self) -> DriveSnapshot:
-        return self.exchange.snapshot
+        super().__init__(DriveExchange(self.at, 0.1, **special))
 
     @property
     def closed(self) -> bool:
         """Whether the contact is closed."""
         return self.relay.speed() == 1.0
 
-    def connect(self) -> None:
-        self.exchange.start()
-        wait(lambda: self.now.connected, 20)
-
     def run(self) -> None:
         self.connect()
         self.speed = 1.0
         wait(lambda: self.closed and self.now.state is ExchangeState.RUNNING, 20)
-
-    def ask_no_more(self) -> None:
-        self._ended.set()
-        self._hand.join()
 
     def close(self) -> None:
         self.ask_no_more()

@@ -121,13 +121,6 @@ def test_what_follows_is_not_said_next_to_its_cause() -> None:
     assert evaluate([alone]) == {"drive_not_ready": alone}
 
 
-def test_a_kept_fault_keeps_the_pump_off_with_any_code() -> None:
-    """A record from another version of this package can have any code."""
-    rig = Rig()
-    rig.ledger.fault("it was so", "phase_lost")
-    assert codes(rig.step(0.5)) == ["fault_unknown"]
-
-
 def test_faults_next_to_each_other() -> None:
     """The first stays; another one is named next to it while it lasts, unless it only follows.
 

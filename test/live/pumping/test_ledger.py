@@ -64,39 +64,12 @@ def read(file: Path, clock: Callable[[], float]) -> PumpRecord:
     return Ledger(file, clock).record
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ('"\\\x00' * 10_000, '"\\ ' * 70),
-        ("\ud800" + "\U0001f4a7" * 400, " " + "\U0001f4a7" * 87),
-    ],
-    ids=["escaped", "wide"],
-)
-def test_a_missing_file_is_a_fresh_record_and_is_made(
-    text: str, expected: str, tmp_path: Path, clock: Clock
-) -> None:
-    """With its directories and its final size; only the lock file is next to it.
-
-    The file has room for any text next to the last hundred starts in the third year.
-    """
+def test_a_missing_file_is_a_fresh_record_and_is_made(tmp_path: Path, clock: Clock) -> None:
+    """With its directories and its final size; only the lock file is next to it."""
     file = tmp_path / "greenroof" / "state" / "pump.json"
     ledger = Ledger(file, clock)
     assert (ledger.record, ledger.flush(20.0)) == (PumpRecord(), "")
     assert file.stat().st_size == 8192
-    ledger.count(1e8 + 0.5, 0.0, 0.0)
-    ledger.record = replace(ledger.record, starts=(0.0,) * 3600)  # one a second in an hour
-    for _ in range(101):
-        ledger.switch(True)
-    assert len(ledger.record.starts) == 3600
-    ledger.fault(text, "delivery")
-    ledger.hold(text, text, clock.now + 60.5)
-    ledger.record = replace(ledger.record, unknown=text)
-    assert ledger.flush(20.0) == ""
-    again = read(file, clock)
-    assert (again.fault, again.hold_reason, again.unknown) == (expected, expected, expected)
-    assert expected.startswith(again.hold_owner) and again.hold_owner
-    assert again.hold_until == clock.now + 60.5
-    assert (len(again.starts), file.stat().st_size) == (100, 8192)
     assert {path.name for path in file.parent.iterdir()} == {"pump.json", "pump.json.lock"}
 
 
@@ -216,34 +189,24 @@ def test_no_24_h_have_more_use_than_the_limits(
         assert ticks * tick * flow <= max_volume + tick * flow
 
 
-@pytest.mark.parametrize("limit", [{"volume": 0.5}, {"run": 300.0}])
-def test_a_wait_for_the_limit_is_as_long_as_it_says(limit: dict[str, float]) -> None:
-    """No earlier, and no later."""
-    ledger = Ledger(None, Clock())
-    ledger.count(1234.5, 0.0, 0.0)
-    ledger.count(400.0, 200.0, 0.3)
-    ledger.count(5000.0, 200.0, 0.3)
-    waits = ledger.record.clears_in(**limit)
-    ledger.count(waits - 1.0, 0.0, 0.0)
-    assert ledger.record.day_volume == pytest.approx(0.6)
-    ledger.count(1.5, 0.0, 0.0)
-    assert (ledger.record.day_run, ledger.record.day_volume) == pytest.approx((200, 0.3))
-
-
 def test_any_record_fits_in_its_line(tmp_path: Path, clock: Clock) -> None:
-    """With the longest texts, the most starts and the largest numbers; use is rounded up."""
+    """With the longest texts, the most starts and the largest numbers; use is rounded up.
+
+    A control character becomes a space, and so does half of a pair of UTF-16.
+    """
     file = tmp_path / "pump.json"
     ledger = Ledger(file, clock)
     for _ in range(60):
         ledger.count(1800.0, 1799.94, 123_456_789.01)
     ledger.record = replace(ledger.record, starts=(99_999_999_999.1,) * 3600)
-    ledger.hold('"' * 1000, '"' * 1000, 9e10 + 0.123456)
-    ledger.fault("\u00e4" * 1000, "speed_not_followed")
+    ledger.hold('"' * 1000, '"\\\x00' * 1000, 9e10 + 0.123456)
+    ledger.fault("\ud800" + "\U0001f4a7" * 400, "speed_not_followed")
     assert ledger.close() == ""
     again = read(file, clock)
     assert (again.unknown, len(again.use), len(again.starts)) == ("", 49, 100)
     assert set(again.use) == {(1800.0, 123_500_000.0)}
-    assert len(again.hold_reason) == 175 and len(again.fault) == 175
+    assert (again.hold_reason, again.fault) == ('"\\ ' * 70, " " + "\U0001f4a7" * 87)
+    assert file.stat().st_size == 8192
 
 
 @pytest.mark.parametrize(
@@ -316,24 +279,17 @@ def lines_of(**changes: Any) -> bytes:
 @pytest.mark.parametrize(("changes", "problem"), [
     ({"sequence": ...}, "it has no sequence"),
     ({"fault": ...}, "it has no fault"),
-    ({"on": ...}, "it has no on"),
     ({"version": 2}, "it is of format 2, and this version knows 1"),
-    ({"version": None}, "it is of format None, and this version knows 1"),
-    ({"starts": None}, "starts must be a list of numbers"),
     ({"starts": [1.0, "2"]}, "starts must be a list of numbers"),
     ({"starts": {"1": 1}}, "starts must be a list of numbers"),
-    ({"elapsed": "60"}, "elapsed must be a number from 0 to 1e+11"),
     ({"elapsed": math.nan}, "elapsed must be a number from 0 to 1e+11"),
     ({"written_at": math.inf}, "written_at must be a number from 0 to 1e+11"),
     ({"use": [[0.0, -1e9]]}, "use must be at most 49 pairs of numbers"),
     ({"use": [[10**400, 0.0]]}, "use must be at most 49 pairs of numbers"),
-    ({"use": [[True, 0.0]]}, "use must be at most 49 pairs of numbers"),
     ({"use": [[1.0]]}, "use must be at most 49 pairs of numbers"),
     ({"use": [[0.0, 0.0]] * 50}, "use must be at most 49 pairs of numbers"),
     ({"on": 0}, "on must be true or false"),
     ({"fault": None}, "fault must be text"),
-    ({"hold_owner": ["the page"]}, "hold_owner must be text"),
-    ({"hold_until": "tomorrow"}, "hold_until must be a number or null"),
     ({"hold_until": 1e300}, "hold_until must be a number or null"),
     ({"sequence": 1.0}, "sequence must be a whole number above 0"),
     ({"sequence": 7}, "its sequence belongs to the other line"),
@@ -400,24 +356,14 @@ def test_a_file_of_an_older_version_keeps_the_pump_off(
     assert "it has no hold_owner" in read(file, clock).unknown
 
 
-def a_link_to_nothing(file: Path) -> None:
-    file.symlink_to(file.parent / "unmounted" / "pump.json")
-
-
-def a_directory(file: Path) -> None:
-    file.mkdir()
-
-
-def a_loop(file: Path) -> None:
-    file.symlink_to(file)
-
-
 @pytest.mark.parametrize("make", [
     lambda file: file.with_name("pump.json.new").write_bytes(lines_of()),
     lambda file: file.with_name("pump.json.broken").write_bytes(b"torn"),
     lambda file: file.with_name("pump.json.new").symlink_to("nowhere"),
     lambda file: file.write_bytes(b""),
-    a_directory, a_link_to_nothing, a_loop,
+    lambda file: file.mkdir(),
+    lambda file: file.symlink_to("unmounted/pump.json"),
+    lambda file: file.symlink_to(file),
 ], ids=["new", "broken", "second link", "empty", "directory", "link to nothing", "loop of links"])
 def test_what_shows_that_a_file_existed_is_an_unknown_state(
     make: Callable[[Path], Any], tmp_path: Path
@@ -430,33 +376,6 @@ def test_what_shows_that_a_file_existed_is_an_unknown_state(
         decision = rig.run(30, 1.0)
         assert (decision.speed, list(decision.interlocks)) == (None, ["record_unknown"])
         rig.ledger.close()
-
-
-@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
-def test_a_file_of_another_owner_is_an_unknown_state() -> None:
-    """It can neither be read nor replaced."""
-    with TemporaryDirectory(dir="/tmp") as directory:
-        file = Path(directory) / "pump.json"
-        file.write_bytes(lines_of(hold_owner="the operator"))
-        file.chmod(0o600)
-        Path(directory).chmod(0o755)
-        shown = subprocess.run(
-            [sys.executable, "-c", _READS, str(file)], check=True, text=True,
-            stdout=subprocess.PIPE,
-        ).stdout.splitlines()
-        assert shown[0].startswith(f"{file} cannot be read (Permission denied)")
-        assert shown[1].startswith(f"{file} cannot be written: ")
-
-
-_READS = """
-import os, sys, time
-from pathlib import Path
-from greenroof_ros.live.pumping.ledger import Ledger
-os.setuid(65534)  # an unprivileged user
-ledger = Ledger(Path(sys.argv[1]), time.time)
-print(ledger.record.unknown)
-print(ledger.flush(20.0))
-"""
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff" * 8192, b"[" * 100_000])
@@ -481,10 +400,6 @@ def test_a_broken_file_stops_the_pump(content: bytes, tmp_path: Path) -> None:
     assert rig.run(30, 1.0).state == "running"
     rig.ledger.close()
     assert read(file, time.time).unknown == ""
-    # A directory in place of the file is left there.
-    ledger = Ledger(tmp_path, time.time)
-    assert "cannot be read (it is not a file)" in ledger.record.unknown
-    assert "not a file" in ledger.flush()
 
 
 def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
@@ -626,14 +541,7 @@ def test_a_hold_ends_at_its_end_or_when_it_is_released(tmp_path: Path, clock: Cl
     assert ledger.active_hold.sentence == f"a hold by the command line until {end}: painting"
     clock.now += 1
     assert ledger.active_hold is None
-    # If a second ledger gets the file later, its own hold counts.
-    later = Ledger(file, clock)
-    later.hold("the page", until=clock.now + 60)
     assert ledger.close() == ""
-    assert later.acquire() and later.active_hold
-    later.release()
-    assert (later.active_hold, later.close()) == (None, "")
-    assert written(file)["hold_owner"] == ""
 
 
 @pytest.mark.parametrize(("first", "second", "end"), [

@@ -248,23 +248,6 @@ def test_the_outstanding_volume_is_limited() -> None:
     assert pulse.outstanding == 0
 
 
-@given(share=st.floats(0, 1) | st.just(1.0), level=st.floats(0.75, 15))
-def test_speeds_are_the_drives(share: float, level: float) -> None:
-    """Between the drive's minimum speed and the rated speed, including roundings."""
-    speed = pulses(least_speed=0.8).speed(share, level)
-    assert 0.8 <= speed <= 1
-    assert share < 1 or speed == pytest.approx(1)
-
-
-def test_a_running_pump_makes_up_for_the_outstanding_volume() -> None:
-    """A minimum pulse per minute: 0.0168441 / 60 / 0.00842205 = a thirtieth of the maximum more."""
-    pulse = pulses()
-    pulse.update(0.5, 3.0, True, 0.0)
-    pulse.count(0.0, 60.0)
-    assert pulse.update(0.5, 3.0, True, 60.0) == pytest.approx(0.5 + 1 / 30)
-    assert pulse.update(0.99, 3.0, True, 60.0) == 1
-
-
 @pytest.mark.parametrize("drive_ramp", [0.1, 1.0])
 def test_volume_within_a_minimum_pulse(drive_ramp: float) -> None:
     """Below 0.0112 of the flow 20 starts an hour are enough: 3600 s x 0.0112 = 20 x 2 s.

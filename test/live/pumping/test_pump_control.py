@@ -7,14 +7,12 @@ import math
 import time
 
 import pytest
-from paper import PAPER_SITE, paper_run
+from paper import PAPER_SITE
 from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.pump_control import Decision, Observation, PumpControl
-from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import maximum_pump_flow
 
 
@@ -372,23 +370,3 @@ def test_what_is_not_responding_counts_at_worst() -> None:
     rig.change = {}
     rig.run(60, 0.0)
     assert "fault" not in {decision.state for decision in rig.decisions}
-
-
-def test_the_simulated_site_is_followed() -> None:
-    """With a simulated site: within 1 % of the simulated volume, or a minimum pulse."""
-    run = paper_run(
-        "--controller", "lookahead", "--horizon", "12", "--hours", str(1 / 6),
-        "--initial", "low-low",
-    )
-    simulated = sum(
-        tick.flows.pump for tick in closed_loop(run, run.make_controller(), Metrics())
-    )
-    rig, decide = Rig(run.x1, run.x2), run.make_controller()
-    for k in range(run.steps + 1):
-        command = decide.command(
-            *rig.plant.levels(), run.forecast.precipitation(k), run.forecast.evapotranspiration(k)
-        )
-        rig.step(command, run.series.precipitation[k], run.series.evapotranspiration[k])
-    least_pulse = 10 * 0.2 * maximum_pump_flow(PAPER_SITE, run.x1)
-    assert simulated > 0.04
-    assert rig.delivered == pytest.approx(simulated, abs=max(0.01 * simulated, least_pulse))
