@@ -29,14 +29,14 @@ SITE: Sample = {f"site:danfoss_fc202/{fault}": outcome for fault, outcome in {
     "stop long/bringup": (None, "ran again"),
     # Only the drive's own timeout can stop the pump.
     "kill both/pump and bringup": (None, "ended"),
-    "drive/refused": (("pump: pump", "drive_lost"), "ran again"),
+    "drive/refused": (("pump: drive", "drive_lost"), "ran again"),
     "state file/moved away": (("pump: pump", "record_unknown"), "ran again after ~/reset"),
     "sensor/roof_silent": (("pump: pump", "roof_level_unknown"), "ran again"),
     "intruder/pump.flow": (("pump: flow", "two_pumps"), "ran again"),
 }.items()}
 MQTT: Sample = {
     "mqtt:danfoss_fc202/broker/killed": (("cistern_sensor: sensor", "broker_lost"), "ran again"),
-    "relay:tasmota/broker/killed": (("pump: pump", "drive_lost"), "ran again"),
+    "relay:tasmota/broker/killed": (("pump: drive", "drive_lost"), "ran again"),
 }
 
 

@@ -225,7 +225,7 @@ def test_a_disk_that_hangs_undoes_no_stop(rig: PumpRig) -> None:
     pipe.unlink()
     wait_for(lambda: rig.call(SetBool, "stop", data=True).success, LATE, "the disk")
     os.close(reader)
-    assert b'"hold_owner": "the operator"' in file.read_bytes()
+    assert b'"hold_owner":"the operator"' in file.read_bytes()
 
 
 def test_commands_that_must_not_pump(rig: PumpRig) -> None:

@@ -78,7 +78,7 @@ class Case:
 
 # --- processes ------------------------------------------------------------------------------------
 
-_LOST = _pump("drive_lost")
+_LOST = (("pump: drive", "drive_lost"),)
 
 
 def _process(node: str, fault: str) -> Expected:

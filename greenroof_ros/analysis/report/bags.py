@@ -121,15 +121,10 @@ def _read_recording(path: Path, site_file: Path | None, about: About) -> Recordi
             zone = timezone(timedelta(hours=site.utc_offset))
         if zone is None:
             notes.append("times are in UTC: no configuration gives the offset")
-        try:
-            trajectory, further = load_bag(
-                bag, site, zone or timezone.utc, own=about.own, external_pump=about.external_pump,
-                repair=repair,
-            )
-        except ConfigurationError as error:
-            if not about.ending:
-                raise
-            raise ConfigurationError(f"{about.ending}; {error}", file=path) from error
+        trajectory, further = load_bag(
+            bag, site, zone or timezone.utc, own=about.own, external_pump=about.external_pump,
+            repair=repair,
+        )
         notes += further
     elif kept is not None:
         trajectory = load_trajectory(kept)
@@ -139,7 +134,7 @@ def _read_recording(path: Path, site_file: Path | None, about: About) -> Recordi
             file=_bag_in(path),
         )
     elif about.ending:
-        raise ConfigurationError(f"{about.ending}; no bag", file=path)
+        raise ConfigurationError("no bag", file=path)
     elif "total_deviation_m3" not in about.row:
         raise ConfigurationError(
             "must be a study (with results.csv), a run (with bag/, or a simulation that is done), "
