@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from commands import run_command
 from graphs import bring_up, environment
-from places import CHECKOUT, words_of
+from places import CHECKOUT
 from studies import GRID
 
 from greenroof_ros.analysis.study.grid import read_grid
@@ -19,21 +18,13 @@ FILE = str(CHECKOUT / "examples" / "proportional.yaml")
 TICKS = 361
 
 
-def run(directory: Path, module: str, *options: str) -> str:
-    """Run a command, which must succeed, and return its output."""
-    result = subprocess.run(
-        [sys.executable, "-m", *words_of(module), *options],
-        cwd=directory, env=environment(0), capture_output=True, text=True, timeout=120, check=False,
-    )
-    assert result.returncode == 0, result.stderr
-    return result.stdout
-
-
 def test_simulate_and_graph_agree(domain: int, tmp_path: Path) -> None:
     """Both use its parameter file, and their results are equal in every bit."""
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     options = ("--controller", EXAMPLE, "--parameters", FILE, "--gain", "35", "--hours", "0.1")
-    alone = json.loads(run(tmp_path, "simulate", "--json", "--output", "alone", *options))
+    done = run_command("simulate", "--json", *options, cwd=tmp_path, env=environment(domain))
+    assert done.returncode == 0, done.stderr
+    alone = json.loads(done.stdout)
     graph = bring_up(domain, tmp_path, *options)
     assert graph["controller"] == alone["controller"] == "proportional"
     assert graph["controller_reference"] == EXAMPLE
