@@ -34,7 +34,6 @@ from readme_pictures import draw as draw_readme_pictures
 from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
-from greenroof_ros.analysis.calibration.checks import CHECKS
 from greenroof_ros.common.alarms import Alarm
 from greenroof_ros.common.conditions import LATCHED, Interlock, read_conditions, read_interlocks
 from greenroof_ros.common.files import read_yaml, shared_directory
@@ -418,11 +417,6 @@ def conditions() -> str:
     return entries((", ".join(alike), *texts) for texts, alike in codes.items())
 
 
-def checks() -> str:
-    """Return the checks by which a calibration refuses a record."""
-    return markdown(("check", "refused if"), ((f"`{name}`", when) for name, when in CHECKS.items()))
-
-
 def plausible_values() -> str:
     """Return the accepted values of the columns of a weather file."""
     return markdown(
@@ -610,7 +604,6 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "pump settings": pump_settings,
     "interlocks": interlocks,
     "conditions": conditions,
-    "checks": checks,
     "plausible values": plausible_values,
     "alarm": alarm,
     "commands": commands,

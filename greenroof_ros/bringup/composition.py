@@ -137,10 +137,10 @@ class Composition:
         plant = self._nodes["plant"]
         if not plant.acted:
             missing = ", ".join(map(plant.peers.name_of, plant.absent()))
-            self._progress.waiting(f"waiting for {missing}" if missing else "starting")
+            self._progress.show(f"waiting for {missing}" if missing else "starting", 0.0)
             return
         shown = plant.progress()
-        self._progress.show(
+        self._progress.show_tick(
             shown["tick"], shown["cistern_level"], shown["roof_level"], shown["command"]
         )
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.analysis.calibration.bag_record import read_bag_record
-from greenroof_ros.analysis.calibration.checks import CHECKS, accept, check_fit, check_record
+from greenroof_ros.analysis.calibration.checks import check_fit, check_record
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.analysis.calibration.fit import Fit, fit, measured_roof, reachable_target
 from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
@@ -25,12 +25,10 @@ from greenroof_ros.analysis.calibration.record import (
     comparable,
     halve,
     in_months,
-    month_numbers,
     time_name,
 )
 from greenroof_ros.analysis.calibration.scores import FitScores, score
 from greenroof_ros.analysis.calibration.site_file import (
-    CROP_NOTE,
     INTERVAL_NOTE,
     edited_site_file,
     fit_entries,
@@ -39,7 +37,7 @@ from greenroof_ros.analysis.calibration.site_file import (
 from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
-from greenroof_ros.common.standard_error import progress_bar
+from greenroof_ros.experiment.progress import ProgressBar
 from greenroof_ros.formats.records import read_table
 from greenroof_ros.model.pump_curve import PumpCurve, fit_pump_curve
 from greenroof_ros.model.site import Site, read_site
@@ -104,10 +102,6 @@ def make_parser() -> Parser:
         help="months of the record that are fitted and judged, such as 4-10, or 11-3 over new "
         "year; the others are simulated only (default: all)",
     )
-    parser.add_argument(
-        "--accept", nargs="+", default=[], choices=CHECKS, metavar="CHECK",
-        help="fit a record that fails these checks anyway, with a warning: " + ", ".join(CHECKS),
-    )
     return parser
 
 
@@ -121,8 +115,6 @@ def main() -> None:
     refuse_unwritable(page_file, (".html",), "--output")
     if arguments.measured is None and arguments.pump_data is None:
         raise ConfigurationError("must be given, or --pump-data alone", key="MEASURED")
-    if arguments.months is not None:
-        month_numbers(arguments.months)
     site_file: Path = arguments.site
     site = read_site(site_file)
     sheet = None
@@ -204,11 +196,13 @@ def _calibrate(
     if pumps.parameters:
         record = read(site)  # the fitted pumps turn their state into another flow
     counted = record.only(counts)
-    warnings = accept([*pumps.failed, *check_record(counted, site)], arguments.accept, measured)
+    warnings = check_record(counted, site)
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
     halves = halve(record, comparable(record) & counts)
-    _refuse_dry(record, **halves)
-    with progress_bar() as update_progress:
-        fitted = fit(site, record, halves["fit"], update_progress)
+    _refuse_dry(record, halves)
+    with ProgressBar() as progress:
+        fitted = fit(site, record, halves["fit"], progress.show)
     fitted = fitted._replace(
         site=reachable_target(fitted.site), parameters=[*fitted.parameters, *pumps.parameters]
     )
@@ -219,16 +213,15 @@ def _calibrate(
         )
         for name, series in record.measured.items() for part, steps in halves.items()
     ]
-    warnings += accept(check_fit(rows), arguments.accept, measured)
+    warnings += check_fit(rows, measured)
     notes = _notes(record, halves, site, fitted.site, pumps)
     spans = {part: _span(record, steps) for part, steps in halves.items()}
     entries = fit_entries(fitted, site.z_veg, sheet)
-    text = edited_site_file(site_file, entries, _heading(measured, spans, rows, notes + warnings))
+    heading = _heading(measured, spans, rows, notes + warnings)
+    text = edited_site_file(site_file, entries, heading)
     page = render(counted, halves, fitted, rows, text, spans, warnings, notes)
-    _print_fit(fitted, rows)
-    for style, texts in ((None, notes), ("bold", warnings)):
-        for each in texts:
-            Console().print(each, style=style, soft_wrap=True, highlight=False, markup=False)
+    print("\n".join(heading))
+    _print_parameters(fitted)
     return text, page
 
 
@@ -258,21 +251,15 @@ def _notes(
     return notes
 
 
-def _refuse_dry(record: RoofRecord, fit: Steps, validation: Steps) -> None:
-    """Refuse a record if there is nothing to fit, or no step after it."""
-    if not fit.any() or all(np.ptp(values[fit]) == 0 for values in record.measured.values()):
-        raise ConfigurationError(
-            "in the first half of its rain nothing that was measured changes, so there is nothing "
-            "to fit; leave out rows before the first runoff, or record longer", file=record.source,
-        )
-    if not validation.any() or all(
-        np.ptp(values[validation]) == 0 for values in record.measured.values()
-    ):
-        raise ConfigurationError(
-            "in the second half of its rain nothing that was measured changes, so nothing can "
-            "judge the fit; leave out rows at the end, so that each half has runoff, or record "
-            "longer, with dry days and fewer gaps", file=record.source,
-        )
+def _refuse_dry(record: RoofRecord, halves: Mapping[str, Steps]) -> None:
+    """Refuse a record if there is nothing to fit, or nothing to judge the fit."""
+    for half, steps in zip(("first", "second"), halves.values(), strict=True):
+        if not steps.any() or all(np.ptp(each[steps]) == 0 for each in record.measured.values()):
+            raise ConfigurationError(
+                f"in the {half} half of its rain nothing that was measured changes, and each half "
+                "must have runoff or levels that do, to fit and to judge the fit; leave out rows "
+                "at the dry end, or record longer, with fewer gaps", file=record.source,
+            )
 
 
 def _span(record: RoofRecord, steps: Steps) -> str:
@@ -292,17 +279,13 @@ def _heading(
         nse = ", ".join(
             f"{value:.2f} ({time_name(span_s)})" for span_s, value in row.nse.items()
         )
-        volume = f"; volume {_volume(row)}" if row.quantity == "runoff" else ""
+        volume = f"; volume {100 * row.volume_error:+.1f} %" if row.quantity == "runoff" else ""
         lines.append(f"{row.quantity}, {row.part}: NSE {nse}{volume}.")
     lines += [INTERVAL_NOTE, *notes]
     return [line for text in lines for line in textwrap.wrap(text, 98)]
 
 
-def _volume(row: FitScores) -> str:
-    return f"{100 * row.volume_error:+.1f} %" if row.quantity == "runoff" else ""
-
-
-def _print_fit(fitted: Fit, rows: Sequence[FitScores]) -> None:
+def _print_parameters(fitted: Fit) -> None:
     table = Table(
         "parameter", "value", "95 % interval", "", title="Parameters", title_justify="left"
     )
@@ -311,17 +294,4 @@ def _print_fit(fitted: Fit, rows: Sequence[FitScores]) -> None:
             parameter.name, f"{parameter.value:.4g}", parameter.interval or "not fitted",
             parameter.reason,
         )
-    times = list(rows[0].nse)
-    scores = Table("of", title="Scores", title_justify="left")
-    for name in (*(f"NSE {time_name(time)}" for time in times), "KGE 1 day", "volume"):
-        scores.add_column(name, justify="right")
-    for row in rows:
-        values = [*(row.nse[time] for time in times), row.kge[times[-1]]]
-        scores.add_row(
-            f"{row.quantity}, {row.part}", *(f"{value:.3f}" for value in values), _volume(row)
-        )
-    console = Console()
-    console.print(table)
-    console.print(INTERVAL_NOTE, soft_wrap=True, highlight=False)
-    console.print(f"crop_coefficient {CROP_NOTE}", soft_wrap=True, highlight=False)
-    console.print(scores)
+    Console().print(table)

@@ -100,7 +100,7 @@ def _paced(
             time.sleep(max(0.0, began + tick.k * run.site.tau / speed - now))
         if now - shown > INTERVAL_S or tick.k == run.steps:
             shown = now
-            progress.show(tick.k, tick.cistern_level, tick.roof_level, tick.command)
+            progress.show_tick(tick.k, tick.cistern_level, tick.roof_level, tick.command)
 
 
 def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterator[Tick]:

@@ -30,7 +30,7 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.common.standard_error import progress_bar
+from greenroof_ros.experiment.progress import ProgressBar
 
 _REFRESH_S = 0.5
 _NOTES = {
@@ -176,9 +176,9 @@ def _run(
     for case in ordered:
         pending[workers.submit(run_case, case, store.trajectory_every)] = case, True
     tasks, runs = len(pending), 0
-    with progress_bar() as update_progress:
+    with ProgressBar() as progress:
         while pending:
-            update_progress(f"{runs} of {len(ordered)} runs", 1 - len(pending) / tasks)
+            progress.show(f"{runs} of {len(ordered)} runs", 1 - len(pending) / tasks)
             workers.check()
             done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
             broken: Exception | None = None

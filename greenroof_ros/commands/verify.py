@@ -20,9 +20,9 @@ from greenroof_ros.analysis.verification.scores import SHOWN, Tally
 from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
-from greenroof_ros.common.standard_error import progress_bar
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
+from greenroof_ros.experiment.progress import ProgressBar
 from greenroof_ros.forecast.choice import MODELS
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import find_files, read_weather
@@ -117,10 +117,10 @@ def main() -> None:
             f"must be a multiple of {forecasts.finest_lead} h, the finest lead time of "
             f"{forecasts.name}", key="--lead", value=arguments.lead,
         )
-    with progress_bar() as update_progress:
+    with ProgressBar() as progress:
         tallies = tally(
             forecasts, weather.precipitation, arguments.lead, sums,
-            lambda done: update_progress(
+            lambda done: progress.show(
                 f"verifying: {done} of {forecasts.count} issues", done / forecasts.count
             ),
         )

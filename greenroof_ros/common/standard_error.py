@@ -1,19 +1,16 @@
-"""What users read on standard error: lines that a thread writes, and progress.
+"""What users read on standard error: lines that a thread writes, and lines of progress.
 
-Time-critical code has its lines written by a thread. Progress is a bar on a terminal, and otherwise
-a line every ten seconds.
+Time-critical code has its lines written by a thread.
 """
 
 from __future__ import annotations
 
 import atexit
 import os
-import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 from greenroof_ros.common.disk import DiskThread
 
@@ -94,13 +91,13 @@ atexit.register(LINES.wait, _END_S)
 class ProgressLines:
     """Prints progress every ten seconds; nothing within the first ten."""
 
-    def __init__(self, print_line: Callable[[str], None] | None = None) -> None:
+    def __init__(self, print_line: Callable[[str], None] = print_line) -> None:
         """Start the first ten seconds.
 
         Args:
             print_line: prints a line; by default on standard error.
         """
-        self._print_line = print_line or _print
+        self._print_line = print_line
         self._due = time.monotonic() + _EVERY_S
 
     def update(self, text: str) -> None:
@@ -109,34 +106,3 @@ class ProgressLines:
         if now >= self._due:
             self._due = now + _EVERY_S
             self._print_line(text)
-
-
-def _print(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
-
-
-@contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Show progress.
-
-    Yields:
-        A function to call with the present task, and the share of all tasks that is done, 0 to 1.
-    """
-    from rich.console import Console  # nodes print only lines, and do not need this
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    lines = ProgressLines()
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(), console=console, transient=True, disable=not console.is_interactive,
-        refresh_per_second=2,  # its thread competes with the run
-    ) as progress:
-        task = progress.add_task("", total=1.0)
-
-        def update_progress(text: str, share: float) -> None:
-            progress.update(task, description=text, completed=share)
-            if not console.is_interactive:
-                lines.update(f"{text}: {share:.0%}")
-
-        yield update_progress

@@ -1,4 +1,4 @@
-"""The progress of a run, on standard error: a bar on a terminal, otherwise a line now and then."""
+"""Progress on standard error: a bar on a terminal, otherwise a line every ten seconds."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from greenroof_ros.common.standard_error import ProgressLines
 from greenroof_ros.common.times import hours_minutes_seconds
@@ -18,7 +18,36 @@ INTERVAL_S = 0.2
 _MOST_WARNED = 1000
 
 
-class RunProgress(Progress):
+class ProgressBar(Progress):
+    """Shows the present task, and the share of all tasks that is done."""
+
+    def __init__(self, file: Any = None) -> None:
+        """Make the bar.
+
+        Args:
+            file: where it is drawn; standard error if None.
+        """
+        console = Console(stderr=True, file=file)
+        super().__init__(
+            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
+            TimeRemainingColumn(), console=console, disable=not console.is_interactive,
+            refresh_per_second=2,  # its thread competes with the run
+        )
+        self._task = self.add_task("", total=1.0)
+        self._lines = ProgressLines(self.print_line)
+
+    def print_line(self, text: str) -> None:
+        """Print a line above the bar."""
+        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def show(self, text: str, share: float) -> None:
+        """Show the present task, and the share of all tasks that is done, 0 to 1."""
+        self.update(self._task, description=text, completed=share)
+        if self.disable:
+            self._lines.update(f"{text}: {share:.0%}")
+
+
+class RunProgress(ProgressBar):
     """Shows simulated time, both levels, the command and the speed of a run."""
 
     def __init__(self, steps: int, tau: float, file: Any = None) -> None:
@@ -29,20 +58,8 @@ class RunProgress(Progress):
             tau: duration of a tick (s).
             file: where it is drawn; standard error if None.
         """
-        console = Console(stderr=True, file=file)
-        super().__init__(
-            TextColumn("{task.fields[clock]}"),
-            BarColumn(bar_width=None),
-            TextColumn("{task.percentage:>3.0f} %"),
-            TextColumn("{task.fields[state]}"),
-            console=console,
-            disable=not console.is_interactive,
-            # Redrawn when there is news, not by a thread that would compete with the run.
-            auto_refresh=False,
-        )
-        self._run = self.add_task("", total=steps, clock="00:00:00", state="starting")
-        self._tau = tau
-        self._lines = ProgressLines(self.print_line)
+        super().__init__(file)
+        self._steps, self._tau = steps, tau
         self._warned: deque[str] = deque(maxlen=_MOST_WARNED)
 
     def warn(self, warnings: Iterable[str]) -> None:
@@ -52,15 +69,7 @@ class RunProgress(Progress):
                 self._warned.append(text)
                 self.print_line(f"warning: {text}")
 
-    def print_line(self, text: str) -> None:
-        """Print a line above the bar."""
-        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
-
-    def waiting(self, for_what: str) -> None:
-        """Show what the run waits for before its first tick."""
-        self._update(state=for_what)
-
-    def show(self, tick: int, cistern: float, roof: float, command: float) -> None:
+    def show_tick(self, tick: int, cistern: float, roof: float, command: float) -> None:
         """Show a tick.
 
         Args:
@@ -69,17 +78,9 @@ class RunProgress(Progress):
             roof: level (m).
             command: share of the maximum flow (1).
         """
-        ticks_per_s = self.tasks[0].speed
-        speed = f", {ticks_per_s * self._tau:.0f}x real time" if ticks_per_s else ""
-        self._update(
-            completed=tick,
-            clock=hours_minutes_seconds(tick * self._tau),
-            state=f"cistern {cistern:.3f} m, roof {roof:.4f} m, command {command:.3f}{speed}",
+        share_per_s = self.tasks[0].speed
+        real = f", {share_per_s * self._steps * self._tau:.0f}x real time" if share_per_s else ""
+        self.show(
+            f"{hours_minutes_seconds(tick * self._tau)}, cistern {cistern:.3f} m, roof "
+            f"{roof:.4f} m, command {command:.3f}{real}", tick / self._steps,
         )
-
-    def _update(self, **fields: Any) -> None:
-        self.update(self._run, refresh=True, **fields)
-        if self.disable:
-            run = self.tasks[0]
-            clock, state = run.fields["clock"], run.fields["state"]
-            self._lines.update(f"{clock} ({run.percentage:.0f} %): {state}")

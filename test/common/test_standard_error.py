@@ -62,9 +62,9 @@ def test_a_line_every_ten_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     progress = RunProgress(100, 60.0, printed)
     for second in range(36):
         now = 1000.0 + second
-        progress.show(second, 3.0, 0.04, 0.5)
+        progress.show_tick(second, 3.0, 0.04, 0.5)
     assert [line.split(", command 0.500")[0] for line in printed.getvalue().splitlines()] == [
-        f"00:{second}:00 ({second} %): cistern 3.000 m, roof 0.0400 m" for second in (10, 20, 30)
+        f"00:{second}:00, cistern 3.000 m, roof 0.0400 m" for second in (10, 20, 30)
     ]
 
 

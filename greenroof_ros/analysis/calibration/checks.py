@@ -1,4 +1,7 @@
-"""Five checks of a record and of its fit: units, clocks, stuck sensors, blocked gauges, the fit.
+"""Checks of a record and of its fit: units, clocks, stuck sensors, blocked gauges, the fit.
+
+A record is refused if a fit to it is worthless: amounts that no roof has, or no roof that fits.
+What else is wrong is a warning.
 
 The bounds separate the records of two roofs (Neubrandenburg 2014 and 2015, Berlin 2019, April to
 October, in windows of 30 to 100 days) from the same records with a wrong unit, a shifted clock or a
@@ -8,9 +11,8 @@ broken sensor. Bounds for levels do so with simulated levels of these roofs.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +21,6 @@ from greenroof_ros.analysis.calibration.record import (
     HOUR_S,
     RoofRecord,
     Steps,
-    Values,
     prolonged,
     storms,
     time_name,
@@ -29,59 +30,18 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.records import gaps
 from greenroof_ros.model.site import Site
 
-CHECKS = {
-    "unit": "amounts or levels that no roof or pump has",
-    "clock": "the roof answers before the rain, or more than four hours after it",
-    "stuck": "one value for a day in which 10 mm fell, the same rain for six hours, or no runoff "
-    "of more water than the roof can hold",
-    "blocked": "runoff after three days without rain",
-    "fit": "a fit that is worse than the mean of the record in both halves",
-}
-"""Each check, and when it refuses a record."""
-
 _FEWEST_VALUES = 100
 
 
-class FailedCheck(NamedTuple):
-    """A check that failed, and why."""
-
-    check: str
-    text: str
-    refuses: bool = True
-    """whether there is no result, unless the check is accepted; or else a warning"""
-
-
-def accept(failed: Sequence[FailedCheck], accepted: Collection[str], file: Path) -> list[str]:
-    """Return failed checks as warnings.
-
-    Args:
-        failed: of all checks.
-        accepted: the checks whose failure the user has looked into.
-        file: the record.
-
-    Raises:
-        ConfigurationError: others have failed. The message has a line for each, and the option that
-            accepts them.
-    """
-    refused = [one for one in failed if one.refuses and one.check not in accepted]
-    if refused:
-        names = " ".join(dict.fromkeys(one.check for one in refused))
-        lines = [f"{one.text} [{one.check}]" for one in refused]
-        raise ConfigurationError(
-            "\n  ".join([*lines, f"if the data are right anyway: --accept {names}"]), file=file
-        )
-    return [f"{one.text} [{one.check}{', accepted' * one.refuses}]" for one in failed]
-
-
-def check_record(record: RoofRecord, site: Site) -> list[FailedCheck]:
-    """Return what is wrong with the sensors, units and clocks of a record.
+def check_record(record: RoofRecord, site: Site) -> list[str]:
+    """Return warnings about the sensors, units and clocks of a record.
 
     Args:
         record: the measurements in the steps that count.
         site: its roof and place.
 
     Raises:
-        ConfigurationError: a column has fewer than 100 values.
+        ConfigurationError: a column has fewer than 100 values, or amounts that no roof has.
     """
     for column, values in {"rain": record.rain, **record.measured}.items():
         there = int(np.count_nonzero(~np.isnan(values)))
@@ -90,10 +50,10 @@ def check_record(record: RoofRecord, site: Site) -> list[FailedCheck]:
                 f"has {there} values; it must have at least {_FEWEST_VALUES}", file=record.source,
                 key=column,
             )
-    failed = [*_units(record, site), *_clock(record), *_stuck(record)]
-    if record.runoff is not None:
-        failed += [*_dead(record, site, record.runoff), *_blocked(record, record.runoff)]
-    return failed
+    _check_units(record, site)
+    return [
+        *_balance(record, site), *_clock(record), *_stuck(record, site), *_blocked(record)
+    ]
 
 
 # --- units ----------------------------------------------------------------------------------------
@@ -107,9 +67,6 @@ _MIN_WATER, _MOST_A_DAY = 20.0, 60.0
 _MOST_EVAPORATED = 20.0
 # Less movement of a level (m) than any roof has in 20 mm of water.
 _MIN_MOVEMENT = 0.002
-# Runoff of a record as a share of its water, if there is any: at least 0.0025 in windows of 30 days
-# or more, and with runoff in m instead of mm at most 0.0007.
-_MIN_SHARE = 0.001
 # The largest excess of runoff over water, summed over storms, as a share of their runoff: at most
 # 0.13 for both roofs; with a wrong unit at least 0.21, mostly 0.4. A few drops (mm) do not count.
 _MOST_EXCESS, _DROPS = 0.25, 5.0
@@ -117,54 +74,52 @@ _MOST_EXCESS, _DROPS = 0.25, 5.0
 _EXTRA_STORAGE = 20.0
 
 
-def _units(record: RoofRecord, site: Site) -> Iterator[FailedCheck]:
-    """Compare amounts and levels with what roofs can have."""
+def _check_units(record: RoofRecord, site: Site) -> None:
+    """Refuse amounts and levels that no roof can have."""
     water = float(record.water.sum())
     days = float(np.count_nonzero(~np.isnan(record.rain))) * record.step_s / DAY_S
-    amounts = [("rain", "with pumped water, in mm", water, _MIN_WATER, _MOST_A_DAY * max(days, 7))]
+    most_water = _MOST_A_DAY * max(days, 7)
+    amounts = [("rain", "mm in all, with pumped water", water, _MIN_WATER, most_water)]
     if record.reference_column:
         _, day = np.unique(record.seconds // DAY_S, return_inverse=True)
         most = float(np.bincount(day, record.reference).max())
-        amounts.append((record.reference_column, "of a day, in mm", most, 0.0, _MOST_EVAPORATED))
+        amounts.append((record.reference_column, "mm in a day", most, 0.0, _MOST_EVAPORATED))
     if record.level is not None:
         highest, lowest = float(np.nanmax(record.level)), float(np.nanmin(record.level))
         amounts += [
-            ("level", "at its highest, in m", highest, -math.inf, site.highest_roof_level),
-            ("level", "from lowest to highest, in m", highest - lowest, _MIN_MOVEMENT, math.inf),
+            ("level", "m at its highest", highest, -math.inf, site.highest_roof_level),
+            ("level", "m from lowest to highest", highest - lowest, _MIN_MOVEMENT, math.inf),
         ]
-    if record.runoff is not None:
-        amounts += _runoff_amounts(record, site, record.runoff)
     for column, what, value, low, high in amounts:
         if not low <= value <= high:
             bound = f"at most {high:.4g}" if value > high else f"at least {low:.4g}"
-            yield FailedCheck(
-                "unit", f"{column} {what}, is {value:.3g}, but should be {bound}: is the unit of "
-                "the column right, and those of the others?",
+            raise ConfigurationError(
+                f"is {value:.3g} {what}; it must be {bound}: is the unit of the column right, and "
+                "those of the others?", file=record.source, key=column,
             )
 
 
-def _runoff_amounts(
-    record: RoofRecord, site: Site, runoff: Values
-) -> Iterator[tuple[str, str, float, float, float]]:
-    """Compare runoff with water: in all, and in each storm and the day after it."""
-    known = ~np.isnan(runoff) & ~np.isnan(record.rain)
-    inflow, outflow = float(np.sum(record.water[known])), float(np.sum(runoff[known]))
-    if outflow > 0 and not np.any(record.pumped > 0):  # a watered roof may keep it all
-        yield "runoff", "in all, in mm", outflow, _MIN_SHARE * inflow, math.inf
+def _balance(record: RoofRecord, site: Site) -> Iterator[str]:
+    """Compare runoff with water, in each storm and the day after it."""
+    if record.runoff is None:
+        return
     water = record.rain + record.pumped
-    sums = [
-        (float(np.sum(water[storm.first:storm.end])), float(np.sum(runoff[storm.first:storm.end])))
-        for storm in storms(record)
-    ]
-    sums = [(came, gone) for came, gone in sums if not math.isnan(came + gone)]
-    excess = sum(max(0.0, gone - came) for came, gone in sums)
-    most = max(_DROPS, _MOST_EXCESS * sum(gone for _, gone in sums))
-    yield "runoff", "above the water of each storm, in mm", excess, 0.0, most
-    kept = max((came - gone for came, gone in sums), default=0.0)
-    yield (
-        "rain", "that does not run off in a storm, in mm", kept, -math.inf,
-        1000 * site.z_soil + _EXTRA_STORAGE,
-    )
+    sums = np.array([
+        (np.sum(water[storm]), np.sum(record.runoff[storm])) for storm in storms(record)
+    ]).reshape(-1, 2)
+    came, gone = sums[~np.isnan(sums).any(axis=1)].T
+    excess = float(np.sum(np.maximum(gone - came, 0.0)))
+    if excess > max(_DROPS, _MOST_EXCESS * float(np.sum(gone))):
+        yield (
+            f"runoff is {excess:.3g} mm more than the water of its storms: are the units right, "
+            "and a2?"
+        )
+    kept = float(np.max(came - gone, initial=0.0))
+    if kept > 1000 * site.z_soil + _EXTRA_STORAGE:
+        yield (
+            f"rain is {kept:.3g} mm more than the runoff of a storm, and the soil cannot hold it: "
+            "are the units right, and z_soil?"
+        )
 
 
 # --- clocks ---------------------------------------------------------------------------------------
@@ -181,7 +136,7 @@ _EARLY_STEPS, _EARLY_S = {"runoff": 1, "level": 2}, 2 * HOUR_S
 _CLEAR, _EARLY_BETTER, _LATE_BETTER = 0.1, 1.1, 1.5
 
 
-def _clock(record: RoofRecord) -> Iterator[FailedCheck]:
+def _clock(record: RoofRecord) -> Iterator[str]:
     """Find a roof that responds before the rain, or hours after it.
 
     Only rises of runoff or level count: how long runoff continues after rain indicates nothing
@@ -214,10 +169,10 @@ def _clock(record: RoofRecord) -> Iterator[FailedCheck]:
     early = lag < usual_s[0]
     better = _EARLY_BETTER if early else _LATE_BETTER
     if (early or lag > usual_s[1]) and best > _CLEAR and best > better * usual:
-        yield FailedCheck(
-            "clock", f"{column} follows the rain best {time_name(abs(lag))} "
+        yield (
+            f"{column} follows the rain best {time_name(abs(lag))} "
             f"{'before' if early else 'after'} it falls (correlation {best:.2f}, {usual:.2f} as it "
-            "stands): is a clock shifted, or in another time zone?",
+            "stands): is a clock shifted, or in another time zone?"
         )
 
 
@@ -236,59 +191,50 @@ _FULL_RATE = 1.3
 _UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
 
 
-def _stuck(record: RoofRecord) -> Iterator[FailedCheck]:
-    """Find sensors that show one value while it must change."""
-    fallen = np.concatenate(([0.0], np.cumsum(np.nan_to_num(record.rain))))
+def _stuck(record: RoofRecord, site: Site) -> Iterator[str]:
+    """Find sensors that show one value, apart from gaps, while it must change.
+
+    A flow meter must change from 0 if more water comes than the soil can hold. From a roof with a
+    pump, evapotranspiration is subtracted at its full rate, because a good controller pumps no more
+    than that, and nothing while it rains often enough.
+    """
+    rate = max(_FULL_RATE, site.crop_coefficient) * bool(np.nansum(record.pumped) > 0)
+    gained = record.water - rate * record.reference
+    holds = max(_LEAVES_SOME, 1000 * site.z_soil)
     for column, values in {**record.measured, "rain": record.rain}.items():
-        longest, most = (_RAIN_STUCK_S, 0.0) if column == "rain" else (_STUCK_S, _STUCK_RAIN)
-        for low, high in gaps(np.diff(values) == 0):
-            same, fell = high - low + 1, fallen[high + 1] - fallen[low]
-            if (
-                same >= _SAME_STEPS and same * record.step_s >= longest and fell >= most
-                and (values[low] != 0 or column == "level")
-            ):
-                unit = "m" if column == "level" else "mm"
-                yield FailedCheck(
-                    "stuck", f"{column} is {values[low]:g} {unit} for "
-                    f"{same * record.step_s / HOUR_S:.0f} h from {record.time(low)}, in which "
-                    f"{fell:.3g} mm of rain fell: leave these cells empty",
+        known = np.flatnonzero(~np.isnan(values))
+        for low, high in gaps(np.diff(values[known]) == 0):
+            same, value = known[low:high + 1], values[known[low]]
+            same_s = len(same) * record.step_s
+            if column == "rain":
+                stuck = value > 0 and same_s >= _RAIN_STUCK_S
+            elif column == "runoff" and value == 0:
+                stuck = float(np.sum(gained[same])) > holds
+            else:
+                stuck = same_s >= _STUCK_S and float(np.nansum(record.rain[same])) >= _STUCK_RAIN
+            if stuck and len(same) >= _SAME_STEPS:
+                yield (
+                    f"{column} is {value:g} {'m' if column == 'level' else 'mm'} for "
+                    f"{same_s / HOUR_S:.0f} h from {record.time(int(same[0]))}, in which "
+                    f"{np.sum(record.water[same]):.3g} mm of water came: is the sensor stuck or "
+                    "dead? Leave these cells empty"
                 )
                 break
 
 
-def _dead(record: RoofRecord, site: Site, runoff: Values) -> Iterator[FailedCheck]:
-    """Find a flow meter that shows 0 for more water than soil and evapotranspiration take.
-
-    A meter that never shows anything else is judged by the whole record, despite gaps. From a roof
-    with a pump, evapotranspiration is subtracted at its full rate, because a good controller pumps
-    no more than that, and nothing while it rains often enough.
-    """
-    rate = max(_FULL_RATE, site.crop_coefficient) * bool(np.nansum(record.pumped) > 0)
-    inflow = np.where(np.isnan(runoff), 0.0, record.water)
-    gained = np.concatenate(([0.0], np.cumsum(inflow - rate * record.reference)))
-    most = max(_LEAVES_SOME, 1000 * site.z_soil)
-    for low, high in gaps(runoff == 0) if np.any(runoff > 0) else [(0, record.steps)]:
-        span = gained[low:high + 1]
-        if np.max(span - np.minimum.accumulate(span)) > most:
-            yield FailedCheck(
-                "stuck", f"runoff is 0 for {(high - low) * record.step_s / DAY_S:.0f} days from "
-                f"{record.time(low)}, in which {np.sum(inflow[low:high]):.3g} mm came, more than "
-                f"{most:g} mm: is the sensor dead? Leave the cells empty there",
-            )
-            return
-
-
-def _blocked(record: RoofRecord, runoff: Values) -> Iterator[FailedCheck]:
+def _blocked(record: RoofRecord) -> Iterator[str]:
     """Find runoff without rain."""
+    if record.runoff is None:
+        return
     wet: Steps = (record.water > 0) | np.isnan(record.rain) | np.isnan(record.pumped)
     since = math.ceil(_DRY_S / record.step_s)
     for low, high in gaps(~prolonged(wet, since)):
-        outflow = float(np.nansum(runoff[low:high]))
+        outflow = float(np.nansum(record.runoff[low:high]))
         if low > 0 and outflow > _UNEXPLAINED:
-            yield FailedCheck(
-                "blocked", f"rain is 0 for {(high - low + since - 1) * record.step_s / DAY_S:.0f} "
-                f"days before {record.time(high)}, while {outflow:.3g} mm run off: is the gauge "
-                "blocked or stuck, or is it melted snow? Leave the cells empty there",
+            yield (
+                f"rain is 0 for {(high - low + since - 1) * record.step_s / DAY_S:.0f} days before "
+                f"{record.time(high)}, while {outflow:.3g} mm run off: is the gauge blocked or "
+                "stuck, or is it melted snow? Leave the cells empty there"
             )
             return
 
@@ -299,13 +245,19 @@ def _blocked(record: RoofRecord, runoff: Values) -> Iterator[FailedCheck]:
 _VOLUME_OFF = 0.5
 
 
-def check_fit(scores: Sequence[FitScores]) -> list[FailedCheck]:
-    """Return the objections to a fit.
+def check_fit(scores: Sequence[FitScores], source: Path) -> list[str]:
+    """Return warnings about a fit.
 
-    It is refused if every NSE is below 0, of hours (or of longer steps) and of days, in the fit and
-    in the validation, and of every series. A warning follows if, in the validation, the NSE of days
-    is below 0 (of hours or longer steps if there are too few days), or the volume of runoff is
-    wrong by more than half.
+    There is one if, in the validation, the NSE of days is below 0 (of hours or longer steps if
+    there are too few days), or the volume of runoff is wrong by more than half.
+
+    Args:
+        scores: of each series, in the fit and in the validation.
+        source: the record.
+
+    Raises:
+        ConfigurationError: every NSE is below 0, of hours (or of longer steps) and of days, in the
+            fit and in the validation, and of every series.
     """
     nses = [
         (row, [nse for span_s, nse in row.nse.items() if span_s >= HOUR_S and not math.isnan(nse)])
@@ -316,10 +268,10 @@ def check_fit(scores: Sequence[FitScores]) -> list[FailedCheck]:
         best = ", ".join(
             f"{row.quantity} in {row.part} {max(of_row):.2f}" for row, of_row in nses if of_row
         )
-        return [FailedCheck(
-            "fit", f"no roof fits this record: the best NSE of {best}, and the mean of what was "
-            f"measured has 0. {advice}",
-        )]
+        raise ConfigurationError(
+            f"no roof fits this record: the best NSE of {best}, and the mean of what was measured "
+            f"has 0. {advice}", file=source,
+        )
     why = [
         f"the NSE of {row.quantity} is {of_row[-1]:.2f}" for row, of_row in nses
         if row.part == "validation" and of_row and of_row[-1] < 0
@@ -328,7 +280,6 @@ def check_fit(scores: Sequence[FitScores]) -> list[FailedCheck]:
         if (row.part, row.quantity) == ("validation", "runoff")
         and abs(row.volume_error) > _VOLUME_OFF
     ]
-    return [FailedCheck(
-        "fit", f"in the half that the fit has not seen {' and '.join(why)}: do not use it. "
-        f"{advice}", refuses=False,
-    )] if why else []
+    return [
+        f"in the half that the fit has not seen {' and '.join(why)}: do not use it. {advice}"
+    ] if why else []

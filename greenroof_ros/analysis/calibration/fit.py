@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
 UpdateProgress = Callable[[str, float], None]
-"""called with a text on the current stage, and the finished share of the fit, 0 to 1, rising"""
+"""called with a text on the current stage, and the share of stages that are done, 0 to 1"""
 
 _STAGES = (
     "what the record identifies", "where to begin", "search", "what it identifies there",
@@ -179,32 +179,6 @@ class Fit(NamedTuple):
     """the whole record as simulated, as its meter would show it"""
 
 
-class _Stages:
-    """Counts the simulations of a fit, and reports its progress.
-
-    The number of simulations that a search needs is unknown in advance. So each stage has an equal
-    part of the progress. Within a stage, progress is the number of simulations over the largest
-    number possible; if a search needs fewer, progress jumps at its end.
-    """
-
-    def __init__(self, update_progress: UpdateProgress) -> None:
-        self._update_progress, self._stage, self._simulations = update_progress, -1, 0
-
-    def start(self, most: int) -> None:
-        """Start the next stage, of at most this many simulations."""
-        self._stage, self._most, self._before = self._stage + 1, most, self._simulations
-        self.simulated(0)
-
-    def simulated(self, more: int = 1) -> None:
-        """Count simulations."""
-        self._simulations += more
-        within = min(1.0, (self._simulations - self._before) / self._most)
-        self._update_progress(
-            f"{self._stage + 1} of {len(_STAGES)}: {_STAGES[self._stage]}, {self._simulations} "
-            "simulations", (self._stage + within) / len(_STAGES),
-        )
-
-
 def fit(
     site: Site, record: RoofRecord, steps: Steps,
     update_progress: UpdateProgress = lambda text, share: None,
@@ -235,7 +209,7 @@ def fit(
     as_it_was = np.array([span.share(getattr(site, span.name, _HALF_FILLED)) for span in every])
     at = np.clip(as_it_was, 0.01, 0.99)
     residuals, weeks = _comparison(record, steps)
-    stages = _Stages(update_progress)
+    stage, simulations = 0, itertools.count(1)
     minimum = least_reading(record)
 
     def simulated(shares: Values, minimum: float) -> tuple[Site, Simulated]:
@@ -246,7 +220,10 @@ def fit(
         return fitted, simulate(fitted, record, filled, minimum)
 
     def differences(shares: Values, minimum: float = minimum) -> Values:
-        stages.simulated()
+        update_progress(
+            f"{stage + 1} of {len(_STAGES)}: {_STAGES[stage]}, {next(simulations)} simulations",
+            stage / len(_STAGES),
+        )
         return residuals(simulated(shares, minimum)[1])
 
     def jacobian() -> Values:
@@ -265,7 +242,6 @@ def fit(
         return np.column_stack(columns)
 
     def identify() -> tuple[Steps, list[str]]:
-        stages.start(1 + len(every))
         return _identify([span.name for span in every], jacobian())
 
     from scipy.optimize import least_squares  # half a second, and not needed for a refusal
@@ -276,8 +252,6 @@ def fit(
             near[free] = shares
             return differences(near)
 
-        # Each evaluation can be followed by a Jacobian: one simulation for each parameter.
-        stages.start(_MOST_EVALUATIONS * (1 + int(free.sum())))
         solution = least_squares(
             moved, at[free], bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1",
             f_scale=_ROBUST_FROM, xtol=1e-8, ftol=1e-9, max_nfev=_MOST_EVALUATIONS,
@@ -292,13 +266,15 @@ def fit(
         _GRID.get(span.name, (share,)) if is_free else (share,)
         for span, share, is_free in zip(every, at, free, strict=True)
     ))
-    tried = [at, *map(np.array, grid)]
-    stages.start(len(tried))
-    at = min(tried, key=lambda shares: _cost(differences(shares)))
+    stage = 1
+    at = min([at, *map(np.array, grid)], key=lambda shares: _cost(differences(shares)))
+    stage = 2
     solve()
     # Again at the solution: it may identify other parameters than the start of the search.
+    stage = 3
     free, why = identify()
     at[~free] = as_it_was[~free]
+    stage = 4
     solution = solve()
     # Rows and residuals are scaled for the robust loss as in scipy's least_squares: their product
     # is the gradient, in which a residual has the weight (1 + z)^(-1/2).

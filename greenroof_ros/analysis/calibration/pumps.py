@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greenroof_ros.analysis.calibration.checks import FailedCheck
 from greenroof_ros.analysis.calibration.fit import FittedParameter, half_intervals
 from greenroof_ros.analysis.calibration.record import RoofRecord, Steps, Values, prolonged
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.records import gaps
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
@@ -47,8 +47,6 @@ class PumpFit(NamedTuple):
     """with the fitted curve; unchanged if the record does not identify it"""
     parameters: Sequence[FittedParameter] = ()
     """``a_hat`` and ``c_hat``; empty if the record does not identify them"""
-    failed: Sequence[FailedCheck] = ()
-    """why the record must be wrong"""
     runs: int = 0
     """number of runs that count"""
     flow: float = np.nan
@@ -93,12 +91,14 @@ def fit_pumps(site: Site, record: RoofRecord) -> PumpFit:
     runs as groups. Runs whose flow is far from the median are left out, because something else
     moved the level.
 
-    With fewer than ten runs no curve is fitted, nor if the flow is far from what the site's pumps
-    can lift: that is a failed check.
+    With fewer than ten runs no curve is fitted.
 
     Args:
         site: its cistern, pipe and pump curve.
         record: the measurements; without a command or a cistern level nothing is fitted.
+
+    Raises:
+        ConfigurationError: the flow is far from what the site's pumps can lift.
     """
     if record.command is None or record.cistern is None:
         return PumpFit(site)
@@ -113,11 +113,12 @@ def fit_pumps(site: Site, record: RoofRecord) -> PumpFit:
     flow = site.a1 * float(np.sum(falls) / np.sum(seconds))
     curve = maximum_pump_flow(site, level * site.a1)
     if not curve / _BELIEVABLE < flow < curve * _BELIEVABLE:
-        return PumpFit(site, failed=[FailedCheck(
-            "unit", f"cistern level falls while the pumps run as if they lifted {1000 * flow:.2g} "
-            f"l/s at full command, and by the site's curve they lift {1000 * curve:.2g} l/s: is "
-            "the sensor stuck, a unit wrong, a clock shifted, or the pump state from other pumps?",
-        )])
+        raise ConfigurationError(
+            f"falls while the pumps run as if they lifted {1000 * flow:.2g} l/s at full command, "
+            f"and by the site's curve they lift {1000 * curve:.2g} l/s: is the sensor stuck, a "
+            "unit wrong, a clock shifted, or the pump state from other pumps?",
+            file=record.source, key="cistern level",
+        )
     without = site.a1 * (np.sum(falls) - falls) / (np.sum(seconds) - seconds)
 
     def heights(flows: Values) -> Values:

@@ -7,7 +7,6 @@ import re
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,43 +159,25 @@ def prolonged(steps: Steps, count: int) -> Steps:
     return np.asarray(np.convolve(steps, np.ones(count), "full")[: len(steps)] > 0)
 
 
-class Storm(NamedTuple):
-    """A storm: the steps from its first rain to a day after its last, or to the next storm."""
+def storms(record: RoofRecord) -> list[slice]:
+    """Return the steps of each storm, from its first rain to a day after its last.
 
-    first: int
-    end: int
-    """one after its last step"""
-    dry: int
-    """one after its last rain"""
-    rain: float
-    """sum over the storm (mm)"""
-
-
-def storms(record: RoofRecord) -> list[Storm]:
-    """Return all storms, which are separated by six hours without rain, and at least one step."""
+    Storms are separated by six hours without rain, and at least one step. One ends where the next
+    begins.
+    """
     wet = np.flatnonzero(record.rain > 0)
     gap_steps = max(1.0, _STORM_GAP_S / record.step_s)
     firsts = wet[np.diff(wet, prepend=-np.inf) > gap_steps].tolist()
-    dries = (wet[np.diff(wet, append=np.inf) > gap_steps] + 1).tolist()
-    after = math.ceil(_AFTER_S / record.step_s)
+    lasts = wet[np.diff(wet, append=np.inf) > gap_steps].tolist()
+    after = 1 + math.ceil(_AFTER_S / record.step_s)
     return [
-        Storm(first, min(dry + after, following), dry, float(np.nansum(record.rain[first:dry])))
-        for first, dry, following in zip(firsts, dries, [*firsts[1:], record.steps], strict=False)
+        slice(first, min(last + after, following))
+        for first, last, following in zip(firsts, lasts, [*firsts[1:], record.steps], strict=False)
     ]
 
 
-class Outage(NamedTuple):
-    """A time in which water could come unrecorded, and the time until the roof has forgotten it."""
-
-    first: int
-    end: int
-    """one after its last step"""
-    forgotten: int
-    """one after the last step that does not count"""
-
-
-def outages(record: RoofRecord) -> list[Outage]:
-    """Return the outages of rain gauge and pump meter after which the roof is unknown.
+def outages(record: RoofRecord) -> list[slice]:
+    """Return the steps of each outage of a meter of water, until the roof has forgotten it.
 
     A storm may have come in them. Its water is gone after about a week, and not before 20 mm could
     evaporate. Outages of at most an hour count only if it rained in the hours next to them.
@@ -210,7 +191,7 @@ def outages(record: RoofRecord) -> list[Outage]:
         if (end - first) * record.step_s <= HOUR_S and near <= _RAINED_MM:
             continue
         dried = int(np.searchsorted(evaporated, evaporated[end] + _FORGOTTEN_MM))
-        found.append(Outage(first, end, min(max(end + week, dried), record.steps)))
+        found.append(slice(first, min(max(end + week, dried), record.steps)))
     return found
 
 
@@ -224,13 +205,13 @@ def comparable(record: RoofRecord) -> Steps:
     """
     steps = record.complete
     for outage in outages(record):
-        steps[outage.first:outage.forgotten] = False
+        steps[outage] = False
     missing = np.isnan(record.rain) | np.isnan(record.pumped)
     if record.runoff is not None:
         missing |= np.isnan(record.runoff)
     for storm in storms(record):
-        if missing[storm.first:storm.end].any():
-            steps[storm.first:storm.end] = False
+        if missing[storm].any():
+            steps[storm] = False
     return steps
 
 
@@ -254,12 +235,16 @@ def halve(record: RoofRecord, steps: Steps) -> dict[str, Steps]:
     return {"fit": steps & ~later, "validation": steps & later}
 
 
-def month_numbers(span: str) -> list[int]:
-    """Return the months of a span such as ``4-10``, or ``11-3`` over new year, ends included.
+def in_months(record: RoofRecord, span: str | None) -> Steps:
+    """Return which steps begin in a span of months, by the record's own clock; None means all.
+
+    A span is such as ``4-10``, or ``11-3`` over new year, ends included.
 
     Raises:
-        ConfigurationError: the text is not such a span.
+        ConfigurationError: no step does, or the text is not a span.
     """
+    if span is None:
+        return np.full(record.steps, True)
     match = re.fullmatch(r"(\d{1,2})-(\d{1,2})", span)
     first, last = map(int, match.groups()) if match else (0, 0)
     if not (1 <= first <= 12 and 1 <= last <= 12):
@@ -267,19 +252,8 @@ def month_numbers(span: str) -> list[int]:
             "must be the first and the last month that count, such as 4-10, or 11-3 over new year",
             key="--months", value=span,
         )
-    return [(first - 1 + more) % 12 + 1 for more in range((last - first) % 12 + 1)]
-
-
-def in_months(record: RoofRecord, span: str | None) -> Steps:
-    """Return which steps begin in a span of months, by the record's own clock; None means all.
-
-    Raises:
-        ConfigurationError: no step does, or the text is not a span.
-    """
-    if span is None:
-        return np.full(record.steps, True)
     number = record.times.astype("datetime64[M]").astype(np.int64) % 12 + 1
-    within = np.isin(number, month_numbers(span))
+    within = (number - first) % 12 <= (last - first) % 12
     if not within.any():
         raise ConfigurationError(
             f"has no row in the months {span} of --months: it is from "

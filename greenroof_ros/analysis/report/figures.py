@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from datetime import datetime
 
 import altair as alt
-import polars as pl
 
 from greenroof_ros.analysis.report.drawing import (
     COLOURS,
@@ -30,15 +26,9 @@ from greenroof_ros.analysis.report.trajectories import (
     figures_over_time,
     forecast_figure,
 )
-from greenroof_ros.common.files import shared_directory
-from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
-from greenroof_ros.model.sensor_pump_errors import PARAMETERS
-from greenroof_ros.model.site import PLACE, read_site
 from greenroof_ros.recording.bag_reader import read_rain_forecasts
 
-_PAPER_START = datetime.fromisoformat("2021-07-07T02:00-05:00")
-_PAPER_HOURS = 12.0
 # More lines than this in one panel: each controller has its own figures.
 _MOST_LINES = len(COLOURS)
 _HEIGHT = 260
@@ -125,11 +115,10 @@ def deviation(cases: Sequence[Case], name: str, title: str) -> Figure:
             rows.append({
                 "case": case.label, "controller": case.row["controller"], "runs": len(totals),
                 "v": short(case.row[TOTAL]), "low": short(min(totals)), "high": short(max(totals)),
-                "paper": published_total(case),
             })
         data[dataset] = rows
         bounds = [case.row["bound_m3"] for case in here if case.row["ratio"] is not None]
-        ends = [row[key] for row in rows for key in ("v", "low", "high", "paper")]
+        ends = [row[key] for row in rows for key in ("v", "low", "high")]
         x = alt.X("v:Q", title=axis, **value_axis([*ends, *bounds[:1]]))
         y = alt.Y(
             "case:N", sort=[case.label for case in here], title=None, axis=alt.Axis(labelLimit=190)
@@ -149,47 +138,11 @@ def deviation(cases: Sequence[Case], name: str, title: str) -> Figure:
             layers.insert(0, alt.Chart(alt.InlineData([{"v": short(bounds[0])}])).mark_rule(
                 strokeDash=[6, 3], color="black"
             ).encode(x=x, tooltip=pointed(("v:Q", "minimum possible (m³)"))))
-        if any(row["paper"] is not None for row in rows):
-            marks["Hollow: the authors' code"] = None
-            layers.append(base.transform_filter("isValid(datum.paper)").mark_point(
-                filled=False, size=240, strokeWidth=1.5
-            ).encode(x=alt.X("paper:Q"), color=alt.value("#555555"), tooltip=pointed(
-                alt.Tooltip("paper:Q", title="authors' code", format=".8~g")
-            )))
         panels.append(Panel(alt.layer(*layers), f"from {initial}", max(60, 18 * len(here))))
     return Figure(
         f"deviation-{name}", f"Total deviation{title}", "; ".join(marks), tuple(panels),
         min(len(panels), 3), data,
     )
-
-
-_PAPERS_PARAMETER = {"mpc": "weight", "onoff": "fraction"}
-# Other values of these change the paper's controllers.
-_PAPERS_OTHER = {"max_command": math.inf, "level": 1.0}
-
-
-def published_total(case: Case) -> float | None:
-    """Return the authors' total (m3) if a case of a study is one of the paper's runs."""
-    row, config = case.row, shared_directory() / "config"
-    name = _PAPERS_PARAMETER.get(row["controller"])
-    if (
-        name is None or case.runs[0].bag is not None or row["evapotranspiration"] != "published"
-        or datetime.fromisoformat(row["start"]) != _PAPER_START or row["hours"] != _PAPER_HOURS
-        or row.get("forecast") != PERFECT or any(row.get(error) for error in PARAMETERS)
-        or any(float(row.get(f"parameter:{key}") or value) != value
-               for key, value in _PAPERS_OTHER.items())
-    ):
-        return None
-    papers = read_site(config / "site.yaml")
-    # All but the place, with its climate and clock, which published evapotranspiration replaces.
-    place = (*PLACE, "monthly_evapotranspiration", "time_zone")
-    if replace(case.runs[0].site, **{name: getattr(papers, name) for name in place}) != papers:
-        return None
-    totals = pl.read_csv(config / "paper" / "totals.csv").filter(
-        pl.col("parameter").cast(pl.Float64) == float(row.get(f"parameter:{name}") or "nan"),
-        controller=row["controller"], initial=row["initial"],
-    )["total_deviation_m3"]
-    return float(totals[0]) if len(totals) else None
 
 
 _TERMS = {

@@ -13,7 +13,7 @@ import numpy as np
 
 from greenroof_ros.analysis.report.intervals import Comparison, Deviations, compare, worst_tenth
 from greenroof_ros.analysis.report.run import Row
-from greenroof_ros.analysis.report.sources import ReportedRun, Sources, weeks
+from greenroof_ros.analysis.report.sources import ReportedRun, Sources
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.recording.results_table import differing
@@ -142,7 +142,7 @@ def _case(runs: list[ReportedRun], assumptions: Assumptions) -> Case:
         for year, rows in years.items():
             case.deviations.totals[year] = np.array(case.totals[year])
             case.deviations.weeks[year] = np.array(
-                [weeks(row["weekly_deviation_m3"])[:whole] for row in rows]
+                [row["weekly_deviation_m3"][:whole] for row in rows]
             )
     return case
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -27,17 +26,20 @@ from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.results_table import differing, row_parameters, shortest
 from greenroof_ros.recording.trajectory import TRAJECTORY, Trajectory
 
-_GROUPS = ("window", "case", "season")
 _NEEDED = (
     "run", "site", "start", "hours", "evapotranspiration", "controller", "initial", "cistern_m3",
-    "roof_m3", "status", "error", "total_deviation_m3",
+    "roof_m3", "status", "error", "total_deviation_m3", "window", "case", "season",
 )
-# The numeric columns of a study's table; the others are text.
-_NUMBERS = {
+_NUMBERS = (
     "hours", "cistern_m3", "roof_m3", "fallbacks", "filled_hours", "frost_hours", "bound_m3",
     *PARAMETERS, *(metric.name for metric in METRICS),
+)
+# How a column of a study's table is read; the others are text.
+_READ: dict[str, Callable[[str], object]] = {
+    **dict.fromkeys(_NUMBERS, lambda cell: float(cell) if cell else None),
+    "start": lambda cell: datetime.fromisoformat(cell).isoformat() if cell else "",
+    "weekly_deviation_m3": lambda cell: list(map(float, cell.split())),
 }
-_NOT_NEGATIVE = ("hours", "total_deviation_m3", "bound_m3")
 
 
 @dataclass(frozen=True)
@@ -208,84 +210,31 @@ def read_results(file: Path) -> list[Row]:
     """Return the rows of a study's table; an empty cell of a number is None.
 
     Raises:
-        ConfigurationError: it is not a study's table, or it was cut short or has a wrong value.
+        ConfigurationError: it is not a study's table, or a row was cut short or has a wrong value.
     """
-    text = read_text(file)
-    table = csv.reader(io.StringIO(text))
-    header, rows = next(table, []), dict[str, Row]()
-    for needed, what in (
-        (_NEEDED, "is it the results.csv of a study?"),
-        (_GROUPS, "repeat the command greenroof study, which writes the table again"),
-    ):
-        missing = [column for column in needed if column not in header]
-        if missing:
-            raise ConfigurationError(
-                f"has no column {', '.join(missing)}; {what}", file=file, line=1
-            )
-    twice = [name for name in dict.fromkeys(header) if header.count(name) > 1]
-    if twice:
-        raise ConfigurationError("is the name of several columns", file=file, line=1, key=twice[0])
-    if not text.endswith("\n"):
+    table = csv.reader(io.StringIO(read_text(file)))
+    header, rows = next(table, []), list[Row]()
+    missing = [column for column in _NEEDED if column not in header]
+    if missing:
         raise ConfigurationError(
-            "ends in the middle of a line, as if a copy was cut short; copy it again",
-            file=file, line=text.count("\n") + 1,
+            f"has no column {', '.join(missing)}; is it the results.csv of a study? Then repeat "
+            "the command greenroof study, which writes the table again", file=file, line=1,
         )
     for cells in table:
         if len(cells) != len(header):
             raise ConfigurationError(
                 f"must have {len(header)} cells, not {len(cells)}", file=file, line=table.line_num
             )
-        row = dict(zip(header, cells, strict=True))
-        for key, expected in _wrong(row, rows):
-            raise ConfigurationError(
-                f"must be {expected}", file=file, line=table.line_num, key=key, value=row[key]
-            )
-        rows[row["run"]] = {
-            key: (float(cell) if cell else None) if key in _NUMBERS else cell
-            for key, cell in row.items()
-        }
+        row: Row = {}
+        for column, cell in zip(header, cells, strict=True):
+            try:
+                row[column] = _READ[column](cell) if column in _READ else cell
+            except ValueError as error:
+                raise ConfigurationError(
+                    "cannot be read; copy the table again", file=file, line=table.line_num,
+                    key=column, value=cell,
+                ) from error
+        rows.append(row)
     if not rows:
         raise ConfigurationError("has a header but no runs", file=file)
-    return list(rows.values())
-
-
-def _wrong(row: Mapping[str, str], earlier: Mapping[str, Row]) -> Iterable[tuple[str, str]]:
-    """Yield the cells of a row that are wrong, each with what it must be."""
-    if not row["run"].strip(".") or "/" in row["run"] or row["run"] in earlier:
-        yield "run", "the name of a directory under runs/, in one row"
-    if row["status"] not in ("done", "failed", "not run"):
-        yield "status", "done, failed or not run"
-    for key, cell in row.items():
-        if not cell and row["status"] == "done" and key in _NEEDED and key != "error":
-            yield key, "given, because the run is done"
-        elif cell and key in _NUMBERS:
-            number = _number(cell)
-            if not math.isfinite(number) or (number < 0 and key in _NOT_NEGATIVE):
-                yield key, "a number" + ", 0 or more" * (key in _NOT_NEGATIVE)
-    if row["start"] and not _readable(datetime.fromisoformat, row["start"]):
-        yield "start", "a time such as 2021-07-07T02:00:00-05:00"
-    whole = int(float(row["hours"] or 0) // 168) if row["season"] else 0
-    if not _readable(weeks, row.get("weekly_deviation_m3", "")):
-        yield "weekly_deviation_m3", "numbers with spaces between"
-    elif row["status"] == "done" and len(weeks(row.get("weekly_deviation_m3", ""))) < whole:
-        yield "season", "empty, or weekly_deviation_m3 must have all weeks"
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return math.nan
-
-
-def _readable(read: Callable[[str], object], cell: str) -> bool:
-    try:
-        read(cell)
-    except ValueError:
-        return False
-    return True
-
-
-def weeks(cell: str) -> list[float]:
-    """Return the deviation of each week (m3) in a cell of ``weekly_deviation_m3``."""
-    return [float(week) for week in cell.split()]
+    return rows

@@ -322,61 +322,47 @@ def _axis(
     scaled = alt.Scale(domain=domain, **scale)
     return (
         alt.Y("v:Q", title=title, scale=scaled, axis=axis),
-        _reference_layers(domain, references, scaled),
+        _reference_layers(references, scaled),
     )
 
 
 def _around(
     site: Site | None, quantity: str, low: float, high: float, factor: float
 ) -> tuple[list[float], dict[str, float]]:
-    """Return an axis range around values, and the reference levels by name, if a site has them."""
+    """Return an axis range around values, and the reference levels nearby, if a site has them.
+
+    A reference far away would make all lines flat.
+    """
     span = max(high - low, 1e-3 * high) or 1.0
-
-    def near(value: float) -> bool:
-        return low - span / 2 <= value <= high + span / 2
-
     references = {"target": factor * site.x2_star} if site and quantity == "roof" else {}
     if site and quantity == "cistern":
         area = factor * site.a1
         references = {"outlet": area * site.z_o, "suction limit": area * site.suction_level}
-        # Only if nearby: at the edge its label would overlap another.
-        if site.low_outlet_level is not None and near(area * site.low_outlet_level):
+        if site.low_outlet_level is not None:
             references["low outlet"] = area * site.low_outlet_level
-    # Include references nearby; a reference far away would make all lines flat.
-    inside = list(filter(near, references.values()))
-    low, high = min([low, *inside]), max([high, *inside])
-    # Room for the name of a reference outside the range, below or above all lines.
-    margin = 0.18 * max(high - low, span)
+    references = {
+        text: value for text, value in references.items()
+        if low - span / 2 <= value <= high + span / 2
+    }
+    low, high = min([low, *references.values()]), max([high, *references.values()])
+    margin = 0.1 * max(high - low, span)  # for the names above the lines
     return [max(0.0, low - margin), high + margin], references
 
 
 def _reference_layers(
-    domain: Sequence[float], references: Mapping[str, float], scale: alt.Scale
+    references: Mapping[str, float], scale: alt.Scale
 ) -> list[alt.Chart]:
-    """Return the reference lines with their names; outside the range only a name at the edge."""
+    """Return the reference lines with their names."""
     layers = []
-    low, high = domain
     for text, value in references.items():
-        above = value > high
-        inside = low <= value and not above
-        words = text if inside else f"{text} at {value:.4g} {'↑' if above else '↓'}"
-        place = value if inside else high if above else low
-        base = alt.Chart(alt.InlineData([{"v": place, "text": words}]))
+        base = alt.Chart(alt.InlineData([{"v": value, "text": text}]))
         y = alt.Y("v:Q", scale=scale)
-        if text == _FULL_FLOW:
-            layers.append(
-                alt.Chart(alt.InlineData([{"from": value, "to": high}]))
-                .mark_rect(color="#D55E00", opacity=0.12)
-                .encode(y=alt.Y("from:Q", scale=scale), y2=alt.Y2("to:Q"))
-            )
-        if inside:
-            layers.append(base.mark_rule(color=_GREY, strokeDash=[3, 2]).encode(y=y))
-        layers.append(
+        layers += [
+            base.mark_rule(color=_GREY, strokeDash=[3, 2]).encode(y=y),
             base.mark_text(
-                align="right", baseline="top" if above else "bottom",
-                dx=-4, dy=3 if above else -2, color="#333333", fontSize=10,
-            ).encode(x=alt.XValue("width"), y=y, text=alt.Text("text:N"))
-        )
+                align="right", baseline="bottom", dx=-4, dy=-2, color="#333333", fontSize=10
+            ).encode(x=alt.XValue("width"), y=y, text=alt.Text("text:N")),
+        ]
     return layers
 
 

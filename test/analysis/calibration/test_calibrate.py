@@ -181,38 +181,35 @@ def test_a_record_without_any_runoff_has_nothing_to_fit(fitted: Path, tmp_path: 
     ended = calibrate(
         tmp_path, str(record), "--site", str(fitted / "site.yaml"), "-o", "new.yaml"
     )
-    assert (ended.returncode, ended.stderr) == (
-        2, f"error: {record}: in the first half of its rain nothing that was measured changes, so "
-        "there is nothing to fit; leave out rows before the first runoff, or record longer\n",
-    )
+    assert ended.returncode == 2
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith(f"error: {record}: in the first half of its rain nothing that was meas")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_failed_check_that_is_accepted_is_a_warning(fitted: Path, tmp_path: Path) -> None:
+def test_a_stuck_sensor_is_a_warning(fitted: Path, tmp_path: Path) -> None:
     """A level that is stuck for two weeks: output, page and site file state this."""
     rows = summed(record_rows(TWIN, 45, 1, gaps=False), 1)
     for row in rows[1 + 5 * 24:1 + 20 * 24]:
         row[3] = "0.0300"
     file = write(rows, tmp_path / "stuck.csv")
-    arguments = ("stuck.csv", "--site", str(fitted / "site.yaml"), "-o", "new.yaml")
-    refused = calibrate(tmp_path, *arguments)
-    assert refused.returncode == 2
-    assert list(tmp_path.iterdir()) == [file]
-    accepted = re.search(r"if the data are right anyway: --accept (.*)", refused.stderr)[1]
-    done = calibrate(tmp_path, *arguments, "--accept", *accepted.split())
+    done = calibrate(
+        tmp_path, file.name, "--site", str(fitted / "site.yaml"), "-o", "new.yaml"
+    )
     assert done.returncode == 0, done.stderr
+    assert "warning: level is 0.03 m for " in done.stderr
     warning = "level is 0.03 m for "
-    assert warning in done.stdout and "[stuck, accepted]" in done.stdout
+    assert warning in done.stdout
     assert f"# {warning}" in (tmp_path / "new.yaml").read_text(encoding="utf-8")
     assert warning[1:] in (tmp_path / "new.html").read_text(encoding="utf-8").split("</header>")[0]
 
 
 def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
-    with drawn_page(fitted / "fitted.html", 8) as page:
+    with drawn_page(fitted / "fitted.html", 4) as page:
         words = page.inner_text("main")
         assert "field_capacity" in words
         assert "Measured and simulated" not in words  # titles are drawn
         notes = page.locator("#notes li").all_inner_texts()
         assert [note.split(":")[0] for note in notes] == ["compared", "target", "pumps"]
         assert "The crop_coefficient applies only if evapotranspiration is computed" in words
-        assert page.locator("canvas").count() == 8
+        assert page.locator("canvas").count() == 4

@@ -52,7 +52,7 @@ def twin(hours: int, days: int, seed: int = 2) -> RoofRecord:
 def test_a_twin_is_recovered() -> None:
     """From six weeks; the fit reports its progress.
 
-    Stages come in order; the share grows with each simulation, and ends at 1.
+    Stages come in order; the share grows with each, and ends at 1.
     """
     record = twin(0, 45)
     progress: list[tuple[str, float]] = []
@@ -70,9 +70,9 @@ def test_a_twin_is_recovered() -> None:
     stages = [re.match(r"(\d) of 5: (.*), \d+ simulations", text) for text, _ in progress[:-1]]
     assert list(dict.fromkeys(stage[1] for stage in stages)) == ["1", "2", "3", "4", "5"]
     # One for each parameter and one before; then the start and a grid of 3 x 4 x 2.
-    assert sum(stage[1] == "1" for stage in stages) == 1 + 7
-    assert sum(stage[1] == "2" for stage in stages) == 1 + 25
-    assert f"last search, {len(progress) - 1 - 5} simulations" in progress[-2][0]
+    assert sum(stage[1] == "1" for stage in stages) == 7
+    assert sum(stage[1] == "2" for stage in stages) == 25
+    assert f"last search, {len(progress) - 1} simulations" in progress[-2][0]
 
 
 def test_runoff_alone_tells_only_what_the_soil_holds_between() -> None:

@@ -7,7 +7,6 @@ import struct
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from inputs import (
     study_of,
     write_study,
 )
-from paper import site_file
 from refusals import refusal
 
 from greenroof_ros.analysis.report.figures import is_figure
@@ -111,29 +109,6 @@ def test_figures_of_a_study(tmp_path: Path, simulated: list[Simulated]) -> None:
                 for example in simulated if example.row["initial"] == initial
             ]
             assert list(sums.values()) == pytest.approx(changes, abs=1e-5 * area)
-
-
-@pytest.mark.parametrize(("columns", "site", "published"), [
-    ({}, {"latitude": 52.5, "longitude": 13.4}, [None, 9635.5272]),
-    ({"start": "2021-07-08T02:00:00-05:00"}, {}, [None, None]),
-    ({"evapotranspiration": "fao56"}, {}, [None, None]),
-    ({"parameter:level": "0.9"}, {}, [None, None]),
-    ({}, {"a_in": 300.0, "runoff_coefficient": 0.5}, [None, None]),
-])
-def test_the_authors_totals(
-    tmp_path: Path, columns: dict[str, Any], site: dict[str, Any], published: list[float | None]
-) -> None:
-    """Only for the paper's run: its 12 h, its evapotranspiration, its site and controller.
-
-    The site may be elsewhere, since the weather is given; nothing that Table I lacks is added.
-    """
-    row = {**simulate("onoff", "0.5", "low-low").row, "hours": 12.0, **columns}
-    study = write_study(tmp_path / "study", [
-        ({**row, "parameter:fraction": fraction}, None) for fraction in ("0.3", "0.5")
-    ])
-    site_file(study / "configuration", **site)
-    (rows,) = figures_of(report_of(study))["deviation-1"].data.values()
-    assert [row["paper"] for row in rows] == published
 
 
 def each_minute(trajectory: Trajectory) -> Trajectory:
