@@ -423,7 +423,7 @@ def _intruders() -> Iterator[Case]:
             stops=None, bound="command", signs=signs or ()))
     yield Case(SITE, "second pump node", "pump", Expected(
         stops=None, bound="command", watch=5.0, names="/pump/flow",
-        signs=(("pump", "two_processes"), ("pump: flow", "two_pumps"))))
+        signs=(("pump: flow", "two_pumps"),)))
     for target in ("in another domain", "in another domain, temporary files removed"):
         yield Case(PUMP, "second pump node", target, Expected(
             stops=False, bound="command", watch=5.0, signs=(("pump: drive", "drive_lost"),)))
