@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from greenroof_ros.common.command_line import Parser, command, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
+from greenroof_ros.experiment.run_directory import writable
 
 # A report's directory holds this file and figures/.
 _PAGE = "report.html"
@@ -87,36 +87,17 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
         ConfigurationError: there is a report and ``force`` is not set, or there are other files.
     """
     figures = directory / "figures"
-    there = list(directory.iterdir()) if directory.exists() else []
-    if figures.is_dir():
-        there = [*filter(figures.__ne__, there), *figures.iterdir()]
-    foreign = [
-        str(file.relative_to(directory)) for file in sorted(there)
-        if not file.is_file()
-        or (file != directory / _PAGE and not (file.parent == figures and own(file.name)))
-    ]
+    others = [file for file in directory.glob("*") if file not in (figures, directory / _PAGE)]
+    others += [file for file in figures.glob("*") if not (file.is_file() and own(file.name))]
     wrong = ""
-    if foreign:
-        wrong = (
-            f"exists and is not empty: {', '.join(foreign[:3])}{', ...' * (len(foreign) > 3)} does "
-            "not belong to a report and is never overwritten; choose another directory"
-        )
-    elif there and not force:
+    if others:
+        name = min(others).relative_to(directory)
+        wrong = f"holds {name}, which does not belong to a report; choose another directory"
+    elif any(directory.glob("*")) and not force:
         wrong = "already holds a report; replace it with --force, or choose another directory"
     if wrong:
         raise ConfigurationError(wrong, key="--output", value=str(directory))
-    return there
-
-
-@contextmanager
-def _writing(directory: Path) -> Iterator[None]:
-    """Turn an ``OSError`` in the block into an error that names ``--output``."""
-    try:
-        yield
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key="--output", value=str(directory)
-        ) from error
+    return list(figures.glob("*"))
 
 
 @command
@@ -128,8 +109,7 @@ def main() -> None:
         from greenroof_ros.analysis.report.groups import Assumptions, Report
         from greenroof_ros.analysis.report.sources import find_runs
     output: Path = arguments.output or arguments.paths[0] / "report"
-    with _writing(output):
-        former = _former_report(output, figures.is_figure, force=arguments.force)
+    former = _former_report(output, figures.is_figure, force=arguments.force)
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
         console=Console(stderr=True), transient=True,
@@ -141,7 +121,7 @@ def main() -> None:
             arguments.energy_price, arguments.water_price, arguments.currency
         ))
         made = list(figures.make_figures(report))
-        with _writing(output):
+        with writable(output):
             (output / "figures").mkdir(parents=True, exist_ok=True)
         for figure in progress.track(made, description="drawing figures"):
             figure.save(output / "figures")
@@ -149,7 +129,7 @@ def main() -> None:
         (output / _PAGE).write_text(page.render(report, made), encoding="utf-8")
     names = {figure.name for figure in made}
     for file in former:
-        if file.parent.name == "figures" and file.stem not in names:
+        if file.stem not in names:
             file.unlink()
     for run in report.runs:
         if run.row.get("ended"):

@@ -134,10 +134,10 @@ def _plotter(file: Path, run: Run) -> Callable[[Trajectory], None]:
     """
     refuse_unwritable(file, _PICTURES, "--plot")
     with in_extra("study"):
-        from greenroof_ros.analysis.report.trajectories import overlaid
+        from greenroof_ros.analysis.report.trajectories import overlay_simulations
 
     def draw(trajectory: Trajectory) -> None:
-        chart = overlaid({run.controller.name: (run.site, trajectory)})
+        chart = overlay_simulations({run.controller.name: (run.site, trajectory)})
         with naming(file):
             if file.suffix == _PAGE:
                 chart.save(file, inline=True)

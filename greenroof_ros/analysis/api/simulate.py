@@ -283,8 +283,8 @@ class Comparison:
             4
         """
         with in_extra("study"):
-            from greenroof_ros.analysis.report.trajectories import overlaid
-        return overlaid({
+            from greenroof_ros.analysis.report.trajectories import overlay_simulations
+        return overlay_simulations({
             name: (result.run.site, result.ticks) for name, result in self.results.items()
         })
 
@@ -362,9 +362,11 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
         2021-07-07 03:00:00-05:00 0.0457
     """
     with in_extra("study"):
-        from greenroof_ros.analysis.report.bags import read_recording
-    bag = Path(path)
-    recording = read_recording(bag, None if site is None else file_of_site(site))
-    if recording.trajectory is None:
-        raise ConfigurationError("has no trajectory; repeat the run with --trajectory", file=bag)
-    return table(recording.site, recording.trajectory)
+        from greenroof_ros.analysis.report.bags import read_run
+    run = read_run(Path(path), None if site is None else file_of_site(site))
+    trajectory = run.trajectory()
+    if trajectory is None:
+        raise ConfigurationError(
+            "has no trajectory; repeat the run with --trajectory", file=Path(path)
+        )
+    return table(run.site, trajectory)

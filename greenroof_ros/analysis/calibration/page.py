@@ -22,9 +22,9 @@ from greenroof_ros.analysis.calibration.site_file import CROP_NOTE, INTERVAL_NOT
 from greenroof_ros.analysis.report.drawing import (
     Figure,
     Rows,
-    pointed,
+    make_tooltips,
+    round_value,
     series_panel,
-    short,
 )
 from greenroof_ros.analysis.report.page import page_of
 from greenroof_ros.model.site import site_parameters
@@ -98,9 +98,11 @@ def _figure(
          "v", "series", [MEASURED, SIMULATED], axis, adds_up),
         (data, "Residuals", "error", "part", [*halves], f"simulated less measured, {axis}", True),
     ):
-        lines = chart.mark_line(clip=True, strokeWidth=1.2, interpolate="step-after").encode(
+        lines = chart.mark_line(
+            clip=True, strokeWidth=1.2, interpolate="step-after", point="transparent"
+        ).encode(
             x=_TIME, y=alt.Y(f"{value}:Q", title=label, scale=alt.Scale(zero=zero)),
-            tooltip=pointed(
+            tooltip=make_tooltips(
                 f"{field}:N", _WHEN, alt.Tooltip(f"{value}:Q", title=label, format=".4~g")
             ),
         )
@@ -121,8 +123,8 @@ def _days(
         )
         times = (np.unique(seconds // DAY_S) * DAY_S * 1000).tolist()
         rows += [
-            {"t": time, "part": part, MEASURED: short(was), SIMULATED: short(now),
-             "error": short(now - was)}
+            {"t": time, "part": part, MEASURED: round_value(was), SIMULATED: round_value(now),
+             "error": round_value(now - was)}
             for time, was, now in zip(times, theirs, ours, strict=True)
         ]
     return rows

@@ -5,17 +5,16 @@ A run directory has a bag; of a simulation in one process it has the trajectory,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timedelta, timezone, tzinfo
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from greenroof_ros.analysis.report.run import About, Row, read_about
+from greenroof_ros.analysis.report.run import About, ReportedRun, Row, load_trajectory, read_about
 from greenroof_ros.common.alarm_log import read_alarms
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import default_site_file, file_digest
+from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.summary import site_file_of
 from greenroof_ros.model.metrics import Samples, totals_of
@@ -25,32 +24,10 @@ from greenroof_ros.model.soil import soil_of
 from greenroof_ros.recording.bag_reader import load_bag
 from greenroof_ros.recording.bag_writer import METADATA, recovered_bag
 from greenroof_ros.recording.results_table import shortest
-from greenroof_ros.recording.trajectory import CSV, TRAJECTORY, Trajectory, read_trajectory
+from greenroof_ros.recording.trajectory import CSV, TRAJECTORY, Trajectory
 
-
-@dataclass(frozen=True, kw_only=True)
-class Recording:
-    """A run directory or a bag.
-
-    Attributes:
-        directory: with its configuration.
-        site: where it was recorded.
-        site_name: of its file.
-        about: what its summary contains.
-        trajectory: None if only results were kept.
-        bag: the bag that was read; None if the trajectory is from another file.
-        notes: what a reader should know, beside ``about.notes``.
-        alarms: recorded ones, each a row for a table.
-    """
-
-    directory: Path
-    site: Site
-    site_name: str
-    about: About
-    trajectory: Trajectory | None
-    bag: Path | None
-    notes: list[str]
-    alarms: list[dict[str, str]]
+# Columns without which results alone make no run of a report.
+_NEEDED = {"start", "hours", "cistern_m3", "total_deviation_m3"}
 
 
 def run_directory(path: Path) -> Path:
@@ -64,27 +41,24 @@ def _bag_in(path: Path) -> Path:
     return path / "bag" if (path / "bag").is_dir() else path
 
 
-def _closed_and_repair(path: Path, bag: Path) -> tuple[Path | None, str]:
-    """Return the closed bag of a run to read, if any, and what repairs it, for a message.
+def _closed_bag(bag: Path) -> Path | None:
+    """Return the closed bag to read, if any; a single file is one.
 
-    What ``recover`` made counts until something is recorded after it. A single file is a bag.
+    What ``recover`` made counts until something is recorded after it.
     """
-    if path.is_file():
-        return path, f"greenroof recover {path.parent} makes a whole bag of what is left"
+    if bag.is_file():
+        return bag
     new = recovered_bag(bag)
-    closed = bag if (bag / METADATA).is_file() else None
-    if any(bag.glob("*.db3")):
-        return closed, f"ros2 bag reindex {bag} writes its metadata.yaml again"
-    if not (new / METADATA).is_file():
-        return closed, f"greenroof recover {path} makes a whole one of what is left"
     recorded = max((file.stat().st_mtime for file in bag.glob("*")), default=0.0)
-    if (new / METADATA).stat().st_mtime < recorded:
-        return closed or new, f"remove {new}, and greenroof recover {path} makes a new one"
-    return new, ""
+    if (new / METADATA).is_file() and (new / METADATA).stat().st_mtime >= recorded:
+        return new
+    return bag if (bag / METADATA).is_file() else None
 
 
-def read_recording(path: Path, site_file: Path | None = None) -> Recording:
+def read_run(path: Path, site_file: Path | None = None) -> ReportedRun:
     """Read a run directory, a bag or an .mcap file.
+
+    Results of a finished run are its summary's; all others are computed from the trajectory.
 
     Args:
         path: its path.
@@ -96,51 +70,64 @@ def read_recording(path: Path, site_file: Path | None = None) -> Recording:
     """
     about = read_about(run_directory(path))
     try:
-        return _read_recording(path, site_file, about)
+        return _read_run(path, site_file, about)
     except ConfigurationError as error:
         if about.ending:
             raise ConfigurationError(f"{about.ending}; {error}") from error
         raise
 
 
-def _read_recording(path: Path, site_file: Path | None, about: About) -> Recording:
-    run, notes = run_directory(path), list[str]()
+def _read_run(path: Path, site_file: Path | None, about: About) -> ReportedRun:
+    run, bag, notes = run_directory(path), _bag_in(path), list(about.notes)
     own_site = site_file_of(run)
     file = site_file or (own_site if own_site.is_file() else None)
     site = read_site(file or default_site_file())
     if file is None:
         notes.append("no site file came with the bag: the site is the paper's, config/site.yaml")
-    bag, repair = _closed_and_repair(path, _bag_in(path))
+    name = run.resolve().name
+    row: Row = {
+        **about.row, "run": name, "site": file.name if file else "the paper's", "season": "",
+    }
+    zone = _zone(row, site if file else None)
+    closed = _closed_bag(bag)
+    damaged = run if run.is_dir() else run.parent
+    repair = f"greenroof recover {damaged} makes a whole one of what is left"
     kept = next((path / name for name in (TRAJECTORY, CSV) if (path / name).is_file()), None)
     trajectory = None
-    if bag is not None:
-        if bag == recovered_bag(_bag_in(path)):
-            notes.append(f"{bag.name} is what greenroof recover found whole")
-        zone = about.start.tzinfo if about.start is not None else None
-        if zone is None and own_site.is_file() and site.utc_offset is not None:
-            zone = timezone(timedelta(hours=site.utc_offset))
+    if closed is not None:
+        if closed == recovered_bag(bag):
+            notes.append(f"{closed.name} is what greenroof recover found whole")
+            repair = ""
         if zone is None:
             notes.append("times are in UTC: no configuration gives the offset")
         trajectory, further = load_bag(
-            bag, site, zone or timezone.utc, own=about.own, external_pump=about.external_pump,
+            closed, site, zone or timezone.utc, own=about.own, external_pump=about.external_pump,
             repair=repair,
         )
         notes += further
     elif kept is not None:
         trajectory = load_trajectory(kept)
-    elif any(_bag_in(path).glob("*.mcap")) or any(_bag_in(path).glob("*.db3")):
+    elif any(bag.glob("*.mcap")):
         raise ConfigurationError(
-            f"has no metadata.yaml: it is being recorded, or was cut off; {repair}",
-            file=_bag_in(path),
+            f"has no metadata.yaml: it is being recorded, or was cut off; {repair}", file=bag
         )
     elif about.ending:
         raise ConfigurationError("no bag", file=path)
-    elif "total_deviation_m3" not in about.row:
+    elif not row.keys() >= _NEEDED:
         raise ConfigurationError(
             "must be a study (with results.csv), a run (with bag/, or a simulation that is done), "
             "a bag (with metadata.yaml) or an .mcap file", file=path,
         )
-    zone = trajectory.start.tzinfo if trajectory is not None else timezone.utc
+    if trajectory is not None:
+        row = row_of(row, site, trajectory)
+        zone = trajectory.start.tzinfo
+    row["window"] = ", ".join([
+        row["site"], row["weather"] if about.own else name,
+        f"from {to_people(datetime.fromisoformat(row['start']))}",
+        f"{shortest(round(row['hours'], 5))} h", f"{row['evapotranspiration']} evapotranspiration",
+    ])
+    if about.ending:
+        row["ended"] = about.ending
     try:
         alarms = [
             {
@@ -153,54 +140,39 @@ def _read_recording(path: Path, site_file: Path | None, about: About) -> Recordi
     except (OSError, ValueError) as error:
         notes.append(f"the alarms next to the bag are damaged, and not used: {error}")
         alarms = []
-    return Recording(
-        directory=run, site=site, site_name="the paper's" if file is None else file.name,
-        about=about, trajectory=trajectory, bag=bag, notes=notes, alarms=alarms,
+    return ReportedRun(
+        site=site, row=row, notes=notes, alarms=alarms, kept=trajectory, bag=closed
     )
 
 
-def _moment(seconds: float, zone: Any) -> str:
-    return to_people(datetime.fromtimestamp(seconds, zone).replace(microsecond=0))
+def _zone(row: Row, site: Site | None) -> tzinfo | None:
+    """Return the time zone of a run: of its start, or the site's."""
+    if "start" in row:
+        return datetime.fromisoformat(row["start"]).tzinfo
+    if site is not None and site.utc_offset is not None:
+        return timezone(timedelta(hours=site.utc_offset))
+    return None
 
 
-def row_of(recording: Recording, name: str) -> tuple[Row, tuple[object, ...]]:
-    """Return a recording's row of results, and what identifies its window.
+def _moment(seconds: float, zone: tzinfo | None) -> str:
+    return to_people(datetime.fromtimestamp(seconds, zone or timezone.utc).replace(microsecond=0))
 
-    Results of a finished run are its summary's; all others are computed from the trajectory. Sums
-    are Euler's: a value holds from its sample to the next, over the difference of their times. The
-    flows of the last sample count in no sum, because the run ends in its state.
+
+def row_of(known: Row, site: Site, trajectory: Trajectory) -> Row:
+    """Return a run's row: the results that are known, and the others from its trajectory.
+
+    Sums are Euler's: a value holds from its sample to the next, over the difference of their times.
+    The flows of the last sample count in no sum, because the run ends in its state.
     """
-    about, trajectory, site = recording.about, recording.trajectory, recording.site
-    row: Row = {**about.row, "run": name, "site": recording.site_name, "season": ""}
-    if trajectory is not None:
-        row = {
-            "cistern_m3": float(trajectory.cistern[0]), "roof_m3": float(trajectory.roof[0]),
-            **totals_of(site, samples_of(site, trajectory)), **row,
-            "start": trajectory.start.isoformat(),
-            "hours": float(trajectory.time[-1] - trajectory.time[0]) / 3600,
-        }
-        frost = trajectory.frost[:-1] > 0
-        pumped = trajectory.pump_flow[:-1] * np.diff(trajectory.time)
-        row["frost_pumped_m3"] = float(pumped[frost].sum())
-    elif about.start is not None:
-        row["start"] = about.start.isoformat()
-    start, hours = row.get("start"), row.get("hours")
-    row["window"] = ", ".join([
-        row["site"], row["weather"] if about.own else name,
-        *([f"from {to_people(datetime.fromisoformat(start))}"] if start else []),
-        *([f"{shortest(round(hours, 5))} h"] if hours else []),
-        f"{row['evapotranspiration']} evapotranspiration",
-    ])
-    weather = sorted((recording.directory / "configuration" / "weather").glob("*"))
-    return row, (site, row["cistern_m3"], row["roof_m3"], *map(file_digest, weather))
-
-
-def load_trajectory(path: Path) -> Trajectory:
-    """Read the trajectory of a simulation in one process."""
-    trajectory = read_trajectory(path)
-    if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
-        raise ConfigurationError("must have two or more samples, in order of time", file=path)
-    return trajectory
+    frost = trajectory.frost[:-1] > 0
+    pumped = trajectory.pump_flow[:-1] * np.diff(trajectory.time)
+    return {
+        "cistern_m3": float(trajectory.cistern[0]), "roof_m3": float(trajectory.roof[0]),
+        **totals_of(site, samples_of(site, trajectory)), **known,
+        "start": trajectory.start.isoformat(),
+        "hours": float(trajectory.time[-1] - trajectory.time[0]) / 3600,
+        "frost_pumped_m3": float(pumped[frost].sum()),
+    }
 
 
 def samples_of(site: Site, trajectory: Trajectory) -> Samples:

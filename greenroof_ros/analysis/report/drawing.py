@@ -98,7 +98,7 @@ class Figure:
             file.write_bytes(vl_convert.svg_to_png(vectors, scale=2))
 
 
-def distinct(name: str, values: list[str], title: str) -> dict[str, Any]:
+def distinguish_series(name: str, values: list[str], title: str) -> dict[str, Any]:
     """Distinguish the series of a field by colour and by dashes; see :func:`cycled`.
 
     Without series there is no legend: vega gives an empty one a size that is not a number.
@@ -106,15 +106,15 @@ def distinct(name: str, values: list[str], title: str) -> dict[str, Any]:
     legend = alt.Legend(symbolSize=600, symbolType="stroke") if values else None
     return {
         "color": alt.Color(
-            f"{name}:N", title=title or None, scale=cycled(COLOURS, values), legend=legend
+            f"{name}:N", title=title or None, scale=cycle_choices(COLOURS, values), legend=legend
         ),
         "strokeDash": alt.StrokeDash(
-            f"{name}:N", title=title or None, scale=cycled(_DASHES, values), legend=legend
+            f"{name}:N", title=title or None, scale=cycle_choices(_DASHES, values), legend=legend
         ),
     }
 
 
-def pointed(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tooltip]:
+def make_tooltips(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tooltip]:
     """Return the tooltips for some fields; numbers of a field with a title have six digits.
 
     They are made here because Altair would search all of its classes for a channel given only by
@@ -129,42 +129,20 @@ def pointed(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tooltip]:
     return list(map(tooltip, fields))
 
 
-def cycled(choices: Sequence[Any], values: Sequence[str]) -> alt.Scale:
+def cycle_choices(choices: Sequence[Any], values: Sequence[str]) -> alt.Scale:
     """Return a scale that gives each value a choice; choices repeat if there are more values."""
     chosen = dict(zip(values, itertools.cycle(choices)))
     return alt.Scale(domain=list(chosen), range=list(chosen.values()))
 
 
-def value_axis(values: Iterable[float | None]) -> dict[str, Any]:
-    """Return scale and axis of a quantity: around its values, so that their differences are seen.
-
-    If a few values are so large that half of the others would share a tenth of a linear axis, it is
-    logarithmic; with values of 0 it is linear below the smallest other value. Values that are
-    missing or not finite have no place on it; without any other it goes from 0 to 1.
-    """
-    ordered = sorted(value for value in values if value is not None and math.isfinite(value))
-    if not ordered:
-        ordered = [0.0]
-    low, middle, high = ordered[0], ordered[len(ordered) // 2], ordered[-1]
-    positive = [value for value in ordered if value > 0]
-    if low >= 0 and positive and high - low > 10 * (middle - low) > 0:
-        least = positive[0]
-        if low > 0:
-            return {"scale": alt.Scale(type="log", domain=[low / 1.1, 1.1 * high], nice=False)}
-        ticks = [10.0**power for power in range(math.ceil(math.log10(least)), 1 + math.floor(
-            math.log10(high)))]
-        return {
-            "scale": alt.Scale(type="symlog", constant=least, domain=[0, 1.5 * high], nice=False),
-            "axis": alt.Axis(values=[0.0, *ticks], format=".12~g"),
-        }
-    margin = 0.08 * (high - low) or 0.08 * abs(high) or 1.0
-    bottom = low - margin
-    if low >= 0 > bottom:
-        bottom = 0.0
-    return {"scale": alt.Scale(domain=[bottom, high + margin], nice=False)}
+def value_scale(values: Iterable[float | None]) -> alt.Scale:
+    """Return the scale of a quantity: around its values, logarithmic if they differ much."""
+    known = [value for value in values if value is not None]
+    wide = bool(known) and 0 < 5 * min(known) < max(known)
+    return alt.Scale(type="log" if wide else "linear", zero=False, nice=False, padding=8)
 
 
-def short(value: float | None) -> float | None:
+def round_value(value: float | None) -> float | None:
     """Return a value with as many digits as a figure can show; None if it is not finite."""
     return None if value is None or not math.isfinite(value) else float(f"{value:.7g}")
 
@@ -185,25 +163,13 @@ def series_panel(
         height: see :class:`Panel`.
         zoom: whether Shift and the wheel zoom along x; the wheel alone still scrolls the page.
     """
-    lines = lines.copy()
-    if isinstance(lines.mark, str):
-        lines.mark = alt.MarkDef.from_dict({"type": lines.mark})
-    if lines.mark.point is alt.Undefined:
-        lines.mark.point = "transparent"  # the pointer finds its tooltips
     number = next(_NUMBERS)
     chosen = alt.selection_point(name=f"chosen_{number}", fields=[field], bind="legend")
     opacity = alt.when(chosen).then(alt.value(1.0)).otherwise(alt.value(0.1))
-    lines = lines.encode(**distinct(field, names, legend), strokeOpacity=opacity).add_params(chosen)
+    series = distinguish_series(field, names, legend)
+    lines = lines.encode(**series, strokeOpacity=opacity).add_params(chosen)
     if zoom:
         lines = lines.add_params(alt.selection_interval(
             name=f"zoom_{number}", encodings=["x"], bind="scales", zoom="wheel![event.shiftKey]"
         ))
     return Panel(alt.layer(*below, lines) if below else lines, title, height)
-
-
-def reference_line(points: Rows, x: alt.X, y: alt.Y) -> alt.Chart:
-    """Return a thin grey line, such as the one on which a perfect forecast lies."""
-    line: alt.Chart = alt.Chart(alt.InlineData(points)).mark_line(
-        color="#888888", strokeWidth=1
-    ).encode(x=x, y=y)
-    return line

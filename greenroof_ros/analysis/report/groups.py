@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
-from itertools import groupby
 from statistics import fmean
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from greenroof_ros.analysis.report.intervals import Comparison, Deviations, compare, worst_tenth
-from greenroof_ros.analysis.report.run import Row
-from greenroof_ros.analysis.report.sources import ReportedRun, Sources
+from greenroof_ros.analysis.report.intervals import Comparison, Deviations, compare
+from greenroof_ros.analysis.report.run import ReportedRun, Row
+from greenroof_ros.analysis.report.sources import Sources
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.model.metrics import METRICS
-from greenroof_ros.recording.results_table import differing
+
+Item = TypeVar("Item")
 
 TOTAL = "total_deviation_m3"
 FLOWS = {
@@ -24,11 +24,6 @@ FLOWS = {
     "roof": {"rain_roof_m3": 1, "pumped_m3": 1, "evapotranspiration_m3": -1, "drainage_m3": -1},
 }
 """the flows of each tank's water balance, each with its sign"""
-
-# The parameters that depend on a site's size: areas, the cistern's depth, and volumes.
-_BY_SIZE = {
-    "a1", "a2", "z_o", "x2_star", "z_cap", "initial_cistern", "initial_roof", "initial_layer",
-}
 
 
 class Assumptions(NamedTuple):
@@ -50,16 +45,13 @@ class Case:
         runs: in the order of their source.
         row: the first run's row, with the mean of each result over the seeds of each year, and then
             over the years; None if no run has it.
-        totals: the total deviation of each seed (m3), by year; the year of a run that is of no
-            season is 0.
-        deviations: with those of the weeks, if it is a season.
+        deviations: of each seed and, if it is a season, of each week.
         relative: the season compared with plain on/off, if that ran in the same years.
     """
 
     runs: list[ReportedRun]
     row: Row
-    totals: dict[int, list[float]]
-    deviations: Deviations | None = None
+    deviations: Deviations
     relative: Comparison | None = None
 
     @property
@@ -71,13 +63,6 @@ class Case:
     def place(self) -> tuple[str, str]:
         """Window and initial state: within a place cases are compared."""
         return str(self.row["window"]), str(self.row["initial"])
-
-    @property
-    def worst_tenth(self) -> float:
-        """Mean of the worst tenth: of the weeks of a season, else of the runs (m3)."""
-        if self.deviations is not None:
-            return self.deviations.worst_weeks()
-        return worst_tenth(np.array([total for year in self.totals.values() for total in year]))
 
 
 class Report:
@@ -94,37 +79,29 @@ class Report:
     def __init__(self, sources: Sources, assumptions: Assumptions) -> None:
         self.runs, self.failed = sources.runs, sources.failed
         self.configuration, self.assumptions = sources.configuration, assumptions
-        groups: dict[str, dict[str, dict[str, list[ReportedRun]]]] = {}
-        for run in self.runs:
-            window, initial, case = (run.row[key] for key in ("window", "initial", "case"))
-            cases = groups.setdefault(window, {}).setdefault(initial, {})
-            cases.setdefault(case, []).append(run)
         self.cases = [
-            _case(runs, assumptions) for window in groups.values() for cases in window.values()
-            for runs in cases.values()
+            _case(runs, assumptions)
+            for window in _grouped(self.runs, lambda run: run.row["window"])
+            for place in _grouped(window, lambda run: run.row["initial"])
+            for runs in _grouped(place, lambda run: run.row["case"])
         ]
         for place in self.places():
             _compare(place)
 
     def windows(self) -> list[list[Case]]:
         """Return the cases of each window."""
-        return [list(cases) for _, cases in groupby(self.cases, lambda case: case.place[0])]
+        return _grouped(self.cases, lambda case: case.place[0])
 
     def places(self) -> list[list[Case]]:
         """Return the cases of each window and initial state."""
-        return [list(cases) for _, cases in groupby(self.cases, lambda case: case.place)]
+        return _grouped(self.cases, lambda case: case.place)
 
-    @property
-    def seasons(self) -> list[Case]:
-        """The cases that are seasons of several years."""
-        return [case for case in self.cases if case.deviations is not None]
 
-    @property
-    def sizing(self) -> bool:
-        """Whether the seasons are of several sites that differ only in size."""
-        sites = [asdict(case.runs[0].site) for case in self.seasons]
-        sizes = {(site["a2"], site["a1"] * site["z_o"]) for site in sites}
-        return len(sizes) > 1 and set(differing(sites)) <= _BY_SIZE
+def _grouped(items: Sequence[Item], key: Callable[[Item], object]) -> list[list[Item]]:
+    groups: dict[object, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return list(groups.values())
 
 
 def _case(runs: list[ReportedRun], assumptions: Assumptions) -> Case:
@@ -135,16 +112,13 @@ def _case(runs: list[ReportedRun], assumptions: Assumptions) -> Case:
         year = datetime.fromisoformat(run.row["start"]).year if season else 0
         years.setdefault(year, []).append(run.row | _derived(run, assumptions))
     row = {**runs[0].row, **_means(list(years.values()))}
-    case = Case(runs, row, {year: [row[TOTAL] for row in rows] for year, rows in years.items()})
-    if season:
-        whole = int(row["hours"] // 168)
-        case.deviations = Deviations()
-        for year, rows in years.items():
-            case.deviations.totals[year] = np.array(case.totals[year])
-            case.deviations.weeks[year] = np.array(
-                [row["weekly_deviation_m3"][:whole] for row in rows]
-            )
-    return case
+    totals = {year: np.array([row[TOTAL] for row in rows]) for year, rows in years.items()}
+    whole = int(row["hours"] // 168)
+    weeks = {
+        year: np.array([row["weekly_deviation_m3"][:whole] for row in rows])
+        for year, rows in years.items() if season
+    }
+    return Case(runs, row, Deviations(totals, weeks))
 
 
 def _means(years: Sequence[Sequence[Row]]) -> Row:
@@ -165,7 +139,7 @@ def _means(years: Sequence[Sequence[Row]]) -> Row:
 _AVERAGED = (
     *(metric.name for metric in METRICS), "bound_m3", "frost_hours", "frost_pumped_m3",
     "cistern_change_m3", "cistern_residual_m3", "roof_change_m3", "roof_residual_m3",
-    "near_percent", "energy_cost", "water_value",
+    "energy_cost", "water_value",
 )
 
 
@@ -188,12 +162,7 @@ def _derived(run: ReportedRun, assumptions: Assumptions) -> Row:
         derived[f"{tank}_residual_m3"] = (
             None if change is None or explained is None else change - explained
         )
-    near, pumped, energy = (
-        row.get(name) for name in ("near_target_hours", "pumped_m3", "electric_energy_kwh")
-    )
-    # The last sample is treated as one tick.
-    hours = row["hours"] + site.tau / 3600
-    derived["near_percent"] = None if near is None else 100 * near / hours
+    pumped, energy = row.get("pumped_m3"), row.get("electric_energy_kwh")
     derived["energy_cost"] = None if energy is None else energy * assumptions.energy_price
     derived["water_value"] = None if pumped is None else pumped * assumptions.water_price
     return derived
@@ -215,14 +184,12 @@ def _compare(place: Sequence[Case]) -> None:
     """
     (level,) = (known.default for known in OnOff.parameters if known.name == "level")
     plain = [
-        case for case in place if case.deviations is not None
+        case for case in place if case.deviations.weeks
         and case.row["controller"] == "onoff"
         and float(case.row.get("parameter:level") or level) == level
     ]
-    if not plain:
-        return
-    other = min(plain, key=lambda case: (-len(case.runs), case.row[TOTAL]))
-    assert other.deviations is not None
-    for case in place:
-        if case is not other and case.deviations is not None:
-            case.relative = compare(case.deviations, other.deviations)
+    if plain:
+        other = min(plain, key=lambda case: (-len(case.runs), case.row[TOTAL]))
+        for case in place:
+            if case is not other and case.deviations.weeks:
+                case.relative = compare(case.deviations, other.deviations)

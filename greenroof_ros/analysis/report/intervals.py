@@ -11,6 +11,7 @@ difference anywhere, one in twenty does.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from functools import cache
 from typing import NamedTuple
 
@@ -33,39 +34,34 @@ class Ratio(NamedTuple):
     high: float
 
 
+@dataclass
 class Deviations:
-    """Deviations of a controller in the same season of several years.
+    """Deviations of a controller in one season of several years, or in any other window.
 
     Attributes:
-        totals: total deviation of each seed (m3), shape (seeds,), by year.
-        weeks: deviation of each week of each seed (m3), shape (seeds, weeks), by year.
+        totals: total deviation of each seed (m3), shape (seeds,), by year; the year of a run that
+            is of no season is 0.
+        weeks: deviation of each whole week of each seed (m3), shape (seeds, weeks), by year; empty
+            if it is no season.
     """
 
-    def __init__(self) -> None:
-        self.totals: dict[int, Array] = {}
-        self.weeks: dict[int, Array] = {}
-        self._resampled: dict[tuple[int, ...], tuple[Array, Array]] = {}
+    totals: dict[int, Array]
+    weeks: dict[int, Array] = field(default_factory=dict)
 
-    def worst_weeks(self) -> float:
-        """Mean deviation of the worst tenth of weeks (m3); seeds share a year's weight."""
-        return float(self._of_weeks(tuple(self.weeks), np.ones((1, len(self.weeks))))[0])
+    def worst_tenth(self) -> float:
+        """Mean of the worst tenth of weeks, where seeds share a year's weight, or of runs (m3).
 
-    def resampled(self, years: tuple[int, ...]) -> tuple[Array, Array]:
-        """Return mean and worst tenth of weeks (m3), each for the years, then for each resample."""
-        if years not in self._resampled:
-            counts = np.vstack((np.ones(len(years)), _draws(len(years))))
-            means = counts @ [self.totals[year].mean() for year in years] / len(years)
-            self._resampled[years] = means, self._of_weeks(years, counts)
-        return self._resampled[years]
-
-    def _of_weeks(self, years: tuple[int, ...], counts: Array) -> Array:
-        """Return the worst tenth of weeks (m3) for each row of ``counts``, shape (n, years)."""
-        weeks = [self.weeks[year] for year in years]
-        place = np.repeat(np.arange(len(years)), [seasons.size for seasons in weeks])
-        seeds = np.array(list(map(len, weeks)))
-        return _worst_tenths(
-            counts[:, place] / seeds[place], np.concatenate(list(map(np.ravel, weeks)))
-        )
+        The value at the edge of the tenth counts in part. A tenth is at least one whole value: with
+        fewer than ten values it is the largest.
+        """
+        years = self.weeks or {year: runs[None, :] for year, runs in self.totals.items()}
+        values = np.concatenate([seeds.ravel() for seeds in years.values()])
+        weights = np.concatenate([np.full(seeds.size, 1 / len(seeds)) for seeds in years.values()])
+        order = np.argsort(-values)
+        count = max(1.0, weights.sum() / 10)
+        worse = np.cumsum(weights[order]) - weights[order]
+        within = np.clip(count - worse, 0, weights[order])
+        return float(within @ values[order] / count)
 
 
 class Comparison(NamedTuple):
@@ -75,46 +71,25 @@ class Comparison(NamedTuple):
     """in the mean total deviation of a season (m3), negative if the controller has less"""
     mean: Ratio
     """ratio of the mean total deviations of a season"""
-    worst_weeks: Ratio
-    """ratio of the mean deviations of the worst tenth of weeks"""
     better: int
     """number of years in which it had less"""
     years: int
     """number of years in which both ran"""
 
 
-def worst_tenth(values: Array) -> float:
-    """Return the mean of the largest tenth; the value at its edge counts in part.
-
-    A tenth is at least one whole value: with fewer than ten values it is the largest.
-    """
-    return float(_worst_tenths(np.ones((1, values.size)), values)[0])
-
-
-def _worst_tenths(weights: Array, values: Array) -> Array:
-    """Return the worst tenth for each row of weights, shape (n, values)."""
-    order = np.argsort(-values)
-    often = weights[:, order]
-    count = np.maximum(1.0, often.sum(axis=1) / 10)
-    worse = np.cumsum(often, axis=1) - often
-    within = np.clip(count[:, None] - worse, 0, often)
-    means: Array = within @ values[order] / count
-    return means
-
-
 def compare(own: Deviations, other: Deviations) -> Comparison | None:
     """Compare two controllers; None if they share fewer than two years, or a divisor is 0."""
-    years = tuple(year for year in own.totals if year in other.totals)
-    if len(years) < 2:
+    years = [year for year in own.totals if year in other.totals]
+    means, others = (
+        np.array([deviations.totals[year].mean() for year in years]) for deviations in (own, other)
+    )
+    if len(years) < 2 or not others.any():
         return None
-    (mean, worst), (others_mean, others_worst) = own.resampled(years), other.resampled(years)
-    if not (others_mean.all() and others_worst.all()):
-        return None
+    counts = np.vstack((np.ones(len(years)), _draws(len(years))))
     return Comparison(
-        difference=float(mean[0] - others_mean[0]),
-        mean=_ratio(mean / others_mean, len(years)),
-        worst_weeks=_ratio(worst / others_worst, len(years)),
-        better=sum(bool(own.totals[y].mean() < other.totals[y].mean()) for y in years),
+        difference=float(np.mean(means - others)),
+        mean=_ratio(counts @ means / (counts @ others), len(years)),
+        better=int((means < others).sum()),
         years=len(years),
     )
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from importlib import metadata
 from typing import Any
 
 import jinja2
@@ -26,7 +25,7 @@ def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:
     Args:
         package: its name.
         figures: in the order in which they appear.
-        values: further values for the template; ``versions`` replaces the default text.
+        values: further values for the template.
     """
     places = [jinja2.PackageLoader(name, ".") for name in (package, __package__)]
     environment = jinja2.Environment(
@@ -46,8 +45,6 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
         report: the results.
         figures: in the order in which they appear.
     """
-    drawing = ("altair", "vl-convert-python", "rosbags", "polars")
-    used = {name: metadata.version(name) for name in drawing}
     alarms = [
         {**({"run": run.name} if len(report.runs) > 1 else {}), **alarm}
         for run in report.runs for alarm in run.alarms
@@ -62,7 +59,6 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
         texts=("case", "from", "window", "ended", "until", "level", "what", "follows from", "error",
                "unit", "meaning"),
         folded=True, warnings=(),
-        versions=versions_text(versions() | used),
     )
 
 

@@ -1,23 +1,72 @@
-"""A run in a report: its row of results, and what the summary next to its bag contains."""
+"""A run in a report: its row of results, its trajectory, and what its summary contains."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text, read_yaml
 from greenroof_ros.common.times import hours_minutes_seconds
 from greenroof_ros.experiment import summary
 from greenroof_ros.forecast.choice import OPTIONS
 from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.model.site import Site
 from greenroof_ros.recording.results_table import parameter_columns, summary_columns
+from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
 
 Row = dict[str, Any]
 """a run's row of results: the columns of a study's ``results.csv``"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportedRun:
+    """A run with results.
+
+    Attributes:
+        site: where it took place.
+        row: its results: the columns of a study's ``results.csv``. In ``case`` is its label; of an
+            unfinished run, ``ended`` says how it ended.
+        notes: what a reader should know about it.
+        alarms: recorded ones, each a row for a table.
+        kept: its trajectory, or the file with it; None if none was kept.
+        bag: that was read; None if the trajectory is from another file.
+    """
+
+    site: Site
+    row: Row
+    notes: Sequence[str] = ()
+    alarms: Sequence[dict[str, str]] = ()
+    kept: Trajectory | Path | None = None
+    bag: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the run, unique in the report."""
+        return str(self.row["run"])
+
+    def trajectory(self) -> Trajectory | None:
+        """Return its trajectory, if any.
+
+        Raises:
+            ConfigurationError: the file is damaged.
+        """
+        return load_trajectory(self.kept) if isinstance(self.kept, Path) else self.kept
+
+
+def load_trajectory(path: Path) -> Trajectory:
+    """Read the trajectory of a simulation in one process."""
+    trajectory = read_trajectory(path)
+    if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
+        raise ConfigurationError("must have two or more samples, in order of time", file=path)
+    return trajectory
+
 
 # How an unfinished run ended, by the status in its summary.
 _NOT_DONE = {
@@ -32,7 +81,6 @@ class About:
 
     Attributes:
         row: what was asked for and, of a finished run, its results.
-        start: requested start; None if unknown.
         own: whether it is a simulation by this package.
         external_pump: whether a pump driver reported its pump flow.
         ending: how an unfinished run ended, as a sentence without subject and full stop.
@@ -43,7 +91,6 @@ class About:
         "controller": "unknown", "weather": "as recorded", "evapotranspiration": "unknown",
         "initial": "the recorded volumes",
     })
-    start: datetime | None = None
     own: bool = False
     external_pump: bool = False
     ending: str = ""
@@ -89,6 +136,8 @@ def _understood(content: Mapping[str, Any], run: Path) -> About:
         **{name: value for name, value in errors.items() if value},
         **results,
     }
+    if content.get("start"):
+        row["start"] = datetime.fromisoformat(content["start"]).isoformat()
     if "steps" in content:
         row["hours"] = content["steps"] * content["tau_s"] / 3600
     initial = content.get("initial") or {}
@@ -97,7 +146,6 @@ def _understood(content: Mapping[str, Any], run: Path) -> About:
         row["initial"] = initial.get("name") or "custom"
     return About(
         row=About().row | {name: value for name, value in row.items() if value not in (None, "")},
-        start=datetime.fromisoformat(content["start"]) if content.get("start") else None,
         own=not live,  # live sensors can report anything
         external_pump=not live and _external_pump(run),
         ending="" if status == summary.DONE else _ending(content),

@@ -10,26 +10,20 @@ from datetime import datetime
 from functools import cache
 from pathlib import Path
 
-from greenroof_ros.analysis.report.bags import (
-    Recording,
-    load_trajectory,
-    read_recording,
-    row_of,
-    run_directory,
-)
-from greenroof_ros.analysis.report.run import Row, read_about
+from greenroof_ros.analysis.report.bags import read_run, run_directory
+from greenroof_ros.analysis.report.run import ReportedRun, Row, read_about
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
+from greenroof_ros.common.files import file_digest, read_text
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_pump_errors import PARAMETERS
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.results_table import differing, row_parameters, shortest
-from greenroof_ros.recording.trajectory import TRAJECTORY, Trajectory
+from greenroof_ros.recording.trajectory import TRAJECTORY
 
-_NEEDED = (
+_NEEDED = {
     "run", "site", "start", "hours", "evapotranspiration", "controller", "initial", "cistern_m3",
     "roof_m3", "status", "error", "total_deviation_m3", "window", "case", "season",
-)
+}
 _NUMBERS = (
     "hours", "cistern_m3", "roof_m3", "fallbacks", "filled_hours", "frost_hours", "bound_m3",
     *PARAMETERS, *(metric.name for metric in METRICS),
@@ -40,40 +34,6 @@ _READ: dict[str, Callable[[str], object]] = {
     "start": lambda cell: datetime.fromisoformat(cell).isoformat() if cell else "",
     "weekly_deviation_m3": lambda cell: list(map(float, cell.split())),
 }
-
-
-@dataclass(frozen=True)
-class ReportedRun:
-    """A run with results.
-
-    Attributes:
-        site: where it took place.
-        row: its results: the columns of a study's ``results.csv``. In ``case`` is its label.
-        notes: what a reader should know about it.
-        alarms: recorded ones, each a row for a table.
-        kept: its trajectory, or the file with it; None if none was kept.
-        bag: None if it is not from a bag.
-    """
-
-    site: Site
-    row: Row
-    notes: tuple[str, ...] = ()
-    alarms: Sequence[dict[str, str]] = ()
-    kept: Trajectory | Path | None = None
-    bag: Path | None = None
-
-    @property
-    def name(self) -> str:
-        """Name of the run, unique in the report."""
-        return str(self.row["run"])
-
-    def trajectory(self) -> Trajectory | None:
-        """Return its trajectory, if any.
-
-        Raises:
-            ConfigurationError: the file is damaged.
-        """
-        return load_trajectory(self.kept) if isinstance(self.kept, Path) else self.kept
 
 
 @dataclass
@@ -109,10 +69,10 @@ def find_runs(
     named: dict[str, Path] = {}
     for path in paths:
         if not path.is_dir() and not (path.is_file() and path.suffix.lower() == ".mcap"):
-            wrong = "must be a directory (of a study, of a run, or a bag), or an .mcap file"
-            if path.suffix == ".db3":
-                wrong += f"; this file's bag is {path.parent}"
-            raise ConfigurationError(wrong if path.exists() else "does not exist", file=path)
+            raise ConfigurationError(
+                "must be a directory (of a study, of a run, or a bag), or an .mcap file"
+                if path.exists() else "does not exist", file=path,
+            )
         name = run_directory(path).resolve().name
         if name in named:
             raise ConfigurationError(
@@ -120,7 +80,7 @@ def find_runs(
                 "one of the directories"
             )
         named[name] = path
-    sources, recordings = Sources(), dict[str, Recording]()
+    sources, single = Sources(), dict[Path, ReportedRun]()
     for path in track(paths):
         name = run_directory(path).resolve().name
         if (path / "results.csv").is_file():
@@ -129,18 +89,17 @@ def find_runs(
                     f"is for bags; {path} is a study and has its own sites", key="--site"
                 )
             _read_study(path, f"{name}/" if len(paths) > 1 else "", sources)
-        elif (path / "runs").is_dir() or (path / "configuration" / "study.json").is_file():
-            raise ConfigurationError("is a study without results.csv", file=path)
-        else:
-            try:
-                recordings[name] = read_recording(path, site_file)
-            except ConfigurationError as error:
-                if not read_about(run_directory(path)).ending:
-                    raise
-                sources.failed.append({
-                    "run": name, "case": "", "from": "", "window": "", "error": str(error)
-                })
-    sources.runs += _of_recordings(recordings)
+            continue
+        try:
+            single[path] = read_run(path, site_file)
+        except ConfigurationError as error:
+            if not read_about(run_directory(path)).ending:
+                raise
+            sources.failed.append(
+                {"run": name, "case": "", "from": "", "window": "", "error": str(error)}
+            )
+    _name_by_difference(single)
+    sources.runs += single.values()
     if not sources.runs:
         first = sources.failed[0]
         raise ConfigurationError(
@@ -150,32 +109,26 @@ def find_runs(
     return sources
 
 
-def _of_recordings(recordings: Mapping[str, Recording]) -> list[ReportedRun]:
-    """Return runs that are no study's; those of one window and controller are named by parameters.
+def _name_by_difference(runs: Mapping[Path, ReportedRun]) -> None:
+    """Name the cases of runs that are no study's by the parameters that differ.
 
-    A name stands for one window, unless the files of two runs with this name differ.
+    A window has one name, unless the files of two runs with this name differ.
     """
-    runs, windows = list[ReportedRun](), dict[str, tuple[object, ...]]()
-    apart = differing([row_parameters(each.about.row) for each in recordings.values()])
-    for name, recording in recordings.items():
-        row, identity = row_of(recording, name)
+    windows = dict[str, tuple[object, ...]]()
+    apart = differing([row_parameters(run.row) for run in runs.values()])
+    for path, run in runs.items():
+        row = run.row
+        weather = sorted((run_directory(path) / "configuration" / "weather").glob("*"))
+        identity = (run.site, row["cistern_m3"], row["roof_m3"], *map(file_digest, weather))
         if windows.setdefault(row["window"], identity) != identity:
-            row["window"] += f" ({name})"
+            row["window"] += f" ({run.name})"
         given = row_parameters(row)
         shown = [f"{key} {_text(given[key])}" for key in apart if key in given]
         row["case"] = " ".join([row["controller"], *shown])
-        runs.append(ReportedRun(
-            site=recording.site, row=row, notes=(*recording.notes, *recording.about.notes),
-            alarms=recording.alarms, bag=recording.bag,
-            kept=recording.trajectory,
-        ))
-        if recording.about.ending:
-            row["ended"] = recording.about.ending
-    cases = [(run.row["window"], run.row["initial"], run.row["case"]) for run in runs]
-    for run, case in zip(runs, cases, strict=True):
+    cases = [(run.row["window"], run.row["initial"], run.row["case"]) for run in runs.values()]
+    for run, case in zip(runs.values(), cases, strict=True):
         if cases.count(case) > 1:
             run.row["case"] += f" ({run.name})"
-    return runs
 
 
 def _text(value: object) -> str:
@@ -186,7 +139,7 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
     """Add the runs of a study, with a prefix before their names and windows."""
     configuration, sites = path / "configuration", set[str]()
     read = cache(read_site)  # hundreds of runs can share a file
-    for row in read_results(path / "results.csv"):
+    for row in _read_results(path / "results.csv"):
         trajectory = path / "runs" / row["run"] / TRAJECTORY
         row |= {"run": prefix + row["run"], "window": prefix + row["window"]}
         if row["status"] == "done":
@@ -206,35 +159,32 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
             sources.configuration[prefix + further.name] = read_text(further)
 
 
-def read_results(file: Path) -> list[Row]:
+def _read_results(file: Path) -> list[Row]:
     """Return the rows of a study's table; an empty cell of a number is None.
 
     Raises:
         ConfigurationError: it is not a study's table, or a row was cut short or has a wrong value.
     """
-    table = csv.reader(io.StringIO(read_text(file)))
-    header, rows = next(table, []), list[Row]()
-    missing = [column for column in _NEEDED if column not in header]
+    table = csv.DictReader(io.StringIO(read_text(file)), restkey="", restval=None)
+    missing = _NEEDED - set(table.fieldnames or ())
     if missing:
         raise ConfigurationError(
-            f"has no column {', '.join(missing)}; is it the results.csv of a study? Then repeat "
-            "the command greenroof study, which writes the table again", file=file, line=1,
+            f"has no column {', '.join(sorted(missing))}; is it the results.csv of a study? Then "
+            "repeat the command greenroof study, which writes the table again", file=file, line=1,
         )
+    rows = list[Row]()
     for cells in table:
-        if len(cells) != len(header):
-            raise ConfigurationError(
-                f"must have {len(header)} cells, not {len(cells)}", file=file, line=table.line_num
-            )
-        row: Row = {}
-        for column, cell in zip(header, cells, strict=True):
+        for column, cell in cells.items():
             try:
-                row[column] = _READ[column](cell) if column in _READ else cell
+                if not isinstance(cell, str):
+                    raise ValueError("a cell too many or too few")
+                cells[column] = _READ.get(column, str)(cell)
             except ValueError as error:
                 raise ConfigurationError(
                     "cannot be read; copy the table again", file=file, line=table.line_num,
                     key=column, value=cell,
                 ) from error
-        rows.append(row)
+        rows.append(cells)
     if not rows:
         raise ConfigurationError("has a header but no runs", file=file)
     return rows

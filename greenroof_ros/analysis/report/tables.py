@@ -3,36 +3,37 @@
 from __future__ import annotations
 
 import math
-from statistics import fmean
 from typing import NamedTuple
 
+import numpy as np
+
 from greenroof_ros.analysis.report.groups import TOTAL, Case, Report
-from greenroof_ros.analysis.report.intervals import Comparison, Ratio
+from greenroof_ros.analysis.report.intervals import Comparison
 from greenroof_ros.model.metrics import METRICS
 
 Table = list[dict[str, str]]
 
 
 class _Result(NamedTuple):
-    """How a result is shown: its header, the format of its numbers, and the limit of a mark."""
+    """How a result is shown: header, format of its numbers, and maximum without a mark."""
 
     header: str
     form: str = ".4g"
-    most: float = math.inf
+    max_possible: float = math.inf
 
 
 _RESULTS = {
     **{
         metric.name: _Result(
             metric.label if metric.form.endswith("%")
-            else f"{metric.label} ({metric.unit.replace('m3', 'm³')})", metric.form, metric.most
+            else f"{metric.label} ({metric.unit.replace('m3', 'm³')})",
+            ".6g" if metric.form == "d" else metric.form, metric.most,  # the mean of integers
         )
         for metric in METRICS
     },
     "ratio": _Result("over the minimum possible (1)", ".4f"),
-    "near_percent": _Result("near the target (%)", ".1f"),
     "frost_hours": _Result("frost (h)", ".2f"),
-    "frost_pumped_m3": _Result("pumped in frost (m³)", most=0),
+    "frost_pumped_m3": _Result("pumped in frost (m³)", max_possible=0),
     "cistern_change_m3": _Result("change in the cistern (m³)"),
     "cistern_residual_m3": _Result("unexplained in the cistern (m³)", ".1e"),
     "roof_change_m3": _Result("change on the roof (m³)"),
@@ -41,8 +42,8 @@ _RESULTS = {
 # The results in each table; a page has room for a dozen columns.
 _TABLES = {
     "Results": (
-        TOTAL, "ratio", "mean_deviation_mm", "near_target_hours", "near_percent", "pumped_m3",
-        "outflow_m3", "max_command", "pump_starts", "electric_energy_kwh",
+        TOTAL, "ratio", "mean_deviation_mm", "near_target_hours", "pumped_m3", "outflow_m3",
+        "max_command", "pump_starts", "electric_energy_kwh",
     ),
     "Plants, rain and frost": (
         "stress_hours", "evapotranspiration_ratio", "rain_kept_share", "rain_kept_share_hour",
@@ -118,9 +119,7 @@ def _text(value: float | None, result: _Result) -> str:
     """Return a number as text, marked if no real pump can achieve it; ``none`` if it is missing."""
     if value is None:
         return "none"
-    form = result.form if result.form != "d" or float(value).is_integer() else ".4g"
-    text = f"{int(value) if form == 'd' else value:{form}}"
-    return ("0" if float(text.rstrip("%")) == 0 else text) + " ⚠" * (value > result.most)
+    return f"{value:{result.form}}" + " ⚠" * (value > result.max_possible)
 
 
 def _spread(report: Report, case: Case) -> dict[str, str]:
@@ -129,15 +128,16 @@ def _spread(report: Report, case: Case) -> dict[str, str]:
         (run["window"], run["from"], run["case"]) == (*case.place, case.label)
         for run in report.failed
     )
-    totals = [total for of_year in case.totals.values() for total in of_year]
+    totals = case.deviations.totals
+    every = np.concatenate(list(totals.values()))
     cells = {
-        "runs": str(len(totals)) + f", {lacking} failed ⚠" * bool(lacking),
+        "runs": str(every.size) + f", {lacking} failed ⚠" * bool(lacking),
         "mean (m³)": f"{case.row[TOTAL]:.2f}",
-        "worst tenth (m³)": f"{case.worst_tenth:.2f}",
-        "worst run (m³)": f"{max(totals):.2f}",
+        "worst tenth (m³)": f"{case.deviations.worst_tenth():.2f}",
+        "worst run (m³)": f"{every.max():.2f}",
     }
-    if case.deviations is not None:
-        means = {year: fmean(of_year) for year, of_year in case.totals.items()}
+    if case.deviations.weeks:
+        means = {year: of_year.mean() for year, of_year in totals.items()}
         worst = max(means, key=lambda year: means[year])
         cells |= {"years": str(len(means)), "worst year": f"{worst}: {means[worst]:.2f} m³"}
     return cells
@@ -147,16 +147,10 @@ def _relative(relative: Comparison) -> dict[str, str]:
     """Return the cells of a comparison with on/off."""
     return {
         "deviation of a season, over on/off's (1)": f"{relative.mean.value:.3f}",
-        "95 % interval": _interval(relative.mean),
+        "95 % interval": f"{relative.mean.low:.3f} to {relative.mean.high:.3f}",
         "years with less": f"{relative.better} of {relative.years}",
         "more or less (m³)": f"{relative.difference:+.0f}",
-        "worst tenth of weeks, over on/off's (1)": f"{relative.worst_weeks.value:.3f}",
-        "95 % interval of that": _interval(relative.worst_weeks),
     }
-
-
-def _interval(ratio: Ratio) -> str:
-    return f"{ratio.low:.3f} to {ratio.high:.3f}"
 
 
 # What is worth a note if a column of a run's row is neither empty nor 0.
@@ -189,10 +183,10 @@ def make_notes(report: Report) -> dict[str, list[str]]:
             if value:
                 shown = f"{value:.4g}" if isinstance(value, float) else str(value)
                 notes.setdefault(text, []).append(f"{run.name}: {shown}")
-    few = [case for case in report.seasons if len(case.totals) < _FEW_YEARS]
+    few = [case for case in report.cases if 0 < len(case.deviations.weeks) < _FEW_YEARS]
     if few:
         notes[f"fewer than {_FEW_YEARS} years: a lead in all of them may be chance"] = [
-            f"{case.label}: {len(case.totals)}" for case in few
+            f"{case.label}: {len(case.deviations.weeks)}" for case in few
         ]
     return notes
 

@@ -16,25 +16,23 @@ from greenroof_ros.analysis.report.drawing import (
     Figure,
     Panel,
     Rows,
-    distinct,
-    pointed,
+    distinguish_series,
+    make_tooltips,
+    round_value,
     series_panel,
-    short,
 )
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.trajectory import Trajectory
 
-MOST_POINTS = 500
+MAX_POINTS = 500
 """of a drawn line, about"""
 
-_GREY = "#555555"
+# The pointer finds the tooltips of points that it cannot see.
+_MARK: dict[str, Any] = {"clip": True, "strokeWidth": 1.6, "point": "transparent"}
 # Runs longer than this (h) have no times of day on their axis.
-_MOST_HOURS = 96.0
-_FULL_FLOW = "full flow; the pump cannot deliver more"
-# Commands of 1e-3 and of 1 must both be visible: below this power of ten the axis is linear.
-_LEAST_POWER = {"command": -3, "pump_flow": -2}
+_MAX_HOURS = 96.0
 # The chart of simulations: width and height of a panel, and of the rain's (px).
 _WIDTH, _HEIGHT, _RAIN_HEIGHT = 640, 130, 70
 # Room for the numbers of its axes, so that the titles are in line.
@@ -50,10 +48,10 @@ class Drawn(NamedTuple):
     hours: float
     """length (h)"""
     curves: dict[str, list[tuple[float, float]]]
-    """time (s) and value of about :data:`MOST_POINTS` samples, by attribute of the trajectory"""
+    """time (s) and value of about :data:`MAX_POINTS` samples, by attribute of the trajectory"""
 
 
-def drawn(site: Site, trajectory: Trajectory) -> Drawn:
+def select_curves(site: Site, trajectory: Trajectory) -> Drawn:
     """Return a run with the curves that are drawn."""
     curves = {}
     for name in (*_QUANTITIES, "precipitation"):
@@ -61,24 +59,23 @@ def drawn(site: Site, trajectory: Trajectory) -> Drawn:
         if name not in ("cistern", "roof"):
             # The run ends at the last sample: its flows never held, so draw the values before it.
             values = np.append(values[:-1], values[-2:-1])
-        index = thin(values)
+        index = select_samples(values)
         times = trajectory.time[index].tolist()
         curves[name] = list(zip(times, values[index].tolist(), strict=True))
     hours = float(trajectory.time[-1]) / 3600 if len(trajectory.time) else 0.0
     return Drawn(site, trajectory.start, hours, curves)
 
 
-def thin(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.intp]:
+def select_samples(values: NDArray[np.float64]) -> NDArray[np.intp]:
     """Return the samples to draw: the first, the last, and the smallest and largest of each bucket.
 
     Args:
-        values: shape (n,).
-        most: number of samples to keep, about; all are kept if there are no more than this.
+        values: shape (n,); all are kept if there are no more than :data:`MAX_POINTS`.
     """
     count = len(values)
-    if count <= most:
+    if count <= MAX_POINTS:
         return np.arange(count)
-    edges = np.linspace(0, count, (most - 2) // 2 + 1).astype(np.intp)
+    edges = np.linspace(0, count, (MAX_POINTS - 2) // 2 + 1).astype(np.intp)
     indices = {0, count - 1}
     for low, high in itertools.pairwise(edges):
         indices.add(int(low + np.argmin(values[low:high])))
@@ -93,13 +90,29 @@ class _Quantity(NamedTuple):
     axis: str
     factor: Callable[[Site], float] = lambda site: 1000.0
     """from the unit of the curves to that of the axis"""
+    min_power: int | None = None
+    """the axis is linear below this power of ten, and logarithmic above it"""
+    references: Callable[[Site], dict[str, float | None]] = lambda site: {}
+    """levels to draw, in the axis' unit, by their names; None for what a site does not have"""
 
 
 _QUANTITIES = {
-    "roof": _Quantity("Roof", "roof level (mm)", lambda site: 1000 / site.a2),
-    "cistern": _Quantity("Cistern", "cistern level (m)", lambda site: 1 / site.a1),
-    "command": _Quantity("Command", "command (1)", lambda site: 1.0),
-    "pump_flow": _Quantity("Pump flow", "pump flow (L/s)"),
+    "roof": _Quantity(
+        "Roof", "roof level (mm)", lambda site: 1000 / site.a2,
+        references=lambda site: {"target": 1000 * site.x2_star / site.a2},
+    ),
+    "cistern": _Quantity(
+        "Cistern", "cistern level (m)", lambda site: 1 / site.a1,
+        references=lambda site: {
+            "outlet": site.z_o, "suction limit": site.suction_level,
+            "low outlet": site.low_outlet_level,
+        },
+    ),
+    # Commands of 1e-3 and of 1 must both be visible.
+    "command": _Quantity("Command", "command (1)", lambda site: 1.0, -3, lambda site: {
+        "full flow; the pump cannot deliver more": 1.0
+    }),
+    "pump_flow": _Quantity("Pump flow", "pump flow (L/s)", min_power=-2),
     "outflow": _Quantity("Outflow to the sewer", "outflow (L/s)"),
 }
 _FIGURES = {
@@ -109,34 +122,32 @@ _FIGURES = {
 
 
 def _lines(
-    quantity: str, runs: Mapping[str, Drawn], start: datetime
-) -> tuple[Rows, alt.Y, list[alt.Chart]]:
-    """Return the points of a quantity's curves, its axis, and its reference levels.
-
-    The sites' reference levels are drawn if all runs have the same.
+    quantity: str, runs: Mapping[str, Drawn], x: alt.X, data: str = ""
+) -> tuple[alt.Chart, list[alt.Chart], Rows]:
+    """Return a quantity's lines, the reference levels below them, and the points of the lines.
 
     Args:
         quantity: to draw.
-        runs: by the names of their lines.
-        start: of the axis of time.
+        runs: by the names of their lines; the axis of time is of the first one's zone.
+        x: axis of time.
+        data: name of the points; without it the chart contains them.
     """
-    known = _QUANTITIES[quantity]
+    known, (first, *others) = _QUANTITIES[quantity], runs.values()
     rows: Rows = [
         {"controller": name, **point} for name, run in runs.items()
-        for point in _points(run, start, quantity, known.factor(run.site))
+        for point in _points(run, first.start, quantity, known.factor(run.site))
     ]
-    sites = [run.site for run in runs.values()]
-    levels = {
-        site.z_veg if quantity == "roof" else (site.z_o, site.suction_level, site.low_outlet_level)
-        for site in sites
-    }
-    return rows, *_axis(
-        sites[0] if len(levels) == 1 else None, quantity, known.axis,
-        [row["v"] for row in rows if row["v"] is not None], known.factor(sites[0]),
+    y, references = _axis(
+        known, first.site if all(run.site == first.site for run in others) else None,
+        [row["v"] for row in rows if row["v"] is not None],
     )
+    lines = alt.Chart(alt.NamedData(data) if data else alt.InlineData(rows)).mark_line(
+        **_MARK
+    ).encode(x=x, y=y, tooltip=make_tooltips("controller:N", _WHEN, ("v:Q", known.axis)))
+    return lines, references, rows
 
 
-def overlaid(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatChart:
+def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatChart:
     """Return the chart of simulations: rain, roof level, cistern and pump, with a line for each.
 
     Args:
@@ -145,7 +156,7 @@ def overlaid(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatC
     Raises:
         ConfigurationError: they begin at different times.
     """
-    runs = {name: drawn(*simulation) for name, simulation in simulations.items()}
+    runs = {name: select_curves(*simulation) for name, simulation in simulations.items()}
     first, start = next((name, run.start) for name, run in runs.items())
     for name, run in runs.items():
         if run.start != start:
@@ -158,17 +169,16 @@ def overlaid(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatC
     charts: list[Any] = [
         _rained(longest, x.title(None)).properties(width=_WIDTH, height=_RAIN_HEIGHT)
     ]
-    series = distinct("controller", list(runs), "")
+    series = distinguish_series("controller", list(runs), "")
     legend = alt.Legend(symbolType="stroke", symbolSize=600, columns=4)
     for channel in series.values():
         channel.legend = legend if len(runs) > 1 else None
     for quantity in ("roof", "cistern", "pump_flow"):
-        rows, y, references = _lines(quantity, runs, start)
-        lines = alt.Chart(alt.InlineData(rows)).mark_line(clip=True, strokeWidth=1.6).encode(
-            x=x if quantity == "pump_flow" else x.title(None), y=y, **series,
-            tooltip=pointed("controller:N", _WHEN, ("v:Q", _QUANTITIES[quantity].axis)),
-        )
-        charts.append(alt.layer(*references, lines).properties(width=_WIDTH, height=_HEIGHT))
+        axis = x if quantity == "pump_flow" else x.title(None)
+        lines, references, _ = _lines(quantity, runs, axis)
+        charts.append(alt.layer(*references, lines.encode(**series)).properties(
+            width=_WIDTH, height=_HEIGHT
+        ))
     chart: alt.VConcatChart = alt.vconcat(*charts, spacing=10).resolve_scale(
         x="shared", color="shared", strokeDash="shared"
     ).configure(**CONFIG).configure_axisY(minExtent=_EXTENT)
@@ -193,13 +203,10 @@ def figures_over_time(
         if kind == "water":
             panels.append(Panel(_rained(first, x), "Rain"))
         for quantity in quantities:
-            dataset, known = f"{quantity}-{name}", _QUANTITIES[quantity]
-            data[dataset], y, references = _lines(quantity, runs, first.start)
-            lines = alt.Chart(alt.NamedData(dataset)).mark_line(clip=True, strokeWidth=1.6).encode(
-                x=x, y=y, tooltip=pointed("controller:N", _WHEN, ("v:Q", known.axis))
-            )
+            dataset = f"{quantity}-{name}"
+            lines, references, data[dataset] = _lines(quantity, runs, x, dataset)
             panels.append(series_panel(
-                lines, "controller", list(runs), known.title, below=references,
+                lines, "controller", list(runs), _QUANTITIES[quantity].title, below=references,
                 zoom=True,
             ))
         figures.append(Figure(f"{kind}-{name}", f"{what}{title}", "", tuple(panels), 3, data))
@@ -219,8 +226,8 @@ def forecast_figure(
         name: end of the figure's name.
         title: end of its title.
     """
-    steps = np.append(np.diff(trajectory.time), 0.0)
-    fallen = np.concatenate([[0.0], np.cumsum(steps * trajectory.precipitation)[:-1]])
+    rained = np.diff(trajectory.time) * trajectory.precipitation[:-1]
+    fallen = np.concatenate([[0.0], np.cumsum(rained)])
     issued, span, rain = np.array(forecasts).T
     came = np.interp(issued + span, trajectory.time, fallen) - np.interp(
         issued, trajectory.time, fallen
@@ -229,13 +236,13 @@ def forecast_figure(
     origin = _origin(run.start)
     dataset = f"forecast-{name}"
     rows: Rows = [
-        {"controller": series, "t": origin + 1000 * time, "v": short(1000 * value)}
+        {"controller": series, "t": origin + 1000 * time, "v": round_value(1000 * value)}
         for series, values in (("forecast", rain), ("fell", came))
         for time, value in zip(issued.tolist(), values.tolist(), strict=True)
     ]
-    lines = alt.Chart(alt.NamedData(dataset)).mark_line(clip=True, strokeWidth=1.6).encode(
+    lines = alt.Chart(alt.NamedData(dataset)).mark_line(**_MARK).encode(
         x=_time(run.start, run.hours), y=alt.Y("v:Q", title="rain (mm)"),
-        tooltip=pointed("controller:N", _WHEN, ("v:Q", "mm")),
+        tooltip=make_tooltips("controller:N", _WHEN, ("v:Q", "mm")),
     )
     names, length = ["forecast", "fell"], round(float(span.max()))
     panel = series_panel(lines, "controller", names, f"Rain in the next {length} s", zoom=True)
@@ -268,7 +275,7 @@ def _points(run: Drawn, start: datetime, quantity: str, factor: float) -> Rows:
     """
     origin = _origin(run.start.astimezone(start.tzinfo))
     return [
-        {"t": origin + 1000 * time, "v": short(factor * value)}
+        {"t": origin + 1000 * time, "v": round_value(factor * value)}
         for time, value in run.curves[quantity]
     ]
 
@@ -286,84 +293,53 @@ def _time(start: datetime, hours: float) -> alt.X:
         ]),
         axis=alt.Axis(
             tickCount=6, labelOverlap=True,
-            labelExpr=f"{midnight} ? {day} : {clock}" if hours <= _MOST_HOURS else day,
+            labelExpr=f"{midnight} ? {day} : {clock}" if hours <= _MAX_HOURS else day,
         ),
     )
 
 
 def _axis(
-    site: Site | None, quantity: str, title: str, values: Sequence[float], factor: float
+    quantity: _Quantity, site: Site | None, values: Sequence[float]
 ) -> tuple[alt.Y, list[alt.Chart]]:
     """Return a quantity's axis, the same in all panels, and its reference levels with their names.
 
+    A reference far from the values is left out: it would make all lines flat.
+
     Args:
-        site: with the tanks' reference levels; None for none.
         quantity: of the curves.
-        title: of the axis.
+        site: with the reference levels; None for none.
         values: all that are drawn, in the axis' unit; there may be none.
-        factor: from the volume in a tank (m3) to the axis' unit.
     """
     low, high = min(values, default=0.0), max(values, default=0.0)
-    scale: dict[str, Any] = {"nice": False}
-    axis = alt.Axis()
-    if quantity in _LEAST_POWER:
-        least = _LEAST_POWER[quantity]
-        scale |= {"type": "symlog", "constant": 10.0**least}
-        axis = alt.Axis(values=[0.0, *(10.0**power for power in range(least, 10))], format=".12~g")
-    references: dict[str, float] = {}
-    if quantity == "command":
-        # On the logarithmic axis this leaves room for the text above the line.
-        top = max(2.5 * high, 0.002)
-        domain, references = [0.0, top], {_FULL_FLOW: 1.0} if top > 1.5 else {}
-    elif quantity in ("pump_flow", "outflow"):
-        domain = [0.0, 1.3 * high or 1.0]  # from 0, or no power of ten may be in it
-    else:
-        domain, references = _around(site, quantity, low, high, factor)
-    scaled = alt.Scale(domain=domain, **scale)
-    return (
-        alt.Y("v:Q", title=title, scale=scaled, axis=axis),
-        _reference_layers(references, scaled),
-    )
-
-
-def _around(
-    site: Site | None, quantity: str, low: float, high: float, factor: float
-) -> tuple[list[float], dict[str, float]]:
-    """Return an axis range around values, and the reference levels nearby, if a site has them.
-
-    A reference far away would make all lines flat.
-    """
     span = max(high - low, 1e-3 * high) or 1.0
-    references = {"target": factor * site.x2_star} if site and quantity == "roof" else {}
-    if site and quantity == "cistern":
-        area = factor * site.a1
-        references = {"outlet": area * site.z_o, "suction limit": area * site.suction_level}
-        if site.low_outlet_level is not None:
-            references["low outlet"] = area * site.low_outlet_level
     references = {
-        text: value for text, value in references.items()
-        if low - span / 2 <= value <= high + span / 2
+        text: value for text, value in (quantity.references(site) if site else {}).items()
+        if value is not None and low - span / 2 <= value <= high + span / 2
     }
     low, high = min([low, *references.values()]), max([high, *references.values()])
     margin = 0.1 * max(high - low, span)  # for the names above the lines
-    return [max(0.0, low - margin), high + margin], references
-
-
-def _reference_layers(
-    references: Mapping[str, float], scale: alt.Scale
-) -> list[alt.Chart]:
-    """Return the reference lines with their names."""
+    scale: dict[str, Any] = {"nice": False, "domain": [max(0.0, low - margin), high + margin]}
+    axis = alt.Axis()
+    if quantity.min_power is not None:
+        powers = range(quantity.min_power, 10)
+        # From 0, or no power of ten may be in it; on it this leaves room for the names.
+        scale |= {
+            "type": "symlog", "constant": 10.0**quantity.min_power,
+            "domain": [0.0, max(2.5 * high, 2 * 10.0**quantity.min_power)],
+        }
+        axis = alt.Axis(values=[0.0, *(10.0**power for power in powers)], format=".12~g")
+    scaled = alt.Scale(**scale)
     layers = []
     for text, value in references.items():
         base = alt.Chart(alt.InlineData([{"v": value, "text": text}]))
-        y = alt.Y("v:Q", scale=scale)
+        y = alt.Y("v:Q", scale=scaled)
         layers += [
-            base.mark_rule(color=_GREY, strokeDash=[3, 2]).encode(y=y),
+            base.mark_rule(color="#555555", strokeDash=[3, 2]).encode(y=y),
             base.mark_text(
                 align="right", baseline="bottom", dx=-4, dy=-2, color="#333333", fontSize=10
             ).encode(x=alt.XValue("width"), y=y, text=alt.Text("text:N")),
         ]
-    return layers
+    return alt.Y("v:Q", title=quantity.axis, scale=scaled, axis=axis), layers
 
 
 def _rained(run: Drawn, x: alt.X) -> alt.Chart:
@@ -373,7 +349,7 @@ def _rained(run: Drawn, x: alt.X) -> alt.Chart:
     chart: alt.Chart = alt.Chart(alt.InlineData(rows)).mark_area(
         interpolate="step-after", line={"color": "#0072B2"}, color="#56B4E9", clip=True
     ).encode(
-        x=x, tooltip=pointed(_WHEN, ("v:Q", "mm/h")),
+        x=x, tooltip=make_tooltips(_WHEN, ("v:Q", "mm/h")),
         y=alt.Y("v:Q", title="rain (mm/h)", scale=alt.Scale(domain=[0, top], reverse=True)),
     )
     return chart

@@ -12,10 +12,9 @@ from greenroof_ros.analysis.report.drawing import (
     Figure,
     Panel,
     Rows,
-    pointed,
-    reference_line,
+    make_tooltips,
+    round_value,
     series_panel,
-    short,
 )
 from greenroof_ros.analysis.report.page import page_of
 from greenroof_ros.analysis.verification.pairs import Class, IssuedForecasts, Sum
@@ -63,14 +62,14 @@ def _by_lead(tallies: Mapping[Class, Tally]) -> Figure:
     panels = []
     for name, title, axis in _BY_LEAD:
         data[f"verification-{name}"] = [
-            {"lead": key.lead, "sum": f"{key.sum.hours} h", "v": short(getattr(values, name))}
+            {"lead": key.lead, "sum": f"{key.sum.hours} h", "v": round_value(getattr(values, name))}
             for key, values in scores.items() if not math.isnan(getattr(values, name))
         ]
         base = alt.Chart(alt.NamedData(f"verification-{name}"))
         lines = base.mark_line(point=True, strokeWidth=1.5).encode(
             x=alt.X("lead:N", title="lead", sort=leads, axis=alt.Axis(labelAngle=0)),
             y=alt.Y("v:Q", title=axis),
-            tooltip=pointed("lead:N", "sum:N", alt.Tooltip("v:Q", title=axis, format=".3f")),
+            tooltip=make_tooltips("lead:N", "sum:N", alt.Tooltip("v:Q", title=axis, format=".3f")),
         )
         panels.append(series_panel(lines, "sum", names, title, legend="sum of"))
     events = ", ".join(
@@ -85,11 +84,13 @@ def _by_lead(tallies: Mapping[Class, Tally]) -> Figure:
 
 def _reliability(tallies: Mapping[Class, Tally]) -> Figure:
     scale = alt.Scale(domain=[0, 1])
-    perfect = reference_line([{"v": 0}, {"v": 1}], alt.X("v:Q"), alt.Y("v:Q"))
+    perfect = alt.Chart(alt.InlineData([{"v": 0}, {"v": 1}])).mark_line(
+        color="#888888", strokeWidth=1
+    ).encode(x=alt.X("v:Q"), y=alt.Y("v:Q"))
 
     def rows(tally: Tally) -> Rows:
         return [
-            {"p": short(total / count), "o": short(events / count), "n": int(count)}
+            {"p": round_value(total / count), "o": round_value(events / count), "n": int(count)}
             for count, total, events in tally.reliability.tolist() if count
         ]
 
@@ -97,7 +98,7 @@ def _reliability(tallies: Mapping[Class, Tally]) -> Figure:
         lines = data.mark_line(point=True, strokeWidth=1.5).encode(
             x=alt.X("p:Q", title="forecast probability", scale=scale),
             y=alt.Y("o:Q", title="share of events", scale=scale),
-            tooltip=pointed("lead:N", alt.Tooltip("p:Q", title="forecast", format=".2f"),
+            tooltip=make_tooltips("lead:N", alt.Tooltip("p:Q", title="forecast", format=".2f"),
                             alt.Tooltip("o:Q", title="observed", format=".2f"),
                             alt.Tooltip("n:Q", title="forecasts")),
         )
@@ -120,13 +121,13 @@ def _ranks(tallies: Mapping[Class, Tally]) -> Figure:
     def rows(tally: Tally) -> Rows:
         total = tally.ranks.sum()
         shares = (tally.ranks * len(tally.ranks) / total).tolist() if total else []
-        return [{"rank": rank, "v": short(share)} for rank, share in enumerate(shares)]
+        return [{"rank": rank, "v": round_value(share)} for rank, share in enumerate(shares)]
 
     def panel(data: alt.Chart, length: Sum, leads: list[str]) -> Panel:
-        steps = data.mark_line(interpolate="step", strokeWidth=1.5).encode(
+        steps = data.mark_line(interpolate="step", strokeWidth=1.5, point="transparent").encode(
             x=alt.X("rank:Q", title="members below the observation", axis=alt.Axis(tickMinStep=1)),
             y=alt.Y("v:Q", title="relative to an even share", scale=alt.Scale(zero=True)),
-            tooltip=pointed(
+            tooltip=make_tooltips(
                 "lead:N", "rank:Q", alt.Tooltip("v:Q", title="relative to even", format=".2f")
             ),
         )

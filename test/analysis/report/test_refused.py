@@ -72,10 +72,9 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
         "of type std_msgs/msg/Float64, not std_msgs/msg/Float32",
     ),
     "not-a-number": (bag(roof_level=[0.03, float("nan"), 0.03]), "/roof/level.*nan"),
-    "no-results": (lambda at: (at / "runs").mkdir(parents=True), "a study without results.csv"),
-    "another-table": (study(lambda text: "a,b\n1,2\n"), "results.csv, line 1.*no column run, site"),
+    "another-table": (study(lambda text: "a,b\n1,2\n"), "results.csv, line 1.*no column case, cis"),
     "no-finished-run": (replaced(",done,", ",failed,"), "no finished run; 1 failed or did not run"),
-    "row-too-short": (study(lambda text: text[:-20] + "\n"), "line 2: must have .* cells"),
+    "row-too-short": (study(lambda text: text[:-20] + "\n"), "line 2: .*cannot be read"),
     "volume-a-word-after-an-error-of-two-lines": (
         study(
             lambda text: text.replace(",done,,", ',done,"a\nb",')
@@ -120,7 +119,7 @@ def test_command(tmp_path: Path) -> None:
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr and done.stdout == ""
     message = done.stderr.partition("error:")[2].strip()
-    assert "--output = 'mine': exists and is not empty: x does not belong to a repor" in message
+    assert "--output = 'mine': holds x, which does not belong to a report" in message
     assert "\n" not in message
     assert sorted(tmp_path.rglob("*")) == before
 

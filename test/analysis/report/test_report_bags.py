@@ -39,7 +39,7 @@ from places import CONFIG
 from refusals import refusal
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from greenroof_ros.analysis.report.bags import read_recording
+from greenroof_ros.analysis.report.bags import read_run
 from greenroof_ros.analysis.report.run import Row
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.analysis.report.tables import make_notes, make_tables
@@ -105,10 +105,11 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path) -> None:
 
 def loaded(path: Path) -> tuple[Trajectory, list[str]]:
     """Return the trajectory of the bag under a path, and the notes on it."""
-    recording = read_recording(path)
-    assert recording.trajectory is not None
-    return recording.trajectory, [
-        note for note in recording.notes if "no site file" not in note and "in UTC" not in note
+    run = read_run(path)
+    trajectory = run.trajectory()
+    assert trajectory is not None
+    return trajectory, [
+        note for note in run.notes if "no site file" not in note and "in UTC" not in note
     ]
 
 
@@ -251,9 +252,6 @@ def test_a_file_that_is_no_bag_is_refused(tmp_path: Path) -> None:
     (tmp_path / "run.MCAP").write_bytes(b"no bag")
     with pytest.raises(ConfigurationError, match=r"cannot be read as a bag.*\. If it is damaged, "):
         loaded(tmp_path / "run.MCAP")
-    (tmp_path / "run.db3").write_bytes(b"SQLite format 3")
-    with pytest.raises(ConfigurationError, match=f"this file's bag is {tmp_path}"):
-        report_of(tmp_path / "run.db3")
     (tmp_path / "run.txt").write_text("no bag")
     with pytest.raises(ConfigurationError, match=r"or an \.mcap file"):
         report_of(tmp_path / "run.txt")
@@ -529,7 +527,7 @@ def test_what_recover_makes_of_a_damaged_bag_is_reported(tmp_path: Path) -> None
     assert "bag-recovered is what greenroof recover found whole" in page_of(report_of(run))
     later = time.time() + 60
     os.utime(run / "bag" / "bag_0.mcap", (later, later))
-    refusal(report_of, run, match=f"remove .*bag-recovered, and greenroof recover {run} makes a n")
+    refusal(report_of, run, match="run/bag: cannot be read as a bag")
     os.utime(run / "bag" / "bag_0.mcap", (1.0, 1.0))
     (run / "bag-recovered" / "bag-recovered_0.mcap").write_bytes(b"")
     reason = refusal(report_of, run, match="bag-recovered: cannot be read as a bag")

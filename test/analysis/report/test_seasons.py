@@ -11,11 +11,9 @@ import scipy.stats
 from inputs import figures_of, report_of, study_of
 from studies import record, run_here
 
-from greenroof_ros.analysis.report.drawing import Figure
 from greenroof_ros.analysis.report.groups import TOTAL, Case, Report
-from greenroof_ros.analysis.report.intervals import Comparison, Deviations, compare, worst_tenth
+from greenroof_ros.analysis.report.intervals import Comparison, Deviations, compare
 from greenroof_ros.analysis.report.tables import make_notes, make_tables
-from greenroof_ros.model.site import edited
 
 YEARS = range(2015, 2026)
 ONOFF = {year: 100.0 + 10 * (year - 2015) for year in YEARS}
@@ -43,12 +41,10 @@ def rows(controller: str, seed: int | None, totals: dict[int, float]) -> list[di
 
 def deviations(*seeds: dict[int, float]) -> Deviations:
     """Return deviations with one seed for each of these totals."""
-    made = Deviations()
-    for year in seeds[0]:
-        totals = np.array([of_seed[year] for of_seed in seeds])
-        made.totals[year] = totals
-        made.weeks[year] = totals[:, None] * (1 / 8, 3 / 8)
-    return made
+    totals = {year: np.array([of_seed[year] for of_seed in seeds]) for year in seeds[0]}
+    return Deviations(
+        totals, {year: of_year[:, None] * (1 / 8, 3 / 8) for year, of_year in totals.items()}
+    )
 
 
 def relative_to_onoff(*seeds: dict[int, float]) -> Comparison:
@@ -67,24 +63,23 @@ def test_a_tenth_regardless_of_the_number_of_values() -> None:
     Seeds share the weight of their year: two equal seeds change nothing.
     """
     weeks = np.arange(26.0)
-    assert worst_tenth(weeks) == pytest.approx((25 + 24 + 0.6 * 23) / 2.6)
-    assert worst_tenth(np.repeat(weeks, 10)) == pytest.approx(worst_tenth(weeks))
-    assert worst_tenth(np.arange(5.0)) == 4
-    assert deviations(ONOFF, ONOFF).worst_weeks() == pytest.approx(deviations(ONOFF).worst_weeks())
+    for of_year, expected in (
+        (weeks, (25 + 24 + 0.6 * 23) / 2.6), (np.repeat(weeks, 10), (25 + 24 + 0.6 * 23) / 2.6),
+        (np.arange(5.0), 4.0),
+    ):
+        assert Deviations({0: of_year}).worst_tenth() == pytest.approx(expected)
+    assert deviations(ONOFF, ONOFF).worst_tenth() == pytest.approx(deviations(ONOFF).worst_tenth())
 
 
 def test_ratios_and_what_is_reported_of_them() -> None:
     """Equal in all years is certain; changing signs contain 1."""
     comparison = relative_to_onoff({year: total * 0.8 for year, total in ONOFF.items()})
     assert comparison.mean == pytest.approx((0.8, 0.8, 0.8))
-    assert comparison.worst_weeks == pytest.approx((0.8, 0.8, 0.8))
     assert (comparison.better, comparison.years) == (11, 11)
     assert comparison.difference == pytest.approx(-30)
     comparison = relative_to_onoff({year: total + 30 for year, total in ONOFF.items()})
     assert comparison.better == 0
     assert (comparison.mean.value, comparison.difference) == pytest.approx((180 / 150, 30))
-    # Of 22 whole weeks the worst 2.2: the second weeks of 2025, 2024 and a fifth of 2023.
-    assert comparison.worst_weeks.value == pytest.approx(1 + 30 * 2.2 / (200 + 190 + 0.2 * 180))
     alternating = {year: total + (-1) ** year * 30 for year, total in ONOFF.items()}
     comparison = relative_to_onoff(alternating)
     assert comparison.mean.low < 1 < comparison.mean.high
@@ -111,29 +106,20 @@ def test_intervals_of_another_library() -> None:
     own = {year: total + random.normal(-10, 20) for year, total in ONOFF.items()}
     comparison = relative_to_onoff(own)
 
-    def worst(years: Any) -> float:
-        """Return the ratio to on/off of the worst 2.2 of 22 weeks."""
-        weeks = [
-            [week for year in years for week in (run[2015 + year] / 8, run[2015 + year] * 3 / 8)]
-            for run in (own, ONOFF)
-        ]
-        return float(np.divide(*(np.sort(weeks)[:, -3:] @ (0.2, 1, 1))))
-
     def mean(years: Any) -> float:
         return float(np.divide(*(sum(run[2015 + year] for year in years) for run in (own, ONOFF))))
 
-    for interval, statistic in ((comparison.mean, mean), (comparison.worst_weeks, worst)):
-        resampled = scipy.stats.bootstrap(
-            (range(11),), statistic, method="percentile", vectorized=False, n_resamples=10_000,
-            random_state=1,
-        ).bootstrap_distribution
-        value = statistic(range(11))
-        assert interval.value == pytest.approx(value)
-        for end, level in ((interval.low, 2.5), (interval.high, 97.5)):
-            # With 2000 resamples a percentile is accurate to 0.35.
-            near = np.percentile(resampled, [level - 1, level + 1])
-            low, high = value + WIDER * (near - value)
-            assert low - 1e-5 <= end <= high + 1e-5
+    resampled = scipy.stats.bootstrap(
+        (range(11),), mean, method="percentile", vectorized=False, n_resamples=10_000,
+        random_state=1,
+    ).bootstrap_distribution
+    interval = comparison.mean
+    assert interval.value == pytest.approx(mean(range(11)))
+    for end, level in ((interval.low, 2.5), (interval.high, 97.5)):
+        # With 2000 resamples a percentile is accurate to 0.35.
+        near = np.percentile(resampled, [level - 1, level + 1])
+        low, high = interval.value + WIDER * (near - interval.value)
+        assert low - 1e-5 <= end <= high + 1e-5
 
 
 # --- a study's cases -----------------------------------------------------------------------------
@@ -160,7 +146,7 @@ def test_means_by_hand(tmp_path: Path) -> None:
     # 44 whole weeks: the worst 4.4 are the second weeks of 2025, 2024, 2025 less 20, 2023, and four
     # tenths of the next, 2024 less 20 or 2022.
     worst = 3 / 8 * (200 + 190 + 180 + 180 + 0.4 * 170) / 4.4
-    assert case.worst_tenth == pytest.approx(worst)
+    assert case.deviations.worst_tenth() == pytest.approx(worst)
     tables = make_tables(report)
     spread = tables["Over seeds and years"][1]
     assert (spread["runs"], spread["years"]) == ("22", "11")
@@ -219,60 +205,24 @@ controllers:
   onoff: {forecast: perfect}
   mpc: {weight: 0.01}
 """
-SIZES = """
-site: {file: site_catchment.yaml, tau: 600.0, a1: [2.0, 8.0]}
-weather:
-  - {file: "2015_*.csv", start: 2015-05-01T00:00, hours: 192, evapotranspiration: fao56}
-  - {file: "2016_*.csv", start: 2016-05-01T00:00, hours: 192, evapotranspiration: fao56}
-bound_block: 0
-initial: [site, {name: full, cistern_level: 3.0, roof_level: 0.039}]
-controllers: {onoff: }
-"""
-
-
-def seasons(directory: Path, text: str) -> tuple[Report, dict[str, Figure]]:
-    """Run a grid of a week and a day in two years; return its report, with its saved figures."""
-    record(directory, (2015, 2016))
-    run_here(directory, text)
-    report = report_of(directory / "out")
-    assert report.seasons == report.cases
-    assert {tuple(case.totals) for case in report.cases} == {(2015, 2016)}
-    figures = figures_of(report)
-    for name, figure in figures.items():
-        figure.save(directory)
-        assert (directory / f"{name}.png").stat().st_size > 10_000
-    return report, figures
 
 
 def test_a_study_of_seasons(tmp_path: Path) -> None:
     """A case has the seeds of its forecasts, and a season its whole weeks."""
-    report, figures = seasons(tmp_path / "record", SEASONS_GRID)
+    record(tmp_path / "record", (2015, 2016))
+    run_here(tmp_path / "record", SEASONS_GRID)
+    report = report_of(tmp_path / "record" / "out")
+    figures = figures_of(report)
     assert list(figures) == ["deviation-1", "relative", "balance-1"]
+    for name, figure in figures.items():
+        figure.save(tmp_path)
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
     for case in report.cases:
-        assert case.row["ratio"] > 1 and case.deviations is not None
-        for year, weeks in case.deviations.weeks.items():
-            assert weeks.shape == (len(case.totals[year]), 1)
-            assert (weeks[:, 0] > 0).all() and (weeks[:, 0] < case.totals[year]).all()
+        weeks, totals = case.deviations.weeks, case.deviations.totals
+        assert case.row["ratio"] > 1 and [*weeks] == [*totals] == [2015, 2016]
+        for year, of_year in weeks.items():
+            assert of_year.shape == (len(totals[year]), 1)
+            assert (of_year[:, 0] > 0).all() and (of_year[:, 0] < totals[year]).all()
     assert [(case.label, len(case.runs)) for case in report.cases] == [
         ("mpc, forecast errors skill real", 4), ("onoff, forecast perfect", 2)
     ]
-
-
-def test_a_study_of_sizes(tmp_path: Path) -> None:
-    """The same roof: what its cistern does not hold comes from the mains."""
-    report, figures = seasons(tmp_path / "record", SIZES)
-    assert list(figures) == ["sizing", "balance-1", "balance-2"]
-    small, _, large, _ = report.cases
-    assert {row["case"] for row in figures["sizing"].data["sizing-1"]} == {
-        "onoff, from site", "onoff, from full",
-    }
-    assert small.row["outflow_m3"] > large.row["outflow_m3"] >= 0
-    for case in (small, large):
-        assert case.row["saved_m3"] == pytest.approx(case.row["pumped_m3"] - case.row["mains_m3"])
-    # A roof of half the area is another size, too; a difference in anything else is not.
-    study = tmp_path / "record" / "out"
-    site = study / "configuration" / small.row["site"]
-    site.write_text(edited(site, {"a2": 34.4}))
-    assert len(figures_of(report_of(study))["sizing"].panels) == 2 * 2
-    site.write_text(edited(site, {"pump_efficiency": 0.7}))
-    assert report.sizing and not report_of(study).sizing
