@@ -75,7 +75,7 @@ def simulated_run(arguments: argparse.Namespace) -> Run:
     """
     run = run_from_arguments(arguments)
     if arguments.pump == EXTERNAL:
-        run.sensor_pump_errors.refuse_external_pump()
+        run.sensor_and_pump.refuse_external_pump()
     return run
 
 

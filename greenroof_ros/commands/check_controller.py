@@ -16,7 +16,7 @@ from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import controller_names, find_controller
 from greenroof_ros.experiment.options import add_output_arguments, add_run_arguments
 from greenroof_ros.graph.domain import importing_ros
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON
+from greenroof_ros.model.look_ahead import MAX_HORIZON
 from greenroof_ros.model.site import read_site
 
 _CLASS = (
@@ -69,7 +69,7 @@ def make_parser() -> Parser:
     )
     node = parser.add_argument_group("options with --node")
     node.add_argument(
-        "--horizon", type=within(0.0, LONGEST_HORIZON), default=0.0, metavar="H",
+        "--horizon", type=within(0.0, MAX_HORIZON), default=0.0, metavar="H",
         help="how far the forecasts reach (h), as for 'greenroof run --controller external' "
         "(default: 0, the next M ticks)",
     )

@@ -33,7 +33,7 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof dose",
         description="Deliver a given volume now, regardless of the controller's command, if the "
-        "site file allows it (greatest_dose) and no interlock is active, but never above the "
+        "site file allows it (max_dose) and no interlock is active, but never above the "
         "roof's target. An interlock ends a dose for good; a dose that cannot begin within a "
         "minute ends, too. Ctrl-C ends this command but not the dose: to end that, stop the pump.",
         epilog="example:\n  greenroof dose --volume 0.2\n\n"

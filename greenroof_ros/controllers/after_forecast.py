@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON, growing_steps
+from greenroof_ros.model.look_ahead import MAX_HORIZON, growing_steps
 from greenroof_ros.model.site import Site
 
 _DAY_S = 86_400.0
@@ -22,7 +22,7 @@ _NET_DRYING = 0.3
 # Longest horizon at which a service's forecasts pay (h): doc/results.md.
 _PAYS, _PAYS_MEASURED = 120.0, 48.0
 HORIZON = Parameter(
-    "horizon", _PAYS, "h", 0.1, LONGEST_HORIZON,
+    "horizon", _PAYS, "h", 0.1, MAX_HORIZON,
     f"how far it looks ahead; the default is {_PAYS_MEASURED:g} on a roof with a measured soil; "
     "the weather node needs the same value", measured=_PAYS_MEASURED,
 )

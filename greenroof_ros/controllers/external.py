@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON
+from greenroof_ros.model.look_ahead import MAX_HORIZON
 from greenroof_ros.model.site import Site
 
 
@@ -19,7 +19,7 @@ class External:
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter(
-            "horizon", 0.0, "h", 0.0, LONGEST_HORIZON, "how far the forecasts for the node reach, "
+            "horizon", 0.0, "h", 0.0, MAX_HORIZON, "how far the forecasts for the node reach, "
             "in growing steps; 0: the next M ticks",
         ),
     )

@@ -22,7 +22,7 @@ from greenroof_ros.controllers.order_up_to import (
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.controllers.tick_times import TickTimes
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON, MOST_MEMBERS
+from greenroof_ros.model.look_ahead import MAX_HORIZON, MAX_MEMBERS
 from greenroof_ros.model.plant import command_to, maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
@@ -69,7 +69,7 @@ class Lookahead:
     the step that is quiet. It makes a new plan when quiet hours begin and end.
 
     Between two starts of the pumps it waits at least 3600 s / ``starts_per_hour`` of the site, and
-    fills the roof slowly enough that the pumps are on for ``least_on``. At the level it balances
+    fills the roof slowly enough that the pumps are on for ``min_on``. At the level it balances
     evapotranspiration by a small flow, which needs no starts.
 
     An observer filters the roof's level, and a budget limits what waiting for rain may cost:
@@ -100,7 +100,7 @@ class Lookahead:
             "largest command; 1 is the most that a real pump can do",
         ),
         Parameter(
-            "recourse", 48.0, "h", 1.0, LONGEST_HORIZON, "time for which one level serves all "
+            "recourse", 48.0, "h", 1.0, MAX_HORIZON, "time for which one level serves all "
             "members; after each such time, newer forecasts are assumed to show which half of the "
             "members was wrong",
         ),
@@ -109,8 +109,8 @@ class Lookahead:
             "the smallest deviation: 0 for the mean of all, 0.8 for the worst fifth",
         ),
         Parameter(
-            "least_on", 0.0, "s", 0.0, 86_400.0, "the pumps' shortest time on, in a simulation at "
-            "least minimum_on: filling takes this long, so that they do not run on at the level",
+            "min_on", 0.0, "s", 0.0, 86_400.0, "the pumps' minimum time on, in a simulation not "
+            "below pump_min_on: filling takes this long, so that they do not run on at the level",
         ),
         OBSERVER_TIME_CONSTANT,
         WAITING_BUDGET,
@@ -132,7 +132,7 @@ class Lookahead:
         max_command: float,
         recourse: float,
         cvar_level: float,
-        least_on: float,
+        min_on: float,
         observer_time_constant: float,
         waiting_budget: float,
         waiting_share: float,
@@ -140,7 +140,7 @@ class Lookahead:
         """Set the site and the parameters; :attr:`parameters` has their units and meanings."""
         self._site, self._soil = site, soil_of(site)
         self._max_command = max_command
-        self._least_on = max(least_on, site.tau)
+        self._min_on = max(min_on, site.tau)
         self._recourse = recourse * _HOUR_S
         self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
@@ -164,7 +164,7 @@ class Lookahead:
         self._fallen = 0.0  # rain since the plan (m)
         self._flow = 0.0  # commanded in the last tick (m3/s)
         self._since_start = math.inf  # of the pumps (s)
-        self._steady = math.inf  # largest command for ``least_on`` after a start
+        self._steady = math.inf  # largest command for ``min_on`` after a start
         self._quiet_when_planned = False
         self.time_ns = 0
         self.gauge_rain = 0.0
@@ -209,7 +209,7 @@ class Lookahead:
         rain, evaporated = np.empty((1, 0)), np.empty(0)
         if np.size(precipitation) or np.size(evapotranspiration):
             forecast = precipitation, evapotranspiration
-            rain, evaporated = self._after.checked(*forecast, MOST_MEMBERS)
+            rain, evaporated = self._after.checked(*forecast, MAX_MEMBERS)
         x1 = site.cistern_volume(cistern_level)
         if not math.isfinite(x1 + roof_level):
             self.skip()
@@ -353,11 +353,11 @@ class Lookahead:
             # Half a tick less: the sum of the ticks is rounded.
             if self._since_start < _HOUR_S / self._site.starts_per_hour - self._site.tau / 2:
                 return 0.0
-            self._steady = share * self._site.tau / self._least_on
+            self._steady = share * self._site.tau / self._min_on
             if self._steady < _MIN_COMMAND:
                 return 0.0
             self._since_start = 0.0
-        if self._since_start < self._least_on:
+        if self._since_start < self._min_on:
             share = min(share, self._steady)
         return min(share, self._max_command)
 

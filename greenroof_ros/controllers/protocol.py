@@ -42,7 +42,7 @@ class Controller(Protocol):
     Attributes:
         parameters: its parameters. One named ``horizon`` (h) sets how far the forecasts reach; they
             are then means over the steps of :func:`greenroof_ros.model.look_ahead.growing_steps`.
-            Without it they cover M ticks. One named ``least_on`` (s) is at least the ``minimum_on``
+            Without it they cover M ticks. One named ``min_on`` (s) is at least the ``pump_min_on``
             of a simulation's pumps.
     """
 

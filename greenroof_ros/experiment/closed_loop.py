@@ -20,7 +20,7 @@ from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
-from greenroof_ros.model.sensor_pump_errors import Pump, RoofSensor
+from greenroof_ros.model.sensor_and_pump import Pump, RoofSensor
 from greenroof_ros.recording.trajectory import RECORDED, Trajectory
 
 # Makes a named tuple from a tuple in half the time of its own class.
@@ -85,7 +85,7 @@ def _ticks(
 ) -> Generator[Any, float, None]:
     site, series, steps, until = run.site, run.series, run.steps, 0
     plant = Plant(site, run.x1, run.x2)
-    sensor, pump = RoofSensor(run.sensor_pump_errors), Pump(run.sensor_pump_errors, site.tau)
+    sensor, pump = RoofSensor(run.sensor_and_pump), Pump(run.sensor_and_pump, site.tau)
     forecast, hours, quiet = run.forecast, site.quiet, False
     for k in range(steps + 1):
         if k == until:

@@ -39,7 +39,7 @@ from greenroof_ros.model.initial_state import (
     default_state,
     initial_state,
 )
-from greenroof_ros.model.sensor_pump_errors import PARAMETERS, SensorPumpErrors
+from greenroof_ros.model.sensor_and_pump import PARAMETERS, SensorAndPump
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE
@@ -73,7 +73,7 @@ def add_run_arguments(
     )
     add_forecast_options(group)
     _add_parameters(
-        parser.add_argument_group("errors of sensor and pumps (default: none)"),
+        parser.add_argument_group("sensor and pumps (default: as in the paper)"),
         PARAMETERS.values(),
     )
 
@@ -307,11 +307,11 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     if "controller" in arguments:
         controller, parameters = controller_from_arguments(arguments, site)
         choice = forecast_from_arguments(arguments, arguments.forecast, "--forecast")
-        errors = SensorPumpErrors(**_given_options(arguments, PARAMETERS))
+        sensor_and_pump = SensorAndPump(**_given_options(arguments, PARAMETERS))
     else:
         controller = find_controller("onoff")
         parameters, choice = controller.defaults(site), ForecastChoice()
-        errors = SensorPumpErrors()
+        sensor_and_pump = SensorAndPump()
     if (arguments.cistern is None) != (arguments.roof is None):
         raise ConfigurationError("must be given together", key="--cistern and --roof")
     if arguments.cistern is not None:
@@ -335,7 +335,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     return build_run(
         site_file, site, weather, arguments.start or DEFAULT_START,
         count_ticks(site, arguments.hours, "--hours"), controller, parameters, initial, volumes,
-        choice, errors,
+        choice, sensor_and_pump,
     )
 
 

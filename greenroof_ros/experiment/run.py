@@ -17,7 +17,7 @@ from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
 from greenroof_ros.formats.records import HOUR
 from greenroof_ros.model.place import kilometres, place_text
-from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
+from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
@@ -43,7 +43,7 @@ class Run:
         x1: initial volume in the cistern (m3).
         x2: initial volume on the roof (m3).
         forecast_choice: which forecasts the controller gets.
-        sensor_pump_errors: errors of level sensor and pumps.
+        sensor_and_pump: how its level sensor and pumps differ from the paper's.
     """
 
     site_file: Path
@@ -59,7 +59,7 @@ class Run:
     x1: float
     x2: float
     forecast_choice: ForecastChoice = field(default_factory=ForecastChoice)
-    sensor_pump_errors: SensorPumpErrors = field(default_factory=SensorPumpErrors)
+    sensor_and_pump: SensorAndPump = field(default_factory=SensorAndPump)
 
     def time_ns(self, tick: int) -> int:
         """Return the time of a tick (ns since 1970), as on the graph's clock."""
@@ -155,7 +155,7 @@ def build_run(
     initial: str,
     volumes: tuple[float, float],
     choice: ForecastChoice,
-    sensor_pump_errors: SensorPumpErrors | None = None,
+    sensor_and_pump: SensorAndPump | None = None,
 ) -> Run:
     """Assemble a run and check it.
 
@@ -170,16 +170,16 @@ def build_run(
         initial: name of the initial state.
         volumes: of the initial state, in cistern and roof (m3).
         choice: which forecasts the controller gets.
-        sensor_pump_errors: errors of level sensor and pumps; none by default.
+        sensor_and_pump: how its level sensor and pumps differ from the paper's.
 
     Raises:
         ConfigurationError: weather or forecasts do not cover the run, or it has values that the
             nodes would refuse.
     """
-    sensor_pump_errors = sensor_pump_errors or SensorPumpErrors()
-    if "least_on" in parameters:  # the controller knows its pumps
-        least_on = max(parameters["least_on"], sensor_pump_errors.minimum_on)
-        parameters = {**parameters, "least_on": least_on}
+    sensor_and_pump = sensor_and_pump or SensorAndPump()
+    if "min_on" in parameters:  # the controller knows its pumps
+        min_on = max(parameters["min_on"], sensor_and_pump.pump_min_on)
+        parameters = {**parameters, "min_on": min_on}
     first = read_start(start, weather.first.tzinfo)
     horizon = parameters.get("horizon", 0.0)
     series = WeatherSeries(weather, site, first, steps)
@@ -201,5 +201,5 @@ def build_run(
     forecast = make_forecast(weather, series, site, first, horizon, choice, controller.ensemble)
     return Run(
         site_file, site, weather, series, forecast, first, steps, controller, parameters, initial,
-        x1, x2, choice, sensor_pump_errors,
+        x1, x2, choice, sensor_and_pump,
     )

@@ -103,7 +103,7 @@ def write_configuration(
         parameters = {
             "plant": {
                 **common, **span, "initial_cistern_volume": run.x1, "initial_roof_volume": run.x2,
-                **run.sensor_pump_errors.values(), **nodes,
+                **run.sensor_and_pump.values(), **nodes,
             },
             "weather": {
                 **common, **span, "weather_files": weather_files,

@@ -98,7 +98,7 @@ def build_unfinished(
         },
         "forecast_repeats_last_record_from": repeats_from.isoformat() if repeats_from else None,
         "longest_issue_h": run.forecast.longest,
-        "sensor_pump_errors": run.sensor_pump_errors.values(),
+        "sensor_and_pump": run.sensor_and_pump.values(),
         "filled": run.series.filled,
         "filled_hours": run.series.filled_hours,
         "suspicious": run.series.suspicious,

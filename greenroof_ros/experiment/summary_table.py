@@ -15,7 +15,7 @@ from greenroof_ros.common.times import hours_minutes, to_minutes
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.place import place_text
-from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
+from greenroof_ros.model.sensor_and_pump import SensorAndPump
 
 _PERIOD = ("from", "until")
 
@@ -24,8 +24,8 @@ def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Yield each metric: in capitals above its limit, left out if it is 0 as it should be."""
     for metric in METRICS:
         value = summary.get(metric.name, 0)
-        if metric.name in summary and (value or metric.most):
-            label = metric.label.upper() if value > metric.most else metric.label
+        if metric.name in summary and (value or metric.max):
+            label = metric.label.upper() if value > metric.max else metric.label
             yield label, f"{value:{metric.form}}", metric.description
 
 
@@ -109,9 +109,8 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
             "FORECAST", f"{longest} h",
             f"is the longest issue, the horizon {horizon:g} h: no rain is assumed after its end",
         )
-    errors = SensorPumpErrors(**summary["sensor_pump_errors"])
-    if not (errors.exact_sensor and errors.instant_pump):
-        yield "sensor and pump", "", _listed(summary["sensor_pump_errors"])
+    if SensorAndPump(**summary["sensor_and_pump"]) != SensorAndPump():
+        yield "sensor and pump", "", _listed(summary["sensor_and_pump"])
     messages = summary["messages"]
     if messages:
         yield "messages", str(sum(messages.values())), f"in the bag, on {len(messages)} topics"

@@ -9,7 +9,7 @@ from greenroof_ros.common.errors import ConfigurationError, must_be_one_of
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.forecast.skill import REAL, SKILLS
 from greenroof_ros.formats.reading import SUFFIXES
-from greenroof_ros.model.look_ahead import MOST_MEMBERS
+from greenroof_ros.model.look_ahead import MAX_MEMBERS
 
 PERFECT = "perfect"
 FILE = "file"
@@ -29,7 +29,7 @@ NUMBERS = {
         "forecast_seed", 0, "", 0, 2**31 - 1, "errors, ensemble: seed of the errors"
     ),
     "members": Parameter(
-        "forecast_members", 10, "", 1, MOST_MEMBERS, "ensemble: number of its members"
+        "forecast_members", 10, "", 1, MAX_MEMBERS, "ensemble: number of its members"
     ),
     "delay": Parameter(
         "forecast_delay", -1.0, "h", 0.0, 48.0,

@@ -41,7 +41,7 @@ from greenroof_ros.formats.records import (
     with_dew_point,
 )
 from greenroof_ros.formats.steps import steps_of_rows
-from greenroof_ros.model.look_ahead import MOST_MEMBERS
+from greenroof_ros.model.look_ahead import MAX_MEMBERS
 from greenroof_ros.model.site import Site
 
 # Columns of forecasts, by quantity; then the optional ones.
@@ -64,7 +64,7 @@ _ENOUGH = 0.75
 # Other names of quantities, and units of amounts in a row.
 _SYNONYMS = {"rain": PRECIPITATION}
 _AMOUNT = "mm"
-_MEMBERS = ("(whole)", 0.0, MOST_MEMBERS - 1.0)
+_MEMBERS = ("(whole)", 0.0, MAX_MEMBERS - 1.0)
 _OPTIONAL = {"available", "member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
 
 

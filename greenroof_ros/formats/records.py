@@ -28,7 +28,7 @@ from greenroof_ros.common.times import (
     time_hint,
     to_minutes,
 )
-from greenroof_ros.model.look_ahead import MOST_MEMBERS
+from greenroof_ros.model.look_ahead import MAX_MEMBERS
 
 HOUR, MINUTE = timedelta(hours=1), timedelta(minutes=1)
 PRECIPITATION = "precipitation"
@@ -374,8 +374,8 @@ def ensemble(numbered: Iterable[tuple[float, Issue]]) -> Issue:
             f"has members {', '.join(f'{number:g}' for number in numbers)}; they must be 0, 1, 2 "
             "and so on, each once"
         )
-    elif len(numbers) > MOST_MEMBERS:
-        wrong = f"has {len(numbers)} members; at most {MOST_MEMBERS} are allowed"
+    elif len(numbers) > MAX_MEMBERS:
+        wrong = f"has {len(numbers)} members; at most {MAX_MEMBERS} are allowed"
     if wrong:
         raise ConfigurationError(
             f"the issue of {to_minutes(first.issued)} {wrong}", file=first.file, line=first.line

@@ -25,7 +25,7 @@ from rclpy.parameter import Parameter as RosParameter
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.parameter import Parameter, no_such_parameter
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON
+from greenroof_ros.model.look_ahead import MAX_HORIZON
 from greenroof_ros.model.site import Site, read_site
 
 USE_SIM_TIME = "use_sim_time"  # rclpy's name
@@ -44,7 +44,7 @@ def look_ahead_parameters() -> list[Parameter]:
     """Return the parameters of a weather node that decide what its forecasts cover."""
     return [
         Parameter(
-            "horizon", 0.0, "", 0.0, LONGEST_HORIZON, "how far the forecasts reach (h), in "
+            "horizon", 0.0, "", 0.0, MAX_HORIZON, "how far the forecasts reach (h), in "
             "growing steps; 0: the next M ticks",
         ),
         Parameter(

@@ -441,7 +441,7 @@ class PumpNode(LiveNode):
                 "owner": record.hold_owner, "reason": record.hold_reason,
                 "until": record.hold_until, "said": active_hold.sentence,
             } if active_hold else None,
-            "greatest_dose": self._site.greatest_dose,
+            "max_dose": self._site.max_dose,
             "least_dose": self._control.least_dose,
             "no_dose": self._control.dose_refusal,
             "dose": None if dose is None else {**asdict(dose), "said": dose.sentence},

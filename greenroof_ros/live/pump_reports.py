@@ -67,7 +67,7 @@ class PumpReports:
             self._cause(first.code) if first else "", log=False,
         )
         diagnose("limits", joined(decision.warnings), "nothing limits the pump", WARN, log=False)
-        if site.greatest_dose is not None:
+        if site.max_dose is not None:
             self._diagnose_dose(dose)
         diagnose("flow", second_pump, f"source: {decision.source}")
         self._diagnose_inputs(decision)

@@ -13,11 +13,11 @@ _FIRST_DAY = [10] * 6 + [30] * 2 + [60] * 3 + [300] * 3 + [900] * 4 + [1800] * 6
 _LATER = 21_600
 _HOUR = 3600
 
-LONGEST_HORIZON = 240.0
+MAX_HORIZON = 240.0
 """The longest horizon (h): ten days."""
 
 # Largest ensemble of forecasts.
-MOST_MEMBERS = 100
+MAX_MEMBERS = 100
 
 
 def growing_steps(horizon: float) -> NDArray[np.float64]:

@@ -179,7 +179,7 @@ class Metric:
         function: gives a value for each sample; None if the samples do not have it.
         combine: combines the earlier number, at first 0, with the values of further samples.
         form: format of its number in tables.
-        most: a larger value is shown as a warning.
+        max: a larger value is shown as a warning.
         finish: computes the metric from the combined number (a sum of ticks is exact, a sum of
             hours is not); None if the run has no such thing.
     """
@@ -191,7 +191,7 @@ class Metric:
     function: Callable[[Site, Samples], Values | None]
     combine: Callable[[Any, Values], Any] = _sum
     form: str = ".4g"
-    most: float = math.inf
+    max: float = math.inf
     finish: Callable[[Site, Any], float | None] = _as_it_is
 
     @property
@@ -351,15 +351,15 @@ METRICS = (
     ),
     Metric(
         "max_command", "1", "largest command", "share of the maximum flow",
-        lambda site, samples: samples.command, _largest, ".6g", most=1,
+        lambda site, samples: samples.command, _largest, ".6g", max=1,
     ),
     Metric(
         "beyond_hours", "h", "beyond the pump", "with a command above 1",
-        _ticks_where(lambda site, samples: samples.command > 1), form=".4f", most=0, finish=_hours,
+        _ticks_where(lambda site, samples: samples.command > 1), form=".4f", max=0, finish=_hours,
     ),
     Metric(
         "limited_steps", "1", "limited ticks", "a tank held less than was demanded",
-        lambda site, samples: samples.limited, _count, "d", most=0,
+        lambda site, samples: samples.limited, _count, "d", max=0,
     ),
     Metric(
         "pump_starts", "1", "pump starts", f"how often the flow rose above {_RUNS}",
@@ -372,7 +372,7 @@ METRICS = (
     Metric(
         "excess_starts", "1", "too many starts",
         "pump starts beyond starts_per_hour of the site, in the hour that ends with them",
-        _excess_starts, _count, "d", most=0,
+        _excess_starts, _count, "d", max=0,
     ),
     Metric(
         "pump_hours", "h", "pump running", f"with a flow above {_RUNS}",

@@ -213,7 +213,7 @@ class Site:
         "IANA name of the time zone of quiet_hours and of the page, such as America/Toronto; it "
         "includes daylight saving; its standard time is utc_offset", default=None,
     )
-    greatest_dose: float | None = entry(
+    max_dose: float | None = entry(
         "largest volume of a dose, which a person asks for; without it no dose is given", 0.001,
         1e6, unit="m3", default=None,
     )
@@ -289,12 +289,12 @@ class Site:
         return self.a2 * (self.drainage_storage or 0.0)
 
     @property
-    def highest_cistern_level(self) -> float:
+    def max_cistern_level(self) -> float:
         """Three times the outlet's level (m): a higher reading is not a level in metres."""
         return 3 * self.z_o
 
     @property
-    def highest_roof_level(self) -> float:
+    def max_roof_level(self) -> float:
         """Twice the soil's depth (m): a higher reading is not a level in metres."""
         return 2 * self.z_soil
 

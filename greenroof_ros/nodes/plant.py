@@ -28,7 +28,7 @@ from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.model.initial_state import check_volumes, default_state
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
-from greenroof_ros.model.sensor_pump_errors import PARAMETERS, Pump, RoofSensor, SensorPumpErrors
+from greenroof_ros.model.sensor_and_pump import PARAMETERS, Pump, RoofSensor, SensorAndPump
 from greenroof_ros.model.site import Site
 
 # How far the plant may be ahead of the ticks that the recorder has flushed (ticks).
@@ -82,14 +82,14 @@ class PlantNode(SimulationNode):
         self._run_length = values["run_length"]
         self._speed = values["speed"]
         self._external = values["pump"] == "external"
-        errors = SensorPumpErrors(**{name: values[name] for name in PARAMETERS})
+        sensor_and_pump = SensorAndPump(**{name: values[name] for name in PARAMETERS})
         if self._external:
-            errors.refuse_external_pump()
+            sensor_and_pump.refuse_external_pump()
         self._record = values["record"]
         self._limit = values["peer_limit"]
         self._start_limit = values["start_limit"]
-        self._sensor = RoofSensor(errors)
-        self._pump = Pump(errors, site.tau)
+        self._sensor = RoofSensor(sensor_and_pump)
+        self._pump = Pump(sensor_and_pump, site.tau)
         self._metrics = Metrics()
         self._start_ns = epoch_ns(read_start(values["start"]))
         self._tick_ns = round(site.tau * 1e9)
@@ -109,7 +109,7 @@ class PlantNode(SimulationNode):
         self._rain = self.subscribe("/weather/precipitation")
         self._evapotranspiration = self.subscribe("/weather/evapotranspiration")
         # Frost cuts a minimum on-time short. Without one the pump only follows the command.
-        self._frost = self.subscribe("/weather/frost") if errors.minimum_on else None
+        self._frost = self.subscribe("/weather/frost") if sensor_and_pump.pump_min_on else None
         self._command = self.subscribe("/pump/command")
         if self._external:
             self._flow = self.subscribe("/pump/flow")

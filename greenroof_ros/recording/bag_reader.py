@@ -336,9 +336,9 @@ def _highest_of_site(site: Site) -> dict[str, tuple[float, str]]:
     # The crop coefficient scales the evapotranspiration of grass.
     evaporation *= max(1.0, site.crop_coefficient)
     return {
-        "/roof/level": (site.highest_roof_level, f"twice the soil's depth of {site.z_soil:g} m"),
+        "/roof/level": (site.max_roof_level, f"twice the soil's depth of {site.z_soil:g} m"),
         "/cistern/level": (
-            site.highest_cistern_level, f"three times the outlet's level of {site.z_o:g} m"
+            site.max_cistern_level, f"three times the outlet's level of {site.z_o:g} m"
         ),
         "/pump/flow": (3 * full, "three times what the pumps can give"),
         "/weather/precipitation": (rain / 3.6e6, f"{rain:g} mm/h"),

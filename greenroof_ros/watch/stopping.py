@@ -71,7 +71,7 @@ def _allowed(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, A
         at_rest: whether the pump is stopped.
         area: of the roof (m2).
     """
-    maximum = None if node is None else node.values.get("greatest_dose")
+    maximum = None if node is None else node.values.get("max_dose")
     hold = "" if node is None else node.hold
     fault, unknown, refusal, no_dose = (
         "" if node is None else node.text(key)
@@ -86,7 +86,7 @@ def _allowed(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, A
         "clear_here": bool(fault) and not refusal and at_rest,
         "clear_then": f"The fault is cleared: {fault}. " + _then(hold, unknown) + LOCK_OUT,
         "no_clear": refusal if fault else "",
-        "greatest_dose": maximum if doses else None,
+        "max_dose": maximum if doses else None,
         "least_dose": minimum if doses else None,
         "dose_limits": _limits(minimum, float(maximum or 0.0), area) if doses else "",
         "dose": sentence(str(dose.get("said", ""))) if isinstance(dose, dict) else "",

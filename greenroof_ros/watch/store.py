@@ -17,7 +17,7 @@ import numpy as np
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.states import PUMP, PUMP_STATES, PumpState
-from greenroof_ros.model.look_ahead import MOST_MEMBERS
+from greenroof_ros.model.look_ahead import MAX_MEMBERS
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.watch import wire, words
 from greenroof_ros.watch.alarms import Alarms
@@ -303,7 +303,7 @@ class GraphStore:
         members, steps = rain.shape if rain.ndim == 2 else (0, 0)
         ends = front[1:]
         fits = (
-            0 < members <= MOST_MEMBERS and 0 < steps <= _MOST_STEPS and len(ends) == steps
+            0 < members <= MAX_MEMBERS and 0 < steps <= _MOST_STEPS and len(ends) == steps
             and np.all(np.diff(ends, prepend=0.0) > 0) and ends[-1] < _LARGEST
             and np.all((rain >= limits.low) & (rain <= limits.high))
         )

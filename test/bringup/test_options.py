@@ -83,7 +83,7 @@ WRONG = {
     f"{SENSED} --pump external {DRIVE}":
         "--pump = 'external': leaves the pump to someone else's node",
     f"{SENSED} --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
-    "run --pump external --minimum-on 60": "minimum on and off times: must be set in the pump",
+    "run --pump external --pump-min-on 60": "minimum on and off times: must be set in the pump",
 }
 
 

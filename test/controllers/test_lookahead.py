@@ -426,7 +426,7 @@ def test_from_one_start_to_the_next_it_waits() -> None:
 
 def test_filling_lasts_as_long_as_the_pumps_must_be_on() -> None:
     """Two minutes instead of one, at one flow, without a break."""
-    controller, commands = lookahead(least_on=120.0), []
+    controller, commands = lookahead(min_on=120.0), []
     plant = Plant(PAPER_SITE, PAPER_SITE.cistern_volume(2.3), PAPER_SITE.roof_volume(0.04))
     for _ in range(400):
         commands.append(controller.command(*plant.levels(), [DRY], DRY))
@@ -437,6 +437,6 @@ def test_filling_lasts_as_long_as_the_pumps_must_be_on() -> None:
     assert plant.levels()[1] == pytest.approx(PAPER_SITE.z_veg, abs=1e-5)
     lack = PAPER_SITE.z_veg - 1e-7  # at the minimum command a fill would end sooner
     assert lookahead().command(2.3, lack, [DRY], DRY) > 0
-    assert lookahead(least_on=300.0).command(2.3, lack, [DRY], DRY) == 0.0
-    run = paper_run("--controller", "lookahead", "--minimum-on", "60")
-    assert run.parameters["least_on"] == 60.0
+    assert lookahead(min_on=300.0).command(2.3, lack, [DRY], DRY) == 0.0
+    run = paper_run("--controller", "lookahead", "--pump-min-on", "60")
+    assert run.parameters["min_on"] == 60.0

@@ -15,7 +15,7 @@ from greenroof_ros.model.metrics import Metrics
 def test_no_raw_data() -> None:
     """No dictionary, list or None in any row, for a run in which everything happened."""
     run = paper_run(
-        "--hours", "0.1", "--forecast", "ensemble", "--roof-noise", "0.001", "--minimum-on", "60",
+        "--hours", "0.1", "--forecast", "ensemble", "--roof-noise", "0.001", "--pump-min-on", "60",
         "--weight", "0.01",
     )
     metrics = Metrics()
@@ -43,7 +43,7 @@ def test_no_raw_data() -> None:
     text = stream.getvalue()
     assert not set("{}[]'").intersection(text) and "None" not in text
     rows = [" ".join(line.replace("│", " ").split()) for line in text.splitlines()]
-    assert any(row.startswith("sensor and pump ") and "minimum_on 60" in row for row in rows)
+    assert any(row.startswith("sensor and pump ") and "pump_min_on 60" in row for row in rows)
     # In capitals above its limit, and left out if it is 0 as it should be.
     assert any(row.startswith("TOO MANY STARTS 2 pump starts beyond ") for row in rows)
     assert not any(row.lower().startswith("limited ticks") for row in rows)

@@ -138,7 +138,7 @@ def test_same_bits_of_sensor_and_pumps_that_are_not_perfect(domain: int, tmp_pat
         "--controller", "onoff", "--fraction", "0.1",
         "--weather", with_frost(tmp_path, "2021-07-07T03:00"), "--start", "2021-07-07T02:59",
         "--hours", "0.05", "--roof-noise", "0.0005", "--roof-offset=-1e-3", "--noise-seed", "8",
-        "--minimum-on", "50", "--minimum-off", "20",
+        "--pump-min-on", "50", "--pump-min-off", "20",
     )
     bring_up(domain, tmp_path, *options)
     simulate(domain, tmp_path, *options)
@@ -157,7 +157,7 @@ def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path) -> None:
     )
     # Quiet hours end a minimum time on, as with a real pump.
     options = (
-        "--controller", "lookahead", "--days-after", "0", "--minimum-on", "50",
+        "--controller", "lookahead", "--days-after", "0", "--pump-min-on", "50",
         "--site", str(file), "--start", "2021-07-07T02:00-05:00", "--hours", "0.05",
     )
     bring_up(domain, tmp_path, *options)

@@ -429,7 +429,7 @@ def test_commands_without_a_graph_say_what_to_do(domain: int, tmp_path: Path) ->
 
 def test_a_dose_by_the_command(rig: PumpRig) -> None:
     """Delivered in full at the controller's 0; exit code 1 if it is refused or ended by a stop."""
-    rig.start(site_file=rig.site("greatest_dose: 0.5"))
+    rig.start(site_file=rig.site("max_dose: 0.5"))
     rig.run()
     rig.until_at_rest(0.0)
     volume = [Parameter("volume", value=0.05).to_parameter_msg()]
@@ -445,7 +445,7 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     assert not rig.code("dose")
 
     code, output = command(rig, "dose", "--volume", "0.6")
-    assert (code, "at most 0.5 m3 (greatest_dose)" in output) == (1, True)
+    assert (code, "at most 0.5 m3 (max_dose)" in output) == (1, True)
     process = Process(rig.domain, "dose", "--volume", "0.5", cwd=rig.cwd)
     rig.tick_until(0.0, lambda: "a dose of 0.5 m3" in rig.state, LATE, "a dose")
     assert rig.call(SetBool, "stop", data=True).success

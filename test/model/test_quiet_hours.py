@@ -115,7 +115,7 @@ def test_of_a_site(tmp_path: Path) -> None:
         ("time_zone", "../secret", "must be the IANA name of a time zone"),
         ("time_zone", "Etc/GMT-5", "+5 h; in names that begin with Etc/ the sign is reversed"),
         ("time_zone", "America/Halifax", "its standard time is -4 h"),  # -05:00 never, -04:00 now
-        ("greatest_dose", "0", "must be a number from 0.001 to 1000000"),
+        ("max_dose", "0", "must be a number from 0.001 to 1000000"),
     ],
 )
 def test_wrong_ones_are_refused_with_line_and_value(

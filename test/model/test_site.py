@@ -48,7 +48,7 @@ def test_packaged_site_is_table_i() -> None:
     # inlet arrives, and a run begins in one of Table II's states.
     absent = {
         *MEASURED, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius",
-        "initial_cistern", "initial_roof", "quiet_hours", "time_zone", "greatest_dose",
+        "initial_cistern", "initial_roof", "quiet_hours", "time_zone", "max_dose",
     }
     assert {key for key, value in site.items() if value is None} == absent
     assert (site["initial_layer"], site["runoff_coefficient"]) == (0, 1)

@@ -413,7 +413,7 @@ def test_what_stop_does_as_the_pump_is(
 @pytest.mark.parametrize("forged", [
     {"name": "/other", "process": "host 2"}, {"process": "host 2"}, {"state": "ended"},
     {"process": "host 2", "state": "ended"}, {"hold": HOLD, "stands": True},
-    {"stands": 7, "hold": 7, "fault": 7, "greatest_dose": "x", "pump_state": 7},
+    {"stands": 7, "hold": 7, "fault": 7, "max_dose": "x", "pump_state": 7},
 ])
 def test_no_report_switches_the_stop_off(forged: dict[str, Any]) -> None:
     """A second pump node, one that claims to have ended or to be held, or impossible values."""
@@ -463,15 +463,15 @@ def test_what_may_be_released_here(
     assert "must lock it out at the pump itself" in stop["clear_then"]
 
 
-DOSE = {"greatest_dose": 0.688, "least_dose": 0.00688, "no_dose": "", "dose": {"said": "0.5 m3"}}
+DOSE = {"max_dose": 0.688, "least_dose": 0.00688, "no_dose": "", "dose": {"said": "0.5 m3"}}
 
 
 @pytest.mark.parametrize(("said", "maximum", "limits"), [
     (DOSE, 0.688, "from 0.007 to 0.688 m³, which is 0.1 mm to 10 mm of water on the roof"),
     (DOSE | {"least_dose": 0.0}, 0.688, "at most 0.688 m³, which is 10 mm of water on the roof"),
     (DOSE | {"no_dose": "the pump may not run: there is frost"}, 0.688, None),
-    (DOSE | {"greatest_dose": None, "no_dose": "the site file allows no dose"}, None, None),
-    (DOSE | {"greatest_dose": "1"}, None, None),
+    (DOSE | {"max_dose": None, "no_dose": "the site file allows no dose"}, None, None),
+    (DOSE | {"max_dose": "1"}, None, None),
 ])
 def test_where_a_dose_may_be_given(
     said: dict[str, Any], maximum: float | None, limits: str | None
@@ -482,7 +482,7 @@ def test_where_a_dose_may_be_given(
     assert not shown(graph)["stop"]["dose_here"]
     graph.allow_release = True
     stop = shown(graph)["stop"]
-    assert (stop["greatest_dose"], stop["dose_here"]) == (maximum, here)
+    assert (stop["max_dose"], stop["dose_here"]) == (maximum, here)
     assert stop["no_dose"] == (said["no_dose"] if maximum else "")
     assert not here or (stop["dose_limits"], stop["dose"]) == (limits, "0.5 m³")
     assert not shown(graph, 105.0)["stop"]["dose_here"]  # it no longer responds

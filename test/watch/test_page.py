@@ -700,7 +700,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         page.locator("#ask-yes").click()
         until_shown(page, "#answer.failed", "was not asked")
         assert posted(page) == ["release", "clear"]
-        said[:] = pump("off: the command is 0", greatest_dose=0.5, no_dose="")
+        said[:] = pump("off: the command is 0", max_dose=0.5, no_dose="")
         page.wait_for_selector("#dose-button", state="visible")
         volume = page.locator("#dose-volume")
         for wrong in ("", "0.6", "-0.1", "0"):
@@ -717,7 +717,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         assert time.time() - 10 < body["asked_at"] < time.time()
         until_shown(page, "#answer.failed", "was not asked")
         page.locator("#dose-button").click()
-        said[:] = pump("held: frost", greatest_dose=0.5, no_dose="the pump may not run: frost")
+        said[:] = pump("held: frost", max_dose=0.5, no_dose="the pump may not run: frost")
         until_shown(page, "#dose", "No dose now: the pump may not run: frost.")
         until_shown(page, "#answer.failed", "the situation has changed")
         assert not page.locator("#dose-button").is_visible()

@@ -14,7 +14,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice, choice_of, find_controller
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON
+from greenroof_ros.model.look_ahead import MAX_HORIZON
 from greenroof_ros.model.site import Site
 
 Values = NDArray[np.float64]
@@ -63,7 +63,7 @@ class FunctionController:
     """A controller that calls a function; a subclass has the function."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter(
-        "horizon", 24.0, "h", 0.1, LONGEST_HORIZON, "how far the forecast reaches, in growing steps"
+        "horizon", 24.0, "h", 0.1, MAX_HORIZON, "how far the forecast reaches, in growing steps"
     ),)
     function: ClassVar[Function]
     forecast_ends: Values

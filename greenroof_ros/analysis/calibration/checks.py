@@ -87,7 +87,7 @@ def _check_units(record: RoofRecord, site: Site) -> None:
     if record.level is not None:
         highest, lowest = float(np.nanmax(record.level)), float(np.nanmin(record.level))
         amounts += [
-            ("level", "m at its highest", highest, -math.inf, site.highest_roof_level),
+            ("level", "m at its highest", highest, -math.inf, site.max_roof_level),
             ("level", "m from lowest to highest", highest - lowest, _MIN_MOVEMENT, math.inf),
         ]
     for column, what, value, low, high in amounts:

@@ -118,7 +118,7 @@ def _understood(content: Mapping[str, Any], run: Path) -> About:
     if not isinstance(controller, str):
         raise TypeError
     status = content.get("status", summary.DONE)
-    errors = content.get("sensor_pump_errors") or {}
+    errors = content.get("sensor_and_pump") or {}
     forecast = {"file": content.get("forecast")} if live else content.get("forecast") or {}
     results = summary_columns(content)
     if status != summary.DONE:  # they are of whole runs

@@ -15,7 +15,7 @@ from greenroof_ros.analysis.report.run import ReportedRun, Row, read_about
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import file_digest, read_text
 from greenroof_ros.model.metrics import METRICS
-from greenroof_ros.model.sensor_pump_errors import PARAMETERS
+from greenroof_ros.model.sensor_and_pump import PARAMETERS
 from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.results_table import differing, row_parameters, shortest
 from greenroof_ros.recording.trajectory import TRAJECTORY

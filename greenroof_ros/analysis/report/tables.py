@@ -27,7 +27,7 @@ _RESULTS = {
         metric.name: _Result(
             metric.label if metric.form.endswith("%")
             else f"{metric.label} ({metric.unit.replace('m3', 'm³')})",
-            ".6g" if metric.form == "d" else metric.form, metric.most,  # the mean of integers
+            ".6g" if metric.form == "d" else metric.form, metric.max,  # the mean of integers
         )
         for metric in METRICS
     },

@@ -83,7 +83,7 @@ def _build(directory: Path, case: Case) -> Run:
     return build_run(
         site_file, site, weather, case.start, count_ticks(site, case.hours, "hours"),
         case.controller, case.parameters, case.initial, (case.cistern, case.roof),
-        in_directory(case.forecast, case.forecast_files, directory), case.sensor_pump_errors,
+        in_directory(case.forecast, case.forecast_files, directory), case.sensor_and_pump,
     )
 
 

@@ -48,14 +48,14 @@ from greenroof_ros.model.initial_state import (
     initial_state,
     site_state,
 )
-from greenroof_ros.model.sensor_pump_errors import PARAMETERS, SensorPumpErrors
+from greenroof_ros.model.sensor_and_pump import PARAMETERS, SensorAndPump
 from greenroof_ros.model.site import PLACE, Site, edited, read_site, site_parameters
 from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.weather.evapotranspiration import COMPUTED
 from greenroof_ros.weather.reading import find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, Weather
 
-_OPTIONAL_KEYS = ("forecast", "sensor_pump_errors", "bound_block")
+_OPTIONAL_KEYS = ("forecast", "sensor_and_pump", "bound_block")
 # The keys of a window with lists that multiply the runs.
 _TIMES = ("year", "start", "hours", "evapotranspiration")
 # Error messages that state what each block must be.
@@ -129,7 +129,7 @@ class Case:
         initial: name of the initial state.
         cistern: initial volume (m3).
         roof: initial volume (m3).
-        sensor_pump_errors: errors of level sensor and pumps; None if the grid has none.
+        sensor_and_pump: level sensor and pumps; None if the grid does not mention them.
         bound_block: time (s) that shares a variable when the minimum possible deviation is
             computed; None for the default, 0 to compute no bound.
     """
@@ -147,7 +147,7 @@ class Case:
     initial: str
     cistern: float
     roof: float
-    sensor_pump_errors: SensorPumpErrors | None = None
+    sensor_and_pump: SensorAndPump | None = None
     gaps: str = REFUSE
     bound_block: float | None = None
 
@@ -175,7 +175,7 @@ class Case:
         """Identity of the inputs that do not depend on the controller, and of the bound's block."""
         alike = replace(
             self, controller=find_controller("onoff"), parameters={}, forecast=ForecastChoice(),
-            forecast_files={}, sensor_pump_errors=None,
+            forecast_files={}, sensor_and_pump=None,
         ).identity
         return alike if self.bound_block is None else f"{alike}-{shortest(self.bound_block)}"
 
@@ -190,7 +190,7 @@ class Case:
             **({"gaps": self.gaps} if self.gaps != REFUSE else {}),
             "forecast": str(self.forecast),
             **{f"forecast_{name}": self.forecast.options().get(name) for name in OPTIONS},
-            **(self.sensor_pump_errors.values() if self.sensor_pump_errors is not None else {}),
+            **(self.sensor_and_pump.values() if self.sensor_and_pump is not None else {}),
             "controller": self.controller.name,
             "initial": self.initial,
             "cistern_m3": self.cistern,
@@ -234,7 +234,7 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
 
     Returns:
         The runs, in the order of the file: sites, windows, methods, forecasts, initial states,
-        sensor_pump_errors, controllers with their parameters.
+        sensor_and_pump, controllers with their parameters.
 
     Raises:
         ConfigurationError: the grid, or a file that it names, is wrong. Nothing has run yet.
@@ -247,7 +247,7 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
             raise ConfigurationError(
                 f"is the same run twice: {case.controller.name} {case.parameters}, {case.initial}, "
                 f"from {case.start}, forecast {case.forecast}"
-                + (f", {case.sensor_pump_errors.values()}" if case.sensor_pump_errors else ""),
+                + (f", {case.sensor_and_pump.values()}" if case.sensor_and_pump else ""),
                 file=path,
             )
         identities.add(case.identity)
@@ -361,8 +361,8 @@ class _Grid:
                         )
                 run = checked[key]
             carried, forecast_files = self._carried(choice, site)
-            for sensor_pump_errors, (controller, parameters, *_) in itertools.product(
-                list(self._sensor_pump_errors()), theirs
+            for sensor_and_pump, (controller, parameters, *_) in itertools.product(
+                list(self._sensor_and_pump()), theirs
             ):
                 yield Case(
                     site=self._input(site_file, lambda path: edited(path, {}).encode()),
@@ -378,7 +378,7 @@ class _Grid:
                     initial=initial,
                     cistern=run.x1,
                     roof=run.x2,
-                    sensor_pump_errors=sensor_pump_errors,
+                    sensor_and_pump=sensor_and_pump,
                     gaps=gaps,
                     bound_block=self._bound_block(site),
                 )
@@ -425,16 +425,16 @@ class _Grid:
             read_skill(text)
         return text
 
-    def _sensor_pump_errors(self) -> Iterator[SensorPumpErrors | None]:
-        """Yield each combination under ``sensor_pump_errors:``; None if there is no such key."""
-        key = "sensor_pump_errors"
+    def _sensor_and_pump(self) -> Iterator[SensorAndPump | None]:
+        """Yield each combination under ``sensor_and_pump:``; None if there is no such key."""
+        key = "sensor_and_pump"
         if key not in self._mapping:
             yield None
             return
         for block in self._blocks(self._mapping, key, _ERRORS):
             self._keys(block, {}, PARAMETERS)
             for values in self._combinations(block, PARAMETERS):
-                yield SensorPumpErrors(**read_numbers(self._path, values, PARAMETERS))
+                yield SensorAndPump(**read_numbers(self._path, values, PARAMETERS))
 
     def _file(self, mapping: YamlMapping, key: str) -> Path:
         name = self._text(mapping, key)

@@ -74,13 +74,13 @@ def _season(case: Case) -> tuple[object, ...]:
     start = datetime.fromisoformat(case.start)
     return (
         f"{start:%m-%dT%H:%M}" if case.hours >= _SEASON_HOURS else "", case.site.name, case.hours,
-        case.evapotranspiration, case.initial, case.sensor_pump_errors,
+        case.evapotranspiration, case.initial, case.sensor_and_pump,
     )
 
 
 def _values(case: Case) -> dict[str, float | str]:
     """Return the parameters of a case's controller, and the errors of its sensor and pump."""
-    errors = case.sensor_pump_errors
+    errors = case.sensor_and_pump
     return {**case.parameters, **({} if errors is None else errors.values())}
 
 

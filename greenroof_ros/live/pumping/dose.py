@@ -84,7 +84,7 @@ class Doses:
             site: states whether doses are allowed, and how large they may be.
             now: system time (s since 1970).
         """
-        self._largest = site.greatest_dose
+        self._largest = site.max_dose
         self._newest = now
         self.last: Dose | None = None
 
@@ -100,7 +100,7 @@ class Doses:
             inhibit_reason: why the pump must not run now; empty if it may.
         """
         if self._largest is None:
-            return "the site file allows no dose (greatest_dose)"
+            return "the site file allows no dose (max_dose)"
         if (present := self.present) is not None:
             return f"another dose is under way: {present.sentence}"
         return inhibit_reason and f"the pump must not run now: {inhibit_reason}"
@@ -120,7 +120,7 @@ class Doses:
         if self._largest is None:
             return self.refusal(inhibit_reason)
         if not 0 < volume <= self._largest:  # nor a NaN
-            return f"a dose must be above 0 and at most {self._largest:g} m3 (greatest_dose)"
+            return f"a dose must be above 0 and at most {self._largest:g} m3 (max_dose)"
         age = now - requested_at
         if not -_AHEAD_S <= age <= EXPIRES_S:
             return (

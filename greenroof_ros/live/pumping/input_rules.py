@@ -67,7 +67,7 @@ def cistern_bounds(site: Site) -> LevelBounds:
         return _MARGIN * (maximum_pump_flow(site, volume) + outlet_flow(site, volume)) / site.a1
 
     rise = _MARGIN * (_MOST_RAIN * site.a_in + (site.mains_flow or 0.0)) / site.a1
-    return LevelBounds(lambda level: rise, fall, site.highest_cistern_level)
+    return LevelBounds(lambda level: rise, fall, site.max_cistern_level)
 
 
 def roof_bounds(site: Site) -> LevelBounds:
@@ -77,7 +77,7 @@ def roof_bounds(site: Site) -> LevelBounds:
     def fall(level: float) -> float:
         return _MARGIN * (_MOST_EVAPOTRANSPIRATION + soil.fastest_fall(level))
 
-    return LevelBounds(lambda level: _MARGIN * (_MOST_RAIN + pump), fall, site.highest_roof_level)
+    return LevelBounds(lambda level: _MARGIN * (_MOST_RAIN + pump), fall, site.max_roof_level)
 
 
 class Movement(NamedTuple):

@@ -282,8 +282,8 @@ const showStop = (stop) => {
   byId("clear-by-hand").hidden = stop.clear_here || !stop.clear_call;
   setText(byId("no-clear"), stop.no_clear && `The fault is not cleared here: ${stop.no_clear}.`);
   byId("clear-button").hidden = !stop.clear_here;
-  byId("dose").hidden = stop.greatest_dose === null;
-  byId("dose-volume").max = stop.greatest_dose ?? 0;
+  byId("dose").hidden = stop.max_dose === null;
+  byId("dose-volume").max = stop.max_dose ?? 0;
   byId("dose-volume").min = stop.least_dose ?? 0;
   setText(byId("dose-limits"), stop.dose_limits);
   byId("dose-limits").hidden = !stop.dose_here;
@@ -385,7 +385,7 @@ let askedBody = {};
 for (const [name, { title, yes, then }] of Object.entries(ACTIONS)) {
   byId(`${name}-button`).addEventListener("click", () => {
     const volume = byId("dose-volume").valueAsNumber;
-    if (name === "dose" && !(volume > 0 && volume >= shown.stop.least_dose && volume <= shown.stop.greatest_dose)) {
+    if (name === "dose" && !(volume > 0 && volume >= shown.stop.least_dose && volume <= shown.stop.max_dose)) {
       answer(`A dose must be ${shown.stop.dose_limits}.`, true);
       return;
     }

@@ -302,7 +302,7 @@ def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
     off = dataclasses.replace(example.trajectory, roof=example.trajectory.roof + 0.5)
     report = report_of(ended_run(
         tmp_path / "noisy", example=example._replace(trajectory=off), **results,
-        sensor_pump_errors={"roof_offset": 0.005},
+        sensor_and_pump={"roof_offset": 0.005},
     ))
     row = report.cases[0].row
     assert {name: row[name] for name in results} == results

@@ -17,7 +17,7 @@ from studies import CONFIG, GRID, WEATHER, edited, grid, record, run_here
 from greenroof_ros.analysis.study.case_run import bound_case, run_case, write_inputs
 from greenroof_ros.analysis.study.grid import contents, read_grid
 from greenroof_ros.commands.study import show
-from greenroof_ros.model.sensor_pump_errors import PARAMETERS
+from greenroof_ros.model.sensor_and_pump import PARAMETERS
 
 SITE = f"site: {CONFIG / 'site.yaml'}"
 HOURS = "    hours: 0.25\n"
@@ -46,8 +46,8 @@ WRONG = {
     "parameter": (edited("weight", "weights"), "line 11: weights: is not a parameter of mpc; d"),
     "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than 0"),
     "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': 'perfekt' is unk"),
-    "sensor_pump_errors-twice": (
-        GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n",
+    "sensor_and_pump-twice": (
+        GRID + "sensor_and_pump: [{}, {roof_noise: 0}]\n",
         "is the same run twice: mpc {'weight': 0.001, ",
     ),
 }

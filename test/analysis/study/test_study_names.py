@@ -33,7 +33,7 @@ weather:
     forecast: [persistence, north/archive.csv, south/archive.csv,
                {model: errors, skill: [real, worse], seed: [1, 2]}]
 initial: low-low
-sensor_pump_errors: [{roof_noise: 0.0005}, {roof_noise: 0.00050000001}]
+sensor_and_pump: [{roof_noise: 0.0005}, {roof_noise: 0.00050000001}]
 controllers:
   mpc: {weight: [0.001, 0.0010000001], max_command: 1.0, site: north/site.yaml}
   onoff: {fraction: 0.5}

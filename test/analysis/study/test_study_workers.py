@@ -200,9 +200,9 @@ controllers:
   mpc: {weight: 1.0e-3, forecast: archive.csv}
   lookahead: {forecast: {model: errors, skill: mine.yaml, seed: 1}}
   anticipating_onoff: {horizon: 12.0, forecast: {model: ensemble, members: 3}}
-sensor_pump_errors:
+sensor_and_pump:
   - {}
-  - {roof_noise: 0.0005, roof_offset: 0.002, noise_seed: 1, minimum_on: 60, minimum_off: 90}
+  - {roof_noise: 0.0005, roof_offset: 0.002, noise_seed: 1, pump_min_on: 60, pump_min_off: 90}
 """
 
 

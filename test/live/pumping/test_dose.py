@@ -12,7 +12,7 @@ from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.conditions import Diagnosis
 
-SITE = replace(PAPER_SITE, greatest_dose=0.5)
+SITE = replace(PAPER_SITE, max_dose=0.5)
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_what_is_refused(rig: Rig, volume: float, age: float, words: str) -> Non
 
 def test_a_site_that_does_not_allow_it_gives_none() -> None:
     rig = ready(Rig(x2=0.5))
-    assert ask(rig) == rig.control.dose_refusal == "the site file allows no dose (greatest_dose)"
+    assert ask(rig) == rig.control.dose_refusal == "the site file allows no dose (max_dose)"
     assert rig.run(30, 0.0).speed is None
 
 

@@ -1,4 +1,4 @@
-"""What a real site has and the paper's has not: errors of the level sensor, pumps that need time.
+"""The roof's level sensor and the pumps: exact and instant in the paper, not so on a real site.
 
 The plant stays exact, and so do all sums of a run. Only the roof level that the controller gets
 and the times at which the pumps follow it are imperfect.
@@ -22,8 +22,8 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class SensorPumpErrors:
-    """How a site differs from the paper's; by default not at all."""
+class SensorAndPump:
+    """How level sensor and pumps differ from the paper's; by default not at all."""
 
     roof_noise: float = entry(
         "standard deviation of the roof's level sensor, independent each tick", 0.0, 1.0, unit="m",
@@ -33,23 +33,13 @@ class SensorPumpErrors:
         "how much the roof sensor reads above the true level", -1.0, 1.0, unit="m", default=0.0
     )
     noise_seed: int = entry("seed of the noise", 0, 2**31 - 1, default=0)
-    minimum_on: float = entry(
+    pump_min_on: float = entry(
         "once on, the pumps stay on for this time, but not in frost, with a full roof or an "
         "empty cistern", 0.0, 86_400.0, unit="s", default=0.0,
     )
-    minimum_off: float = entry(
+    pump_min_off: float = entry(
         "once off, the pumps stay off for this time", 0.0, 86_400.0, unit="s", default=0.0
     )
-
-    @property
-    def exact_sensor(self) -> bool:
-        """Whether the sensor reads the true level."""
-        return self.roof_noise == 0 and self.roof_offset == 0
-
-    @property
-    def instant_pump(self) -> bool:
-        """Whether the pumps follow each command at once."""
-        return self.minimum_on == 0 and self.minimum_off == 0
 
     def values(self) -> dict[str, float]:
         """Return each of :data:`PARAMETERS` with its value."""
@@ -61,15 +51,15 @@ class SensorPumpErrors:
         Raises:
             ConfigurationError: there are minimum times.
         """
-        if not self.instant_pump:
+        if self.pump_min_on or self.pump_min_off:
             raise ConfigurationError(
                 "must be set in the pump driver if the pump is external",
                 key="minimum on and off times",
             )
 
 
-PARAMETERS = {parameter.name: parameter for parameter in parameters_of(SensorPumpErrors)}
-"""of :class:`SensorPumpErrors`, by name"""
+PARAMETERS = {parameter.name: parameter for parameter in parameters_of(SensorAndPump)}
+"""of :class:`SensorAndPump`, by name"""
 
 
 class RoofSensor:
@@ -78,12 +68,12 @@ class RoofSensor:
     The noise of a tick depends only on the seed and the tick.
     """
 
-    def __init__(self, sensor_pump_errors: SensorPumpErrors) -> None:
+    def __init__(self, sensor: SensorAndPump) -> None:
         """Set the sensor's noise and offset."""
-        self._model = sensor_pump_errors
-        self._exact = sensor_pump_errors.exact_sensor
+        self._model = sensor
+        self._exact = not (sensor.roof_noise or sensor.roof_offset)
         self._block = -1
-        self._errors = [sensor_pump_errors.roof_offset] * _BLOCK
+        self._errors = [sensor.roof_offset] * _BLOCK
 
     def reading(self, tick: int, level: float) -> float:
         """Return the reading (m, at least 0) at a tick and a true level (m)."""
@@ -100,8 +90,8 @@ class RoofSensor:
 class Pump:
     """The pumps behind the switch that protects them.
 
-    Once on, they stay on for ``minimum_on``; while the command is 0, they run at the last positive
-    command. Once off, they stay off for ``minimum_off``, regardless of the command. A run begins
+    Once on, they stay on for ``pump_min_on``; while the command is 0, they run at the last positive
+    command. Once off, they stay off for ``pump_min_off``, regardless of the command. A run begins
     with pumps that have been off for long enough.
 
     The switch sees what is delivered, not what is commanded. If Eq. (3a) stops the flow, by the
@@ -111,12 +101,12 @@ class Pump:
     do quiet hours, as on a real pump.
     """
 
-    def __init__(self, sensor_pump_errors: SensorPumpErrors, tau: float) -> None:
+    def __init__(self, pump: SensorAndPump, tau: float) -> None:
         """Set the minimum times, and the duration of a tick (s); they last whole ticks."""
-        self._least_on = math.ceil(sensor_pump_errors.minimum_on / tau - _ROUNDING)
-        self._least_off = math.ceil(sensor_pump_errors.minimum_off / tau - _ROUNDING)
+        self._min_on = math.ceil(pump.pump_min_on / tau - _ROUNDING)
+        self._min_off = math.ceil(pump.pump_min_off / tau - _ROUNDING)
         self._on = False
-        self._ticks = self._least_off  # since they were switched
+        self._ticks = self._min_off  # since they were switched
         self._passed = 0.0
 
     def flow(self, plant: Plant, command: float, forbidden: bool) -> float:
@@ -138,9 +128,9 @@ class Pump:
         """Return the command that the switch lets through."""
         if forbidden:
             return 0.0
-        if self._on and command == 0 and self._ticks < self._least_on:
+        if self._on and command == 0 and self._ticks < self._min_on:
             return self._passed
-        if not self._on and self._ticks < self._least_off:
+        if not self._on and self._ticks < self._min_off:
             return 0.0
         self._passed = command
         return command

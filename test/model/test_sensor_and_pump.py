@@ -14,12 +14,12 @@ from paper import PAPER_SITE, paper_run
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Plant
-from greenroof_ros.model.sensor_pump_errors import Pump, RoofSensor, SensorPumpErrors
+from greenroof_ros.model.sensor_and_pump import Pump, RoofSensor, SensorAndPump
 
 EMPTY, FULL = 0.0, PAPER_SITE.a2 * PAPER_SITE.z_veg
 
 
-def readings(errors: SensorPumpErrors, ticks: Sequence[int], level: float) -> list[float]:
+def readings(errors: SensorAndPump, ticks: Sequence[int], level: float) -> list[float]:
     """Return the readings of a new sensor at these ticks."""
     sensor = RoofSensor(errors)
     return [sensor.reading(tick, level) for tick in ticks]
@@ -28,7 +28,7 @@ def readings(errors: SensorPumpErrors, ticks: Sequence[int], level: float) -> li
 def test_noise_is_normal_and_independent() -> None:
     """Mean, spread, shape and correlation of 200,000 readings, each within five standard errors."""
     count, noise = 200_000, 0.001
-    imperfect = SensorPumpErrors(roof_noise=noise, roof_offset=0.002, noise_seed=7)
+    imperfect = SensorAndPump(roof_noise=noise, roof_offset=0.002, noise_seed=7)
     errors = (np.array(readings(imperfect, range(count), 0.045)) - 0.047) / noise
     assert errors.mean() == pytest.approx(0, abs=5 / math.sqrt(count))
     assert errors.std() == pytest.approx(1, abs=5 / math.sqrt(2 * count))
@@ -42,7 +42,7 @@ def test_noise_is_normal_and_independent() -> None:
 
 def test_noise_follows_from_seed_and_tick_alone() -> None:
     """In any order, read twice, or by another sensor; no two seeds have the same noise."""
-    imperfect = SensorPumpErrors(roof_noise=0.001, noise_seed=3)
+    imperfect = SensorAndPump(roof_noise=0.001, noise_seed=3)
     ticks = [0, 1, 4095, 4096, 5, 100_000, 4096, 0]
     expected = {tick: readings(imperfect, [tick], 0.045)[0] for tick in ticks}
     assert readings(imperfect, ticks, 0.045) == [expected[tick] for tick in ticks]
@@ -56,22 +56,22 @@ def test_noise_follows_from_seed_and_tick_alone() -> None:
 
 def test_offset_by_hand() -> None:
     """0.5 m read as 0.75 m, or as 0.25 m; 0.125 m less 0.25 m is 0, the sensor's end."""
-    assert readings(SensorPumpErrors(roof_offset=0.25), [0, 5000], 0.5) == [0.75, 0.75]
-    assert readings(SensorPumpErrors(roof_offset=-0.25), [0, 5000], 0.5) == [0.25, 0.25]
-    assert readings(SensorPumpErrors(roof_offset=-0.25), [0], 0.125) == [0.0]
-    noisy = readings(SensorPumpErrors(roof_noise=1.0), range(1000), 0.0)
+    assert readings(SensorAndPump(roof_offset=0.25), [0, 5000], 0.5) == [0.75, 0.75]
+    assert readings(SensorAndPump(roof_offset=-0.25), [0, 5000], 0.5) == [0.25, 0.25]
+    assert readings(SensorAndPump(roof_offset=-0.25), [0], 0.125) == [0.0]
+    noisy = readings(SensorAndPump(roof_noise=1.0), range(1000), 0.0)
     assert min(noisy) == 0 and 400 < noisy.count(0.0) < 600
 
 
 def commands_let_through(
-    sensor_pump_errors: SensorPumpErrors,
+    pump_with: SensorAndPump,
     commands: Sequence[float],
     frost: Sequence[bool] = (),
     roofs: Sequence[float] = (),
     tau: float = 1.0,
 ) -> list[float]:
     """Return the share of the maximum flow delivered in each tick, from 75 m3 in the cistern."""
-    pump = Pump(sensor_pump_errors, tau)
+    pump = Pump(pump_with, tau)
     most = Plant(PAPER_SITE, 75.0, EMPTY).pump_flow(1.0)
     shares = []
     for command, cold, roof in itertools.zip_longest(commands, frost, roofs, fillvalue=0.0):
@@ -96,7 +96,7 @@ def commands_let_through(
 def test_minimum_times_by_hand(
     on: int, off: int, commands: list[float], expected: list[float]
 ) -> None:
-    times = SensorPumpErrors(minimum_on=on, minimum_off=off)
+    times = SensorAndPump(pump_min_on=on, pump_min_off=off)
     assert commands_let_through(times, commands) == expected
 
 
@@ -106,20 +106,20 @@ def test_minimum_times_by_hand(
 )
 def test_minimum_times_last_whole_ticks(seconds: float, tau: float, ticks: int) -> None:
     """The first whole number of ticks that is not shorter, for any binary digits of tau."""
-    commands = commands_let_through(SensorPumpErrors(minimum_on=seconds), [1] + [0] * 20, tau=tau)
+    commands = commands_let_through(SensorAndPump(pump_min_on=seconds), [1] + [0] * 20, tau=tau)
     assert commands == [1] * ticks + [0] * (21 - ticks)
 
 
 def test_a_full_roof_stops_them_and_begins_a_time_off() -> None:
     """Eq. (3a) uses the true level; a flow that stops because of it is treated as switched off."""
-    times = SensorPumpErrors(minimum_on=10, minimum_off=3)
+    times = SensorAndPump(pump_min_on=10, pump_min_off=3)
     roofs = [EMPTY, EMPTY, FULL, EMPTY, EMPTY, EMPTY, FULL]
     assert commands_let_through(times, [1] * 7, roofs=roofs) == [1, 1, 0, 0, 0, 1, 0]
 
 
 def test_frost_switches_off_at_once() -> None:
     """Long before the end of the minimum time on; then the minimum time off is kept."""
-    times = SensorPumpErrors(minimum_on=100, minimum_off=3)
+    times = SensorAndPump(pump_min_on=100, pump_min_off=3)
     frost = [False, False, True, True, False, False, False]
     commands = [1, 1, 0, 0, 1, 1, 1]
     assert commands_let_through(times, commands, frost) == [1, 1, 0, 0, 0, 1, 1]
